@@ -34,7 +34,6 @@ from hpe_rig.scene import (
     dotted,
     mistakes_of,
     parse_toml,
-    read_remedy,
     read_settings_text,
     unreadable,
     with_values,
@@ -364,10 +363,11 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
     try:
         found = parse_bench(path.stem, read_settings_text(path))
     except (OSError, ValueError) as error:
-        absent = isinstance(error, FileNotFoundError)
-        what = "there is no file of that name" if absent else f"it cannot be read ({unreadable(error)})"
-        remedy = "its path; hpe-rig new my-bench --like bench writes one" if absent else read_remedy(error)
-        raise SettingsError(f"bench {path}", [Mistake("", what, remedy)]) from None
+        mistake = unreadable(error)
+        if isinstance(error, FileNotFoundError):
+            remedy = "its path; hpe-rig new my-bench --like bench writes one"
+            mistake = Mistake("", "there is no file of that name", remedy)
+        raise SettingsError(f"bench {path}", [mistake]) from None
     return found if any_title else _own(found)
 
 

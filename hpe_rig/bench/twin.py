@@ -120,9 +120,9 @@ class TwinDeclaration:
         receiver = self.settings.receiver
         strength = amplitude_vpp / receiver.reference_pulse_vpp * cycles / REFERENCE_CYCLES
         if not self.settings.transmitter.linear:
-            from sim_backend.acoustics import transmitted_share
+            from sim_backend.acoustics import transmitted_fraction
 
-            strength *= float(transmitted_share(np.array([amplitude_vpp]), self.settings)[0])
+            strength *= float(transmitted_fraction(np.array([amplitude_vpp]), self.settings)[0])
         lost_db = self.settings.loss_to_focus_db(carrier_hz)
         lost_db -= self.settings.loss_to_focus_db(receiver.reference_carrier_hz)
         widths = min(off_focus_m, self.echo_reach_m) / self.settings.beams.tracking_width_m[2]
@@ -421,7 +421,7 @@ def _unreadable(key: str, path: str) -> list[Mistake]:
         read_scan(path)
     except (OSError, ValueError) as error:
         lost = not Path(path).is_file()
-        remedy = "the file there, or beside the run file" if lost else "a scan as docs/theory/transducer.md describes"
+        remedy = "the file there, or beside the run file" if lost else "a scan as docs/explanation/transducer.md describes"
         return [Mistake(key, str(error), remedy)]
     return []
 

@@ -1,17 +1,21 @@
-"""Scene: what is measured and on which specimen, as its TOML file says, validated at once; no room lies below.
+"""Scene: what is measured and on which specimen, read from TOML and validated at once.
 
-    validation.py   every mistake of a settings file at once, each with its key, the bound and what to try
-    quantities.py   types of the numbers in settings files, each with the bounds of what exists
-    notes.py        what an operator notes beside the settings, by names of their own
-    scene.py        the sections of a scene; read by name, path or value; the shipped scenes; the default specimen
-    notation.py     numbers with units as people read them
-    keys.py         the numbers of a scene: found by a short name, set to a value
-    description.py  every key of a settings file in words, from the schema; a file that names them all
-    axis.py         axes of a sweep and the points that they span
-    points.py       the points of a sweep over any numbers
-    editing.py      a scene's text with some of its numbers changed, comments kept
+    mistakes.py          mistakes with path, cause and remedy; SettingsError reports all of them at once
+    units.py             units of keys, numbers with a unit, lengths on the command line
+    settings_file.py     text and TOML of a settings file
+    estimator_table.py   estimators that a scene can name, with their properties
+    validation.py        all mistakes in the settings of a model
+    quantities.py        types of values, each with its bounds
+    sections.py          the sections of a scene
+    keys.py              numbers of a scene by short name or path
+    axis.py              axes of a sweep and the points that they span
+    usual_values.py      the shipped scenes, and the suggestion for a number without its unit's prefix
+    scene.py             the scene and the points of its sweep
+    loading.py           scenes by name, path or value; the default specimen
+    editing.py           numbers changed in a scene's text, comments kept
+    description.py       every key in words, from the schema; a file that lists them all
 
-Others use ``load_scene`` and ``Scene``, and ``SettingsError`` with its ``Mistake`` for settings files of their own.
+Other packages use ``load_scene``, ``Scene``, and ``SettingsError`` with ``Mistake`` for their own settings files.
 """
 
 import lazy_loader

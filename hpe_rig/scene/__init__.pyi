@@ -1,6 +1,5 @@
 from .axis import Axis as Axis, parse_axes as parse_axes, settings_at_points as settings_at_points
 from .description import (
-    DescribedKey as DescribedKey,
     DescribedTable as DescribedTable,
     annotated as annotated,
     described as described,
@@ -9,7 +8,6 @@ from .description import (
 from .editing import edited_text as edited_text
 from .estimator_table import (
     BUILT_IN_ESTIMATORS as BUILT_IN_ESTIMATORS,
-    WINDOW_NOISE as WINDOW_NOISE,
     EstimatorProperties as EstimatorProperties,
     Window as Window,
     checked_estimator as checked_estimator,
@@ -19,62 +17,65 @@ from .estimator_table import (
 from .keys import (
     Key as Key,
     Number as Number,
-    forgotten_units as forgotten_units,
-    number_keys as number_keys,
+    plain_tables as plain_tables,
     resolve as resolve,
     with_values as with_values,
 )
-from .notation import engineering as engineering
-from .notes import Note as Note
-from .points import BENCH as BENCH, IN_TURN as IN_TURN, ScenePoint as ScenePoint
-from .quantities import (
-    AmplitudeM as AmplitudeM,
-    Count as Count,
-    DelayS as DelayS,
-    DurationS as DurationS,
-    FrequencyHz as FrequencyHz,
-    IntensityWPerM2 as IntensityWPerM2,
-    LatencyS as LatencyS,
-    LengthM as LengthM,
-    PressurePa as PressurePa,
-    Seed as Seed,
-    SpeedMPerS as SpeedMPerS,
-    VoltageV as VoltageV,
-    Widths as Widths,
-)
-from .scene import (
-    DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
-    Estimator as Estimator,
-    Excitation as Excitation,
-    Medium as Medium,
-    Processing as Processing,
-    Scene as Scene,
+from .loading import (
     SceneSource as SceneSource,
     SceneText as SceneText,
-    Section as Section,
-    Title as Title,
     load_scene as load_scene,
+    number_keys as number_keys,
     parse_scene as parse_scene,
-    plain_tables as plain_tables,
     scene_text as scene_text,
-    shipped_scenes as shipped_scenes,
     with_default_specimen as with_default_specimen,
 )
-from .validation import (
-    MOST_TEXT_BYTES as MOST_TEXT_BYTES,
+from .mistakes import (
     KeyPath as KeyPath,
     Mistake as Mistake,
     SettingsError as SettingsError,
     control_character as control_character,
     dotted as dotted,
-    length_m as length_m,
-    mistakes_of as mistakes_of,
-    named_text as named_text,
-    parse_toml as parse_toml,
     path_of as path_of,
     printable as printable,
-    read_remedy as read_remedy,
+)
+from .quantities import (
+    AmplitudeM as AmplitudeM,
+    Count as Count,
+    DelayS as DelayS,
+    DurationS as DurationS,
+    Estimator as Estimator,
+    FrequencyHz as FrequencyHz,
+    IntensityWPerM2 as IntensityWPerM2,
+    LatencyS as LatencyS,
+    LengthM as LengthM,
+    Note as Note,
+    PressurePa as PressurePa,
+    SampleRateHz as SampleRateHz,
+    Seed as Seed,
+    SpeedMPerS as SpeedMPerS,
+    Title as Title,
+    VoltageV as VoltageV,
+    Widths as Widths,
+)
+from .scene import Scene as Scene, ScenePoint as ScenePoint, scene_mistakes as scene_mistakes
+from .sections import (
+    SWEPT_LISTS as SWEPT_LISTS,
+    Excitation as Excitation,
+    Medium as Medium,
+    Processing as Processing,
+)
+from .settings_file import (
+    MAX_TEXT_BYTES as MAX_TEXT_BYTES,
+    named_text as named_text,
+    parse_toml as parse_toml,
     read_settings_text as read_settings_text,
     unreadable as unreadable,
+)
+from .units import engineering as engineering, length_m as length_m
+from .usual_values import forgotten_units as forgotten_units, shipped_scenes as shipped_scenes
+from .validation import (
+    Section as Section,
+    mistakes_of as mistakes_of,
     validated as validated,
 )

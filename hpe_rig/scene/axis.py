@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from hpe_rig.scene.validation import KeyPath, Mistake, SettingsError, path_of, unit_of
+from hpe_rig.scene.mistakes import KeyPath, Mistake, SettingsError, path_of
+from hpe_rig.scene.units import unit_of
 
 
 @dataclass(frozen=True, slots=True)

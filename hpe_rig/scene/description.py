@@ -1,8 +1,8 @@
-"""Description of settings files: every key with its kind, unit, default and bounds, read from a JSON schema.
+"""Description of settings files: every key with its kind, unit, default and bounds, from the JSON schema.
 
-`described` serves the reference of the documentation, `annotated` the file with every key that ``hpe-rig new --full``
-writes. Both read the schema that validates the file, so that neither can disagree with it.
-What a key means stands below it in the source, and is read from there when a schema is asked for: no measurement is.
+``described`` is the source of the reference in the documentation, ``annotated`` of the file with every key that
+``hpe-rig new --full`` writes. The schema is also the one that validates settings, so that the three always agree.
+The descriptions of keys are the docstrings below them, read from the source code when a schema is asked for.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from hpe_rig.scene.validation import models_in, unit_of
+from hpe_rig.scene.units import unit_of
+from hpe_rig.scene.validation import models_in
 
 JsonSchema = Mapping[str, Any]
-WIDTH = 110
+COMMENT_WIDTH = 110
 
 
 @dataclass(frozen=True, slots=True)
 class DescribedKey:
     """One key of a settings file, in words and as TOML.
 
-    ``kind`` is such as ``number`` or ``list of 3 numbers``, ``unit`` empty where the name of the key has none;
-    ``default`` is TOML, or None where the key is absent unless set; ``bounds`` is empty where there are none.
+    ``kind`` is such as ``number`` or ``list of 3 numbers``; ``unit`` and ``bounds`` are empty if there are none;
+    ``default`` is TOML, or None if the key is absent by default.
     """
 
     name: str
@@ -55,7 +56,7 @@ class DescribedKey:
 
 @dataclass(frozen=True, slots=True)
 class DescribedTable:
-    """One table of a settings file with its keys; ``repeated`` where it is a list of tables, ``[[path]]``."""
+    """One table of a settings file with its keys; ``repeated`` if it is a list of tables, ``[[path]]``."""
 
     path: tuple[str, ...]
     repeated: bool
@@ -74,9 +75,9 @@ def settings_schema(model: type[BaseModel]) -> dict[str, Any]:
     """Return the JSON schema of ``model`` and all models in it, each key described by the docstring below it."""
     schema = model.model_json_schema()
     tables = {model.__name__: schema, **schema.get("$defs", {})}
-    for found in {model, *_models_under(model)}:
-        keys = tables[found.__name__]["properties"]
-        for name, text in _texts_of_keys(found).items():
+    for described_model in {model, *_models_under(model)}:
+        keys = tables[described_model.__name__]["properties"]
+        for name, text in _key_docstrings(described_model).items():
             keys[name] = dict(sorted({"description": text, **keys[name]}.items()))
     return schema
 
@@ -88,107 +89,80 @@ def _models_under(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
             yield from _models_under(inner)
 
 
-def _texts_of_keys(model: type[BaseModel]) -> dict[str, str]:
-    """Return the docstrings below the fields of ``model`` and of what it inherits from."""
+def _key_docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings below the fields of ``model``, those of its base classes included."""
     texts: dict[str, str] = {}
-    for kind in reversed(model.__mro__):
-        if issubclass(kind, BaseModel) and kind is not BaseModel:
-            texts |= _texts_in_module(kind.__module__).get(kind.__name__, {})
+    for base in reversed(model.__mro__):
+        if issubclass(base, BaseModel) and base is not BaseModel:
+            texts |= _docstrings_in_module(base.__module__).get(base.__name__, {})
     return {name: text for name, text in texts.items() if name in model.model_fields}
 
 
 @cache
-def _texts_in_module(name: str) -> dict[str, dict[str, str]]:
-    """Return the docstrings below the annotated attributes of every class of a module, none where it has no source."""
+def _docstrings_in_module(name: str) -> dict[str, dict[str, str]]:
+    """Return by class the docstrings below its annotated attributes; empty for a module without source code."""
     texts: dict[str, dict[str, str]] = {}
     with suppress(OSError):
         for node in ast.parse(inspect.getsource(sys.modules[name])).body:
             if isinstance(node, ast.ClassDef):
                 texts[node.name] = {
-                    before.target.id: inspect.cleandoc(after.value.value)
-                    for before, after in pairwise(node.body)
-                    if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name)
-                    if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-                    if isinstance(after.value.value, str)
+                    attribute.target.id: inspect.cleandoc(docstring.value.value)
+                    for attribute, docstring in pairwise(node.body)
+                    if isinstance(attribute, ast.AnnAssign) and isinstance(attribute.target, ast.Name)
+                    if isinstance(docstring, ast.Expr) and isinstance(docstring.value, ast.Constant)
+                    if isinstance(docstring.value.value, str)
                 }
     return texts
 
 
 def described(schema: JsonSchema, path: tuple[str, ...] = (), text: str = "") -> list[DescribedTable]:
-    """Return the tables of the settings that the JSON ``schema`` describes, in its order, each before those inside."""
-    return list(_tables(schema, schema, path, text, repeated=False, required=True))
+    """Return the tables of the settings that the JSON ``schema`` describes, each followed by the tables inside it.
 
-
-def annotated(tables: list[DescribedTable], values: Mapping[str, Any]) -> str:
-    """Return a TOML file that sets ``values`` and names every other key of ``tables`` in a comment.
-
-    A key that ``values`` leaves out stands there with its default, commented out: taking the ``#`` away changes
-    nothing. Where there is no default, nothing stands behind the equals sign.
+    ``path`` and ``text`` are those of the outermost table.
     """
-    return "\n".join(line for table in tables for line in _annotated_table(table, values)).strip() + "\n"
+    root = DescribedTable(path, False, True, text, ())
+    return list(_tables(schema, schema, root))
 
 
-def toml_value(value: Any) -> str:
-    """Return ``value`` as TOML; numbers as people write them, with powers of ten in steps of three."""
-    if isinstance(value, bool) or value is None or isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(toml_value, value))}]"
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{key} = {toml_value(inner)}' for key, inner in value.items())} }}"
-    return str(value) if isinstance(value, int) else _number(value)
-
-
-def _number(value: float) -> str:
-    if not 1e-15 < abs(value) < 1e15 or 1e-2 <= abs(value) < 1e5:
-        return repr(value)
-    power = 3 * math.floor(math.log10(abs(value)) / 3)
-    text = f"{value / 10.0**power:.12g}e{power}"
-    # Shorter must not round: the file has to give the same number back.
-    return text if float(text) == value else repr(value)
-
-
-def _tables(
-    root: JsonSchema, schema: JsonSchema, path: tuple[str, ...], text: str, repeated: bool, required: bool
-) -> Iterator[DescribedTable]:
-    needed, inner = set(schema.get("required", ())), []
-    keys = []
+def _tables(root: JsonSchema, schema: JsonSchema, table: DescribedTable) -> Iterator[DescribedTable]:
+    """Yield ``table`` with the keys of its ``schema``, then the tables inside; ``root`` has the schemas by name."""
+    required = set(schema.get("required", ()))
+    keys, inner_tables = [], []
     for name, entry in schema["properties"].items():
-        found = _table_inside(root, entry)
-        if found is None:
-            keys.append(_key(name, entry, name in needed))
+        inner_schema, repeated = _schema_inside(root, entry)
+        if inner_schema is None:
+            keys.append(_key(name, entry, name in required))
         else:
-            table, many = found
-            about = _sentence(_text_of_table(root, entry, table))
-            inner.append(_tables(root, table, (*path, name), about, repeated=many, required=name in needed))
-    yield DescribedTable(path, repeated, required, text, tuple(keys))
-    for tables in inner:
-        yield from tables
+            text = _one_line(_text_of_table(root, entry, inner_schema))
+            inner = DescribedTable((*table.path, name), repeated, name in required, text, ())
+            inner_tables.append((inner_schema, inner))
+    yield DescribedTable(table.path, table.repeated, table.required, table.text, tuple(keys))
+    for inner_schema, inner in inner_tables:
+        yield from _tables(root, inner_schema, inner)
 
 
 def _text_of_table(root: JsonSchema, entry: JsonSchema, table: JsonSchema) -> str:
-    """Return what a table is for: its own words, or those of its place where there are several tables of its kind."""
-    own = str(table.get("description", ""))
-    alike = json.dumps(root).count(f'"#/$defs/{table["title"]}"') > 1
-    return str(entry.get("description") or own) if alike else own or str(entry.get("description", ""))
+    """Return the description of a table: its class's, or its key's if several tables have the same class."""
+    class_text, key_text = str(table.get("description", "")), str(entry.get("description", ""))
+    several = json.dumps(root).count(f'"#/$defs/{table["title"]}"') > 1
+    return (key_text or class_text) if several else (class_text or key_text)
 
 
-def _table_inside(root: JsonSchema, entry: JsonSchema) -> tuple[JsonSchema, bool] | None:
-    """Return the schema of the table that ``entry`` stands for and whether it is a list of them; None for a value."""
+def _schema_inside(root: JsonSchema, entry: JsonSchema) -> tuple[JsonSchema | None, bool]:
+    """Return the schema of the table at ``entry``, None if it is a value, and whether it is a list of tables."""
     for choice in entry.get("anyOf", [entry]):
-        many = choice.get("type") == "array" and isinstance(choice.get("items"), Mapping)
-        one = choice["items"] if many else choice
-        if "$ref" in one:
-            return root["$defs"][one["$ref"].rpartition("/")[2]], many
-    return None
+        repeated = choice.get("type") == "array" and isinstance(choice.get("items"), Mapping)
+        item = choice["items"] if repeated else choice
+        if "$ref" in item:
+            return root["$defs"][item["$ref"].rpartition("/")[2]], repeated
+    return None, False
 
 
 def _key(name: str, entry: JsonSchema, required: bool) -> DescribedKey:
     choices = [choice for choice in entry.get("anyOf", [entry]) if choice.get("type") != "null"]
     kind, bounds = " or ".join(map(_kind, choices)), _bounds(choices[0])
-    default = entry.get("default")
-    shown = None if default is None else toml_value(default)
-    return DescribedKey(name, kind, unit_of(name), required, shown, bounds, _sentence(entry.get("description", "")))
+    default = None if entry.get("default") is None else toml_value(entry["default"])
+    return DescribedKey(name, kind, unit_of(name), required, default, bounds, _one_line(entry.get("description", "")))
 
 
 _KINDS = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
@@ -199,56 +173,97 @@ def _kind(choice: JsonSchema) -> str:
         return "one of " + ", ".join(map(toml_value, choice.get("enum", [choice.get("const")])))
     if choice.get("type") == "array":
         parts, items = choice.get("prefixItems"), choice.get("items", {})
-        one = _KINDS.get((parts[0] if parts else items).get("type", ""), "value")
-        return f"list of {f'{len(parts)} ' if parts else ''}{one}s"
+        item_kind = _KINDS.get((parts[0] if parts else items).get("type", ""), "value")
+        return f"list of {f'{len(parts)} ' if parts else ''}{item_kind}s"
     return _KINDS.get(choice.get("type", ""), "table")
 
 
 def _bounds(choice: JsonSchema) -> str:
     if choice.get("type") == "array":
         parts = choice.get("prefixItems")
-        each = _bounds(parts[0] if parts else choice.get("items", {}))
-        return f"each {each}" if each else ""
+        item_bounds = _bounds(parts[0] if parts else choice.get("items", {}))
+        return f"each {item_bounds}" if item_bounds else ""
+    if "minimum" in choice and "maximum" in choice:
+        return f"{_plain_number(choice['minimum'])} to {_plain_number(choice['maximum'])}"
     limits = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
-    words = [f"{word} {_plain(choice[key])}" for key, word in limits.items() if key in choice]
-    both = "minimum" in choice and "maximum" in choice
-    return f"{_plain(choice['minimum'])} to {_plain(choice['maximum'])}" if both else " and ".join(words)
+    return " and ".join(f"{word} {_plain_number(choice[key])}" for key, word in limits.items() if key in choice)
 
 
-def _plain(bound: float) -> str:
+def _plain_number(bound: float) -> str:
     """Return a bound as people write it: 1e9, not 1e+09."""
     return re.sub(r"e\+?(-?)0*", r"e\1", f"{bound:g}")
 
 
-def _sentence(text: str) -> str:
-    """Return a docstring on one line, code marks of docstrings as those of Markdown."""
+def _one_line(text: str) -> str:
+    """Return a docstring on one line, its code marks as in Markdown."""
     return " ".join(text.split()).replace("``", "`")
 
 
+def annotated(tables: list[DescribedTable], values: Mapping[str, Any]) -> str:
+    """Return a TOML file that sets ``values`` and lists every other key of ``tables`` in a comment.
+
+    An absent key is a comment with its default, if it has one: removing the ``#`` changes nothing.
+    """
+    return "\n".join(line for table in tables for line in _annotated_table(table, values)).strip() + "\n"
+
+
 def _annotated_table(table: DescribedTable, values: Mapping[str, Any]) -> Iterator[str]:
-    found: Any = values
-    for name in table.path:
-        found = found.get(name) if isinstance(found, Mapping) else None
-    entries = found if isinstance(found, list | tuple) else [found] if isinstance(found, Mapping) else []
     yield ""
     if table.text:
         yield from _comment(table.text)
-    for number, entry in enumerate(entries or [None]):
-        # A table whose keys are all left out, and which must not be there, is itself a comment.
-        if table.header:
-            yield table.header if entry is not None else f"# {table.header}"
+    entries = _entries_at(values, table.path)
+    if not entries:
+        # An absent table is a comment from its header to its last key.
+        yield from ([f"# {table.header}"] if table.header else [])
         for key in table.keys:
+            yield from (*_key_comment(key), _commented_out(key))
+    for number, entry in enumerate(entries):
+        yield from ([table.header] if table.header else [])
+        for key in table.keys:
+            # Keys are explained in the first of several tables, and absent ones are listed in it.
             if number == 0:
-                yield from _comment(f"{key.text.removesuffix('.')}. {_capital(key.summary)}.")
-            if entry is not None and key.name in entry:
+                yield from _key_comment(key)
+            if key.name in entry:
                 yield f"{key.name} = {toml_value(entry[key.name])}"
             elif number == 0:
-                yield f"# {key.name} = {key.default or ''}".rstrip()
+                yield _commented_out(key)
+
+
+def _entries_at(values: Any, path: tuple[str, ...]) -> list[Mapping[str, Any]]:
+    """Return the tables at ``path``: none, one, or those of a list."""
+    for name in path:
+        values = values.get(name) if isinstance(values, Mapping) else None
+    return list(values) if isinstance(values, list | tuple) else [values] if isinstance(values, Mapping) else []
+
+
+def _key_comment(key: DescribedKey) -> list[str]:
+    summary = key.summary[:1].upper() + key.summary[1:]
+    return _comment(f"{key.text.removesuffix('.')}. {summary}.")
+
+
+def _commented_out(key: DescribedKey) -> str:
+    return f"# {key.name} = {key.default or ''}".rstrip()
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent="## ", subsequent_indent="## ")
+    return textwrap.wrap(text, COMMENT_WIDTH, initial_indent="## ", subsequent_indent="## ")
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def toml_value(value: Any) -> str:
+    """Return ``value`` as TOML; numbers with powers of ten in steps of three, as people write them."""
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {toml_value(inner)}' for key, inner in value.items())} }}"
+    return str(value) if isinstance(value, int) else _toml_float(value)
+
+
+def _toml_float(value: float) -> str:
+    if not 1e-15 < abs(value) < 1e15 or 1e-2 <= abs(value) < 1e5:
+        return repr(value)
+    power = 3 * math.floor(math.log10(abs(value)) / 3)
+    text = f"{value / 10.0**power:.12g}e{power}"
+    # The shorter form is used only if it gives the same number back.
+    return text if float(text) == value else repr(value)

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 from h5py import h5f, h5p
 
-from hpe_rig.scene import MOST_TEXT_BYTES, control_character, printable
+from hpe_rig.scene import MAX_TEXT_BYTES, control_character, printable
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, digest, stored_bytes
 from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, extra, reason
 
@@ -218,7 +218,7 @@ def _refuse_no_text(holder: Any, where: str) -> None:
     if information.length is None:
         # Such text lies in a heap without checksums, where a damaged file can send the library into an endless loop.
         raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
-    if holder.dtype.itemsize > MOST_TEXT_BYTES:
+    if holder.dtype.itemsize > MAX_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MOST_TEXT_BYTES}")
 
 
@@ -228,7 +228,7 @@ def _text(value: Any, where: str) -> str:
         text.encode("utf-8")
     except UnicodeError:
         raise UntrustedError(f"{where} is not UTF-8 text") from None
-    if len(text) > MOST_TEXT_BYTES:
+    if len(text) > MAX_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MOST_TEXT_BYTES}")
     # A terminal would execute them.
     if control_character(text):

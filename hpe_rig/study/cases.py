@@ -16,15 +16,15 @@ from hpe_rig.bench import check_declared, check_simulation, read_bench, twin_of,
 from hpe_rig.plan import PlanError
 from hpe_rig.processing import Estimator, Options, spec_of
 from hpe_rig.scene import (
-    IN_TURN,
+    SWEPT_LISTS,
     Axis,
     Mistake,
     Scene,
     SettingsError,
-    mistakes_of,
     parse_toml,
     path_of,
     plain_tables,
+    scene_mistakes,
     scene_text,
     shipped_scenes,
     with_values,
@@ -223,7 +223,7 @@ def _whole_scene(grid: _Grid, indices: Indices, corrected: bool = False) -> Scen
     """Return one shot of the scene at a point; raise ``SettingsError`` with every mistake."""
     tables = grid.tables_at(indices)
     # A key of the study overrides the scene's sweep of the same quantity.
-    overridden = {name for key, name in IN_TURN.items() if key in grid.keys}
+    overridden = {name for key, name in SWEPT_LISTS.items() if key in grid.keys}
     if overridden and isinstance(sweep := tables.get("sweep"), dict):
         tables["sweep"] = {name: values for name, values in sweep.items() if name not in overridden}
     scene, mistakes = _validated(tables)
@@ -289,7 +289,7 @@ def _stream(
 
 def _validated(tables: Tables) -> tuple[Scene | None, list[Mistake]]:
     """Return the scene, None with mistakes in its tables; all mistakes of tables and declared values."""
-    if mistakes := mistakes_of(Scene, tables) + check_simulation(tables):
+    if mistakes := scene_mistakes(tables) + check_simulation(tables):
         return None, mistakes
     scene = Scene.model_validate(tables)
     mistakes = check_declared(scene)

@@ -18,11 +18,11 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
+from hpe_rig.measurement import prepare, prepare_resumption, record_run, resume
 from hpe_rig.plan import disturbed_pulses
 from hpe_rig.report.page import render
-from hpe_rig.scene import SettingsError, shipped_scenes
-from hpe_rig.scene.scene import DEFAULT_SPECIMEN, parse_scene, scene_text, with_default_specimen
+from hpe_rig.scene import SettingsError, parse_scene, scene_text, shipped_scenes, with_default_specimen
+from hpe_rig.scene.loading import DEFAULT_SPECIMEN
 
 ROOT = Path(__file__).parents[2]
 ECHOES: dict[str, Any] = {
@@ -119,7 +119,7 @@ def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken(tmp_path: 
             taken(3)  # type: ignore[operator]
     with pytest.raises(TypeError, match="path of its TOML file or None, not as dict"):
         hpe.check("table-1", bench={})  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="a run file is taken as its path or None, not as bytes"):
+    with pytest.raises(TypeError, match="expected the path of a run file or None, not bytes"):
         hpe.measure("table-1", path=b"run.h5")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="mapping from path to value, not as int"):
         hpe.load_scene("table-1").with_(3)  # type: ignore[arg-type]
@@ -361,6 +361,6 @@ def test_a_run_on_the_default_muscle_resumes(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         record_run(setup, tmp_path / "run.h5", stop)
     whole = hpe.open_run(record_run(setup, tmp_path / "whole.h5"))
-    rest = hpe.open_run(resume(prepare_rest(tmp_path / "run.h5")))
+    rest = hpe.open_run(resume(prepare_resumption(tmp_path / "run.h5")))
     for one, other in zip(whole.records, rest.records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)

@@ -12,7 +12,7 @@ from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import RunWriter, read_run
 
 TABLE_1 = shipped_scenes()["table-1"]

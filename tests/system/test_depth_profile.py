@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.medium import PushForce, shear_motion
+from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, shear_motion
 from hpe_rig.report import write_report
 from hpe_rig.result import Result, result_csv
 
@@ -44,9 +44,9 @@ def test_a_profile_is_the_field_of_the_medium_within_its_uncertainty(result: Res
         for estimate in gate.shot.estimates:
             omega = 2 * math.pi * estimate.frequency_hz
             hz, force = np.array([estimate.frequency_hz]), PushForce((0.34e-3,), 3.6e-3)
-            medium = np.array([7.25e3 + 1j * omega]), hz, 1000.0, force, 0.0, 0.0
-            beside_m = np.array([gate.shot.lateral_offset_m])
-            here, focus = (shear_motion(*medium, beside_m, z).value[0, 0] for z in (gate.depth_m - 70e-3, 0.0))
+            medium = HarmonicMedium(hz, np.array([7.25e3 + 1j * omega]))
+            regions = (TrackedRegion(np.array([gate.shot.lateral_offset_m]), z) for z in (gate.depth_m - 70e-3, 0.0))
+            here, focus = (shear_motion(medium, force, region).value[0, 0] for region in regions)
             [own] = [each for each in result.shots if each.shot == gate.shot.shot]
             [there] = [each for each in own.estimates if each.frequency_hz == estimate.frequency_hz]
             assert there.true_amplitude_m is not None

@@ -14,14 +14,13 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.measurement.resumption import prepare_rest
+from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.report.page import render
 from hpe_rig.runs.run import process
-from hpe_rig.scene.scene import shipped_scenes
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, read_snapshots
 
 MESSAGES = (StoreError, SettingsError, PlanError)
@@ -227,7 +226,7 @@ def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(small: Path
     assert "Try:" in str(raised.value)
     assert not LIBRARY_WORDS.search(str(raised.value))
     with pytest.raises(MESSAGES):
-        prepare_rest(small)
+        prepare_resumption(small)
 
 
 def test_records_that_never_came_take_no_memory(small: Path) -> None:

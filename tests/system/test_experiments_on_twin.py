@@ -10,7 +10,7 @@ from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.report.sweep import fit_line
 from hpe_rig.runs.run import process
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 
 SCENES = shipped_scenes()
 REPEATS = 8

@@ -149,7 +149,7 @@ BROKEN = {
 }
 CODE = """
 import numpy as np
-from hpe_rig.moduli import Law, Parameter
+from hpe_rig.medium import Law, Parameter
 from hpe_rig.processing import EstimatorSpec, Motion
 
 def fails(echoes):

@@ -29,7 +29,7 @@ from hpe_rig.prediction.beam_averaging import predicted_averaging
 from hpe_rig.prediction.theory import force_spectrum
 from hpe_rig.result.values import Result
 from hpe_rig.runs.run import process
-from hpe_rig.scene.scene import Scene, shipped_scenes
+from hpe_rig.scene import Scene, shipped_scenes
 from hpe_rig.store import StoreError, read_run, result_path
 from sim_backend.motion.specimen import frequency_response
 from sim_backend.settings.simulation import Specimen

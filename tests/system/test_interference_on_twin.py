@@ -6,7 +6,7 @@ import pytest
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene import parse_scene, shipped_scenes
 from sim_backend.acoustics.acoustics import Acoustics
 from sim_backend.acoustics.reception import with_reception
 from sim_backend.settings.simulation import SimulationSettings

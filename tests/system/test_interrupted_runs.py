@@ -24,7 +24,7 @@ from pathlib import Path
 import pytest
 
 from hpe_rig.bench.bench_file import BenchFile, parse_bench
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import read_run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")

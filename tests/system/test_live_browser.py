@@ -19,7 +19,7 @@ from hpe_rig.measurement.sequencer import Progress
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.measurement.stop_request import StopRequested
 from hpe_rig.report.page import write_report
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import read_run
 
 FLAGS = [

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
+from hpe_rig.measurement import prepare, prepare_resumption, record_run, resume
 from hpe_rig.report import write_report
 from hpe_rig.runs import open_run, process
 from hpe_rig.scene import SettingsError, parse_scene
@@ -113,7 +113,7 @@ def test_the_comparison_notices_a_number_that_differs(copied: Path) -> None:
 
 
 def test_an_old_run_is_resumed_and_equals_one_that_was_not_interrupted(copied: Path) -> None:
-    rest = prepare_rest(copied / "aborted.h5")
+    rest = prepare_resumption(copied / "aborted.h5")
     assert rest.complete == 1
     done = resume(rest)
     resumed = read_run(done)
@@ -173,7 +173,7 @@ def test_a_run_is_resumed_whose_settings_a_younger_rule_would_refuse(copied: Pat
         younger = bytes(file["scene"][()]).decode().replace("[processing]", "[processing]\nprocess_noise = 1e-3")
         del file["scene"]
         file["scene"] = np.bytes_(younger.encode())
-    assert read_run(resume(prepare_rest(path))).shot_complete.all()
+    assert read_run(resume(prepare_resumption(path))).shot_complete.all()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -18,15 +18,15 @@ from hpe_rig.measurement import (
     Setup,
     Step,
     StopRequested,
-    clear_leftover,
+    clear_stale_stop,
     clear_stop,
     record_run,
     request_stop,
     stop_path,
     stop_requested,
-    stoppable,
+    with_stop_requests,
 )
-from hpe_rig.measurement.resumption import prepare_rest
+from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.runs.run import process
 from hpe_rig.store import StoreError, WriteOptions, journal, read_run, result_path
 
@@ -52,7 +52,7 @@ def during(setup: Setup, path: Path, act: Callable[[], object], run_id: str = MI
             act()
 
     clock = iter(range(10**6)).__next__
-    record_run(setup, path, stoppable(observe, path, run_id, clock), options=WriteOptions(run_id=run_id))
+    record_run(setup, path, with_stop_requests(observe, path, run_id, clock), options=WriteOptions(run_id=run_id))
 
 
 def test_another_run_into_the_same_file_is_refused_and_the_first_goes_on(setup: Setup, tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_another_run_into_the_same_file_is_refused_and_the_first_goes_on(setup: 
                 record_run(setup, path, options=WriteOptions(overwrite=overwrite))
             refused.append(str(raised.value))
         with pytest.raises(StoreError, match="being written by a run that goes on"):
-            prepare_rest(path)
+            prepare_resumption(path)
 
     during(setup, path, another)
     assert "already exists" in refused[0]
@@ -159,7 +159,7 @@ def test_a_request_left_by_an_earlier_run_stops_no_later_one(setup: Setup, tmp_p
     stop_path(path).write_text(OTHER)
     during(setup, path, lambda: None)
     assert read_run(path).status == "complete"
-    clear_leftover(path)
+    clear_stale_stop(path)
     assert not stop_path(path).exists()
 
 
@@ -168,7 +168,7 @@ def test_a_run_about_to_be_refused_takes_no_request_from_the_run_that_goes_on(se
 
     def request_and_clear() -> None:
         request_stop(path)
-        clear_leftover(path)
+        clear_stale_stop(path)
 
     with pytest.raises(StopRequested):
         during(setup, path, request_and_clear)
@@ -212,7 +212,7 @@ def test_a_run_that_was_killed_cannot_be_asked_to_stop_and_goes_on_at_once(setup
     with pytest.raises(StoreError, match="its program was killed"):
         request_stop(path)
     # The system has released its lock.
-    assert prepare_rest(path).complete == 1
+    assert prepare_resumption(path).complete == 1
 
 
 def test_a_folder_in_the_requests_place_is_a_message(setup: Setup, tmp_path: Path) -> None:

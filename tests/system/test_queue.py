@@ -26,22 +26,22 @@ from hpe_rig.measurement import (
     QUEUE_FILE,
     Observer,
     Progress,
+    QueueHooks,
     QueueRun,
     Setup,
     Step,
     StopRequested,
-    Watching,
-    listed,
     new_queue,
-    pausable,
     pause_requested,
     prepare,
+    queue_entries,
     read_queue,
     record_run,
     run_queue,
     toggle_pause,
+    with_pauses,
 )
-from hpe_rig.runs import json_schema
+from hpe_rig.runs import json_schema, process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
 
@@ -88,8 +88,8 @@ class Watcher:
         yield observe, None
 
     @property
-    def watching(self) -> Watching:
-        return Watching(self.said.append, self.watch)
+    def watching(self) -> QueueHooks:
+        return QueueHooks(self.said.append, self.watch, process)
 
 
 def goes_through(folder: Path, count: int, failing: int, stopped: int) -> tuple[QueueRun, ...]:
@@ -171,7 +171,7 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
 
         yield observe, None
 
-    run_queue(folder, queue, Watching(lambda text: None, watch))
+    run_queue(folder, queue, QueueHooks(lambda text: None, watch))
     assert [(state["status"], state["file"], state["shot"]) for state in seen] == [
         ("running", "01-scene-0.h5", 1),
         ("running", "02-scene-1.h5", 1),
@@ -204,7 +204,7 @@ def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten
             source.stop()
 
     with pytest.raises(StopRequested):
-        run_queue(folder, queue, Watching(tell, told.watch))
+        run_queue(folder, queue, QueueHooks(tell, told.watch))
     assert [run.state for run in read_queue(folder)] == ["done", "stopped"]
     assert {name for name, _, _ in told.steps} == {"01-scene-0.h5"}
     ended, _ = run_queue(folder, read_queue(folder), Watcher().watching)
@@ -263,7 +263,7 @@ def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> 
     path = tmp_path / "list.toml"
     runs = '[[run]]\nscene = "a.toml"\n[[run]]\nscene = "table-1"\nbench = "c.toml"\n'
     path.write_text(f'bench = "b.toml"\non_failure = "stop"\n{runs}', "utf-8")
-    found, stops = listed([str(path)], None)
+    found, stops = queue_entries([str(path)], None)
     assert stops
     assert found == [(str(tmp_path / "a.toml"), tmp_path / "b.toml"), ("table-1", tmp_path / "c.toml")]
     validator = jsonschema.Draft202012Validator(json_schema("queue"))
@@ -271,7 +271,7 @@ def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> 
     path.write_text(runs.replace("bench", "bank"), "utf-8")
     assert not validator.is_valid(tomllib.loads(path.read_text("utf-8")))
     with pytest.raises(SettingsError, match="bank"):
-        listed([str(path)], None)
+        queue_entries([str(path)], None)
 
 
 def test_a_program_holds_a_bench_for_all_of_its_runs_and_keeps_it_from_others() -> None:
@@ -300,8 +300,8 @@ def test_a_pause_waits_before_a_shot_with_every_output_off(tmp_path: Path) -> No
         assert read_run(path).shot_complete.tolist() == [True, False]
         assert not toggle_pause(path)
 
-    record_run(setup, path, pausable(observe, lambda: pause_requested(path), said.append, go_on))
-    assert said == ["paused before shot 2, all outputs are off: p goes on, Ctrl-C stops", "going on"]
+    record_run(setup, path, with_pauses(observe, lambda: pause_requested(path), said.append, go_on))
+    assert said == ["paused before shot 2, all outputs are off: p continues, Ctrl-C stops", "continuing"]
     assert read_run(path).status == "complete"
 
 
@@ -327,7 +327,7 @@ def test_a_pause_can_be_ended_by_a_stop(tmp_path: Path) -> None:
         if progress.step is Step.SAFE:
             ended.append(progress.shot.index)
 
-    asked = pausable(observe, lambda: bool(ended), lambda text: None, stop)
+    asked = with_pauses(observe, lambda: bool(ended), lambda text: None, stop)
     with pytest.raises(KeyboardInterrupt):
         record_run(prepare(scenes(tmp_path, 1)[0]), path, asked)
     assert read_run(path).shot_complete.tolist() == [True, False]
@@ -360,6 +360,6 @@ def test_the_key_p_pauses_and_goes_on_at_a_terminal(tmp_path: Path) -> None:
             os.write(terminal, b"p")
             pressed = 2
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
-    assert b"going on" in seen
+    assert b"continuing" in seen
     assert read_run(tmp_path / "scene-0.h5").status == "complete"
     assert not list(tmp_path.glob("*.pause"))

@@ -18,7 +18,7 @@ from drivers.agilent.generator import Agilent33250A
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import run as run_module, stop_request as live_stop
-from hpe_rig.measurement.resumption import prepare_rest, resume
+from hpe_rig.measurement.resumption import prepare_resumption, resume
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress
 from hpe_rig.measurement.setup import Setup
@@ -45,7 +45,7 @@ def table(path: Path) -> dict[str, Any]:
 
 def resumed_table(path: Path) -> dict[str, Any]:
     """Return the table of the run that goes on from ``path``."""
-    done = resume(prepare_rest(path))
+    done = resume(prepare_resumption(path))
     assert read_run(done).predecessor == path.name
     return table(done)
 
@@ -73,7 +73,7 @@ def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_pa
             if progress.shot.index == stop_at:
                 raise KeyboardInterrupt
 
-        go_on = partial(record_run, setup) if name == "first" else partial(resume, prepare_rest(earlier))
+        go_on = partial(record_run, setup) if name == "first" else partial(resume, prepare_resumption(earlier))
         with pytest.raises(KeyboardInterrupt):
             go_on(path, stop)
     assert read_run(path).shot_complete.tolist() == [True, True, True, False]
@@ -108,7 +108,7 @@ def test_resume_refuses_another_scene(
     other = tmp_path / "other.toml"
     other.write_text(change(setup.scene.text), encoding="utf-8")
     with pytest.raises(StoreError, match=message):
-        prepare_rest(path, str(other))
+        prepare_resumption(path, str(other))
 
 
 def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_path: Path) -> None:
@@ -117,9 +117,9 @@ def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_
     bench = tmp_path / "bench.toml"
     bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
     with pytest.raises(StoreError, match="bench"):
-        prepare_rest(path, bench_path=bench)
+        prepare_resumption(path, bench_path=bench)
     with pytest.raises(StoreError, match="all of its 4 shots"):
-        prepare_rest(path)
+        prepare_resumption(path)
 
 
 def test_resume_from_the_command_line_logs_and_stops_like_run(
@@ -179,7 +179,7 @@ def test_a_sigterm_between_the_file_and_the_bench_leaves_no_file(
         patch.setattr(run_module, "open_bench", terminated)
         with pytest.raises(Terminated) as caught:
             record_run(setup, tmp_path / "run.h5")
-    assert caught.value.__notes__ == ["nothing was measured, and no run file is left"]
+    assert caught.value.__notes__ == ["nothing was measured, and there is no run file"]
     assert not list(tmp_path.glob("*.h5"))
 
 

@@ -101,13 +101,13 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
     script = """
 import os, signal, sys
-from hpe_rig.measurement.recording import Recording
-take = Recording.take
-def killed(recording, event, *others):
-    take(recording, event, *others)
+from hpe_rig.measurement.recording import RunRecorder
+write = RunRecorder.write
+def killed(recorder, event, *others):
+    write(recorder, event, *others)
     if type(event).__name__ == "ShotBlock":
         os.kill(os.getpid(), signal.SIGKILL)
-Recording.take = killed
+RunRecorder.write = killed
 sys.argv = ["hpe-rig", "run", "table-1", "--output", "run.h5"]
 from hpe_rig.cli.app import main
 main()

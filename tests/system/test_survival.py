@@ -23,7 +23,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.bench.instruments import Bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement import run as run_module
-from hpe_rig.measurement.resumption import prepare_rest, resume
+from hpe_rig.measurement.resumption import prepare_resumption, resume
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress, ShotBlock, Step, acquire
 from hpe_rig.measurement.setup import Setup
@@ -90,7 +90,7 @@ def assert_resumes_to(path: Path, expected: dict[str, Any], number: int) -> None
     """Assert that the run that stopped in ``path`` is completed to ``expected``, unless it was complete."""
     done = path
     if not read_run(path).shot_complete.all():
-        done = resume(prepare_rest(path), path.with_name(f"resumed-{number}.h5"))
+        done = resume(prepare_resumption(path), path.with_name(f"resumed-{number}.h5"))
         assert read_run(done).predecessor == path.name
         assert read_run(done).status == "complete"
     found = table(done)

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from hpe_rig.measurement.resumption import prepare_rest, resume
+from hpe_rig.measurement.resumption import prepare_resumption, resume
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Step
 from hpe_rig.report.sweep import make_sweep
 from hpe_rig.runs.run import process
-from hpe_rig.scene.scene import parse_scene, shipped_scenes
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError, parse_scene, shipped_scenes
 
 SHORT = (
     ("repeats = 5", "repeats = 1"),
@@ -40,7 +39,7 @@ def test_a_sweep_that_was_interrupted_goes_on_to_the_same_result(prepared, tmp_p
 
     with pytest.raises(KeyboardInterrupt):
         record_run(setup, tmp_path / "cut.h5", stop)
-    rest = process(resume(prepare_rest(tmp_path / "cut.h5"), tmp_path / "rest.h5"))
+    rest = process(resume(prepare_resumption(tmp_path / "cut.h5"), tmp_path / "rest.h5"))
     assert [shot.estimates for shot in rest.shots] == [shot.estimates for shot in whole.shots]
     sweep = make_sweep(whole.shots)
     assert sweep is not None

@@ -9,7 +9,7 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.bench import read_bench
-from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
+from hpe_rig.measurement import prepare, prepare_resumption, record_run, resume
 from hpe_rig.plan import PlanError
 from hpe_rig.report.sweep import make_sweep
 from hpe_rig.result import result_csv
@@ -55,7 +55,7 @@ def test_a_sweep_of_the_specimen_goes_on_where_it_stopped(swept: hpe.Run, tmp_pa
 
     with pytest.raises(KeyboardInterrupt):
         record_run(prepare(swept.path), tmp_path / "cut.h5", stop)
-    rest = hpe.open_run(resume(prepare_rest(tmp_path / "cut.h5"), tmp_path / "rest.h5"))
+    rest = hpe.open_run(resume(prepare_resumption(tmp_path / "cut.h5"), tmp_path / "rest.h5"))
     assert rest.stored.predecessor == "cut.h5"
     for shot in range(4):
         np.testing.assert_array_equal(rest.records[shot].codes, swept.records[shot].codes)

@@ -49,7 +49,7 @@ def test_overwriting_with_a_bench_at_a_wrong_address_loses_nothing(
     )
     assert done.exit_code == 1, done.stderr
     assert path.read_bytes() == before
-    assert "no record had arrived: run.h5 is what it was before" in done.stderr
+    assert "no record had arrived: run.h5 is unchanged" in done.stderr
     assert "holds the records" not in done.stderr
 
 
@@ -60,7 +60,7 @@ def test_a_failed_open_leaves_no_stub_and_claims_no_records(
     done = rig(tmp_path, monkeypatch, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5")
     assert done.exit_code == 1
     assert set(tmp_path.iterdir()) == before
-    assert "nothing was measured, and no run file is left" in done.stderr
+    assert "nothing was measured, and there is no run file" in done.stderr
     assert "not identified, so not proven off: master, burst_train, toneburst" in done.stderr
 
 

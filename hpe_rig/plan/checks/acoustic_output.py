@@ -27,7 +27,7 @@ ASSUMED: Final = re.compile(r"\s*assumed\b", re.IGNORECASE)
 MEASURE: Final = (
     "put a calibrated hydrophone at the focus in degassed water, drive one toneburst and one tracking pulse at a few "
     "amplitudes, enter pressure and intensity as not derated, and who measured them when as the source "
-    "(docs/bench-safety.md); or remove [calibration], and the output is not estimated"
+    "(docs/how-to/bench-safety.md); or remove [calibration], and the output is not estimated"
 )
 
 

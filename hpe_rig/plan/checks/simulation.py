@@ -34,7 +34,7 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
             f"the twin's push is a hydrophone's scan, moduli and predictions take {shape} in its place: of bowls that "
         )
         text += "move unevenly mu1 is then off by up to 4 % and mu2 by 6 % from five places, which is not in u"
-        yield CheckResult("declared", "warning", text, "beams.excitation_scan, the same scan; docs/moduli.md")
+        yield CheckResult("declared", "warning", text, "beams.excitation_scan, the same scan; docs/how-to/moduli.md")
     if (bench.digitizer.system_id, bench.digitizer.board_id) != (1, 1):
         text = f"digitizer.system_id = {bench.digitizer.system_id}, board_id = {bench.digitizer.board_id}"
         yield CheckResult("simulated board", "refused", f"{text}: the simulated board is 1 of system 1", "1 for both")

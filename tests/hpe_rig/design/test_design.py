@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
-from hpe_rig.design.command import Request, compared, write_design
+from hpe_rig.design.command import Request, write_design
+from hpe_rig.design.comparison import compare
 from hpe_rig.design.model import effective_pulses, predicted
 from hpe_rig.design.page import write_page
 from hpe_rig.design.problem import Constraints, Goal, Problem
@@ -22,8 +23,7 @@ from hpe_rig.design.variables import variables
 from hpe_rig.measurement.setup import Setup, prepare, prepare_text
 from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.result import symbols
-from hpe_rig.scene.scene import scene_text
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError, scene_text
 
 # Everything moves alike and by little: hardly any speckle jitter, and the noise is the Cramer-Rao bound's.
 NO_SPECKLE = scene_text("table-1")[1].replace("[0.17e-3, 0.17e-3, 1.80e-3]", "[1.0, 1.0, 1.0]")
@@ -91,7 +91,7 @@ def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
     most_pulses: DesignResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    comparison = compared(most_pulses)
+    comparison = compare(most_pulses)
     path = write_page(most_pulses, comparison, "my scenes/mine.toml", "hpe-rig design mine.toml")
     page = path.read_text(encoding="utf-8")
     assert path.name == "mine-design.html"
@@ -105,7 +105,7 @@ def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
 
 
 def test_what_holds_the_best_scene_back_is_said(most_pulses: DesignResult) -> None:
-    words = " ".join(most_pulses.held)
+    words = " ".join(most_pulses.limits)
     assert "record in period" in words
     assert "more tracking.pulse_count: time" in words
 
@@ -135,7 +135,7 @@ def test_the_same_seed_gives_the_same_design() -> None:
     setup = prepare_text("no-speckle", NO_SPECKLE)
     first, again = (find_design(_problem(setup, "gate_length_m", "phase-jitter"), 7, generations=1) for _ in range(2))
     assert again.best.values == first.best.values
-    assert again.problem.tried == first.problem.tried
+    assert again.problem.evaluations == first.problem.evaluations
 
 
 def test_the_toneburst_that_moves_a_harmonic_most_is_half_its_period() -> None:
@@ -160,7 +160,7 @@ def test_the_dose_holds_the_toneburst_back() -> None:
     tracking = 3.2e3 * 10**-1.89 * 3 / 9e6 * 8000
     allowed_s = (7.2e3 - tracking) / (1.5e6 * 10**-0.63 * 100)
     assert _best(found)["excitation.burst_length_s"] == pytest.approx(math.floor(allowed_s * 3e6) / 3e6, rel=1e-9)
-    assert "more excitation.burst_length_s: acoustic output" in found.held
+    assert "more excitation.burst_length_s: acoustic output" in found.limits
 
 
 def test_the_shortest_scene_keeps_the_target() -> None:
@@ -198,7 +198,7 @@ def test_a_number_that_does_not_matter_stays_as_it_is() -> None:
 
 def test_a_target_out_of_reach_says_what_can_be_reached() -> None:
     problem = _problem(prepare_text("no-speckle", NO_SPECKLE), "pulse_count", "time", target_m=1e-12)
-    with pytest.raises(SettingsError, match=r"comes down to 1\.[67].*0\.001 nm are wanted"):
+    with pytest.raises(SettingsError, match=r"smallest jitter is 1\.[67].*above the 0\.001 nm"):
         find_design(problem, generations=1)
 
 
@@ -255,7 +255,7 @@ def test_what_the_bench_takes_in_steps_is_varied_in_steps() -> None:
     # c / f to the whole record of 512 samples
     assert 1540 / 9e6 <= gate[0] < gate[-1] <= 512 / 100e6 * 770
     for variable in space:
-        assert variable.place(variable.value(variable.last)) == pytest.approx(variable.last)
+        assert variable.position(variable.value(variable.last)) == pytest.approx(variable.last)
 
 
 def test_what_the_model_lacks_is_named_at_once() -> None:

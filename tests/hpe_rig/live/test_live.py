@@ -28,15 +28,13 @@ from hpe_rig.live.history import TimeLeft
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State, band_verdict
-from hpe_rig.measurement.pause import pause_path, wait_at_place
+from hpe_rig.measurement.pause import pause_path, wait_for_move
 from hpe_rig.measurement.run import record_run
-from hpe_rig.measurement.sequencer import Progress, Step, unobserved
+from hpe_rig.measurement.sequencer import Progress, Step, ignore_progress
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
+from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_stop, stop_path, with_stop_requests
 from hpe_rig.runs.run import process
-from hpe_rig.scene import load_scene
-from hpe_rig.scene.scene import scene_text
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError, load_scene, scene_text
 from hpe_rig.store import StoreError, WriteOptions, read_run
 
 
@@ -330,7 +328,7 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
             request_stop(run_file)
 
     with pytest.raises(StopRequested):
-        record_run(setup, run_file, stoppable(ask_late, run_file, clock=iter(range(10**6)).__next__))
+        record_run(setup, run_file, with_stop_requests(ask_late, run_file, clock=iter(range(10**6)).__next__))
     stored = read_run(run_file)
     assert stored.status == "aborted"
     assert stored.records[0].valid.any()
@@ -340,7 +338,7 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
 
 def test_a_place_that_cannot_be_asked_for_is_told_with_its_reason(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"at 2 mm cannot be written beside .*No such file.*hpe-rig resume"):
-        wait_at_place(tmp_path / "absent" / "run.h5", "one", 2e-3, lambda: False)
+        wait_for_move(tmp_path / "absent" / "run.h5", "one", 2e-3, lambda: False)
 
 
 @contextmanager
@@ -351,7 +349,7 @@ def waiting_for_places(tmp_path: Path, ended: list[str]) -> Iterator[LivePage]:
 
     def observe(progress: Progress) -> None:
         if progress.step is Step.MOVE:
-            wait_at_place(path, "one", progress.shot.lateral_offset_m, lambda: False)
+            wait_for_move(path, "one", progress.shot.lateral_offset_m, lambda: False)
 
     def measure() -> None:
         try:
@@ -414,7 +412,7 @@ def test_a_stop_that_is_asked_for_as_a_shot_ends_leaves_it_complete(tmp_path: Pa
         if progress.step is Step.SAFE:
             request_stop(run_file)
 
-    record_run(prepare("table-1"), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+    record_run(prepare("table-1"), run_file, with_stop_requests(ask, run_file, clock=itertools.count().__next__))
     assert read_run(run_file).status == "complete"
 
 
@@ -449,14 +447,16 @@ def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> Non
             request_stop(run_file)
 
     with pytest.raises(StopRequested):
-        record_run(prepare_text(name, long), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+        record_run(
+            prepare_text(name, long), run_file, with_stop_requests(ask, run_file, clock=itertools.count().__next__)
+        )
     assert (waits, fired) == ([3], [1])
     assert read_run(run_file).shot_complete.tolist() == [True, False]
 
 
 def test_nobody_looks_for_a_stop_more_often_than_ten_times_a_second(tmp_path: Path) -> None:
     times_s = iter([0.0, 0.01, 0.05, 0.2])
-    observe = stoppable(unobserved, tmp_path / "run.h5", clock=times_s.__next__)
+    observe = with_stop_requests(ignore_progress, tmp_path / "run.h5", clock=times_s.__next__)
     progress = Progress(Step.COLLECT, prepare("table-1").plan.shots[0])
     observe(progress)
     stop_path(tmp_path / "run.h5").touch()

@@ -20,7 +20,7 @@ from hpe_rig.plan.checks.acoustic_output import (
     highest_output,
 )
 from hpe_rig.plan.checks.check_result import CheckResult, PlanError, refuse_conflicts
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 
 LIMITS = OutputLimits(full_drive_vpp=1.0, max_duty=0.05, max_burst_length_s=250e-6, max_bursts=200)
 

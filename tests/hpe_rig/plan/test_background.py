@@ -11,7 +11,7 @@ import pytest
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.plan.checks.digitizer import background
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.scene.scene import Scene, load_scene
+from hpe_rig.scene import Scene, load_scene
 
 BENCH = read_bench().bench
 

@@ -13,7 +13,7 @@ from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.sequencer import ShotBlock, acquire
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 from hpe_rig.store.records import assemble
 
 TABLE_1 = shipped_scenes()["table-1"]

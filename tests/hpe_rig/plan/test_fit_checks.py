@@ -14,7 +14,7 @@ from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.selection import LARGEST_CONDITION, select
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.processing.harmonics.model import linear_model
-from hpe_rig.scene.scene import load_scene
+from hpe_rig.scene import load_scene
 
 BENCH = read_bench().bench
 SHORT = {"processing.window_start_s": 0.05, "processing.window_length_s": 0.012}

@@ -17,7 +17,7 @@ from hpe_rig.plan.checks.digitizer import board, gate_in_record, memory
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot, make_plan, reference_gate
-from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 
 BENCH = read_bench().bench
 MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle-synchronous"]).scene

@@ -4,7 +4,7 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.measurement.setup import prepare_text
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 
 CHAIN = shipped_scenes()["gelatin-8"]
 PLAIN = shipped_scenes()["bovine-muscle"]

@@ -17,7 +17,7 @@ from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene import parse_scene, shipped_scenes
 
 MUSCLE = shipped_scenes()["bovine-muscle"]
 

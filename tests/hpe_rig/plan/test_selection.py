@@ -9,7 +9,7 @@ from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.selection import driven_frequencies_hz, select, window_pulse_count
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 
 SCENES, BENCH = shipped_scenes(), read_bench().bench
 

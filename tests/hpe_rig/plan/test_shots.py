@@ -13,8 +13,7 @@ from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz
 from hpe_rig.plan.shots import Plan, Shot, burst_path_s, make_plan, tracking_path_s
 from hpe_rig.plan.timeline import plan_text
-from hpe_rig.scene.scene import Scene, load_scene, parse_scene, shipped_scenes
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import Scene, SettingsError, load_scene, parse_scene, shipped_scenes
 
 BENCH = read_bench().bench
 MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle-synchronous"]).scene

@@ -4,7 +4,7 @@ import pytest
 
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.plan.checks.simulation import simulation
-from hpe_rig.scene.scene import load_scene, shipped_scenes
+from hpe_rig.scene import load_scene, shipped_scenes
 
 TABLE_1 = shipped_scenes()["table-1"]
 

@@ -8,7 +8,7 @@ from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.text import aliasing_text
-from hpe_rig.scene.scene import scene_text
+from hpe_rig.scene import scene_text
 from hpe_rig.store.layout import TRUE_HARMONICS
 
 

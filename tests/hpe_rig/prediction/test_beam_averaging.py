@@ -28,8 +28,7 @@ from hpe_rig.prediction.error_model import seeded_speckle, tracked_over_peak
 from hpe_rig.prediction.text import averaging_text
 from hpe_rig.prediction.theory import carrier_spread
 from hpe_rig.result import Averaging
-from hpe_rig.scene.scene import load_scene, parse_scene, shipped_scenes
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError, load_scene, parse_scene, shipped_scenes
 from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field

@@ -1,4 +1,4 @@
-"""The detection floor and the dose, against the figures of docs/theory/prediction.md."""
+"""The detection floor and the dose, against the figures of docs/explanation/prediction.md."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hpe_rig.bench.twin import twin_dose
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
 from hpe_rig.prediction.text import calibration_text, detection_text, extrapolation_text
-from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene import parse_scene, shipped_scenes
 
 SCENES = shipped_scenes()
 WITH_SPECIMEN = [name for name, text in SCENES.items() if "[simulation.specimen]" in text]

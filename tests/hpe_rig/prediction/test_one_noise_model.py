@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.design.command import _column
+from hpe_rig.design.comparison import _outcome
 from hpe_rig.design.problem import Constraints, Problem
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.prediction.forecast import forecast_of
 from hpe_rig.report.page import write_report
 from hpe_rig.runs import check, measure
-from hpe_rig.scene.scene import load_scene, shipped_scenes
+from hpe_rig.scene import load_scene, shipped_scenes
 from hpe_rig.study import one_shot
 
 FAST = {"bovine-muscle", "table-1"}
@@ -42,7 +42,7 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
         return
     setup = prepare(scene, refuse=False)
     problem = Problem(setup, tomllib.loads(setup.scene.text), (), "jitter", Constraints(1.0))
-    designed = _column(problem, problem.judged(problem.start), 0, 0)
+    designed = _outcome(problem, problem.judged(problem.start), 0, 0)
     assert designed["detection floor"] == f"{floor} nm"
     estimator, hz = scene.processing.estimator, scene.wanted_frequencies_hz[0]
     noise = printed(rf"\n  {estimator} +\S+ nm +(\S+) nm", checked)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.processing import ESTIMATORS, hann, spec_of
-from hpe_rig.scene import BUILT_IN_ESTIMATORS, WINDOW_NOISE
+from hpe_rig.scene import BUILT_IN_ESTIMATORS
+from hpe_rig.scene.estimator_table import WINDOW_NOISE
 
 if TYPE_CHECKING:
     from conftest import TableOne

@@ -21,7 +21,7 @@ from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.result import PALETTE, headline_sentence, symbols
 from hpe_rig.result.values import Estimate, Result, ShotResult, shot_warnings
 from hpe_rig.runs.run import process
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}

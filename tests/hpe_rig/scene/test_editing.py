@@ -6,10 +6,17 @@ import tomllib
 
 import pytest
 
-from hpe_rig.scene.editing import edited_text
-from hpe_rig.scene.keys import Key, number_keys, resolve, with_values
-from hpe_rig.scene.scene import scene_text, shipped_scenes
-from hpe_rig.scene.validation import Mistake, SettingsError
+from hpe_rig.scene import (
+    Key,
+    Mistake,
+    SettingsError,
+    edited_text,
+    number_keys,
+    resolve,
+    scene_text,
+    shipped_scenes,
+    with_values,
+)
 
 
 def test_short_names_are_found_where_they_are_unambiguous() -> None:

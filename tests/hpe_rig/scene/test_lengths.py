@@ -2,7 +2,7 @@
 
 import pytest
 
-from hpe_rig.scene.validation import SettingsError, length_m
+from hpe_rig.scene import SettingsError, length_m
 
 
 @pytest.mark.parametrize(("text", "metres"), [("20nm", 20e-9), (" 1.5 um", 1.5e-6), ("2e-8", 2e-8), ("0.001mm", 1e-6)])

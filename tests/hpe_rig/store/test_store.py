@@ -32,7 +32,7 @@ from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
 from hpe_rig.runs.checked_scene import check
 from hpe_rig.runs.run import open_run, process
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import (
     RunWriter,
     StoreError,

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 from hpe_rig.cli.app import app
 from hpe_rig.live.source import RunSource
 from hpe_rig.measurement import Setup, prepare_text, record_run, resume
-from hpe_rig.measurement.resumption import prepare_rest
+from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.runs import json_schema
 from hpe_rig.runs.run import open_run, process
 from hpe_rig.scene import shipped_scenes
@@ -170,7 +170,7 @@ def test_a_damaged_shot_is_measured_again_when_the_run_goes_on(setup: Setup, pat
     else:
         with path.open("r+b") as file:
             file.truncate(int(path.stat().st_size * 0.8))
-    rest = prepare_rest(path)
+    rest = prepare_resumption(path)
     assert rest.complete == (1 if harm == "echo" else 2)
     assert process(resume(rest)).shots == whole.shots
 

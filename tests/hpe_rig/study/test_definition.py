@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpe_rig.scene.scene import shipped_scenes
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.study.cases import GridPoint, points_of
 from hpe_rig.study.definition import AxisRange, AxisTable, Definition, read_studies, shipped_studies
 from hpe_rig.study.measured_case import MeasuredCase

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpe_rig.scene import SettingsError
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.study import engine
 from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition

@@ -29,7 +29,7 @@ from hpe_rig.report.page_writer import (
     write_text,
 )
 from hpe_rig.result import Picture
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure

@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.executor import (
     MAX_LOSSES,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hpe_rig.scene.validation import SettingsError
+from hpe_rig.scene import SettingsError
 from hpe_rig.validation.accuracy import harmonic as accuracy_harmonic
 from hpe_rig.validation.accuracy.motion import MotionCase, MotionRow, case_rows, draw_motion
 from hpe_rig.validation.accuracy.work_precision import write_rows

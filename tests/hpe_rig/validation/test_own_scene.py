@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 from hpe_rig.processing import ESTIMATORS
-from hpe_rig.scene.scene import Scene, load_scene
+from hpe_rig.scene import Scene, load_scene
 from hpe_rig.study import one_shot
 from hpe_rig.validation.accuracy.own_scene import (
     UNCHANGED,
@@ -134,7 +134,7 @@ def test_one_shot_of_a_long_scene_is_measured() -> None:
 
 def test_the_command_writes_the_table_and_reports_its_progress(tmp_path: Path) -> None:
     table, scene = tmp_path / "mine.csv", tmp_path / "mine.toml"
-    from hpe_rig.scene.scene import scene_text as text_of
+    from hpe_rig.scene import scene_text as text_of
 
     scene.write_text(text_of("table-1")[1].replace("pulse_count = 101", "pulse_count = 21"), encoding="utf-8")
     words = ["accuracy", "--scene", str(scene), "--seeds", "2", "--output", str(table)]
