@@ -1,4 +1,4 @@
-"""Types of the arrays that functions take and return: one name for each element type."""
+"""Array types, one name for each element type."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Wiring: the clock, and voltage steps, bursts and cables as arrays in integer picoseconds."""
+"""Wiring: clock, cables, voltage steps and bursts, with times in integer picoseconds."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ SOURCE_OHM = 50.0
 """Output impedance of every source (33250A: manual; AUX output: assumed)."""
 DRIVE_INPUT_OHM = 50.0
 """Input impedance of the transducer's amplifier (assumed)."""
-HEARD_PS = 10_000_000_000
-"""After this time nothing echoes any more: 10 ms, 7.7 m of tissue and back."""
+ECHO_LIFE_PS = 10_000_000_000
+"""Echoes end this long after a pulse: 10 ms, 7.7 m of tissue and back."""
 
 
 def to_ps(time_s: float) -> int:
@@ -27,27 +27,27 @@ def to_ps(time_s: float) -> int:
 
 
 class SimulatedClock:
-    """Time of the simulated bench in whole picoseconds, moved only by what is done; sleeping takes no real time."""
+    """Time of the simulated bench in whole picoseconds; it advances by calls alone, and sleeping takes no real time."""
 
     def __init__(self) -> None:
         self.now_ps = 0
 
     def now_s(self) -> float:
-        """Return the time since the world began."""
+        """Return the time since the start of the world."""
         return self.now_ps / PS_PER_S
 
     def sleep(self, duration_s: float) -> None:
-        """Move on by ``duration_s``."""
+        """Advance by ``duration_s``."""
         self.now_ps += max(0, to_ps(duration_s))
 
     def advance_to(self, time_ps: int) -> None:
-        """Move on to ``time_ps``; a time in the past changes nothing."""
+        """Advance to ``time_ps``; a time in the past changes nothing."""
         self.now_ps = max(self.now_ps, time_ps)
 
 
 @dataclass(frozen=True)
 class Bursts:
-    """Sine bursts that reached the transducer; every array has shape (burst,)."""
+    """Sine bursts; every array has shape (burst,)."""
 
     onset_ps: Int64Array
     end_ps: Int64Array
@@ -57,7 +57,7 @@ class Bursts:
 
     @functools.cached_property
     def longest_ps(self) -> int:
-        """Duration of the longest burst; there is one."""
+        """Duration of the longest burst; there must be at least one."""
         return int((self.end_ps - self.onset_ps).max())
 
 
@@ -66,9 +66,9 @@ BURST_FIELDS = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """What the digitizer was triggered to record: one record an entry of ``first_sample_ps`` (record,).
+    """Consecutive records of one arming, one an entry of ``first_sample_ps`` (record,).
 
-    Of a long capture these may be some consecutive records alone, ``first_record`` the number of those before them.
+    ``first_record`` is the number of records before them, ``origin_ps`` time zero of the capture.
     """
 
     index: int
@@ -81,7 +81,7 @@ class Capture:
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Steps of an output's open-circuit voltage, by time; every array has shape (step,)."""
+    """Steps of an output's open-circuit voltage, sorted by time; every array has shape (step,)."""
 
     time_ps: Int64Array
     before_v: FloatArray
@@ -90,7 +90,7 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Emission:
-    """What an instrument put out for what came in; ``ignored`` counts the triggers that it was too busy for."""
+    """Output of an instrument; ``ignored`` counts the triggers that came while it was busy."""
 
     steps: Steps
     bursts: Bursts
@@ -110,17 +110,17 @@ Respond = Callable[[Steps], Emission]
 
 
 def no_steps() -> Steps:
-    """Return a voltage that never changes."""
+    """Return a constant voltage."""
     return Steps(np.empty(0, np.int64), np.empty(0), np.empty(0))
 
 
 def no_bursts() -> Bursts:
-    """Return silence."""
+    """Return an empty set of bursts."""
     return Bursts(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
 
 
 def joined_steps(parts: Iterable[Steps]) -> Steps:
-    """Return the steps of all ``parts`` by time; steps of one time keep their order."""
+    """Return the steps of all ``parts``, sorted by time; simultaneous steps keep their order."""
     parts = [part for part in parts if part.time_ps.size]
     if not parts:
         return no_steps()
@@ -133,7 +133,7 @@ def joined_steps(parts: Iterable[Steps]) -> Steps:
 
 
 def joined_bursts(parts: Iterable[Bursts]) -> Bursts:
-    """Return the bursts of all ``parts`` by onset."""
+    """Return the bursts of all ``parts``, sorted by onset."""
     parts = [part for part in parts if part.onset_ps.size]
     if not parts:
         return no_bursts()
@@ -142,44 +142,46 @@ def joined_bursts(parts: Iterable[Bursts]) -> Bursts:
 
 
 def near(bursts: Bursts, capture: Capture) -> Bursts:
-    """Return the bursts that a record of ``capture`` could hear, and some more; both by time."""
+    """Return at least the bursts that can contribute to ``capture``; bursts and records are sorted by time."""
     if not capture.first_sample_ps.size or not bursts.onset_ps.size:
         return bursts
-    begin_ps = capture.first_sample_ps[0] - bursts.longest_ps - HEARD_PS
-    end_ps = capture.first_sample_ps[-1] + capture.samples * capture.sample_period_ps + HEARD_PS
-    some = slice(*bursts.onset_ps.searchsorted([begin_ps, end_ps]).tolist())
-    return Bursts(*(getattr(bursts, name)[some] for name in BURST_FIELDS))
+    begin_ps = capture.first_sample_ps[0] - bursts.longest_ps - ECHO_LIFE_PS
+    end_ps = capture.first_sample_ps[-1] + capture.samples * capture.sample_period_ps + ECHO_LIFE_PS
+    contributing = slice(*bursts.onset_ps.searchsorted([begin_ps, end_ps]).tolist())
+    return Bursts(*(getattr(bursts, name)[contributing] for name in BURST_FIELDS))
 
 
 def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> Int64Array:
-    """Return when an input of ``input_ohm`` sees the voltage pass ``level_v``: int64 (edge,)."""
-    share = input_ohm / (input_ohm + SOURCE_OHM)
-    before, after = steps.before_v * share, steps.after_v * share
-    passed = (before < level_v) & (after >= level_v) if rising else (before >= level_v) & (after < level_v)
-    return steps.time_ps[passed]
+    """Return when the voltage at an input of ``input_ohm`` crosses ``level_v``: int64 (edge,)."""
+    # Voltage divider of source and input impedance.
+    divider = input_ohm / (input_ohm + SOURCE_OHM)
+    before, after = steps.before_v * divider, steps.after_v * divider
+    is_edge = (before < level_v) & (after >= level_v) if rising else (before >= level_v) & (after < level_v)
+    return steps.time_ps[is_edge]
 
 
 def accepted(trigger_ps: Int64Array, busy_ps: int, limit: int | None = None) -> IndexArray:
-    """Return the indices of the triggers that find an instrument idle which is busy ``busy_ps`` after each.
+    """Return the indices of accepted triggers, at most ``limit``.
 
-    ``trigger_ps`` is sorted; a trigger exactly ``busy_ps`` after an accepted one is accepted too. At most ``limit``.
+    The instrument is busy for ``busy_ps`` after each accepted trigger; a trigger at the end of that time is accepted.
+    ``trigger_ps`` is sorted.
     """
     if np.all(np.diff(trigger_ps) >= busy_ps):
         return np.arange(trigger_ps.size)[:limit]
-    # Duration is constant: one jump an accepted trigger, not a step a trigger.
-    taken: list[int] = []
+    # One search an accepted trigger: ignored ones are skipped together.
+    indices: list[int] = []
     index = 0
-    while index < trigger_ps.size and (limit is None or len(taken) < limit):
-        taken.append(index)
-        idle_from = np.searchsorted(trigger_ps, trigger_ps[index] + busy_ps, side="left")
-        index = max(index + 1, int(idle_from))
-    return np.array(taken, np.intp)
+    while index < trigger_ps.size and (limit is None or len(indices) < limit):
+        indices.append(index)
+        next_index = np.searchsorted(trigger_ps, trigger_ps[index] + busy_ps, side="left")
+        index = max(index + 1, int(next_index))
+    return np.array(indices, np.intp)
 
 
 def cables_of(
     wiring: Sequence[tuple[str, str, float]], sources: Sequence[str], targets: Sequence[str]
 ) -> tuple[Cable, ...]:
-    """Return the cables of ``wiring``; raise ``ValueError`` for an end that does not exist or a delay below 0."""
+    """Return the cables of ``wiring``; raise ``ValueError`` for an unknown end or a negative delay."""
     for source, target, delay_s in wiring:
         if source not in sources:
             raise ValueError(f"wiring: no output {source!r}; the twin has {', '.join(sources)}")
@@ -187,13 +189,13 @@ def cables_of(
             raise ValueError(f"wiring: no input {target!r}; the twin has {', '.join(targets)}")
         if not delay_s >= 0:
             raise ValueError(
-                f"wiring: {source} -> {target} has a delay of {delay_s} s; a cable cannot answer before it is asked"
+                f"wiring: {source} -> {target} has a delay of {delay_s} s; a cable cannot be faster than instantaneous"
             )
     return tuple(Cable(source, target, to_ps(delay_s)) for source, target, delay_s in wiring)
 
 
 def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, ...]:
-    """Return ``roles`` so that each comes after what triggers it; raise ``ValueError`` where the wiring has a loop."""
+    """Return ``roles`` sorted so that each follows its trigger sources; raise ``ValueError`` for a loop."""
     graph: dict[str, set[str]] = {role: set() for role in roles}
     for cable in cables:
         if cable.target.endswith(".trigger"):
@@ -207,7 +209,7 @@ def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, .
 
 
 def propagate(cables: Sequence[Cable], respond: Mapping[str, Respond]) -> dict[str, Emission]:
-    """Return what every role of ``respond`` puts out, evaluated along the wiring; an unwired input sees nothing."""
+    """Return the emission of every role of ``respond``, evaluated along the wiring; an open input has no edges."""
     emissions: dict[str, Emission] = {}
     for role in trigger_order(cables, tuple(respond)):
         arriving = [
@@ -225,15 +227,15 @@ def driven(
     roles: Sequence[str],
     targets: Sequence[str] = ("transducer.drive",),
 ) -> Bursts:
-    """Return the bursts of ``roles`` as they arrive at transducers, in volts across their amplifiers' inputs."""
-    share = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
+    """Return the bursts of ``roles`` at the transducers, in volts across their amplifiers' inputs."""
+    divider = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
     arriving = []
     for cable in cables:
         if cable.target in targets and _role(cable.source) in roles:
             bursts = emissions[_role(cable.source)].bursts
             onset_ps, end_ps = bursts.onset_ps + cable.delay_ps, bursts.end_ps + cable.delay_ps
             arriving.append(
-                replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=bursts.amplitude_vpp * share)
+                replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=bursts.amplitude_vpp * divider)
             )
     return joined_bursts(arriving)
 

@@ -1,6 +1,6 @@
-"""World, the simulated bench as one: registers -> edges along the wiring -> bursts -> volts at the digitizer.
+"""World: the whole simulated bench. Registers -> edges along the wiring -> bursts -> volts at the digitizer.
 
-Assumed: motion left over from before a capture is forgotten if every output was off when the capture was armed.
+Assumed: if every output is off when a capture is armed, no motion remains from before.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import (
     BOARDS,
     FAR_PS,
+    AcceptedTriggers,
     AlazarLibrary,
     Board,
     BoardSettings,
     CaptureSnapshot,
     Recording,
-    Taken,
     latencies_of,
-    pulse_of_each_record,
+    pulse_onsets_ps,
 )
 from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A
 from sim_backend.settings import SimulationSettings
@@ -47,15 +47,15 @@ from sim_backend.wiring import (
 GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
 PULSER = "tracking_pulser"
 TRANSDUCERS = ("transducer.drive", "tracking_transducer.drive")
-"""Inputs of the transducer that pushes, and of one that only tracks."""
+"""Inputs of the pushing transducer, and of a transducer for tracking alone."""
 SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
 TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", *TRANSDUCERS)
-KEPT_CAPTURES = 16
-"""How many armings are remembered with everything that was emitted: a long run must not grow."""
+MAX_CAPTURES = 16
+"""Number of armings in memory, with their emissions; older ones are forgotten."""
 
 
 class Physics(Protocol):
-    """From what was transmitted to what was received; a capture is asked for in blocks of consecutive records."""
+    """Acoustics: transmitted bursts -> received volts, in blocks of consecutive records."""
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray: ...
 
@@ -66,7 +66,7 @@ class Physics(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What every instrument puts out if nothing more is programmed, and what of it reaches the transducer."""
+    """Emissions of every instrument up to ``until_ps``, and the bursts that reach the transducers."""
 
     emissions: Mapping[str, Emission]
     tonebursts: Bursts
@@ -76,7 +76,7 @@ class Evaluation:
 
 
 class GeneratorConnection:
-    """The text connection to one generator; every message takes its time."""
+    """Text connection to one generator; every message takes ``message_time_s``."""
 
     def __init__(
         self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float, over_serial: bool = False
@@ -92,25 +92,30 @@ class GeneratorConnection:
         self._generator.write(message, self._over_serial)
 
     def read(self) -> str:
-        """Return one reply; raise ``TimeoutError`` when none comes."""
+        """Return one reply; raise ``TimeoutError`` if there is none."""
         return self._generator.read()
 
     def serial_poll(self) -> int:
-        """Return the status byte as the bus reads it, without a message."""
+        """Return the status byte, as by a serial poll on the bus."""
         return self._generator.serial_poll()
 
     def close(self) -> None:
-        """Hang up; the instrument goes on as programmed."""
+        """Close the connection; the instrument keeps its state."""
         self._generator.close()
 
 
 class World:
-    """Five generators and a digitizer, wired; time passes with what the program does.
+    """Five generators and a digitizer with their wiring; time advances with the program's calls alone.
 
-    ``wiring`` lists (source, target, delay in seconds); what is not wired is not triggered. Raises ``ValueError`` for
-    an end that does not exist and for a loop. ``acoustics`` replaces the twin's own; ``models`` names the generators
-    that are no 33250A, by role. ``first_capture`` is the index of the first arming, from which its noise is drawn.
-    ``board`` names the digitizer's type.
+    Args:
+        settings: the scene's [simulation], and the twin's settings.
+        wiring: (source, target, delay in seconds) of each cable.
+        acoustics: replaces the twin's acoustics.
+        models: generator models by role; those without an entry are 33250A.
+        first_capture: index of the first arming, which seeds its noise.
+        board: name of the digitizer's type.
+
+    Raises ``ValueError`` for an unknown end of a cable, and for a loop of triggers.
     """
 
     def __init__(
@@ -126,8 +131,9 @@ class World:
         self._settings = settings
         self._cables = cables_of(wiring, SOURCES, TARGETS)
         trigger_order(self._cables, (*GENERATORS, "digitizer"))
-        self._given_physics = self._physics = acoustics
-        self._beside_m = 0.0
+        self._own_acoustics = acoustics is None
+        self._physics = acoustics
+        self._lateral_m = 0.0
         self.clock = SimulatedClock()
         self._generators = {
             role: Generator33250A(
@@ -141,10 +147,10 @@ class World:
         self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
         self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None
         self._recording: Recording | None = None
-        self._past: deque[CaptureSnapshot] = deque(maxlen=KEPT_CAPTURES - 1)
+        self._past: deque[CaptureSnapshot] = deque(maxlen=MAX_CAPTURES - 1)
 
     def connect(self, role: str, over_serial: bool = False) -> GeneratorConnection:
-        """Return a text connection to the generator of ``role``; raise ``ValueError`` for a role that is none."""
+        """Return a text connection to the generator of ``role``; raise ``ValueError`` for an unknown role."""
         if role not in self._generators:
             raise ValueError(f"no generator {role!r} on the simulated bench; it has {', '.join(GENERATORS)}")
         return GeneratorConnection(
@@ -152,43 +158,42 @@ class World:
         )
 
     def move_tracking(self, lateral_m: float) -> None:
-        """Move the tracking transducer to ``lateral_m`` beside the push; captures from now on are taken there."""
-        if lateral_m != self._beside_m:
-            self._beside_m, self._physics = lateral_m, self._given_physics
+        """Move the tracking transducer to a lateral offset from the push, for all captures from now on."""
+        if lateral_m != self._lateral_m:
+            self._lateral_m = lateral_m
+            self._physics = None if self._own_acoustics else self._physics
 
     def alazar_library(self) -> AlazarLibrary:
         """Return the digitizer's function table, freshly loaded."""
         return AlazarLibrary(self, self._settings.instruments)
 
     def outputs_on(self) -> dict[str, bool]:
-        """Return which generators' outputs are on, by role."""
+        """Return whether each generator's output is on, by role."""
         return {role: generator.registers.output for role, generator in self._generators.items()}
 
     def digitizer_idle(self) -> bool:
-        """Return whether the digitizer waits for no trigger and takes no record."""
+        """Return whether no capture is running."""
         if not self.board.running:
             return True
-        complete = self.taken(self.clock.now_ps).complete(self.clock.now_ps)
+        complete = self.triggers(self.clock.now_ps).complete(self.clock.now_ps)
         return complete >= self.board.armings[-1].settings.record_count
 
     def emissions(self) -> tuple[Bursts, Bursts, dict[str, int]]:
         """Return tonebursts and tracking pulses at the transducer, and the ignored triggers by role.
 
-        They reach back to the last arming of the digitizer with every output off, and forward to the end of every
-        train that is already triggered.
+        They start at the last arming with every output off, and include trains that are triggered and not over.
         """
         evaluation = self._evaluate(self.clock.now_ps)
         ignored = {role: emission.ignored for role, emission in evaluation.emissions.items()}
         return evaluation.tonebursts, evaluation.pulses, ignored
 
     def true_displacement_m(self, capture_index: int = -1) -> FloatArray:
-        """Return the true displacement at the focus when each record's tracking pulse got there: (record,).
+        """Return the true displacement at the focus (record,), at the arrival of each record's tracking pulse.
 
-        NaN where no pulse was fired. ``capture_index`` counts the last ``KEPT_CAPTURES`` armings of this world, from
-        the very last if negative.
+        NaN if no pulse was fired. ``capture_index`` counts the last ``MAX_CAPTURES`` armings, as a list index.
         """
         captured = self._capture(capture_index)
-        onset_ps = pulse_of_each_record(captured)
+        onset_ps = pulse_onsets_ps(captured)
         fired = onset_ps >= 0
         displacement_m = np.full(onset_ps.size, np.nan)
         displacement_m[fired] = self._acoustics().focus_displacement_m(
@@ -213,7 +218,7 @@ class World:
     def _flight_ps(self) -> int:
         return to_ps(self._settings.beams.tracked_from_m / self._settings.sound_speed_m_per_s)
 
-    # What the digitizer's library asks for
+    # Interface of the digitizer's library (`state.Recorder`)
 
     def arm(self, settings: BoardSettings) -> None:
         """Start a capture with ``settings``."""
@@ -221,24 +226,24 @@ class World:
         if self.board.armings:
             self._past.append(self._captured(self.clock.now_ps))
         if not any(self.outputs_on().values()):
-            # Everything is cut by then: a long measurement costs no more a shot than a short one.
+            # Nothing earlier matters, so the time a shot takes does not grow with the measurement.
             for generator in self._generators.values():
                 generator.forget_past()
             self.board.armings.clear()
         self.board.arm(self.clock.now_ps, settings)
         self._recording = None
 
-    def taken(self, until_ps: int) -> Taken:
-        """Return the records of the last arming, as far as known at least to ``until_ps``."""
-        return self._captured(until_ps).taken
+    def triggers(self, until_ps: int) -> AcceptedTriggers:
+        """Return the accepted triggers of the last arming, complete at least up to ``until_ps``."""
+        return self._captured(until_ps).triggers
 
     def volts(self, until_ps: int, records: slice) -> FloatArray:
-        """Return the voltage at channel A for consecutive ``records`` of ``taken``: (record, sample)."""
+        """Return the voltage at channel A for consecutive ``records``: (record, sample)."""
         return self._recorded(until_ps).volts(records)
 
-    def highest_v(self, until_ps: int, count: int) -> float:
-        """Return the largest voltage at channel A, of either sign, in the first ``count`` records of ``taken``."""
-        return self._recorded(until_ps).highest_v(count)
+    def peak_v(self, until_ps: int, count: int) -> float:
+        """Return the largest absolute voltage at channel A in the first ``count`` records."""
+        return self._recorded(until_ps).peak_v(count)
 
     def _recorded(self, until_ps: int) -> Recording:
         if self._recording is None:
@@ -250,13 +255,14 @@ class World:
         if self._physics is None:
             from sim_backend.acoustics import Acoustics, with_reception
 
-            self._physics = with_reception(Acoustics(self._settings, self._beside_m), self._settings)
+            self._physics = with_reception(Acoustics(self._settings, self._lateral_m), self._settings)
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:
         version = self.board.changes, *(generator.changes for generator in self._generators.values())
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
             return self._evaluated[1]
+        # Endless emissions are evaluated up to the next whole second, others to their end.
         horizon_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S if self._is_endless() else FAR_PS
         evaluation = self._propagate(horizon_ps)
         self._evaluated = (version, evaluation)
@@ -267,32 +273,32 @@ class World:
         return any(generator.endless for generator in self._generators.values()) or board.times_out
 
     def _propagate(self, until_ps: int) -> Evaluation:
-        taken: list[Taken] = []
+        triggers: list[AcceptedTriggers] = []
 
         def digitizer(arriving: Steps) -> Emission:
-            emission, records = self.board.respond(arriving, until_ps)
-            taken.extend(records)
+            emission, by_arming = self.board.respond(arriving, until_ps)
+            triggers.extend(by_arming)
             return emission
 
         respond: dict[str, Respond] = {
             role: partial(generator.emission, until_ps=until_ps) for role, generator in self._generators.items()
         }
         emissions = propagate(self._cables, {**respond, "digitizer": digitizer})
-        excitation = [role for role in GENERATORS if role != PULSER]
-        tonebursts = driven(self._cables, emissions, excitation)
+        tonebursts = driven(self._cables, emissions, [role for role in GENERATORS if role != PULSER])
         pulses = driven(self._cables, emissions, [PULSER], TRANSDUCERS)
-        captured = self._capture_of(emissions, taken[-1], tonebursts, pulses) if taken else None
+        captured = self._snapshot(emissions, triggers[-1], tonebursts, pulses) if triggers else None
         return Evaluation(emissions, tonebursts, pulses, captured, until_ps)
 
-    def _capture_of(
-        self, emissions: Mapping[str, Emission], taken: Taken, tonebursts: Bursts, pulses: Bursts
+    def _snapshot(
+        self, emissions: Mapping[str, Emission], triggers: AcceptedTriggers, tonebursts: Bursts, pulses: Bursts
     ) -> CaptureSnapshot:
         arming = self.board.armings[-1]
         edges_ps = crossings(emissions["master"].steps, TRIGGER_LEVEL_V, True, TRIGGER_INPUT_OHM)
-        first_ps = taken.tick_ps[0] if taken.tick_ps.size else arming.start_ps
+        first_ps = triggers.tick_ps[0] if triggers.tick_ps.size else arming.start_ps
+        # Time zero of a capture: the last edge of the master trigger before the first record.
         before_ps = edges_ps[edges_ps <= first_ps]
         origin_ps = int(before_ps[-1]) if before_ps.size else arming.start_ps
-        return CaptureSnapshot(arming, taken, tonebursts, pulses, origin_ps)
+        return CaptureSnapshot(arming, triggers, tonebursts, pulses, origin_ps)
 
     def _captured(self, until_ps: int) -> CaptureSnapshot:
         captured = self._evaluate(until_ps).captured

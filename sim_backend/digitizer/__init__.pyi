@@ -1,10 +1,10 @@
-from .board import Board as Board, BoardSettings as BoardSettings, Taken as Taken, latencies_of as latencies_of
-from .boards import BOARDS as BOARDS
-from .capture_snapshot import (
-    FAR_PS as FAR_PS,
-    CaptureSnapshot as CaptureSnapshot,
-    pulse_of_each_record as pulse_of_each_record,
-    same_inputs as same_inputs,
+from .board import (
+    AcceptedTriggers as AcceptedTriggers,
+    Board as Board,
+    BoardSettings as BoardSettings,
+    latencies_of as latencies_of,
 )
+from .boards import BOARDS as BOARDS
+from .capture_snapshot import FAR_PS as FAR_PS, CaptureSnapshot as CaptureSnapshot, pulse_onsets_ps as pulse_onsets_ps
 from .library import AlazarLibrary as AlazarLibrary
 from .recording import Recording as Recording

@@ -10,17 +10,18 @@ import numpy as np
 
 from sim_backend.arrays import ByteArray, FloatArray, Int64Array
 from sim_backend.digitizer import codes
-from sim_backend.digitizer.board import Arming, BoardSettings, Taken, is_clipped, words
+from sim_backend.digitizer.board import AcceptedTriggers, Arming, BoardSettings, is_clipped, words
 from sim_backend.digitizer.boards import MILLIVOLTS_BY_ID
 from sim_backend.digitizer.codes import Code
 
-RESOLUTIONS = {8: 0, 12: 1, 14: 2, 16: 3}
+RESOLUTION_CODES = {8: 0, 12: 1, 14: 2, 16: 3}
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
+SIMULATED_FLAGS = codes.ADMA_EXTERNAL_STARTCAPTURE | codes.ADMA_RECORD_HEADERS | codes.ADMA_NPT
 
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """What BeforeAsyncRead asked for."""
+    """Arguments of AlazarBeforeAsyncRead."""
 
     channels: tuple[int, ...]
     record_samples: int
@@ -31,12 +32,12 @@ class Transfer:
 
     @property
     def headers(self) -> bool:
-        """Whether every record is preceded by a header."""
+        """Whether a header precedes every record."""
         return bool(self.flags & codes.ADMA_RECORD_HEADERS)
 
     @property
     def npt(self) -> bool:
-        """Whether records have no pre-trigger part, headers or alignment of their own."""
+        """Whether records have no pre-trigger part and no headers (no pre-trigger mode)."""
         return bool(self.flags & codes.ADMA_NPT)
 
     @property
@@ -46,117 +47,124 @@ class Transfer:
         return record_bytes * self.records_per_buffer * len(self.channels)
 
     def refusal(self, settings: BoardSettings, offset: int) -> Code:
-        """Return why a board with dual-port memory refuses the transfer."""
-        if self.flags & ~0x209 or (self.npt and self.headers):
+        """Return the code with which a board with dual-port memory answers the transfer."""
+        if self.flags & ~SIMULATED_FLAGS or (self.npt and self.headers):
             return Code.UNSUPPORTED_FUNCTION
         board = settings.board
         if len(self.channels) not in (1, 2, board.channels) or max(self.channels) >= board.channels:
             return Code.NOT_SUPPORT_THIS_CHANNEL
-        if self.record_samples != settings.record_samples or self.record_samples % (
-            board.npt_granule if self.npt else board.granule
-        ):
+        if not self._is_record_size(settings):
             return Code.INVALID_SIZE
         if offset != -settings.pre_samples or (self.npt and offset):
             return Code.INVALID_OFFSET
-        per_buffer, count = self.records_per_buffer, self.record_count
-        if per_buffer < 1 or count < 1 or (count != codes.ENDLESS_RECORDS and count % per_buffer):
+        if not self._is_record_count():
             return Code.INVALID_RECORDS_PER_BUFFER
-        return Code.SUCCESS if self.buffer_bytes < board.most_buffer_bytes else Code.INVALID_SIZE
+        return Code.SUCCESS if self.buffer_bytes < board.max_buffer_bytes else Code.INVALID_SIZE
+
+    def _is_record_size(self, settings: BoardSettings) -> bool:
+        multiple = settings.board.npt_multiple if self.npt else settings.board.record_multiple
+        return self.record_samples == settings.record_samples and self.record_samples % multiple == 0
+
+    def _is_record_count(self) -> bool:
+        per_buffer, count = self.records_per_buffer, self.record_count
+        return per_buffer >= 1 and count >= 1 and (count == codes.ENDLESS_RECORDS or count % per_buffer == 0)
 
 
 @dataclass(slots=True)
 class BufferQueue:
-    """Buffers that the program gave to the board, in the order of posting."""
+    """Buffers of the program, in the order of posting."""
 
     transfer: Transfer
     memory_records: int
-    most_bytes: int
+    max_bytes: int
     posted: deque[int] = field(default_factory=deque)
     delivered: int = 0
     overflowed: bool = False
 
     def post(self, address: int, size: int) -> Code:
-        """Take a buffer into the queue."""
+        """Append a buffer to the queue."""
         if not address:
             return Code.NULL_PARAM
         if address in self.posted:
             return Code.INVALID_BUFFER
         if address % (ADDRESS_MULTIPLE_NPT if self.transfer.npt else ADDRESS_MULTIPLE):
             return Code.INVALID_ADDRESS
-        if not 0 < size < self.most_bytes:
+        if not 0 < size < self.max_bytes:
             return Code.INVALID_SIZE
         if size < self.transfer.buffer_bytes:
             return Code.BUFFER_TOO_SMALL
         self.posted.append(address)
         return Code.SUCCESS
 
-    def turn_of(self, address: int) -> Code:
-        """Return whether ``address`` is the buffer to wait for."""
+    def wait_refusal(self, address: int) -> Code:
+        """Return success if ``address`` is the head of the queue, which alone can be waited for."""
         if not address:
             return Code.NULL_PARAM
         if address not in self.posted:
             return Code.BUFFER_NOT_READY
         return Code.SUCCESS if address == self.posted[0] else Code.DMA_IN_PROGRESS
 
-    def notice_overflow(self, records_complete: int) -> None:
-        """Remember if more records are complete than posted buffers and the board's memory hold."""
-        # Records have a place in buffers handed back, in those posted, and in the board's memory.
-        room = (self.delivered + len(self.posted)) * self.transfer.records_per_buffer + self.memory_records
-        self.overflowed = self.overflowed or records_complete > room
+    def update_overflow(self, records_complete: int) -> None:
+        """Set ``overflowed`` if more records are complete than buffers and memory can hold."""
+        # Buffers handed back, posted buffers, and the board's memory.
+        capacity = (self.delivered + len(self.posted)) * self.transfer.records_per_buffer + self.memory_records
+        self.overflowed = self.overflowed or records_complete > capacity
 
     def full(self, records_complete: int) -> int:
         """Return how many posted buffers are full."""
         return min(len(self.posted), max(0, records_complete // self.transfer.records_per_buffer - self.delivered))
 
-    def filled_ps(self, taken: Taken) -> int | None:
-        """Return when the buffer at the head is full; None if the triggers known so far never fill it."""
-        needed = (self.delivered + 1) * self.transfer.records_per_buffer
-        return int(taken.end_ps[needed - 1]) if taken.end_ps.size >= needed else None
+    def head_full_ps(self, triggers: AcceptedTriggers) -> int | None:
+        """Return when the buffer at the head is full; None if ``triggers`` never fill it."""
+        record_count = (self.delivered + 1) * self.transfer.records_per_buffer
+        return int(triggers.end_ps[record_count - 1]) if triggers.end_ps.size >= record_count else None
 
     @property
     def next_records(self) -> slice:
-        """The records that go into the buffer at the head."""
+        """The records of the buffer at the head."""
         count = self.transfer.records_per_buffer
         return slice(self.delivered * count, (self.delivered + 1) * count)
 
-    def deliver(self, arming: Arming, taken: Taken, volts: FloatArray, reset_ps: int) -> None:
-        """Write the ``volts`` (record, sample) of `next_records` into the buffer at the head and let go of it."""
-        data = packed(self.transfer, arming, taken, volts, self.next_records, reset_ps)
-        # As DMA would: straight into the program's memory, which posting has checked to be large enough.
+    def deliver(self, arming: Arming, triggers: AcceptedTriggers, volts: FloatArray, reset_ps: int) -> None:
+        """Write the ``volts`` (record, sample) of `next_records` into the buffer at the head, and remove it."""
+        data = packed(self.transfer, arming, triggers, volts, self.next_records, reset_ps)
+        # Written straight into the program's memory, as by DMA; `post` has checked its size.
         ctypes.memmove(self.posted.popleft(), data.ctypes.data, data.nbytes)
         self.delivered += 1
 
 
 def packed(
-    transfer: Transfer, arming: Arming, taken: Taken, volts: FloatArray, records: slice, reset_ps: int
+    transfer: Transfer, arming: Arming, triggers: AcceptedTriggers, volts: FloatArray, records: slice, reset_ps: int
 ) -> ByteArray:
-    """Return the bytes, in order, of consecutive ``records``, whose ``volts`` are (record, sample).
+    """Return the bytes of consecutive ``records``; ``volts`` (record, sample).
 
-    R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
+    The order is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
     header = codes.HEADER_BYTES if transfer.headers else 0
     record_bytes = header + transfer.bytes_per_sample * transfer.record_samples
     count, channels = len(volts), len(transfer.channels)
     data = np.empty((channels, count, record_bytes) if transfer.npt else (count, channels, record_bytes), np.uint8)
-    for place, channel in enumerate(transfer.channels):
-        own = data[place] if transfer.npt else data[:, place]
-        at_input = volts if channel == 0 else np.zeros_like(volts)
-        own[:, header:] = words(at_input, arming.settings.inputs[channel], arming.settings).view(np.uint8)
+    for index, channel in enumerate(transfer.channels):
+        channel_data = data[index] if transfer.npt else data[:, index]
+        # Only channel A is connected.
+        channel_volts = volts if channel == 0 else np.zeros_like(volts)
+        channel_words = words(channel_volts, arming.settings.inputs[channel], arming.settings)
+        channel_data[:, header:] = channel_words.view(np.uint8)
         if header:
-            own[:, :header] = headers(arming, taken, channel, records, reset_ps)
+            channel_data[:, :header] = headers(arming, triggers, channel, records, reset_ps)
     return data
 
 
-def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> ByteArray:
-    """Return record headers as uint8 (record, 16): four little-endian words (docs/theory/instruments.md, 2.6).
+def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: slice, reset_ps: int) -> ByteArray:
+    """Return record headers as uint8 (record, 16): four little-endian words (docs/explanation/instruments.md, 2.6).
 
     Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits, format 0 for unsigned, "this channel" on
     channel A only.
     """
     settings = arming.settings
-    count = timestamps(arming, taken.tick_ps[records], reset_ps)
+    count = timestamps(arming, triggers.tick_ps[records], reset_ps)
     number = np.arange(records.start, records.stop)
-    external = (taken.by[records] == codes.TRIGGERED_BY_EXTERNAL).astype(np.int64)
+    external = (triggers.cause[records] == codes.TRIGGERED_BY_EXTERNAL).astype(np.int64)
     rate_id = next(
         rate_id for rate_id, rate_hz in settings.board.rates_hz.items() if rate_hz == settings.sample_rate_hz
     )
@@ -166,9 +174,8 @@ def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps
     # Word 1: record 24, board type 8. Word 2: low part of the time stamp. Word 3: its high part 8, clock source 2,
     # edge 1, rate 7, range 5, coupling 2, impedance 2, triggered by external, B, A, time-out 1 each, this channel 1.
     quad = np.empty((count.size, 4), np.int64)
-    quad[:, 0] = (
-        (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | RESOLUTIONS[settings.board.bits] << 27
-    )
+    resolution = RESOLUTION_CODES[settings.board.bits]
+    quad[:, 0] = (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | resolution << 27
     quad[:, 0] |= int(settings.signed) << 30
     quad[:, 1] = (number & 0xFFFFFF) | settings.board.kind << 24
     quad[:, 2] = count & 0xFFFFFFFF
@@ -178,11 +185,11 @@ def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps
 
 
 def timestamps(arming: Arming, tick_ps: Int64Array, reset_ps: int) -> Int64Array:
-    """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,), each count some samples: int64 (record,)."""
+    """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,) in counts of some samples: int64 (record,)."""
     period_ps = arming.settings.board.samples_per_count * arming.settings.sample_period_ps
     return (tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF
 
 
-def clipped_channels(arming: Arming, highest_v: float) -> int:
-    """Return the clipped bits of the status: 2 for channel A, at which ``highest_v`` was the most; B sees nothing."""
-    return 2 if is_clipped(highest_v, arming.settings.inputs[0]) else 0
+def clipped_status(arming: Arming, peak_v: float) -> int:
+    """Return the clipped bits of the status: 2 if ``peak_v`` exceeds the range of channel A; B is not connected."""
+    return 2 if is_clipped(peak_v, arming.settings.inputs[0]) else 0

@@ -1,10 +1,11 @@
 """Board without its library: settings and the voltage at its trigger input -> records and AUX edges.
 
-Assumed, no source found: the external trigger input has a high impedance; the board is ready for the next trigger as
-soon as a record (and then its pre-trigger part) is complete; the AUX trigger output is 5 V behind 50 ohm, rises at the
-sample clock's tick that follows the trigger, unless told otherwise whatever the trigger delay, and falls at the end of
-the record.
-Not modelled: triggering on an input channel or by two engines at once, AC coupling, bandwidth limit, other AUX outputs.
+Assumed, no source found:
+- the external trigger input has a high impedance;
+- the board accepts the next trigger once a record, and the pre-trigger part of the next one, is complete;
+- the AUX trigger output is 5 V behind 50 ohm. It rises at the sample clock's first tick after the trigger (by default
+  regardless of the trigger delay) and falls at the end of the record.
+Not modelled: triggers from an input channel or two engines at once, AC coupling, bandwidth limit, other AUX outputs.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Engine:
 
 @dataclass(frozen=True, slots=True)
 class BoardSettings:
-    """Everything a program can set on the board."""
+    """All programmable settings of the board."""
 
     board: BoardType = BOARDS["ATS460"]
     sample_rate_hz: int = 100_000_000
@@ -84,7 +85,7 @@ class BoardSettings:
 
 @dataclass(frozen=True, slots=True)
 class Arming:
-    """One capture: armed at ``start_ps`` with ``settings``, given up at ``stop_ps``."""
+    """One capture: armed at ``start_ps`` with ``settings``, ended at ``stop_ps``."""
 
     index: int
     start_ps: int
@@ -93,13 +94,17 @@ class Arming:
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
-    """Triggers that an arming accepted; arrays (record,). ``by`` says what triggered, ``ignored`` counts the others."""
+class AcceptedTriggers:
+    """Triggers that an arming accepted, one record each; arrays (record,).
+
+    ``tick_ps`` is the clock tick of the trigger, ``cause`` a ``codes.TRIGGERED_BY_...``; ``ignored`` counts triggers
+    during a record.
+    """
 
     tick_ps: Int64Array
     first_sample_ps: Int64Array
     end_ps: Int64Array
-    by: Int64Array
+    cause: Int64Array
     ignored: int
 
     def complete(self, time_ps: int) -> int:
@@ -109,47 +114,48 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Latencies:
-    """From the trigger's clock tick to sample 0 and to the AUX edge, which may wait for the trigger delay."""
+    """Delays from the trigger's clock tick to sample 0 and to the AUX edge, which may include the trigger delay."""
 
     sample_ps: int
     aux_ps: int
     aux_waits_for_delay: bool = False
 
 
-def records_of(arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int) -> Taken:
-    """Return the records that an arming takes from the voltage at the trigger input."""
+def accepted_triggers(arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int) -> AcceptedTriggers:
+    """Return the triggers that an arming accepts from the voltage ``arriving`` at the trigger input."""
     settings, period_ps = arming.settings, arming.settings.sample_period_ps
     edge_ps = _trigger_edges(settings, arriving)
     ready_ps = arming.start_ps + settings.pre_samples * period_ps
     edge_ps = edge_ps[(edge_ps >= ready_ps) & (edge_ps < arming.stop_ps)]
+    # The sample clock notices an edge at its next tick.
     tick_ps = -(-edge_ps // period_ps) * period_ps
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
     busy_ps = to_end_ps + settings.pre_samples * period_ps
     if settings.timeout_ticks:
         last_ps = min(until_ps, arming.stop_ps)
-        taken_ps, by = _with_timeout(tick_ps, ready_ps, busy_ps, settings, last_ps)
+        accepted_ps, cause = _with_timeout(tick_ps, ready_ps, busy_ps, settings, last_ps)
     else:
-        taken_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
-        by = np.full(taken_ps.size, codes.TRIGGERED_BY_EXTERNAL)
-    first_ps = taken_ps + latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
-    end_ps = taken_ps + to_end_ps
-    # A board that has all its records waits for no trigger and so misses none.
-    meant = tick_ps[tick_ps < end_ps[-1]] if taken_ps.size == settings.record_count else tick_ps
-    ignored = meant.size - int(np.count_nonzero(by == codes.TRIGGERED_BY_EXTERNAL))
+        accepted_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
+        cause = np.full(accepted_ps.size, codes.TRIGGERED_BY_EXTERNAL)
+    first_ps = accepted_ps + latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
+    end_ps = accepted_ps + to_end_ps
+    # Triggers after the last record are not counted as ignored.
+    during_ps = tick_ps[tick_ps < end_ps[-1]] if accepted_ps.size == settings.record_count else tick_ps
+    ignored = during_ps.size - int(np.count_nonzero(cause == codes.TRIGGERED_BY_EXTERNAL))
     if ignored:
-        _LOG.info("digitizer: %d of %d triggers came while it was busy, and are ignored", ignored, meant.size)
-    return Taken(taken_ps, first_ps, end_ps, by, ignored)
+        _LOG.info("digitizer: %d of %d triggers came while it was busy, and are ignored", ignored, during_ps.size)
+    return AcceptedTriggers(accepted_ps, first_ps, end_ps, cause, ignored)
 
 
-def aux_steps(arming: Arming, taken: Taken, latencies: Latencies) -> Steps:
-    """Return the AUX output's voltage steps in trigger output mode; none in any other."""
+def aux_steps(arming: Arming, triggers: AcceptedTriggers, latencies: Latencies) -> Steps:
+    """Return the AUX output's voltage steps; none unless AUX is a trigger output."""
     if arming.settings.aux_mode != codes.AUX_OUT_TRIGGER:
         return joined_steps([])
-    low, high = np.zeros(taken.tick_ps.size), np.full(taken.tick_ps.size, AUX_HIGH_V)
+    low, high = np.zeros(triggers.tick_ps.size), np.full(triggers.tick_ps.size, AUX_HIGH_V)
     settings = arming.settings
-    waited_ps = settings.delay_samples * settings.sample_period_ps if latencies.aux_waits_for_delay else 0
-    rise_ps = taken.tick_ps + latencies.aux_ps + waited_ps
-    fall_ps = np.maximum(taken.end_ps, rise_ps)
+    delay_ps = settings.delay_samples * settings.sample_period_ps if latencies.aux_waits_for_delay else 0
+    rise_ps = triggers.tick_ps + latencies.aux_ps + delay_ps
+    fall_ps = np.maximum(triggers.end_ps, rise_ps)
     return joined_steps([Steps(rise_ps, low, high), Steps(fall_ps, high, low)])
 
 
@@ -159,20 +165,20 @@ def words(volts: FloatArray, channel: Input, settings: BoardSettings) -> NDArray
     out = np.empty(volts.shape, f"<u{board.bytes_per_sample}")
     half_scale, highest = (2**board.bits - 1) / 2, 2**board.bits - 1
     flat_v, flat = volts.reshape(-1), out.reshape(-1)
-    levels_per_v = half_scale / (channel.range_v / _at_input(channel))
-    # In pieces that stay in the processor's cache from the first step to the last.
+    levels_per_v = half_scale / (channel.range_v / _input_gain(channel))
+    # In pieces small enough for the processor's cache.
     levels = np.empty(min(flat.size, _SAMPLES_AT_ONCE))
     for first in range(0, flat.size, _SAMPLES_AT_ONCE):
-        some = flat_v[first : first + _SAMPLES_AT_ONCE]
-        level = np.multiply(some, levels_per_v, out=levels[: some.size])
+        piece_v = flat_v[first : first + _SAMPLES_AT_ONCE]
+        level = np.multiply(piece_v, levels_per_v, out=levels[: piece_v.size])
         level += half_scale
         np.rint(level, out=level)
-        # to look costs half of what limiting does
+        # Finding the extremes takes half the time of clipping.
         if level.min() < 0 or level.max() > highest:
             np.clip(level, 0, highest, out=level)
         flat[first : first + _SAMPLES_AT_ONCE] = level
     if settings.signed:
-        # Two's complement of as many bits as the board has.
+        # Two's complement with the board's number of bits.
         out -= out.dtype.type(1 << (board.bits - 1))
         out &= out.dtype.type(highest)
     out <<= out.dtype.type(8 * board.bytes_per_sample - board.bits)
@@ -180,48 +186,50 @@ def words(volts: FloatArray, channel: Input, settings: BoardSettings) -> NDArray
 
 
 def is_clipped(volts: float, channel: Input) -> bool:
-    """Return whether a voltage leaves the input range."""
-    return abs(volts) * _at_input(channel) > channel.range_v
+    """Return whether a voltage exceeds the input range."""
+    return abs(volts) * _input_gain(channel) > channel.range_v
 
 
-def _at_input(channel: Input) -> float:
-    # Volts are meant into 50 ohm, from a 50 ohm source: an input of 1 Mohm sees twice as much.
+def _input_gain(channel: Input) -> float:
+    # Volts are those of a 50 ohm source into 50 ohm; into 1 Mohm they double.
     return 1.0 if channel.impedance == IMPEDANCE_50_OHM else 2.0
 
 
 def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Int64Array:
-    used = {0: (0,), 1: (1,), 2: (0, 1)}.get(settings.operation, ())
+    # Operation 0 uses engine J, 1 engine K, 2 either.
+    engine_indices = {0: (0,), 1: (1,), 2: (0, 1)}.get(settings.operation, ())
     edges = [np.empty(0, np.int64)]
-    for engine in (settings.engines[index] for index in used):
+    for engine in (settings.engines[index] for index in engine_indices):
         if engine.source == codes.SOURCE_EXTERNAL:
             level_v = (engine.level_code - 128) / 127 * settings.external_range_v
             edges.append(crossings(arriving, level_v, engine.slope == codes.SLOPE_POSITIVE, TRIGGER_INPUT_OHM))
-    every = np.sort(np.concatenate(edges), kind="stable")
-    # Not np.unique: its hash table takes a hundred times as long where all are multiples of one period.
-    return every[np.diff(every, prepend=every[:1] - 1) > 0]
+    sorted_ps = np.sort(np.concatenate(edges), kind="stable")
+    # np.unique takes a hundred times as long for multiples of one period.
+    return sorted_ps[np.diff(sorted_ps, prepend=sorted_ps[:1] - 1) > 0]
 
 
 def _with_timeout(
     tick_ps: Int64Array, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
 ) -> tuple[Int64Array, Int64Array]:
-    taken: list[int] = []
-    by: list[int] = []
-    while len(taken) < settings.record_count:
+    """Return trigger ticks and causes when the board triggers itself after a time-out."""
+    accepted_ps: list[int] = []
+    cause: list[int] = []
+    while len(accepted_ps) < settings.record_count:
         index = int(np.searchsorted(tick_ps, ready_ps))
-        patience_ps = ready_ps + settings.timeout_ticks * TIMEOUT_TICK_PS
-        timed_out = index == tick_ps.size or tick_ps[index] > patience_ps
-        trigger_ps = patience_ps if timed_out else int(tick_ps[index])
+        timeout_ps = ready_ps + settings.timeout_ticks * TIMEOUT_TICK_PS
+        timed_out = index == tick_ps.size or tick_ps[index] > timeout_ps
+        trigger_ps = timeout_ps if timed_out else int(tick_ps[index])
         if trigger_ps >= last_ps:
             break
-        taken.append(-(-trigger_ps // settings.sample_period_ps) * settings.sample_period_ps)
-        by.append(codes.TRIGGERED_BY_TIMEOUT if timed_out else codes.TRIGGERED_BY_EXTERNAL)
-        ready_ps = taken[-1] + busy_ps
-    return np.array(taken, np.int64), np.array(by, np.int64)
+        accepted_ps.append(-(-trigger_ps // settings.sample_period_ps) * settings.sample_period_ps)
+        cause.append(codes.TRIGGERED_BY_TIMEOUT if timed_out else codes.TRIGGERED_BY_EXTERNAL)
+        ready_ps = accepted_ps[-1] + busy_ps
+    return np.array(accepted_ps, np.int64), np.array(cause, np.int64)
 
 
 @dataclass(slots=True)
 class Board:
-    """The board's state: settings now, and every arming whose AUX edges may still matter."""
+    """State of the board: present settings, and the armings since the world last forgot its past."""
 
     latencies: Latencies
     type: BoardType = BOARDS["ATS460"]
@@ -233,7 +241,7 @@ class Board:
 
     @property
     def times_out(self) -> bool:
-        """Whether records come without triggers."""
+        """Whether a running capture triggers itself after a time-out."""
         return self.running and self.armings[-1].settings.timeout_ticks > 0
 
     def arm(self, now_ps: int, settings: BoardSettings) -> None:
@@ -244,19 +252,19 @@ class Board:
         self.changes += 1
 
     def stop(self, now_ps: int) -> None:
-        """Give the running capture up."""
+        """End the running capture."""
         if self.running:
             self.armings[-1] = replace(self.armings[-1], stop_ps=now_ps)
             self.running = False
             self.changes += 1
 
-    def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[Taken]]:
-        """Return the AUX output over all armings, and the records of each."""
-        taken = [records_of(arming, arriving, self.latencies, until_ps) for arming in self.armings]
-        pairs = zip(self.armings, taken, strict=True)
-        steps = [aux_steps(arming, records, self.latencies) for arming, records in pairs]
-        ignored = sum(records.ignored for records in taken)
-        return Emission(joined_steps(steps), no_bursts(), ignored), taken
+    def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[AcceptedTriggers]]:
+        """Return the AUX output over all armings, and the accepted triggers of each."""
+        triggers = [accepted_triggers(arming, arriving, self.latencies, until_ps) for arming in self.armings]
+        pairs = zip(self.armings, triggers, strict=True)
+        steps = [aux_steps(arming, accepted, self.latencies) for arming, accepted in pairs]
+        ignored = sum(accepted.ignored for accepted in triggers)
+        return Emission(joined_steps(steps), no_bursts(), ignored), triggers
 
 
 def latencies_of(sample_s: float, aux_s: float, aux_waits_for_delay: bool = False) -> Latencies:

@@ -1,7 +1,7 @@
-"""Codes of the ATSApi as the simulated boards know them (docs/theory/instruments.md, 2.4 and 2.8).
+"""Codes of the ATSApi on the simulated boards (docs/explanation/instruments.md, 2.4 and 2.8).
 
-Which code answers which misuse is documented for few cases only (513 for an input combination, 518/573 for a buffer out
-of turn, 579, 582); the others are the nearest code by name, assumed, and all stand in ``Code``.
+The code of a misuse is documented for few cases only: 513 for an input combination, 518 and 573 for a buffer out of
+order, 579, 582. For the others the nearest code by name is assumed.
 """
 
 from __future__ import annotations
@@ -31,24 +31,23 @@ class Code(IntEnum):
     INVALID_BUFFER = 583
     INVALID_RECORDS_PER_BUFFER = 584
     TOO_MANY_RECORDS = 607
-    """SDK 5.8.2 for more records than FPGA 18 and below can hold; newer SDKs give this number another meaning."""
+    """SDK 5.8.2: more records than FPGA 18 and below can hold; newer SDKs give this number another meaning."""
     RECORD_TOO_HIGH = 604
-    """SDK 5.8.2, time stamp of a single-port record above 1000; always answered, as the worst case."""
+    """SDK 5.8.2: time stamp of a single-port record above 1000; used for every SDK, as the worst case."""
 
 
 SERIAL_NUMBER = 460_001
 SDK_VERSION = (5, 8, 2)
 DRIVER_VERSION = (5, 8, 2)
-MOST_RECORDS = 256_000
-MOST_RECORDS_OLD_FPGA = 1000
-MOST_STAMPED_RECORDS = 1000
-MOST_DELAY_SAMPLES = 9_999_999
+MAX_RECORDS = 256_000
+MAX_RECORDS_OLD_FPGA = 1000
+MAX_STAMPED_RECORDS = 1000
+MAX_DELAY_SAMPLES = 9_999_999
 HEADER_BYTES = 16
 ENDLESS_RECORDS = 0x7FFFFFFF
 
 SOURCE_EXTERNAL, SOURCE_DISABLE = 2, 3
 SLOPE_POSITIVE, SLOPE_NEGATIVE = 1, 2
-EXTERNAL_RANGES_V = {0: 5.0, 1: 1.0}
 AUX_OUT_TRIGGER = 0
 AUX_MODES = (0, 1, 2, 4, 5, 6, 14, 20)
 TRIGGERED_BY_EXTERNAL, TRIGGERED_BY_TIMEOUT = 3, 7
@@ -63,5 +62,5 @@ OPTION_EXTERNAL_CLOCK, OPTION_DUAL_PORT = 1 << 1, 1 << 2
 
 PARAMETER_DATA_WIDTH, PARAMETER_BUFFER_BYTES, PARAMETER_BUFFER_COUNT = 0x10000009, 0x10000039, 0x10000040
 PARAMETER_SET_FORMAT, PARAMETER_GET_FORMAT, PARAMETER_SAMPLES_PER_TIMESTAMP = 0x10000041, 0x10000042, 0x10000044
-PARAMETER_RECORDS_CAPTURED, PARAMETER_MOST_PRETRIGGER = 0x10000045, 0x10000046
+PARAMETER_RECORDS_CAPTURED, PARAMETER_MAX_PRETRIGGER = 0x10000045, 0x10000046
 PARAMETER_BUFFERS_PENDING, PARAMETER_BUFFERS_FULL, PARAMETER_BUFFERS_EMPTY = 0x10000050, 0x10000051, 0x10000052

@@ -1,4 +1,4 @@
-"""State of a simulated board as its library drives it: settings, captures, records, AutoDMA; plain numbers."""
+"""State of a simulated board between the library's calls: settings, captures, records, AutoDMA; plain numbers."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import numpy as np
 
 from sim_backend.arrays import FloatArray
 from sim_backend.digitizer import codes
-from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_channels, timestamps
-from sim_backend.digitizer.board import Arming, Board, BoardSettings, Taken, words
+from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_status, timestamps
+from sim_backend.digitizer.board import AcceptedTriggers, Arming, Board, BoardSettings, words
 from sim_backend.digitizer.boards import BoardType
 from sim_backend.digitizer.codes import Code
-from sim_backend.digitizer.settings import Changes
+from sim_backend.digitizer.settings import MIN_POST_TRIGGER_SAMPLES, RECORD_OVERHEAD_SAMPLES, Changes
 from sim_backend.settings import Instruments
 from sim_backend.wiring import SimulatedClock
 
 REGISTER_READ_PS = 1_000_000
-"""Time that a status query takes (assumed); without it a program that polls without sleeping would wait for ever."""
+"""Duration of a status query (assumed); without it a program that polls without sleeping would never end."""
 PS_PER_MS = 1_000_000_000
 
 
 class Recorder(Protocol):
-    """The world as the library needs it: time, the board, and the records of its last arming."""
+    """Interface of the world for the library: time, the board, and the records of its last arming."""
 
     clock: SimulatedClock
     board: Board
 
     def arm(self, settings: BoardSettings) -> None: ...
 
-    def taken(self, until_ps: int) -> Taken: ...
+    def triggers(self, until_ps: int) -> AcceptedTriggers: ...
 
     def volts(self, until_ps: int, records: slice) -> FloatArray: ...
 
-    def highest_v(self, until_ps: int, count: int) -> float: ...
+    def peak_v(self, until_ps: int, count: int) -> float: ...
 
 
 class AlazarState:
-    """One board that has just been reset."""
+    """One board, initially just reset."""
 
     def __init__(self, recorder: Recorder, instruments: Instruments) -> None:
         self.instruments = instruments
@@ -53,12 +53,12 @@ class AlazarState:
 
     @property
     def type(self) -> BoardType:
-        """Which board this is."""
+        """The type of board."""
         return self._board.type
 
     @property
     def dual_port(self) -> bool:
-        """Whether records can leave the board while others come in."""
+        """Whether records can be read during a capture."""
         return self.type.dual_port or self.instruments.dual_port_memory
 
     def has_channel(self, channel: int) -> bool:
@@ -67,11 +67,11 @@ class AlazarState:
 
     @property
     def settings(self) -> BoardSettings:
-        """What is programmed."""
+        """The programmed settings."""
         return self._board.settings
 
     def capabilities(self) -> dict[int, int]:
-        """Return the fixed properties by their number."""
+        """Return the fixed properties by the vendor's number."""
         dual_port = codes.OPTION_DUAL_PORT if self.dual_port else 0
         return {
             codes.CAPABILITY_SERIAL: codes.SERIAL_NUMBER,
@@ -83,7 +83,7 @@ class AlazarState:
         }
 
     def parameters(self) -> dict[int, int]:
-        """Return what can be asked for, by its number."""
+        """Return the states that can be queried, by the vendor's number."""
         complete, queue = self._complete(), self._queue
         posted, full = (len(queue.posted), queue.full(complete)) if queue else (0, 0)
         return {
@@ -93,7 +93,7 @@ class AlazarState:
             codes.PARAMETER_GET_FORMAT: int(self.settings.signed),
             codes.PARAMETER_SAMPLES_PER_TIMESTAMP: self.type.samples_per_count,
             codes.PARAMETER_RECORDS_CAPTURED: complete,
-            codes.PARAMETER_MOST_PRETRIGGER: max(0, self.settings.record_samples - 64),
+            codes.PARAMETER_MAX_PRETRIGGER: max(0, self.settings.record_samples - MIN_POST_TRIGGER_SAMPLES),
             codes.PARAMETER_BUFFERS_PENDING: posted,
             codes.PARAMETER_BUFFERS_FULL: full,
             codes.PARAMETER_BUFFERS_EMPTY: posted - full,
@@ -104,27 +104,27 @@ class AlazarState:
         self._board.settings = replace(self.settings, **changes)
 
     def reset_timestamp(self, option: int) -> None:
-        """Let time stamps start now and, as ``option`` says, at every arming."""
+        """Start time stamps now and, depending on ``option``, at every arming."""
         self._reset_option, self._reset_ps = option, self._clock.now_ps
 
-    def most_records(self, samples: int) -> int:
-        """Return how many records of this length fit the memory."""
-        most = min(self.instruments.samples_per_channel // (samples + 16), codes.MOST_RECORDS)
-        return min(most, codes.MOST_RECORDS_OLD_FPGA) if self._old_fpga else most
+    def max_records(self, samples: int) -> int:
+        """Return how many records of this length fit into the memory."""
+        count = min(self.instruments.samples_per_channel // (samples + RECORD_OVERHEAD_SAMPLES), codes.MAX_RECORDS)
+        return min(count, codes.MAX_RECORDS_OLD_FPGA) if self._old_fpga else count
 
-    def refuse_count(self, count: int) -> Code:
-        """Return whether a single-port capture can have ``count`` records."""
-        if self._old_fpga and count > codes.MOST_RECORDS_OLD_FPGA:
+    def count_refusal(self, count: int) -> Code:
+        """Return success if a single-port capture can have ``count`` records."""
+        if self._old_fpga and count > codes.MAX_RECORDS_OLD_FPGA:
             return Code.TOO_MANY_RECORDS
-        return Code.SUCCESS if 1 <= count <= self.most_records(self.settings.record_samples) else Code.INVALID_SIZE
+        return Code.SUCCESS if 1 <= count <= self.max_records(self.settings.record_samples) else Code.INVALID_SIZE
 
     def start(self) -> Code:
-        """Wait for triggers from now on."""
+        """Start the capture, which waits for triggers."""
         if self._board.running and self._queue is not None:
             return Code.SUCCESS
         if not self.settings.record_samples:
             return Code.NOT_INITIALIZED
-        refusal = Code.SUCCESS if self._queue is not None else self.refuse_count(self.settings.record_count)
+        refusal = Code.SUCCESS if self._queue is not None else self.count_refusal(self.settings.record_count)
         if refusal is Code.SUCCESS:
             self._arm()
         return refusal
@@ -134,7 +134,7 @@ class AlazarState:
         self._board.stop(self._clock.now_ps)
 
     def busy(self) -> bool:
-        """Return, after the time that asking takes, whether a capture is running."""
+        """Return whether a capture is running; the query takes time."""
         self._clock.now_ps += REGISTER_READ_PS
         return self._is_busy()
 
@@ -144,43 +144,44 @@ class AlazarState:
         if not complete:
             return 0
         timed_out = self._arming.settings.timeout_ticks and np.any(
-            self._recorder.taken(self._clock.now_ps).by[:complete] == codes.TRIGGERED_BY_TIMEOUT
+            self._recorder.triggers(self._clock.now_ps).cause[:complete] == codes.TRIGGERED_BY_TIMEOUT
         )
-        highest_v = self._recorder.highest_v(self._clock.now_ps, complete)
-        return int(timed_out) | clipped_channels(self._arming, highest_v)
+        peak_v = self._recorder.peak_v(self._clock.now_ps, complete)
+        return int(timed_out) | clipped_status(self._arming, peak_v)
 
-    def refuse_record(self, record: int) -> Code:
-        """Return whether ``record``, counted from 1, can be read from the memory."""
+    def record_refusal(self, record: int) -> Code:
+        """Return success if ``record``, counted from 1, can be read from the memory."""
         if self._queue is not None:
             return Code.DMA_IN_PROGRESS
         if not self._board.armings or self._is_busy():
             return Code.FAILED
         return Code.SUCCESS if 1 <= record <= self._complete() else Code.INVALID_INDEX
 
-    def refuse_timestamp(self, record: int) -> Code:
-        """Return whether ``record`` has a time stamp that can be read."""
-        if record > codes.MOST_STAMPED_RECORDS:
+    def timestamp_refusal(self, record: int) -> Code:
+        """Return success if the time stamp of ``record`` can be read."""
+        if record > codes.MAX_STAMPED_RECORDS:
             return Code.RECORD_TOO_HIGH
-        return self.refuse_record(record)
+        return self.record_refusal(record)
 
     def samples(self, channel: int, record: int, offset: int, count: int) -> bytes | None:
-        """Return ``count`` samples of a record of one channel as it lies in memory; None where it has none."""
+        """Return the bytes of ``count`` samples of a record of one channel, None if they are not all in the record."""
         settings = self._arming.settings
         start = settings.pre_samples + offset
         if start < 0 or start + count > settings.record_samples:
             return None
         volts = self._recorder.volts(self._clock.now_ps, slice(record - 1, record))[0, start : start + count]
-        at_input = volts if channel == 1 else np.zeros_like(volts)
-        return words(at_input, settings.inputs[channel.bit_length() - 1], settings).tobytes()
+        # Only channel A is connected.
+        channel_volts = volts if channel == 1 else np.zeros_like(volts)
+        return words(channel_volts, settings.inputs[channel.bit_length() - 1], settings).tobytes()
 
     def timestamp(self, record: int) -> int:
-        """Return when a record was triggered, in sample clock periods, as finely as the counter behind it counts."""
-        taken = self._recorder.taken(self._clock.now_ps)
-        count = int(timestamps(self._arming, taken.tick_ps[record - 1 : record], self._reset_ps)[0])
+        """Return the trigger time of a record in sample clock periods, in whole steps of the board's counter."""
+        triggers = self._recorder.triggers(self._clock.now_ps)
+        count = int(timestamps(self._arming, triggers.tick_ps[record - 1 : record], self._reset_ps)[0])
         return count * self.type.samples_per_count
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
-        """Prepare AutoDMA, and start it at once where the program does not do so itself."""
+        """Prepare AutoDMA; start it at once unless the program starts it by AlazarStartCapture."""
         if self._queue is not None:
             return Code.DMA_IN_PROGRESS
         refusal = transfer.refusal(self.settings, offset) if self.dual_port else Code.UNSUPPORTED_FUNCTION
@@ -188,47 +189,47 @@ class AlazarState:
             return refusal
         self._queue = BufferQueue(
             transfer,
-            self.instruments.samples_per_channel // (transfer.record_samples + 16),
-            self.type.most_buffer_bytes,
+            self.instruments.samples_per_channel // (transfer.record_samples + RECORD_OVERHEAD_SAMPLES),
+            self.type.max_buffer_bytes,
         )
         if not transfer.flags & codes.ADMA_EXTERNAL_STARTCAPTURE:
             self._arm()
         return Code.SUCCESS
 
     def post_buffer(self, address: int, size: int) -> Code:
-        """Take a buffer to write into."""
+        """Append a buffer to the queue."""
         if self._queue is None:
             return Code.NOT_INITIALIZED
         if self._board.running:
-            self._queue.notice_overflow(self._complete())
+            self._queue.update_overflow(self._complete())
         return self._queue.post(address, size)
 
     def wait_for_buffer(self, address: int, timeout_ms: int) -> Code:
-        """Fill the buffer and let time pass until it is full, or until the time-out."""
+        """Advance the clock until the buffer is full and fill it, or until the time-out."""
         if self._queue is None:
             return Code.BUFFER_NOT_READY
-        refusal = self._queue.turn_of(address)
+        refusal = self._queue.wait_refusal(address)
         if refusal is not Code.SUCCESS:
             return refusal
         deadline_ps = self._clock.now_ps + timeout_ms * PS_PER_MS
         if not self._board.running:
             self._clock.advance_to(deadline_ps)
             return Code.WAIT_TIMEOUT
-        self._queue.notice_overflow(self._complete())
+        self._queue.update_overflow(self._complete())
         if self._queue.overflowed:
             return Code.BUFFER_OVERFLOW
-        taken = self._recorder.taken(deadline_ps)
-        filled_ps = self._queue.filled_ps(taken)
-        if filled_ps is None or filled_ps > deadline_ps:
+        triggers = self._recorder.triggers(deadline_ps)
+        full_ps = self._queue.head_full_ps(triggers)
+        if full_ps is None or full_ps > deadline_ps:
             self._clock.advance_to(deadline_ps)
             return Code.WAIT_TIMEOUT
         volts = self._recorder.volts(deadline_ps, self._queue.next_records)
-        self._clock.advance_to(filled_ps)
-        self._queue.deliver(self._arming, taken, volts, self._reset_ps)
+        self._clock.advance_to(full_ps)
+        self._queue.deliver(self._arming, triggers, volts, self._reset_ps)
         return Code.SUCCESS
 
     def end_transfer(self) -> None:
-        """End the capture and let go of every buffer."""
+        """End the capture and forget every buffer."""
         self.stop()
         self._queue = None
 
@@ -251,7 +252,7 @@ class AlazarState:
     def _complete(self) -> int:
         if not self._board.armings:
             return 0
-        return self._recorder.taken(self._clock.now_ps).complete(min(self._clock.now_ps, self._arming.stop_ps))
+        return self._recorder.triggers(self._clock.now_ps).complete(min(self._clock.now_ps, self._arming.stop_ps))
 
     def _is_busy(self) -> bool:
         return self._board.running and self._complete() < self._arming.settings.record_count

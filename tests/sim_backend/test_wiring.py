@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
-from sim_backend.digitizer.board import Arming, BoardSettings, Engine, Latencies, records_of
+from sim_backend.digitizer.board import Arming, BoardSettings, Engine, Latencies, accepted_triggers
 from sim_backend.generator.emission import respond
 from sim_backend.generator.registers import Registers
 from sim_backend.wiring import (
@@ -113,7 +113,7 @@ def test_records_equal_a_plain_loop(trigger_ps, samples, delay, count, period_ps
         if time_ps >= arming.start_ps and tick_ps >= idle_from and len(expected) < count:
             expected.append(tick_ps + 7 + delay * period_ps)
             idle_from = tick_ps + 7 + (delay + samples) * period_ps
-    taken = records_of(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0), FAR_PS)
+    taken = accepted_triggers(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0), FAR_PS)
     assert taken.first_sample_ps.tolist() == expected
 
 

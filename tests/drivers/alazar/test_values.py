@@ -54,9 +54,9 @@ def test_driver_and_twin_agree_on_every_board_though_neither_knows_the_other(mod
     ranges_v = {MILLIVOLTS_BY_ID[number] / 1000: number for number in board.ranges[IMPEDANCE_50_OHM]}
     assert model.range_ids == ranges_v
     sizes = (model.record_minimum, model.record_multiple, model.npt_record_multiple, model.pre_trigger_multiple)
-    assert sizes == (board.shortest_record, board.granule, board.npt_granule, board.pre_trigger_granule)
+    assert sizes == (board.min_record, board.record_multiple, board.npt_multiple, board.pre_trigger_multiple)
     # Coarser than the twin's where what the board takes is not known for certain.
-    assert model.trigger_delay_multiple % board.delay_granule == 0
+    assert model.trigger_delay_multiple % board.delay_multiple == 0
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)

@@ -165,7 +165,7 @@ def test_single_port_time_stamps_count_from_the_start():
         values.append(stamp.value)
     # In sample clock periods: 200 us are 20 000 of 10 ns.
     assert set(np.diff(values)) == {20_000}
-    since_start_ps = world.taken(world.clock.now_ps).tick_ps - start_ps
+    since_start_ps = world.triggers(world.clock.now_ps).tick_ps - start_ps
     assert values == (since_start_ps // 20_000 * 2).tolist()
 
 
@@ -179,7 +179,7 @@ def test_time_stamps_reset_once_count_on_through_later_captures():
         fire(world)
         world.clock.sleep(0.1)
         library.AlazarGetTriggerTimestamp(BOARD, 1, byref(stamp))
-        counts.append((stamp.value, (int(world.taken(world.clock.now_ps).tick_ps[0]) - reset_ps) // 20_000 * 2))
+        counts.append((stamp.value, (int(world.triggers(world.clock.now_ps).tick_ps[0]) - reset_ps) // 20_000 * 2))
     assert counts[0][0] == counts[0][1]
     assert counts[1][0] == counts[1][1] > counts[0][0] + 10_000_000
 
@@ -188,7 +188,7 @@ def test_pre_trigger_moves_the_record_and_not_the_trigger():
     early, late = world_of(), world_of()
     single_port(early, pre=64)
     single_port(late)
-    first = [world.taken(world.clock.now_ps).first_sample_ps[0] for world in (early, late)]
+    first = [world.triggers(world.clock.now_ps).first_sample_ps[0] for world in (early, late)]
     assert first[1] - first[0] == 64 * 10_000
 
 

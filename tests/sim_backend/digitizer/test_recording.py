@@ -6,7 +6,7 @@ import pytest
 from sim_backend.acoustics.acoustics import Acoustics
 from sim_backend.acoustics.reception import with_reception
 from sim_backend.digitizer import recording
-from sim_backend.digitizer.board import Arming, BoardSettings, Taken
+from sim_backend.digitizer.board import AcceptedTriggers, Arming, BoardSettings
 from sim_backend.digitizer.capture_snapshot import CaptureSnapshot
 from sim_backend.digitizer.recording import Recording
 from sim_backend.settings import BandFilter, Instruments, MotionComponent, ReceiveChain, Receiver, SimulationSettings
@@ -29,7 +29,7 @@ def snapshot(records=RECORDS, amplitude_vpp=1.0):
     ones = np.ones(records)
     pulses = Bursts(onset_ps, onset_ps + 333_333, 9e6 * ones, 3 * ones, amplitude_vpp * ones)
     first_ps = onset_ps + 89_600_000
-    taken = Taken(onset_ps, first_ps, first_ps + SAMPLES * 10_000, np.ones(records, np.int64), 0)
+    taken = AcceptedTriggers(onset_ps, first_ps, first_ps + SAMPLES * 10_000, np.ones(records, np.int64), 0)
     arming = Arming(0, 0, BoardSettings(post_samples=SAMPLES, record_count=records))
     return CaptureSnapshot(arming, taken, no_bursts(), pulses, 0)
 
@@ -42,7 +42,7 @@ def whole(settings, captured):
 @pytest.fixture
 def blocks_of_eight(monkeypatch):
     monkeypatch.setattr(recording, "BLOCK_VALUES", 8 * SAMPLES)
-    monkeypatch.setattr(recording, "BLOCKS_KEPT", 2)
+    monkeypatch.setattr(recording, "CACHED_BLOCKS", 2)
 
 
 @pytest.mark.parametrize("settings", [NOISY, EVERYTHING], ids=["noise", "chain, jitter and clock"])
@@ -60,21 +60,21 @@ def test_the_largest_voltage_is_that_of_the_records_so_far(blocks_of_eight):
     expected = np.abs(whole(NOISY, snapshot())).max(axis=1)
     made = Recording(Acoustics(NOISY).record_volts)
     made.update(snapshot(), 0)
-    assert made.highest_v(0) == 0.0
+    assert made.peak_v(0) == 0.0
     for count in (50, 1, 8, 9, 33):
-        assert made.highest_v(count) == pytest.approx(expected[:count].max(), rel=1e-6)
+        assert made.peak_v(count) == pytest.approx(expected[:count].max(), rel=1e-6)
 
 
 def test_what_is_complete_stays_when_the_rest_is_programmed_anew(blocks_of_eight):
     before, after = snapshot(), snapshot(amplitude_vpp=2.0)
     made = Recording(Acoustics(NOISY).record_volts)
-    made.update(before, int(before.taken.end_ps[19]))
-    highest_v = made.highest_v(20)
-    made.update(after, int(after.taken.end_ps[30]))
+    made.update(before, int(before.triggers.end_ps[19]))
+    peak_v = made.peak_v(20)
+    made.update(after, int(after.triggers.end_ps[30]))
     expected = np.concatenate([whole(NOISY, before)[:20], whole(NOISY, after)[20:]])
     assert np.abs(made.volts(slice(0, 50)) - expected).max() < 2e-7 * np.abs(expected).max()
-    assert made.highest_v(20) == highest_v
-    assert made.highest_v(50) == pytest.approx(np.abs(expected).max(), rel=1e-6)
+    assert made.peak_v(20) == peak_v
+    assert made.peak_v(50) == pytest.approx(np.abs(expected).max(), rel=1e-6)
 
 
 def test_a_block_asks_for_the_pulses_near_it_alone(blocks_of_eight):
