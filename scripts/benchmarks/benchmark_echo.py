@@ -1,7 +1,7 @@
 """Time the echo engine against the direct sum and public simulators: same scatterers, echoes and samples, one run.
 
-Usage: python scripts/benchmarks/benchmark_echo.py [--rounds 7] [--output table.json]. Peers are optional (`echo_peers.py`);
-who is missing is named.
+Usage: python scripts/benchmarks/benchmark_echo.py [--rounds 7] [--output table.json].
+Peers are optional (`echo_peers.py`); missing ones are named.
 Processor time of one core. Every contender runs once a round and medians over rounds are compared, so that a busy
 machine slows all alike.
 """
@@ -33,7 +33,6 @@ from sim_backend.echoes import (
     direct_sum,
     draw_field,
     drawn_echoes,
-    numba_installed,
     running_sum,
     synthesise,
 )
@@ -89,28 +88,23 @@ def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[st
             lambda tolerance=tolerance: synthesise(motion, WEIGHT, PULSE, GATE_S, tolerance),
             1.0,
         )
-        if numba_installed():
-            runs[f"engine compiled, {tolerance:g}"] = (
-                lambda tolerance=tolerance: batch(still, PULSE, GATE_S, tolerance),
-                1.0,
-            )
-    missing = [] if numba_installed() else ["numba (extra 'fast')"]
+        runs[f"batch, {tolerance:g}"] = (lambda tolerance=tolerance: batch(still, PULSE, GATE_S, tolerance), 1.0)
     x_m, z_m = FIELD.offset_m[:, 0], FIELD.offset_m[:, 2]
     for name, peer in PEERS.items():
         runs[name] = (lambda peer=peer: peer(x_m, z_m, WEIGHT), 1 / 101)
     if "finufft" in PEERS:
         # It sums the same echoes as ours, so all of them are made, moved, and compared.
         runs["finufft"] = (lambda: np.stack([PEERS["finufft"](x_m, C / 2 * tau, WEIGHT) for tau in delay_s]), 1.0)
-    return runs, missing + MISSING
+    return runs, MISSING
 
 
-def draw_time_s(draws: int, tolerance: float, compiled: bool) -> float:
+def draw_time_s(draws: int, tolerance: float) -> float:
     """Return seconds a study draw, new scatterers, weights, 101 echoes: median of five batches of ``draws``."""
     settings = SimulationSettings()
 
     def batch_of_draws() -> None:
         rng = np.random.default_rng(0)
-        for _ in drawn_echoes(settings, DISPLACEMENT_M, PULSE, GATE_S, rng, draws, tolerance, compiled=compiled):
+        for _ in drawn_echoes(settings, DISPLACEMENT_M, PULSE, GATE_S, rng, draws, tolerance):
             pass
 
     return _median_s(batch_of_draws, 5) / draws
@@ -201,7 +195,7 @@ def main() -> None:
     time_s = {name: statistics.median(values) for name, values in taken.items()}
     best_s = {name: min(values) for name, values in taken.items()}
     exact = direct_sum(REST_S + AMPLITUDE_S @ G[None], WEIGHT, PULSE, GATE_S)
-    ours = "engine compiled, 1e-08" if numba_installed() else "engine, 1e-08"
+    ours = "batch, 1e-08"
     base_s, base_best_s = (
         min(some["NumPy direct, vectorised"], some["NumPy direct, by products"]) for some in (time_s, best_s)
     )
@@ -213,9 +207,7 @@ def main() -> None:
     for name, (run, share) in runs.items():
         made = run()
         echo = (
-            np.asarray(
-                getattr(made, "echo", made)[0] if name.startswith("engine comp") else getattr(made, "echo", made)
-            )
+            np.asarray(getattr(made, "echo", made)[0] if name.startswith("batch") else getattr(made, "echo", made))
             if share == 1
             else None
         )
@@ -234,11 +226,7 @@ def main() -> None:
     for name, says in PEER_SAYS.items():
         print(f"{name} computes {says}")
     print("Ours computes neither apertures nor diffraction: the beams are the Gaussians of eq. (8) and (12).")
-    draws = {
-        f"{'compiled' if compiled else 'NumPy'}, {tolerance:g}": draw_time_s(1000, tolerance, compiled)
-        for compiled in ((True, False) if numba_installed() else (False,))
-        for tolerance in (1e-6, 1e-8)
-    }
+    draws = {f"{tolerance:g}": draw_time_s(1000, tolerance) for tolerance in (1e-6, 1e-8)}
     for name, value in draws.items():
         print(f"study draw, {name}: {value * 1e3:.3f} ms")
     moved = accuracy_rows()

@@ -18,7 +18,7 @@ from scipy.special import j0, j1
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from sim_backend.acoustics import Acoustics
-from sim_backend.echoes import coloured, draw_field, drawn_echoes, echo_pulse, echoes, numba_installed
+from sim_backend.echoes import EchoDelays, beam_response, draw_field, drawn_echoes, echo_pulse, echoes
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
 from sim_backend.wiring import Bursts, Capture
@@ -175,8 +175,7 @@ def costs() -> None:
         rng = np.random.default_rng(1)
         list(drawn_echoes(settings, moved_m, pulse, GATE_S, rng, 16))
         taken.append(timed(lambda s=settings, p=pulse, r=rng: list(drawn_echoes(s, moved_m, p, GATE_S, r, 64)))[1] / 64)
-    numba = "Numba" if numba_installed() else "NumPy"
-    print(f"| a study's draw of 101 echoes ({numba}) | {taken[0] * 1e3:.2f} ms | {taken[1] * 1e3:.2f} ms | "
+    print(f"| a study's draw of 101 echoes | {taken[0] * 1e3:.2f} ms | {taken[1] * 1e3:.2f} ms | "
           f"{taken[1] / taken[0]:.2f} |")  # fmt: skip
 
 
@@ -197,16 +196,17 @@ def _ratio(settings: SimulationSettings, seed: int) -> float:
     """Return the tracked over the focus' displacement in one draw, by the echoes' correlation."""
     field = draw_field(settings.scatterers, settings.beams, np.random.default_rng(seed))
     pulse = echo_pulse(settings, 9e6)
-    weight, colour, sensed = field.tracking_weight, None, 1.0
+    weight, response, delay_ratio = field.tracking_weight, None, np.ones(1)
     if settings.beams.field == "aperture":
-        beam = coloured(settings, field.offset_m, pulse)
-        weight, colour, sensed = beam.weight * field.strength, beam.colour, beam.sensed
+        beam = beam_response(settings, field.offset_m, pulse)
+        weight, response, delay_ratio = beam.weight * field.reflectivity, beam.response, beam.delay_ratio
     shape = field.motion_weight
     if settings.specimen is not None:
         shape = _in_phase(settings, field.offset_m)
     delay_s = 2 * field.offset_m[:, 2] / SPEED
     moved_m = np.array([0.0, 200e-9])
-    made = echoes(delay_s, weight, shape * sensed, moved_m, pulse, GATE_S, SPEED, 1e-9, colour=colour)
+    delays = EchoDelays.of_motion(delay_s, shape * delay_ratio, moved_m, SPEED, response)
+    made = echoes(delays, weight, pulse, GATE_S, 1e-9)
     # The lower sideband away: the phase of the correlation of analytic echoes, over that of their own mean frequency.
     analytic = [_analytic(each) for each in made]
     turned = np.angle(np.vdot(analytic[1], analytic[0]))

@@ -1,14 +1,9 @@
-from .choice import Method as Method, choices as choices
-from .colouring import Colouring as Colouring, coloured as coloured
+from .beam_response import beam_response as beam_response
+from .choice import Method as Method, method_times_s as method_times_s
 from .delays import EchoDelays as EchoDelays, distinct_echoes as distinct_echoes
 from .engine import echoes as echoes, synthesise as synthesise
 from .exact_sums import direct_sum as direct_sum, running_sum as running_sum
-from .many_draws import (
-    DRAWS_AT_ONCE as DRAWS_AT_ONCE,
-    batch as batch,
-    drawn_echoes as drawn_echoes,
-    numba_installed as numba_installed,
-)
+from .many_draws import DRAWS_AT_ONCE as DRAWS_AT_ONCE, batch as batch, drawn_echoes as drawn_echoes
 from .pulse import (
     Pulse as Pulse,
     attenuated_to_focus as attenuated_to_focus,

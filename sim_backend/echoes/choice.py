@@ -1,126 +1,78 @@
-"""Choice of the evaluation that meets a tolerance at the least run time, and of the scatterers it may leave out.
+"""Choice of the faster evaluation that meets a tolerance, and of the scatterers that it must include.
 
-The run times are models fitted to measurements, docs/theory/echoes.md, section 7.
+Run times are models fitted to measurements on one x86-64 core (docs/theory/echoes.md, section 5).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from sim_backend.arrays import FloatArray, Int64Array
-from sim_backend.echoes.combined import FEWEST_ECHOES
 from sim_backend.echoes.delays import EchoDelays
-from sim_backend.echoes.nodes import CHECKED, MOST_NODES, edge_share, node_count
 from sim_backend.echoes.pulse import Pulse
-from sim_backend.echoes.series import MOST_ANGLE_RAD, largest_angle, terms_needed
+from sim_backend.echoes.series import series_exponents, shape_angles_rad
 
-Method = Literal["running_sum", "combined", "interpolated", "series"]
+Method = Literal["running_sum", "series"]
 
-# Below this the series and the nodes promise what rounding does not let them keep.
 FINEST_TOLERANCE = 1e-14
-LEFT_OUT_SHARE = 0.1
-"""Of the tolerance, for scatterers left out."""
+"""Below it rounding exceeds the error of the series."""
+OMITTED_FRACTION = 0.1
+"""Fraction of the tolerance for the scatterers left out."""
 
-_FEWEST_TO_SORT_OUT = 64
-# Monomials of the motion's shapes; tables of more grow past 10 MB a gate.
-_MOST_COLUMNS = 1000
-# Delays that combining echoes holds at once: 0.5 GB.
-_MOST_PAIRS = 1 << 26
+# Fewer scatterers are not worth a search for negligible ones.
+_MIN_SCATTERERS_TO_OMIT = 64
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """An evaluation that meets the tolerance."""
-
-    method: Method
-    cost_s: float
-    """Run time as measured, roughly, on one core."""
-    terms: int = 0
-    """Nodes, or orders of the series; 0 where it is exact."""
-
-
-def choices(
-    delays: EchoDelays,
-    weight: FloatArray,
-    pulse: Pulse,
-    sample_time_s: FloatArray,
-    tolerance: float,
-    method: Method | None,
-) -> list[Choice]:
-    """Return the evaluations that meet the tolerance, with their run times as measured, roughly, on one core."""
-    if method == "running_sum":
-        return [Choice(method, 0.0)]
+def method_times_s(
+    delays: EchoDelays, pulse: Pulse, sample_time_s: FloatArray, tolerance: float
+) -> dict[Method, float]:
+    """Return the estimated run time, s, of each method that meets the tolerance."""
+    samples, scatterers, frequencies = len(sample_time_s), len(delays.rest_s), len(pulse.frequency_hz)
+    duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    blocks = max(1, math.ceil(duration_s / (pulse.end_s - pulse.start_s)))
+    # A scatterer reaches at most two blocks of the gate, or three if it moves far.
+    echo_s = min(blocks, 2) * (20e-9 + 30e-9 * frequencies) * scatterers + 57e-9 * frequencies * samples
+    times_s: dict[Method, float] = {"running_sum": 3e-4 * blocks + delays.echo_count * echo_s}
     if tolerance < FINEST_TOLERANCE:
-        return [Choice("running_sum", 0.0)] if method is None else refuse(method, "of its tolerance")
-    samples, scatterers, frequencies = len(sample_time_s), len(weight), len(pulse.frequency_hz)
-    echoes_wanted = delays.echo_count
-    stretches = max(1, math.ceil(float(sample_time_s[-1] - sample_time_s[0]) / (pulse.end_s - pulse.start_s)))
-    # Figures of run time: measured on one x86-64 core, `hpe-rig accuracy echo` shows how often they choose well.
-    # A scatterer reaches at most two stretches of the gate, or three where it moves far.
-    exact_s = min(stretches, 2) * (20e-9 + 30e-9 * frequencies) * scatterers + 57e-9 * frequencies * samples
-    combining_s = 4e-10 * echoes_wanted * samples
-    found = []
-    if method is None:
-        found.append(Choice("running_sum", 3e-4 * stretches + echoes_wanted * exact_s))
-    # One shape is left to the series and the nodes, whose error does not rest on a sample of the echoes.
-    usual = len(delays.shape) > 1 and echoes_wanted * scatterers <= _MOST_PAIRS
-    if method == "combined" or (method is None and usual and echoes_wanted >= FEWEST_ECHOES):
-        found.append(Choice("combined", 0.4 * echoes_wanted * exact_s))
-    if method == "combined":
-        return found
-    spread_s = np.ptp(delays.amplitude_s, axis=0) / 2
-    if method in (None, "interpolated") and len(delays.shape) == 1:
-        largest_s = float(spread_s[0] * np.abs(delays.shape).max())
-        share = edge_share(delays.rest_s, weight, pulse, largest_s, sample_time_s)
-        nodes = node_count(pulse, largest_s, share, tolerance, delays.colour)
-        if nodes < MOST_NODES:
-            found.append(
-                Choice("interpolated", 4e-4 * stretches + (nodes + CHECKED) * exact_s + nodes * combining_s, nodes)
-            )
-    angle = largest_angle(pulse, delays.shape, delays.about_middle().amplitude_s[None])
-    orders = terms_needed(angle, tolerance)
-    columns = math.comb(orders - 1 + len(delays.shape), orders - 1)
-    if method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
-        period_s = float(sample_time_s[-1] - sample_time_s[0]) / max(1, samples - 1) or 1.0
-        reach_s = spread_s @ np.abs(delays.shape)
-        crossings = 4 * float(reach_s.sum()) / period_s
-        each_s = 160e-9 + 10e-9 * columns * frequencies
-        cost_s = 5e-4 * stretches + scatterers * each_s + 7e-10 * orders * crossings * echoes_wanted
-        found.append(Choice("series", cost_s + columns * combining_s, orders))
-    return found or refuse(method, "the motion has too many shapes or is too large for the tolerance")
+        return times_s
+    exponents = series_exponents(shape_angles_rad(pulse, delays.shape, delays.centred().amplitude_s), tolerance)
+    if exponents is not None:
+        terms, degrees = len(exponents), sum(exponents[-1]) + 1
+        sample_period_s = duration_s / max(1, samples - 1) or 1.0
+        reach_s = (np.ptp(delays.amplitude_s, axis=0) / 2) @ np.abs(delays.shape)
+        crossings = 4 * float(reach_s.sum()) / sample_period_s
+        sums_s = 5e-4 * blocks + scatterers * (160e-9 + 10e-9 * terms * frequencies)
+        times_s["series"] = (
+            sums_s + 7e-10 * degrees * crossings * delays.echo_count + 4e-10 * terms * delays.echo_count * samples
+        )
+    return times_s
 
 
-def refuse(method: Method | None, reason: str) -> list[Choice]:
-    """Raise ValueError that says why ``method`` cannot serve."""
-    raise ValueError(f"method {method!r} cannot serve here because {reason}: leave the method out or take running_sum")
-
-
-def in_reach(delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> Int64Array:
-    """Return the scatterers whose echo can touch a sample."""
+def reachable_scatterers(delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> Int64Array:
+    """Return the indices of scatterers with an echo that can touch a sample."""
     early_s, late_s = delays.range_s()
     touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])
     touches &= weight != 0
     return np.flatnonzero(touches)
 
 
-def left_out_below(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float) -> float:
-    """Return the weight below which scatterers are left out: all of them together stay below the tolerance's share.
+def negligible_weight(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float) -> float:
+    """Return the weight below which all scatterers together stay within ``OMITTED_FRACTION`` of the tolerance.
 
-    No echo exceeds its scatterer's weight times the pulse's amplitudes, so N of them below w add less than N w. The rms
-    they are held against is that of an incoherent sum; the caller checks it afterwards.
+    No echo exceeds its scatterer's weight times the pulse's amplitudes, so N scatterers below w add less than N w. The
+    bound is relative to the rms of an incoherent sum; the caller checks it against the echoes.
     """
-    if len(weight) < _FEWEST_TO_SORT_OUT or tolerance <= 0:
+    if len(weight) < _MIN_SCATTERERS_TO_OMIT or tolerance <= 0:
         return 0.0
-    largest = float(np.abs(pulse.amplitude).sum())
-    return LEFT_OUT_SHARE * tolerance * incoherent_rms(weight, pulse, sample_time_s) / (largest * len(weight))
+    pulse_bound = float(np.abs(pulse.amplitude).sum())
+    return OMITTED_FRACTION * tolerance * incoherent_rms(weight, pulse, sample_time_s) / (pulse_bound * len(weight))
 
 
 def incoherent_rms(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> float:
-    """Return the rms in the gate of echoes whose phases are independent; what cancels stays far below it."""
+    """Return the rms in the gate of echoes with independent phases."""
     power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
     pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])
     return math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))

@@ -1,4 +1,12 @@
-"""Delays of the echoes of moving scatterers, and the refusal of numbers that make no echo."""
+"""Delays of the echoes of moving scatterers, eq. (10) and (11), and the checks of the numbers that define them.
+
+tau_kn = tau_n + sum_r b_kr g_rn        b_kr = 2 A_kr / c
+
+k, n, r       echo, scatterer, shape of the motion
+tau_n         delay at rest, s
+A_kr, g_rn    amplitude of the motion, m; shape of the motion, 1
+c             sound speed, m/s
+"""
 
 from __future__ import annotations
 
@@ -10,16 +18,16 @@ import numpy as np
 from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.pulse import Pulse
 
-ALIKE_SHARE = 0.01
-"""Of the tolerance, for echoes that are taken for the same one."""
+EQUAL_ECHO_FRACTION = 0.01
+"""Fraction of the tolerance below which two echoes count as equal."""
 
 
 @dataclass(frozen=True, slots=True)
 class EchoDelays:
-    """Delays of the echoes of scatterers that move in few spatial shapes: delay = rest + amplitude @ shape.
+    """Delays of scatterers that move in few spatial shapes: delay = rest + amplitude @ shape.
 
-    A standing motion has one shape; a travelling wave of one frequency two (in phase and in quadrature), a medium's own
-    field one a mode; pulses that come late add a shape of ones. As many shapes as scatterers stand for any delays.
+    A prescribed motion has one shape; a travelling wave of one frequency two (in phase and in quadrature); a medium's
+    field one a mode. As many shapes as scatterers describe any delays.
     """
 
     rest_s: FloatArray
@@ -28,12 +36,30 @@ class EchoDelays:
     """(shape, scatterer)"""
     amplitude_s: FloatArray
     """(echo, shape), delay where the shape is 1: 2 A / c."""
-    colour: ComplexArray | None = None
-    """(frequency, scatterer), what the echo has of every frequency of the pulse; None: all alike."""
+    response: ComplexArray | None = None
+    """(frequency, scatterer), relative response of the beam at each frequency of the pulse; None: 1."""
+
+    @classmethod
+    def of_motion(
+        cls,
+        rest_s: FloatArray,
+        motion_weight: FloatArray,
+        displacement_m: FloatArray,
+        sound_speed_m_per_s: float,
+        response: ComplexArray | None = None,
+    ) -> EchoDelays:
+        """Return the delays of a motion, eq. (11).
+
+        ``motion_weight`` (scatterer,) and ``displacement_m`` (echo,) at the focus; with several shapes (shape,
+        scatterer) and (echo, shape).
+        """
+        shape = np.atleast_2d(motion_weight)
+        displacement_m = displacement_m.reshape(len(displacement_m), len(shape))
+        return cls(rest_s, shape, displacement_m * (2 / sound_speed_m_per_s), response)
 
     @property
     def echo_count(self) -> int:
-        """How many echoes."""
+        """Number of echoes."""
         return len(self.amplitude_s)
 
     def range_s(self) -> tuple[FloatArray, FloatArray]:
@@ -41,89 +67,99 @@ class EchoDelays:
         reach_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
         return self.rest_s - reach_s, self.rest_s + reach_s
 
-    def of(self, part: Int64Array) -> EchoDelays:
-        """Return the same of some scatterers."""
-        colour = None if self.colour is None else self.colour[:, part]
-        return EchoDelays(self.rest_s[part], self.shape[:, part], self.amplitude_s, colour)
+    def of(self, scatterers: Int64Array) -> EchoDelays:
+        """Return the delays of some scatterers."""
+        response = None if self.response is None else self.response[:, scatterers]
+        return EchoDelays(self.rest_s[scatterers], self.shape[:, scatterers], self.amplitude_s, response)
+
+    def shifted(self, shift_s: FloatArray) -> EchoDelays:
+        """Return the delays relative to sample times that are later by ``shift_s`` (echo,)."""
+        if not shift_s.any():
+            return self
+        # Later sample times are earlier delays of all scatterers: one more shape, of ones.
+        shape = np.concatenate([self.shape, np.ones((1, self.shape.shape[1]))])
+        amplitude_s = np.concatenate([self.amplitude_s, -shift_s[:, None]], axis=1)
+        return EchoDelays(self.rest_s, shape, amplitude_s, self.response)
 
     def delay_s(self) -> FloatArray:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
         return self.rest_s + self.amplitude_s @ self.shape
 
-    def parts(self, pairs_at_once: int) -> Iterator[FloatArray]:
-        """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
-        at_once = max(1, pairs_at_once // max(1, len(self.rest_s)))
-        for first in range(0, len(self.amplitude_s), at_once):
-            yield self.rest_s + self.amplitude_s[first : first + at_once] @ self.shape
+    def chunks(self, max_pairs: int) -> Iterator[FloatArray]:
+        """Yield the delays of some echoes at a time, (echo, scatterer), about ``max_pairs`` of them."""
+        echoes_per_chunk = max(1, max_pairs // max(1, len(self.rest_s)))
+        for first in range(0, len(self.amplitude_s), echoes_per_chunk):
+            yield self.rest_s + self.amplitude_s[first : first + echoes_per_chunk] @ self.shape
 
-    def about_middle(self) -> EchoDelays:
-        """Return the same motion about the middle of its range, where the series is shortest."""
+    def centred(self) -> EchoDelays:
+        """Return the same delays with the rest position in the middle of the motion, where the series is shortest."""
         high, low = self.amplitude_s.max(axis=0), self.amplitude_s.min(axis=0)
         middle_s = (high + low) / 2
-        # A small offset costs no term, moving every delay would.
+        # A small offset costs no term, but moving every delay costs time.
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
-        return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s, self.colour)
+        return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s, self.response)
 
 
 def distinct_echoes(
     amplitude_s: FloatArray, shape: FloatArray, pulse: Pulse, tolerance: float
 ) -> tuple[Int64Array, Int64Array]:
-    """Return one echo of each kind, (kind,), and the kind of each echo, (echo,).
+    """Return the index of one echo of each group of equal echoes, (group,), and the group of each echo, (echo,).
 
-    ``amplitude_s`` (echo, shape) and ``shape`` (shape, scatterer) as in `EchoDelays`. Echoes of a kind differ by less
-    than `ALIKE_SHARE` of ``tolerance``: no scatterer's delay turns the pulse's highest frequency any further. A
-    periodic motion that is tracked at a whole number of pulses a period has that many kinds, however long it lasts.
+    ``amplitude_s`` (echo, shape) and ``shape`` (shape, scatterer) as in `EchoDelays`. Within a group no scatterer's
+    delay changes the phase of the pulse's highest frequency by more than `EQUAL_ECHO_FRACTION` of ``tolerance``. A
+    periodic motion with a whole number of pulses per period has that many groups, however long it lasts.
     """
     highest_rad_per_s = 2 * np.pi * max(abs(hz) for hz in pulse.frequency_hz)
-    turn_per_s = highest_rad_per_s * np.abs(shape).max(axis=1, initial=0.0) * len(shape)
-    step = np.rint(amplitude_s * (turn_per_s / (ALIKE_SHARE * tolerance))) if tolerance else amplitude_s
+    phase_rad_per_s = highest_rad_per_s * np.abs(shape).max(axis=1, initial=0.0) * len(shape)
+    # Amplitudes in steps of the largest negligible difference; equal rows are one group.
+    step = np.rint(amplitude_s * (phase_rad_per_s / (EQUAL_ECHO_FRACTION * tolerance))) if tolerance else amplitude_s
     order = np.lexsort(step.T)
-    new = np.ones(len(order), dtype=np.bool_)
-    new[1:] = (step[order[1:]] != step[order[:-1]]).any(axis=1)
-    kind = np.empty(len(order), dtype=np.int64)
-    kind[order] = np.cumsum(new) - 1
-    return order[new], kind
+    is_new = np.ones(len(order), dtype=np.bool_)
+    is_new[1:] = (step[order[1:]] != step[order[:-1]]).any(axis=1)
+    group = np.empty(len(order), dtype=np.int64)
+    group[order] = np.cumsum(is_new) - 1
+    return order[is_new], group
 
 
-def refuse_unusable(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for what `refuse_numbers` and `refuse_misfits` say of a motion."""
+def check_delays(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArray, tolerance: float) -> None:
+    """Raise ValueError for arrays that do not fit each other and for unusable numbers."""
     axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
-    named = {name: getattr(delays, name) for name in axes} | {"weight": weight}
-    refuse_misfits(named, axes | {"weight": "scatterer"})
-    refuse_numbers(named, sample_time_s, tolerance)
+    arrays = {name: getattr(delays, name) for name in axes} | {"weight": weight}
+    check_axes(arrays, axes | {"weight": "scatterer"})
+    check_numbers(arrays, sample_time_s, tolerance)
 
 
-def refuse_misfits(named: dict[str, FloatArray], axes: dict[str, str]) -> None:
-    """Raise ValueError where an array lacks an axis or two disagree about the length of one."""
+def check_axes(arrays: dict[str, FloatArray], axes: dict[str, str]) -> None:
+    """Raise ValueError if an array has another number of axes or two arrays differ in the length of a shared axis."""
     length: dict[str, tuple[str, int]] = {}
-    for name, value in named.items():
-        own = axes[name].split(", ")
-        if value.ndim != len(own):
-            raise ValueError(f"{name} has shape {value.shape}: its axes must be ({axes[name]})")
-        for axis, size in zip(own, value.shape, strict=True):
-            first, known = length.setdefault(axis, (name, size))
-            if size != known:
+    for name, array in arrays.items():
+        names = axes[name].split(", ")
+        if array.ndim != len(names):
+            raise ValueError(f"{name} has shape {array.shape}: its axes must be ({axes[name]})")
+        for axis, size in zip(names, array.shape, strict=True):
+            first, expected = length.setdefault(axis, (name, size))
+            if size != expected:
                 raise ValueError(
-                    f"{name} is {size} long along its axis '{axis}' and {first} {known}: give each {axis} one of both"
+                    f"{name} has length {size} along its axis '{axis}' and {first} has {expected}: make them equal"
                 )
 
 
-def refuse_numbers(named: dict[str, FloatArray], sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for numbers that are not finite, by name and place, and for sample times that do not ascend."""
-    for name, value in (named | {"sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}).items():
-        finite = np.isfinite(value)
+def check_numbers(arrays: dict[str, FloatArray], sample_time_s: FloatArray, tolerance: float) -> None:
+    """Raise ValueError for a number that is not finite, a negative tolerance, or sample times that do not ascend."""
+    for name, array in (arrays | {"sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}).items():
+        finite = np.isfinite(array)
         if not finite.all():
-            place = tuple(np.argwhere(~finite)[0].tolist())
-            raise ValueError(f"{name}{list(place)} is {value[place]}: every number that makes an echo must be finite")
+            index = tuple(np.argwhere(~finite)[0].tolist())
+            raise ValueError(f"{name}{list(index)} is {array[index]}: every number that makes an echo must be finite")
     if tolerance < 0:
         raise ValueError(f"tolerance is {tolerance}: take 0 for exact sums or a relative error such as 1e-6")
     if (np.diff(sample_time_s) <= 0).any():
         raise ValueError("sample_time_s must ascend: sort the sample times")
 
 
-def refuse_aliasing(pulse: Pulse, sample_time_s: FloatArray) -> None:
-    """Raise ValueError where the samples are too far apart for the pulse's highest frequency."""
+def check_sample_rate(pulse: Pulse, sample_time_s: FloatArray) -> None:
+    """Raise ValueError if the samples are too far apart for the pulse's highest frequency."""
     if len(sample_time_s) < 2:
         return
     rate_hz = (len(sample_time_s) - 1) / float(sample_time_s[-1] - sample_time_s[0])

@@ -1,9 +1,11 @@
-"""Tracking pulses, all in one form: a few complex exponentials on a compact support, eq. (9) and beyond.
+"""Echo of one scatterer for a tracking pulse: a few complex exponentials on a compact support, eq. (9).
 
-    p(t) = Re sum_m c_m exp(j w_m t)   for start <= t < end, else 0.
+    p(t) = Re sum_m c_m exp(j w_m t)   for start <= t < end, else 0
 
-The Hann pulse is exactly that with three exponentials. A Gaussian, a burst through a transducer's band and a measured
-shape are the Fourier series of their support, cut where the rest is below a tolerance.
+    c_m, w_m    amplitude and angular frequency of exponential m, 1 and rad/s
+
+The Hann pulse of eq. (9) has three exponentials. A Gaussian, a burst through a transducer's band and a measured pulse
+are the Fourier series of their support, without the terms below a tolerance.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.settings import SimulationSettings
 
-# A -6 dB full width is this many standard deviations of a Gaussian amplitude spectrum.
+# Full width at -6 dB of a Gaussian amplitude spectrum, in standard deviations.
 _WIDTH_OVER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _FINEST_TOLERANCE = 1e-13
 _BURST_CYCLES = 3.0
@@ -26,19 +28,21 @@ _BURST_CYCLES = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """A pulse on a compact support that is a sum of exponentials; time 0 is its nominal arrival."""
+    """A sum of exponentials on a compact support; time 0 is its nominal arrival."""
 
     start_s: float
     end_s: float
     frequency_hz: tuple[float, ...]
+    """(exponential,), w_m / 2 pi."""
     amplitude: tuple[complex, ...]
+    """(exponential,), c_m."""
 
 
 def echo_pulse(settings: SimulationSettings, carrier_hz: float) -> Pulse:
-    """Return the echo of one scatterer at the focus for a tracking pulse of ``carrier_hz``, eq. (9) or its like.
+    """Return the echo of one scatterer at the focus for a tracking pulse of ``carrier_hz``.
 
-    With attenuation its strength falls and, but for the Hann pulse's own support, its centre frequency with it, by
-    alpha L sigma_f^2 for a Gaussian spectrum of variance sigma_f^2 (alpha L in Np/Hz).
+    Attenuation lowers its amplitude, and its centre frequency by alpha L sigma_f^2 for a Gaussian spectrum of variance
+    sigma_f^2 (alpha L in Np/Hz).
     """
     scatterers = settings.scatterers
     pulse = _ideal_pulse(scatterers.pulse, carrier_hz, scatterers.bandwidth, scatterers.band_centre_hz)
@@ -49,7 +53,7 @@ def echo_pulse(settings: SimulationSettings, carrier_hz: float) -> Pulse:
 
 
 def attenuated_to_focus(settings: SimulationSettings, pulse: Pulse) -> Pulse:
-    """Return ``pulse`` after what water and specimen take on the way to the focus and back."""
+    """Return ``pulse`` after the loss in water and specimen, to the focus and back."""
     loss_db = tuple(map(settings.loss_to_focus_db, pulse.frequency_hz))
     return attenuated(pulse, loss_db) if any(loss_db) else pulse
 
@@ -64,7 +68,7 @@ def _ideal_pulse(kind: str, carrier_hz: float, bandwidth: float, band_centre_hz:
 
 
 def hann_pulse(carrier_hz: float, bandwidth: float) -> Pulse:
-    """Return the tracking echo of eq. (9): a cosine under a Hann window of length 1/(BW f), centred on its arrival."""
+    """Return the echo of eq. (9): a cosine under a Hann window of length 1/(BW f), centred on its arrival."""
     half = 0.5 / (bandwidth * carrier_hz)
     frequency_hz = (carrier_hz * (1 - bandwidth), carrier_hz, carrier_hz * (1 + bandwidth))
     return Pulse(-half, half, frequency_hz, (0.25, 0.5, 0.25))
@@ -76,9 +80,9 @@ def rectangular_burst(carrier_hz: float, duration_s: float) -> Pulse:
 
 
 def gaussian_pulse(carrier_hz: float, bandwidth: float, tolerance: float = 1e-10) -> Pulse:
-    """Return a cosine under a Gaussian whose amplitude spectrum is -6 dB wide by ``bandwidth`` times the carrier.
+    """Return a cosine under a Gaussian; the -6 dB width of its spectrum is ``bandwidth`` times the carrier.
 
-    The support ends where the Gaussian falls below ``tolerance`` (at least 1e-13), relative to its peak.
+    The support ends where the Gaussian falls below ``tolerance`` (at least 1e-13) of its peak.
     """
     width_hz = bandwidth * carrier_hz / _WIDTH_OVER_SIGMA
     half = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
@@ -94,23 +98,24 @@ def gaussian_pulse(carrier_hz: float, bandwidth: float, tolerance: float = 1e-10
 def band_limited_burst(
     carrier_hz: float, cycles: float, centre_hz: float, bandwidth: float, tolerance: float = 1e-10
 ) -> Pulse:
-    """Return a sine burst of ``cycles`` through a transducer of Gaussian band, two passes in one, begun at time 0.
+    """Return a sine burst of ``cycles`` from time 0 through the two-way Gaussian band of a transducer.
 
-    ``bandwidth`` is the band's -6 dB width over ``centre_hz``. The peak is that of a long burst at the band's centre.
+    ``bandwidth`` is the band's -6 dB width divided by ``centre_hz``. A long burst at the band's centre has amplitude 1.
     """
     width_hz = bandwidth * centre_hz / _WIDTH_OVER_SIGMA
     ringing = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
     duration_s = cycles / carrier_hz
 
     def spectrum(frequency_hz: FloatArray) -> ComplexArray:
+        # The band at positive and negative frequencies, times the spectrum of the sine burst.
         upper, lower = ((frequency_hz - side * centre_hz) / width_hz for side in (1, -1))
         band = np.exp(-0.5 * np.square(upper)) + np.exp(-0.5 * np.square(lower))
 
-        def gate(offset_hz: FloatArray) -> ComplexArray:
-            turn = np.exp(-1j * np.pi * offset_hz * duration_s)
-            return np.asarray(duration_s * np.sinc(offset_hz * duration_s) * turn)
+        def rectangle(offset_hz: FloatArray) -> ComplexArray:
+            delay = np.exp(-1j * np.pi * offset_hz * duration_s)
+            return np.asarray(duration_s * np.sinc(offset_hz * duration_s) * delay)
 
-        return np.asarray(band * (gate(frequency_hz - carrier_hz) - gate(frequency_hz + carrier_hz)) / 2j)
+        return np.asarray(band * (rectangle(frequency_hz - carrier_hz) - rectangle(frequency_hz + carrier_hz)) / 2j)
 
     return from_spectrum(spectrum, -ringing, duration_s + ringing, tolerance)
 
@@ -118,18 +123,19 @@ def band_limited_burst(
 def from_spectrum(
     spectrum: Callable[[FloatArray], ComplexArray], start_s: float, end_s: float, tolerance: float
 ) -> Pulse:
-    """Return the pulse whose Fourier transform is ``spectrum(frequency_hz)``, one that is over outside start and end.
+    """Return the pulse with the Fourier transform ``spectrum(frequency_hz)``, which is zero outside start and end.
 
-    Periods of the support carry the Fourier series; terms that together are below ``tolerance`` are left out.
+    The terms are those of the Fourier series of the support, without the ones that add up to less than ``tolerance``.
     """
     period_s = end_s - start_s
+    # Double the number of terms until the last eighth of them is negligible.
     count = 64
     while True:
         frequency_hz = np.arange(count) / period_s
         amplitude = 2 / period_s * spectrum(frequency_hz)
         amplitude[0] /= 2
-        strong = np.abs(amplitude)
-        if strong[-count // 8 :].sum() < 0.1 * tolerance * strong.sum() or count >= 1 << 16:
+        size = np.abs(amplitude)
+        if size[-count // 8 :].sum() < 0.1 * tolerance * size.sum() or count >= 1 << 16:
             break
         count *= 2
     return _strong_terms(start_s, end_s, frequency_hz, amplitude, tolerance)
@@ -138,7 +144,7 @@ def from_spectrum(
 def sampled_pulse(value: FloatArray, sample_rate_hz: float, start_s: float, tolerance: float = 1e-10) -> Pulse:
     """Return the band-limited pulse through measured samples ``value`` (sample,), the first at ``start_s``.
 
-    The samples are one period of a Fourier series: begin and end them near zero. Raises ValueError where a sample is
+    The samples are one period of a Fourier series and should begin and end near zero. Raises ValueError if a sample is
     not finite, all are zero, or an end is above a tenth of the peak.
     """
     if not np.isfinite(value).all():
@@ -162,13 +168,13 @@ def sampled_pulse(value: FloatArray, sample_rate_hz: float, start_s: float, tole
 
 
 def attenuated(pulse: Pulse, loss_db: Sequence[float]) -> Pulse:
-    """Return the pulse behind a loss by frequency: each exponential by its own, ``loss_db`` (frequency,).
+    """Return the pulse with each exponential attenuated by its ``loss_db`` (frequency,).
 
-    Exact for a Fourier series whose support has room for the broader pulse; the Hann pulse keeps its support, which
-    leaves steps of the order of (loss across its band in Np)^2 / 4 at its ends.
+    The support stays, and must have room for the broader pulse. The Hann pulse gets steps at its ends of the order of
+    (loss across its band in Np)^2 / 4.
     """
     pairs = zip(loss_db, pulse.amplitude, strict=True)
-    return replace(pulse, amplitude=tuple(amplitude * 10 ** (-lost / 20) for lost, amplitude in pairs))
+    return replace(pulse, amplitude=tuple(amplitude * 10 ** (-loss / 20) for loss, amplitude in pairs))
 
 
 def waveform(pulse: Pulse, time_s: FloatArray) -> FloatArray:
@@ -178,7 +184,7 @@ def waveform(pulse: Pulse, time_s: FloatArray) -> FloatArray:
 
 
 def extended(pulse: Pulse, time_s: FloatArray) -> FloatArray:
-    """Return the pulse's exponentials at ``time_s``, any shape, as if its support had no end."""
+    """Return the sum of the pulse's exponentials at ``time_s``, any shape, without regard to the support."""
     value = np.zeros(time_s.shape)
     for frequency_hz, amplitude in zip(pulse.frequency_hz, pulse.amplitude, strict=True):
         angle = 2 * np.pi * frequency_hz * time_s
@@ -189,24 +195,27 @@ def extended(pulse: Pulse, time_s: FloatArray) -> FloatArray:
 
 
 def phasors(pulse: Pulse, time_s: FloatArray, sign: int) -> ComplexArray:
-    """Return exp(sign j w_m t), (frequency, *time): two exponentials where the frequencies are evenly spaced."""
+    """Return exp(sign j w_m t), (frequency, *time).
+
+    Evenly spaced frequencies need two exponentials; the others follow by multiplication.
+    """
     rate, step = angular_rates(pulse)
     out = np.empty((len(rate), *time_s.shape), dtype=np.complex128)
-    turning = sign * 1j * time_s
-    np.exp(rate[0] * turning, out=out[0])
-    turn = None if step is None or len(rate) < 2 else np.exp(step * turning)
+    imaginary_s = sign * 1j * time_s
+    np.exp(rate[0] * imaginary_s, out=out[0])
+    step_phasor = None if step is None or len(rate) < 2 else np.exp(step * imaginary_s)
     for term in range(1, len(rate)):
-        # Anew every sixteenth, so that rounding does not grow along the series.
-        if turn is None or term % 16 == 0:
-            np.exp(rate[term] * turning, out=out[term])
+        # Every sixteenth one is computed directly, so that rounding does not accumulate.
+        if step_phasor is None or term % 16 == 0:
+            np.exp(rate[term] * imaginary_s, out=out[term])
         else:
-            np.multiply(out[term - 1], turn, out=out[term])
+            np.multiply(out[term - 1], step_phasor, out=out[term])
     return out
 
 
 @functools.lru_cache(maxsize=32)
 def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
-    """Return the angular frequencies, rad/s, and their step, None where they are not evenly spaced."""
+    """Return the angular frequencies, rad/s, and their step, or None if they are not evenly spaced."""
     rate = 2 * np.pi * np.array(pulse.frequency_hz)
     step = float(rate[-1] - rate[0]) / max(1, len(rate) - 1)
     even = len(rate) < 3 or bool(np.abs(np.diff(rate) - step).max() <= 1e-14 * np.abs(rate).max())
@@ -216,9 +225,10 @@ def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
 def _strong_terms(
     start_s: float, end_s: float, frequency_hz: FloatArray, amplitude: ComplexArray, tolerance: float
 ) -> Pulse:
-    strong = np.abs(amplitude)
-    budget = tolerance * strong.sum() / 2
-    first = int(np.searchsorted(np.cumsum(strong), budget))
-    last = len(strong) - int(np.searchsorted(np.cumsum(strong[::-1]), budget))
-    kept = slice(first, max(last, first + 1))
-    return Pulse(start_s, end_s, tuple(frequency_hz[kept].tolist()), tuple(amplitude[kept].tolist()))
+    """Return the pulse of the neighbouring terms that hold all but ``tolerance`` of the summed amplitude."""
+    size = np.abs(amplitude)
+    budget = tolerance * size.sum() / 2
+    first = int(np.searchsorted(np.cumsum(size), budget))
+    last = len(size) - int(np.searchsorted(np.cumsum(size[::-1]), budget))
+    terms = slice(first, max(last, first + 1))
+    return Pulse(start_s, end_s, tuple(frequency_hz[terms].tolist()), tuple(amplitude[terms].tolist()))

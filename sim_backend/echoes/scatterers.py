@@ -1,44 +1,51 @@
-"""Point scatterers around the focus, and how strongly each is seen and moved, eq. (8) and (12).
+"""Point scatterers around the focus, their tracking weights and their motion, eq. (8) and (12).
 
-Drawn one by one for a measurement (`draw_field`), or several draws at once of those alone that matter, for studies that
-need speed (`draw_thinned`; docs/theory/echoes.md, section 6).
+    I_n = R_n exp(-x_n² / 2 T_x² - y_n² / 2 T_y² - z_n² / 2 T_z²)      eq. (8), tracking beam
+    g_n =     exp(-x_n² / 2 M_x² - y_n² / 2 M_y² - z_n² / 2 M_z²)      eq. (12), motion
+
+    x_n, y_n, z_n   offset from the focus, m; in eq. (8) from the tracking beam's axis
+    R_n             reflectivity
+    T, M            standard deviations of tracking beam and motion, m
+
+`draw_field` draws all scatterers of a measurement. `draw_thinned` draws several independent sets, each of only the
+scatterers that matter, for studies (docs/theory/echoes.md, section 4).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from sim_backend.arrays import BoolArray, FloatArray, Int64Array
 from sim_backend.settings import Beams, Reflector, Scatterers, SimulationSettings, scatterer_count
 
-# N dropped scatterers change an echo by at most N times this, against an echo of order 1 to 10: below 1e-14
-# relative in the default scene. (A limit of 1e-6 there changes the echo by 5e-6.)
+# N scatterers below it change an echo of order 1 to 10 by at most N times this: below 1e-14 in the default scene.
 NEGLIGIBLE_WEIGHT = 1e-15
 
-# Points a side of a plane: exact for polynomials of degree 23 across the beam.
+# Points on each side of a plane reflector: exact for polynomials of degree 23 across the beam.
 _PLANE_NODES = 12
 
 
 @dataclass(frozen=True, slots=True)
 class ScattererField:
-    """Where the scatterers are, relative to the focus, in ascending depth; every array but the first (scatterer,)."""
+    """Scatterers around the focus in ascending depth; every array but the first (scatterer,)."""
 
     offset_m: FloatArray
-    """(scatterer, 3), lateral x, y and axial z, away from the transducer."""
+    """(scatterer, 3), lateral x, y and axial z from the focus, z away from the transducer."""
     tracking_weight: FloatArray
-    """I of eq. (8) times reflectivity and, with attenuation, the loss from the focus to its depth."""
+    """I of eq. (8) times reflectivity, and with attenuation times the loss from the focus to the scatterer's depth."""
     motion_weight: FloatArray
-    """g, the Gaussian of eq. (12): displacement over the focus'."""
+    """g of eq. (12): displacement relative to that of the focus."""
     excitation_weight: FloatArray
-    """The excitation beam's pulse-echo weight: g times reflectivity."""
-    moves: FloatArray
-    """Share in the medium's motion: 0 of a reflector that stands still."""
-    strength: FloatArray
-    """Reflectivity, without any beam."""
+    """Pulse-echo weight of the excitation beam times reflectivity."""
+    motion_share: FloatArray
+    """1 for a scatterer that moves with the medium, 0 for a reflector at rest."""
+    reflectivity: FloatArray
+    """Reflectivity without any beam."""
 
 
 def gaussian_weight(offset_m: FloatArray, width_m: tuple[float, float, float]) -> FloatArray:
@@ -47,7 +54,7 @@ def gaussian_weight(offset_m: FloatArray, width_m: tuple[float, float, float]) -
 
 
 def noticeable(weight: FloatArray) -> BoolArray:
-    """Return which scatterers matter, (scatterer,)."""
+    """Return which scatterers are strong enough to matter, (scatterer,)."""
     return np.abs(weight) >= NEGLIGIBLE_WEIGHT
 
 
@@ -55,99 +62,99 @@ def draw_field(
     scatterers: Scatterers,
     beams: Beams,
     rng: np.random.Generator,
-    beside_m: float = 0.0,
+    lateral_offset_m: float = 0.0,
     rng_of: Callable[[int], np.random.Generator] | None = None,
 ) -> ScattererField:
-    """Return scatterers placed uniformly in the box around the focus, and the reflectors among them.
+    """Return scatterers drawn uniformly in the box around the focus, and the reflectors.
 
-    Where the box stands ``beside_m`` off the axis along x, the tissue is a row of boxes, the one on the axis drawn from
-    ``rng``, the n-th beside it from ``rng_of(n)``: places that share tissue share its scatterers.
+    The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is drawn from
+    ``rng`` and box n from ``rng_of(n)``, so overlapping positions share scatterers.
     """
     box = np.array(scatterers.volume_m)
-    first = math.floor(beside_m / box[0])
-    row = [first] if first * box[0] == beside_m else [first, first + 1]
-    drawn = [_drawn_box(scatterers, beams, rng if n == 0 or rng_of is None else rng_of(n)) for n in row]
-    offset_m = np.concatenate([each + np.array([n * box[0], 0, 0]) for n, (each, _) in zip(row, drawn, strict=True)])
-    inside = np.abs(offset_m[:, 0] - beside_m) <= box[0] / 2
-    offset_m, strength = offset_m[inside], np.concatenate([each for _, each in drawn])[inside]
-    moves = np.ones(len(offset_m))
+    first = math.floor(lateral_offset_m / box[0])
+    box_indices = [first] if first * box[0] == lateral_offset_m else [first, first + 1]
+    drawn = [_draw_box(scatterers, beams, rng if n == 0 or rng_of is None else rng_of(n)) for n in box_indices]
+    offset_m = np.concatenate(
+        [in_box_m + np.array([n * box[0], 0, 0]) for n, (in_box_m, _) in zip(box_indices, drawn, strict=True)]
+    )
+    inside = np.abs(offset_m[:, 0] - lateral_offset_m) <= box[0] / 2
+    offset_m, reflectivity = offset_m[inside], np.concatenate([values for _, values in drawn])[inside]
+    motion_share = np.ones(len(offset_m))
     for reflector in scatterers.reflectors:
-        place_m, share = reflector_points(reflector, beams)
-        offset_m = np.concatenate([offset_m, place_m])
-        strength = np.concatenate([strength, share])
-        moves = np.concatenate([moves, np.full(len(share), float(reflector.moves))])
-    # An aperture's beam is computed in the medium that attenuates.
+        point_m, point_reflectivity = reflector_points(reflector, beams)
+        offset_m = np.concatenate([offset_m, point_m])
+        reflectivity = np.concatenate([reflectivity, point_reflectivity])
+        motion_share = np.concatenate([motion_share, np.full(len(point_m), float(reflector.moves))])
+    # The beam of an aperture is computed in the attenuating medium, so it already includes the loss.
     loss = depth_loss(scatterers, offset_m[:, 2]) if beams.field == "gaussian" else None
-    return field_at(offset_m, beams, strength if loss is None else strength * loss, moves)
+    return field_at(offset_m, beams, reflectivity if loss is None else reflectivity * loss, motion_share)
 
 
-def _drawn_box(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return places in a box around its middle (scatterer, 3), and reflectivities (scatterer,)."""
+def _draw_box(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return offsets from the middle of a box (scatterer, 3), m, and reflectivities (scatterer,)."""
     offset_m = rng.uniform(-0.5, 0.5, (scatterer_count(scatterers, beams), 3)) * np.array(scatterers.volume_m)
-    return offset_m, reflectivity(scatterers, len(offset_m), rng)
+    return offset_m, draw_reflectivity(scatterers, len(offset_m), rng)
 
 
-def reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generator) -> FloatArray:
-    """Return the reflectivity of each of ``count`` scatterers; draws nothing where all are 1."""
+def draw_reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return the reflectivity of ``count`` scatterers; draws no random number if all are 1."""
     if scatterers.reflectivity == "unit":
         return np.ones(count)
-    drawn = rng.standard_normal(count)
-    return np.sign(drawn) if scatterers.reflectivity == "sign" else drawn
+    normal = rng.standard_normal(count)
+    return np.sign(normal) if scatterers.reflectivity == "sign" else normal
 
 
 def depth_loss(scatterers: Scatterers, depth_m: FloatArray) -> FloatArray | None:
-    """Return the two-way loss from the focus to ``depth_m`` beyond it, at the band's centre, or None without any.
+    """Return the two-way amplitude loss from the focus to ``depth_m`` beyond it at the band's centre, or None.
 
-    The loss up to the focus, and with it the downshift, is the pulse's (`pulse.echo_pulse`).
+    `pulse.echo_pulse` includes the loss up to the focus and the shift of the centre frequency.
     """
     if scatterers.attenuation_db_per_cm_mhz == 0:
         return None
-    decibel = scatterers.attenuation_db_per_cm_mhz * (scatterers.band_centre_hz / 1e6) * 2 * depth_m * 100
-    return np.asarray(10 ** (-decibel / 20))
+    loss_db = scatterers.attenuation_db_per_cm_mhz * (scatterers.band_centre_hz / 1e6) * 2 * depth_m * 100
+    return np.asarray(10 ** (-loss_db / 20))
 
 
 def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, FloatArray]:
-    """Return offsets (point, 3) and reflectivities (point,) of a reflector.
+    """Return offsets (point, 3), m, and reflectivities (point,) of a reflector.
 
-    A plane is the Gauss-Hermite rule of its integral over the tracking beam; its motion varies across it as the
-    excitation beam does.
+    A plane is the Gauss-Hermite rule of its integral over the tracking beam, so its motion may vary across the plane.
     """
     if reflector.kind == "point":
         return np.array([reflector.position_m]), np.array([reflector.strength])
-    node, share = np.polynomial.hermite_e.hermegauss(_PLANE_NODES)
-    share = share / share.sum() * np.exp(node**2 / 2)
+    node, weight = np.polynomial.hermite_e.hermegauss(_PLANE_NODES)
+    weight = weight / weight.sum() * np.exp(node**2 / 2)
     (tx, ty, _), (ox, oy) = beams.tracking_width_m, beams.lateral_offset_m
     x, y = np.meshgrid(ox + tx * node, oy + ty * node)
     offset_m = np.stack([x.ravel(), y.ravel(), np.full(x.size, reflector.position_m[2])], axis=1)
-    return offset_m, reflector.strength * np.outer(share, share).ravel()
+    return offset_m, reflector.strength * np.outer(weight, weight).ravel()
 
 
 def field_at(
-    offset_m: FloatArray, beams: Beams, strength: FloatArray | None = None, moves: FloatArray | None = None
+    offset_m: FloatArray, beams: Beams, reflectivity: FloatArray | None = None, motion_share: FloatArray | None = None
 ) -> ScattererField:
     """Return the field of scatterers at ``offset_m`` (scatterer, 3) from the focus.
 
-    ``strength`` (scatterer,) reflectivity, absent 1; ``moves`` (scatterer,) share in the motion, absent 1.
+    ``reflectivity`` and ``motion_share`` (scatterer,) default to 1.
     """
-    # Ascending depth lets the running sum look its samples up in order.
+    # In ascending depth the running sums find their samples in order.
     order = np.argsort(offset_m[:, 2], kind="stable")
     offset_m = offset_m[order]
-    strength = np.ones(len(order)) if strength is None else strength[order]
-    moves = np.ones(len(order)) if moves is None else moves[order]
-    seen_at_m = offset_m - np.array([*beams.lateral_offset_m, 0.0])
-    motion = gaussian_weight(offset_m, beams.motion_width_m())
+    reflectivity = np.ones(len(order)) if reflectivity is None else reflectivity[order]
+    motion_share = np.ones(len(order)) if motion_share is None else motion_share[order]
+    from_axis_m = offset_m - np.array([*beams.lateral_offset_m, 0.0])
     return ScattererField(
         offset_m,
-        gaussian_weight(seen_at_m, beams.tracking_width_m) * strength,
-        motion * moves,
-        gaussian_weight(offset_m, beams.excitation_width_m) * strength,
-        moves,
-        strength,
+        gaussian_weight(from_axis_m, beams.tracking_width_m) * reflectivity,
+        gaussian_weight(offset_m, beams.motion_width_m()) * motion_share,
+        gaussian_weight(offset_m, beams.excitation_width_m) * reflectivity,
+        motion_share,
+        reflectivity,
     )
 
 
 def depth_delay_s(field: ScattererField, axial_delay: str, sound_speed_m_per_s: float) -> FloatArray:
-    """Return the echo delay of every scatterer at rest, relative to the focus, (scatterer,); zero for ``"none"``."""
+    """Return the echo delay at rest relative to the focus, (scatterer,); zero for ``axial_delay`` "none"."""
     if axial_delay == "none":
         return np.zeros(len(field.offset_m))
     return np.asarray(2 * field.offset_m[:, 2] / sound_speed_m_per_s)
@@ -155,25 +162,22 @@ def depth_delay_s(field: ScattererField, axial_delay: str, sound_speed_m_per_s: 
 
 @dataclass(frozen=True, slots=True)
 class ThinnedDraws:
-    """Several independent draws, each of the scatterers that matter alone; every array (scatterer,).
-
-    In ascending draw and, within one, depth.
-    """
+    """Independent draws of the scatterers that matter, in ascending draw and depth; every array (scatterer,)."""
 
     row: Int64Array
-    """Which draw."""
+    """Index of the draw."""
     delay_s: FloatArray
     """At rest, relative to the focus."""
     tracking_weight: FloatArray
     motion_weight: FloatArray
     offset_m: FloatArray
     """(scatterer, 3) from the focus."""
-    strength: FloatArray
-    """Reflectivity, without any beam."""
+    reflectivity: FloatArray
+    """Reflectivity without any beam."""
 
-    def of(self, part: Int64Array) -> ThinnedDraws:
-        """Return the same of some scatterers."""
-        return ThinnedDraws(*(getattr(self, name)[part] for name in self.__slots__))
+    def arrays(self) -> list[Any]:
+        """Return the arrays in the order of the fields."""
+        return [getattr(self, field.name) for field in fields(self)]
 
 
 def draw_thinned(
@@ -183,71 +187,83 @@ def draw_thinned(
     rng: np.random.Generator,
     draws: int,
 ) -> ThinnedDraws:
-    """Return draws of the scatterers whose delay lies within ``reach_s`` and whose weight matters to ``tolerance``.
+    """Return draws of the scatterers with a delay within ``reach_s`` and a weight that matters to ``tolerance``.
 
-    Scatterers are independent, so that many of the box's N fall into a smaller box with a binomial number: the
-    statistics of the echoes are those of `draw_field`, the random numbers are not. Reflectors are in every draw.
+    Scatterers are independent, so the number that falls into a smaller box is binomial. The statistics of the echoes
+    are those of `draw_field`, the random numbers are not. Reflectors are in every draw.
     """
+    scatterers, beams = settings.scatterers, settings.beams
+    count = scatterer_count(scatterers, beams)
+    # N weights below the limit add less than a tenth of the tolerance to an echo of rms 1, one scatterer in focus.
+    # The beam of an aperture falls off slowly and is unknown at this point: all scatterers matter.
+    limit = 0.1 * tolerance / max(1, count) if beams.field == "gaussian" else 0.0
+    low, high = _relevant_box(settings, reach_s, limit)
+    # Binomial number in the smaller box; uniform in x and y, sorted uniform in z.
+    fraction = min(1.0, math.prod(((high - low) / np.array(scatterers.volume_m)).tolist()))
+    counts = rng.binomial(count, fraction, draws)
+    row = np.repeat(np.arange(draws), counts)
+    z_m = low[2] + (high[2] - low[2]) * _sorted_uniform(counts, rng)
+    x_m, y_m = (low[axis] + (high[axis] - low[axis]) * rng.random(len(row)) for axis in (0, 1))
+    from_axis_m = (x_m - beams.lateral_offset_m[0], y_m - beams.lateral_offset_m[1], z_m)
+    tracking_weight = _gaussian(from_axis_m, beams.tracking_width_m)
+    strong = np.flatnonzero(tracking_weight >= limit)
+    x_m, y_m, z_m, tracking_weight = x_m[strong], y_m[strong], z_m[strong], tracking_weight[strong]
+    motion_weight = _gaussian((x_m, y_m, z_m), beams.motion_width_m())
+    reflectivity = draw_reflectivity(scatterers, len(strong), rng)
+    loss = depth_loss(scatterers, z_m)
+    tracking_weight = tracking_weight * reflectivity if loss is None else tracking_weight * reflectivity * loss
+    delay_per_m = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
+    offset_m = np.stack([x_m, y_m, z_m], axis=1)
+    drawn = ThinnedDraws(row[strong], delay_per_m * z_m, tracking_weight, motion_weight, offset_m, reflectivity)
+    return _with_reflectors(drawn, settings, draws) if scatterers.reflectors else drawn
+
+
+def _relevant_box(
+    settings: SimulationSettings, reach_s: tuple[float, float], limit: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the corners (3,), m, of the box with all delays within ``reach_s`` and all weights above ``limit``."""
     scatterers, beams = settings.scatterers, settings.beams
     box = np.array(scatterers.volume_m)
     low, high = -box / 2, box / 2
     if scatterers.axial_delay == "two_way":
         depth_m = np.array(reach_s) * settings.sound_speed_m_per_s / 2
         low[2], high[2] = np.clip(depth_m, low[2], high[2])
-    total = scatterer_count(scatterers, beams)
-    # N weights below this add less than a tenth of the tolerance to an echo whose rms is 1, of one scatterer in focus.
-    limit = 0.1 * tolerance / max(1, total)
-    if beams.field != "gaussian":
-        # An aperture's beam falls off slowly and is not known here.
-        limit = 0.0
-    width_m = np.array(beams.tracking_width_m)
-    farthest_m = width_m[:2] * math.sqrt(-2 * math.log(limit)) if limit > 0 else np.full(2, math.inf)
-    axis_m = np.array(beams.lateral_offset_m)
-    low[:2], high[:2] = np.maximum(low[:2], axis_m - farthest_m), np.minimum(high[:2], axis_m + farthest_m)
-    high = np.maximum(high, low)
-    count = rng.binomial(total, min(1.0, math.prod(((high - low) / box).tolist())), draws)
-    row = np.repeat(np.arange(draws), count)
-    z_m = low[2] + (high[2] - low[2]) * _ascending(count, rng)
-    x_m, y_m = (low[axis] + (high[axis] - low[axis]) * rng.random(len(row)) for axis in (0, 1))
-    seen_at_m = (x_m - beams.lateral_offset_m[0], y_m - beams.lateral_offset_m[1], z_m)
-    tracking = _gaussian(seen_at_m, beams.tracking_width_m)
-    kept = np.flatnonzero(tracking >= limit)
-    x_m, y_m, z_m, tracking = x_m[kept], y_m[kept], z_m[kept], tracking[kept]
-    moved = _gaussian((x_m, y_m, z_m), beams.motion_width_m())
-    strength = reflectivity(scatterers, len(kept), rng)
-    loss = depth_loss(scatterers, z_m)
-    tracking = tracking * strength if loss is None else tracking * strength * loss
-    two_way = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
-    drawn = ThinnedDraws(row[kept], two_way * z_m, tracking, moved, np.stack([x_m, y_m, z_m], axis=1), strength)
-    return _with_reflectors(drawn, settings, draws) if scatterers.reflectors else drawn
+    width_m, axis_m = np.array(beams.tracking_width_m), np.array(beams.lateral_offset_m)
+    radius_m = width_m[:2] * math.sqrt(-2 * math.log(limit)) if limit > 0 else np.full(2, math.inf)
+    low[:2], high[:2] = np.maximum(low[:2], axis_m - radius_m), np.minimum(high[:2], axis_m + radius_m)
+    return low, np.maximum(high, low)
 
 
 def _with_reflectors(drawn: ThinnedDraws, settings: SimulationSettings, draws: int) -> ThinnedDraws:
-    fixed = draw_field(
-        settings.scatterers.model_copy(update={"per_cell": 0.0}), settings.beams, np.random.default_rng(0)
+    """Add the reflectors of the settings to every draw."""
+    only_reflectors = settings.scatterers.model_copy(update={"per_cell": 0.0})
+    field = draw_field(only_reflectors, settings.beams, np.random.default_rng(0))
+    delay_s = depth_delay_s(field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
+    reflectors = ThinnedDraws(
+        np.repeat(np.arange(draws), len(field.reflectivity)),
+        np.tile(delay_s, draws),
+        np.tile(field.tracking_weight, draws),
+        np.tile(field.motion_weight, draws),
+        np.tile(field.offset_m, (draws, 1)),
+        np.tile(field.reflectivity, draws),
     )
-    delay_s = depth_delay_s(fixed, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
-    delay_s, tracking, moved, strength = (
-        np.tile(each, draws) for each in (delay_s, fixed.tracking_weight, fixed.motion_weight, fixed.strength)
-    )
-    row = np.repeat(np.arange(draws), len(fixed.strength))
-    many = ThinnedDraws(row, delay_s, tracking, moved, np.tile(fixed.offset_m, (draws, 1)), strength)
-    both = ThinnedDraws(*(np.concatenate([getattr(each, name) for each in (drawn, many)]) for name in drawn.__slots__))
-    return both.of(np.lexsort((both.delay_s, both.row)))
+    merged = [np.concatenate(pair) for pair in zip(drawn.arrays(), reflectors.arrays(), strict=True)]
+    order = np.lexsort((merged[1], merged[0]))  # by row, then by delay
+    return ThinnedDraws(*(array[order] for array in merged))
 
 
-def _gaussian(place_m: tuple[FloatArray, FloatArray, FloatArray], width_m: tuple[float, float, float]) -> FloatArray:
-    x, y, z = (np.square(at_m) * (-0.5 / width**2) for at_m, width in zip(place_m, width_m, strict=True))
+def _gaussian(offset_m: tuple[FloatArray, FloatArray, FloatArray], width_m: tuple[float, float, float]) -> FloatArray:
+    x, y, z = (np.square(axis_m) * (-0.5 / width**2) for axis_m, width in zip(offset_m, width_m, strict=True))
     return np.asarray(np.exp(x + y + z))
 
 
-def _ascending(count: Int64Array, rng: np.random.Generator) -> FloatArray:
-    """Return ``count`` (draw,) uniform numbers in [0, 1) for each draw, in ascending order within it: no sorting.
+def _sorted_uniform(counts: Int64Array, rng: np.random.Generator) -> FloatArray:
+    """Return ``counts`` (draw,) uniform numbers in [0, 1) for each draw, in ascending order, without sorting.
 
-    Sums of exponential spacings over the sum of one spacing more are distributed as sorted uniform numbers.
+    Sums of exponential spacings, divided by the sum with one more spacing, are distributed as sorted uniform numbers.
     """
-    spacing = np.cumsum(rng.standard_exponential(int(count.sum()) + len(count)))
-    last = np.cumsum(count + 1) - 1
+    spacing = np.cumsum(rng.standard_exponential(int(counts.sum()) + len(counts)))
+    last = np.cumsum(counts + 1) - 1
     begin = np.concatenate(([0.0], spacing[last[:-1]]))
     inner = np.delete(spacing, last)
-    return np.asarray((inner - np.repeat(begin, count)) / np.repeat(spacing[last] - begin, count))
+    return np.asarray((inner - np.repeat(begin, counts)) / np.repeat(spacing[last] - begin, counts))

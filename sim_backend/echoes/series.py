@@ -1,14 +1,21 @@
-"""Series in the motion's amplitudes over sums of resting scatterers: nearly free in the number of echoes.
+"""Power series of the echoes in the amplitudes of the motion: the cost hardly grows with the number of echoes.
 
-With delays tau_n + sum_r b_kr g_rn (b the motion as a delay, g its shapes), an exponential of the pulse turns by
+Scatterer n of echo k has the delay tau_kn = tau_n + sum_r b_kr g_rn. Each exponential of the pulse is expanded in it:
 
-    exp(-j w sum_r b_kr g_rn) = sum_a  (-j w)^|a|  b_k^a / a!  g_n^a          (a: one exponent a shape)
+    exp(-j w sum_r b_kr g_rn) = sum_a (-j w)^|a| (b_k^a / a!) g_n^a
+    r_k(t) = sum_a (b_k^a / a!) U_a(t) + crossings
+    U_a(t) = Re sum_m c_m (-j w_m)^|a| exp(j w_m t) sum_(n alive at t) I_n g_n^a exp(-j w_m tau_n)
 
-so every echo is a short combination, with coefficients b_k^a / a!, of the sums ``U_a(t) = sum_n I_n g_n^a p^(|a|)(t -
-tau_n)`` (sign aside) over scatterers at rest. That moves the exponentials but not the ends of the support; the few
-samples that an end crosses while its scatterer moves are corrected one by one with the pulse's Taylor series there.
-Both parts converge geometrically, whatever the pulse: no derivative has to be continuous at the ends.
-docs/theory/echoes.md, section 5.
+    k, n, r, m    echo, scatterer, shape of the motion, exponential of the pulse
+    tau_n, I_n    delay at rest, s; weight
+    b_kr, g_rn    amplitude of the motion as a delay, s; shape of the motion, 1
+    c_m, w_m      amplitude and angular frequency of an exponential, 1 and rad/s
+    a             one exponent for each shape; |a| their sum, a! the product of their factorials
+    alive         t lies in the pulse's support [tau_n + start, tau_n + end)
+
+The series moves the exponentials but not the ends of the support. A sample that an end crosses while its scatterer
+moves is corrected with the pulse's Taylor series about that end. Both parts converge geometrically for any pulse.
+Derivation, cost and error: docs/theory/echoes.md, section 3.
 """
 
 from __future__ import annotations
@@ -23,362 +30,445 @@ import numpy as np
 from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.pulse import Pulse, phasors
 
-MOST_ANGLE_RAD = 3.0
-"""Largest turn of the highest frequency: beyond, the series' terms grow and take digits with them."""
+MAX_ANGLE_RAD = 3.0
+"""Largest phase change of the highest frequency; beyond it the terms grow and cancel, which costs digits."""
+MAX_TERMS = 1000
+"""Most terms of a series: more would need sums of over 10 MB for a gate."""
 
-_VALUES_AT_ONCE = 1 << 18
-# Orders of the jumps that are counted for coloured echoes.
-_JUMPS = 4
-# Share of the tolerance for crossings left out or cut short.
-CROSSING_SHARE = 0.1
-# Share of the tolerance for the tail of the series.
-_TAIL_SHARE = 0.25
+_VALUES_PER_CHUNK = 1 << 18  # complex values of one temporary array, 4 MB
+_MIN_SCATTERERS_PER_CHUNK = 2048
+_MAX_POWER = 64
+_JUMP_ORDERS = 20  # derivatives that bound the pulse near an end of its support
+_TAYLOR_ORDERS = 40
+# Fractions of the tolerance: for the terms left out of the series, and for the corrections left out.
+_TAIL_FRACTION = 0.25
+_CROSSING_FRACTION = 0.1
+# A derivative below this fraction of the sum of its parts cancels exactly on paper, such as the Hann pulse at its ends.
+_CANCELLATION = 1e-12
+
+
+Exponents = tuple[tuple[int, ...], ...]
+"""Exponents a of the terms: one for each shape, for each term."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScattererRows:
-    """Scatterers of one or more scenes (rows) and their motion, in ascending row and, within one, delay."""
+    """Moving scatterers of one or more draws or gates ("rows"), in ascending row and, within it, delay."""
 
     row: Int64Array
-    """(scatterer,), the scene each belongs to."""
+    """(scatterer,), the row that the scatterer belongs to."""
     rest_s: FloatArray
-    """(scatterer,), echo delay about which it moves."""
+    """(scatterer,), echo delay at rest, tau_n."""
     weight: FloatArray
-    """(scatterer,)."""
+    """(scatterer,), I_n."""
     shape: FloatArray
-    """(shape, scatterer), g."""
+    """(shape, scatterer), g_rn."""
     amplitude_s: FloatArray
-    """(row, echo, shape), b: the delay that a shape of 1 adds."""
-    colour: ComplexArray | None = None
-    """(frequency, scatterer), what its echo has of every frequency of the pulse; None: all alike."""
+    """(row, echo, shape), b_kr: the delay that a shape of 1 adds."""
+    response: ComplexArray | None = None
+    """(frequency, scatterer), relative response of the beam at each frequency of the pulse; None: 1."""
+
+    @property
+    def row_bounds(self) -> list[int]:
+        """First scatterer of each row, and the number of scatterers at the end."""
+        bounds: list[int] = self.row.searchsorted(np.arange(len(self.amplitude_s) + 1)).tolist()
+        return bounds
 
 
-def largest_angle(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -> float:
-    """Return a bound on the turn of the pulse's highest frequency, rad."""
-    if shape.size == 0 or amplitude_s.size == 0:
-        return 0.0
-    reach_s = sum(largest_size(amplitude_s[..., axis]) * largest_size(shape[axis]) for axis in range(len(shape)))
-    return 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s
+def shape_angles_rad(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -> tuple[float, ...]:
+    """Return the largest phase change of the pulse's highest frequency by each shape (shape,) of the motion.
 
-
-def series(
-    scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, made: FloatArray | None = None
-) -> FloatArray:
-    """Return the echoes, float64 (row, echo, sample), to ``tolerance`` of their rms; samples within one pulse length.
-
-    Written to ``made`` where there is one, of the same shape.
-    Raises ValueError where the motion turns the pulse by more than `MOST_ANGLE_RAD`.
+    ``shape`` (shape, scatterer), ``amplitude_s`` (..., echo, shape).
     """
-    tables = series_tables(scene, pulse, sample_time_s, tolerance)
-    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
-    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
-    # U_a(t), then every echo as a short combination of them, then the samples that a support's end crosses.
-    sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
-    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
-    coefficients = _coefficients(scene.amplitude_s * tables.scale, tables.recurrence)
-    out: FloatArray = np.matmul(coefficients, sums, out=made)
-    budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
-    _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
-    return out
-
-
-def series_tables(scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float) -> Tables:
-    """Return what pulse, gate and number of orders fix; raises ValueError where the motion is too large."""
-    angle = largest_angle(pulse, scene.shape, scene.amplitude_s)
-    if angle > MOST_ANGLE_RAD:
-        raise ValueError(
-            f"the motion turns the pulse by {angle:.3g} rad, the series holds up to {MOST_ANGLE_RAD} rad: "
-            "take the running sum"
-        )
-    orders = terms_needed(angle, tolerance)
-    return tables_of(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
-
-
-def terms_needed(angle_rad: float, tolerance: float) -> int:
-    """Return how many orders keep the tail of exp(j angle) below ``tolerance``'s share."""
-    tail, order = 1.0, 0
-    while tail > _TAIL_SHARE * tolerance and order < 64:
-        order += 1
-        tail *= angle_rad / order
-    return max(1, order)
-
-
-def exponents(shapes: int, orders: int) -> list[tuple[int, ...]]:
-    """Return every exponent tuple of ``shapes`` numbers with a sum below ``orders``, in ascending sum."""
-    chosen = (itertools.combinations_with_replacement(range(shapes), degree) for degree in range(orders))
-    return [tuple(map(axes.count, range(shapes))) for axes in itertools.chain.from_iterable(chosen)]
-
-
-def recurrence(powers: list[tuple[int, ...]]) -> list[tuple[int, int, int]]:
-    """Return for every exponent tuple but the first which one it is a shape times, that shape, and its exponent."""
-    place = {power: index for index, power in enumerate(powers)}
-    found = []
-    for power in powers[1:]:
-        shape = next(axis for axis, count in enumerate(power) if count)
-        lower = tuple(count - (axis == shape) for axis, count in enumerate(power))
-        found.append((place[lower], shape, power[shape]))
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class Tables:
-    """What a pulse and a gate fix."""
-
-    recurrence: list[tuple[int, int, int]]
-    """How each monomial of the shapes but the first follows from an earlier one (`recurrence`)."""
-    scale: float
-    """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
-    turn: ComplexArray
-    """c_m (-j w_m / scale)^|a| exp(j w_m t), (frequency, exponent, sample)."""
-    jumps: tuple[list[float], list[float]]
-    """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
-    taylor: FloatArray
-    """Taylor coefficients of the exponentials about start and end, (end, order)."""
-    lines: tuple[ComplexArray, ComplexArray]
-    """What each frequency adds to the jumps, (end, frequency, order), and to the Taylor coefficients."""
-
-
-@functools.lru_cache(maxsize=32)
-def tables_of(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tables:
-    """Return the tables; kept, because studies and records repeat few gates many times."""
-    sample_time_s = np.frombuffer(sample_time)
-    hz = np.array(pulse.frequency_hz)
-    powers = exponents(shapes, orders)
-    order = np.array([sum(power) for power in powers])
-    slope = np.array(pulse.amplitude)[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], order)
-    rotation = slope[:, :, None] * phasors(pulse, sample_time_s, 1)[:, None]
-    carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(pulse.amplitude)))]
-    ends = (pulse.start_s, pulse.end_s)
-    jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)).tolist() for edge_s in ends]
-    taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends])
-    return Tables(
-        recurrence(powers),
-        float(2 * math.pi * np.abs(hz).max()),
-        rotation,
-        (jumps[0], jumps[1]),
-        taylor,
-        (
-            np.stack([_line_derivatives(pulse, edge_s, carrier_hz, _JUMPS) for edge_s in ends]),
-            np.stack([_line_derivatives(pulse, edge_s, 0.0, 40) for edge_s in ends]),
-        ),
+    if shape.size == 0 or amplitude_s.size == 0:
+        return (0.0,) * len(shape)
+    highest_rad_per_s = 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz)
+    return tuple(
+        highest_rad_per_s * (_max_abs(amplitude_s[..., axis]) * _max_abs(shape[axis])) for axis in range(len(shape))
     )
 
 
-def _line_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> ComplexArray:
-    """Return each exponential's derivative over factorial at an end, (frequency, order), turned by ``about_hz``."""
+@functools.lru_cache(maxsize=32)
+def series_exponents(angles_rad: tuple[float, ...], tolerance: float) -> Exponents | None:
+    """Return the exponents a of the terms that matter to ``tolerance``, in ascending |a|.
+
+    A term adds at most prod_r angle_r^a_r / a_r!; terms with a bound below a fraction of the tolerance are left out.
+    Returns None for a motion of more than ``MAX_ANGLE_RAD`` or a series of more than ``MAX_TERMS`` terms.
+    """
+    if sum(angles_rad) > MAX_ANGLE_RAD:
+        return None
+    limit = min(0.5, _TAIL_FRACTION * tolerance)
+    terms: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    for angle in angles_rad:
+        bounds = _power_bounds(angle, limit)
+        terms = [
+            ((*exponents, power), bound * factor)
+            for exponents, bound in terms
+            for power, factor in enumerate(bounds)
+            if bound * factor > limit
+        ]
+        if len(terms) > MAX_TERMS:
+            return None
+    return tuple(sorted((exponents for exponents, _ in terms), key=lambda exponents: (sum(exponents), exponents)))
+
+
+def _power_bounds(angle_rad: float, limit: float) -> list[float]:
+    """Return the largest angle^q / q! of all powers q >= p, for each p from 0 until it falls to ``limit``.
+
+    The bounds fall with the power, so the exponents that exceed a limit have no gaps.
+    """
+    sizes = [1.0]
+    while len(sizes) < _MAX_POWER and (sizes[-1] > limit or len(sizes) <= angle_rad):
+        sizes.append(sizes[-1] * angle_rad / len(sizes))
+    return list(itertools.accumulate(reversed(sizes), max))[::-1]
+
+
+def series(scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, out: FloatArray) -> None:
+    """Write the echoes to ``out``, float64 (row, echo, sample), with an rms error of ``tolerance`` of their rms.
+
+    ``sample_time_s`` (sample,) lasts at most one pulse length. Raises ValueError for too large a motion or too many
+    terms (see `series_exponents`).
+    """
+    angles_rad = shape_angles_rad(pulse, scene.shape, scene.amplitude_s)
+    exponents = series_exponents(angles_rad, tolerance)
+    if exponents is None:
+        raise ValueError(
+            f"the motion changes the pulse's phase by {sum(angles_rad):.3g} rad in {len(angles_rad)} shapes, the "
+            f"series holds up to {MAX_ANGLE_RAD} rad and {MAX_TERMS} terms: take the running sum"
+        )
+    steps = _power_steps(exponents)
+    degrees = [sum(exponent) for exponent in exponents]
+    tables = _tables(pulse, sample_time_s.tobytes(), degrees[-1] + 1)
+    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
+    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
+    # U_a(t) of the scatterers at rest.
+    sums = _rest_sums(scene, enter, leave, steps, np.array(degrees), tables, pulse)
+    # sum_a (b_k^a / a!) U_a(t).
+    np.matmul(_coefficients(scene.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
+    # Samples that a moving end of a support crosses.
+    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
+    budget = _CROSSING_FRACTION * tolerance * rms * math.sqrt(len(sample_time_s))
+    _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
+
+
+def _power_steps(exponents: Exponents) -> list[tuple[int, int, int]]:
+    """Return for each monomial but the first: the index of a lower one, the shape that multiplies it, and its power."""
+    index = {exponent: position for position, exponent in enumerate(exponents)}
+    steps = []
+    for exponent in exponents[1:]:
+        shape = next(axis for axis, power in enumerate(exponent) if power)
+        lower = (*exponent[:shape], exponent[shape] - 1, *exponent[shape + 1 :])
+        steps.append((index[lower], shape, exponent[shape]))
+    return steps
+
+
+@dataclass(frozen=True, slots=True)
+class _Tables:
+    """Values that depend on the pulse and the sample times alone."""
+
+    scale_rad_per_s: float
+    """Highest angular frequency of the pulse; amplitudes b are multiplied by it, frequencies divided."""
+    rotation: ComplexArray
+    """(frequency, degree, sample): c_m (-j w_m / scale)^degree exp(j w_m t)."""
+    jump: ComplexArray
+    """(end, frequency, order): derivatives over factorials at start and end of the support, carrier removed."""
+    taylor: ComplexArray
+    """(end, frequency, order): derivatives over factorials at start and end, negative at the end."""
+
+
+@functools.lru_cache(maxsize=32)
+def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
+    """Return the tables for degrees 0 to ``degrees`` - 1; cached, since records and studies share few gates."""
+    hz, amplitude = np.array(pulse.frequency_hz), np.array(pulse.amplitude)
+    slope = amplitude[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], np.arange(degrees))
+    carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(amplitude)))]
+    ends_s = (pulse.start_s, pulse.end_s)
+    jump = np.stack([_end_derivatives(pulse, end_s, carrier_hz, _JUMP_ORDERS) for end_s in ends_s])
+    taylor = np.stack([_end_derivatives(pulse, end_s, 0.0, _TAYLOR_ORDERS) for end_s in ends_s])
+    taylor[1] *= -1
+    rotation = slope[:, :, None] * phasors(pulse, np.frombuffer(sample_times), 1)[:, None]
+    return _Tables(float(2 * math.pi * np.abs(hz).max()), rotation, jump, taylor)
+
+
+def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int) -> ComplexArray:
+    """Return derivative over factorial of each exponential at ``end_s``, (frequency, order), ``removed_hz`` removed."""
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
-    rate = 1j * (omega - 2 * np.pi * about_hz)
-    out = np.empty((len(omega), orders), dtype=np.complex128)
-    out[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
+    rate = 1j * (omega - 2 * np.pi * removed_hz)
+    derivatives = np.empty((len(omega), orders), dtype=np.complex128)
+    derivatives[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * end_s)
     for order in range(1, orders):
-        out[:, order] = out[:, order - 1] * rate / order
-    return out
+        derivatives[:, order] = derivatives[:, order - 1] * rate / order
+    return derivatives
 
 
-def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> ComplexArray:
-    """Return derivative over factorial of the exponentials at an end, (order,), turned back by ``about_hz``."""
-    omega = 2 * np.pi * np.array(pulse.frequency_hz)
-    parts = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
-    rate = 1j * (omega - 2 * np.pi * about_hz)
-    out = np.empty(orders, dtype=np.complex128)
-    unit = float(np.abs(pulse.amplitude).sum())
-    for order in range(orders):
-        out[order] = parts.sum()
-        # What cancels exactly on paper (the Hann pulse and its slope are 0 at its ends) must not count as a jump.
-        if abs(out[order]) < 1e-12 * unit:
-            out[order] = 0.0
-        parts = parts * rate / (order + 1)
-        unit *= float(np.abs(rate).max()) / (order + 1)
-    return out
+def _coefficients(amplitude_rad: FloatArray, steps: list[tuple[int, int, int]]) -> FloatArray:
+    """Return b_k^a / a!, (row, echo, term)."""
+    coefficients = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
+    coefficients[0] = 1.0
+    for term, (lower, shape, power) in enumerate(steps, 1):
+        np.multiply(coefficients[lower], amplitude_rad[..., shape] / power, out=coefficients[term])
+    return np.ascontiguousarray(np.moveaxis(coefficients, 0, -1))
 
 
-def _coefficients(amplitude_rad: FloatArray, recurrence: list[tuple[int, int, int]]) -> FloatArray:
-    """Return b^a / a!, (row, echo, exponent)."""
-    out = np.empty((len(recurrence) + 1, *amplitude_rad.shape[:2]))
-    out[0] = 1.0
-    for index, (lower, shape, power) in enumerate(recurrence, 1):
-        np.multiply(out[lower], amplitude_rad[..., shape] / power, out=out[index])
-    return np.ascontiguousarray(np.moveaxis(out, 0, -1))
+def _moments(weight: FloatArray, shape: FloatArray, steps: list[tuple[int, int, int]]) -> FloatArray:
+    """Return I_n g_n^a, (term, scatterer)."""
+    moments = np.empty((len(steps) + 1, len(weight)))
+    moments[0] = weight
+    for term, (lower, axis, _) in enumerate(steps, 1):
+        np.multiply(moments[lower], shape[axis], out=moments[term])
+    return moments
 
 
 def _rest_sums(
-    scene: ScattererRows, enter: Int64Array, leave: Int64Array, tables: Tables, pulse: Pulse, samples: int
+    scene: ScattererRows,
+    enter: Int64Array,
+    leave: Int64Array,
+    steps: list[tuple[int, int, int]],
+    degree: Int64Array,
+    tables: _Tables,
+    pulse: Pulse,
 ) -> FloatArray:
-    """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample.
+    """Return U_a(t), float64 (row, term, sample), of the scatterers at rest.
 
-    In ascending delay those that entered since the first sample follow one another, and so do those that were there
-    and have yet to leave: one running sum over each, read at every sample.
+    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each support.
     """
-    begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
-    every = np.arange(samples)
-    at_once = max(64, _VALUES_AT_ONCE // (tables.turn.shape[0] * tables.turn.shape[1]))
-    out = np.zeros((len(scene.amplitude_s), tables.turn.shape[1], samples))
-    for row, (first, last) in enumerate(itertools.pairwise(begin)):
-        own_enter, own_leave = enter[first:last], leave[first:last]
-        # Scatterers before ``middle`` are there from the first sample on. At sample i those from gone[i] to middle are
-        # still there, and those from middle to come[i] have come.
-        middle = int(own_enter.searchsorted(1))
-        gone = own_leave.searchsorted(every, side="right")
-        come = np.maximum(own_enter.searchsorted(every, side="right"), middle)
-        low, high = int(gone[0]), int(come[-1])
-        alive = np.zeros(tables.turn.shape, dtype=np.complex128)
-        for cut in range(low, high, at_once):
-            length = min(at_once, high - cut)
+    frequencies, _, samples = tables.rotation.shape
+    sums = np.zeros((len(scene.amplitude_s), len(degree), samples))
+    chunk_length = max(_MIN_SCATTERERS_PER_CHUNK, _VALUES_PER_CHUNK // (frequencies * len(degree)))
+    for row, (first, last) in enumerate(itertools.pairwise(scene.row_bounds)):
+        alive = _AliveRange.of(enter[first:last], leave[first:last], samples)
+        for cut in range(alive.begin, alive.end, chunk_length):
+            length = min(chunk_length, alive.end - cut)
             part = slice(first + cut, first + cut + length)
-            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.recurrence)
-            if scene.colour is not None:
-                turned *= scene.colour[:, None, part]
-            here = min(max(middle - cut, 0), length)
-            # Those there already, an empty place, those to come: the sums begin at the empty place and go either way.
-            sums = np.zeros((*tables.turn.shape[:2], length + 1), dtype=np.complex128)
-            np.multiply(turned[..., :here], moments[:, :here], out=sums[..., :here])
-            np.multiply(turned[..., here:], moments[:, here:], out=sums[..., here + 1 :])
-            np.cumsum(sums[..., here:], axis=-1, out=sums[..., here:])
-            np.cumsum(sums[..., here::-1], axis=-1, out=sums[..., here::-1])
-            alive += sums.take(np.minimum(np.maximum(come - cut, here), length), axis=-1)
-            alive += sums.take(np.minimum(np.maximum(gone - cut, 0), here), axis=-1)
-        out[row] = np.einsum("fqi,fqi->qi", tables.turn, alive).real
-    return out
+            # exp(-j w_m tau_n), times the beam's response, and I_n g_n^a.
+            phasor = phasors(pulse, scene.rest_s[part], -1)
+            if scene.response is not None:
+                phasor *= scene.response[:, part]
+            moments = _moments(scene.weight[part], scene.shape[:, part], steps)
+            # Some terms at a time: their products with all phasors fit the cache.
+            terms_per_group = max(1, _VALUES_PER_CHUNK // (frequencies * length))
+            for begin in range(0, len(degree), terms_per_group):
+                group = slice(begin, begin + terms_per_group)
+                inner = alive.sums(phasor, moments[group], cut)
+                rotation = tables.rotation[:, degree[group]]
+                sums[row, group] += np.einsum("fqi,fqi->qi", rotation, inner).real
+    return sums
 
 
-def _runs(key: Int64Array) -> Int64Array:
-    """Return where a new value begins."""
-    new = np.empty(len(key), dtype=np.bool_)
-    new[:1] = True
-    np.not_equal(key[1:], key[:-1], out=new[1:])
-    return np.flatnonzero(new)
+@dataclass(frozen=True, slots=True)
+class _AliveRange:
+    """Scatterers of one row that are alive at each sample of a gate no longer than the pulse.
+
+    Scatterers ascend in delay, so at sample i those from ``first[i]`` to ``middle`` are alive since before the gate
+    and those from ``middle`` to ``last[i]`` have entered. A running sum in either direction from ``middle`` gives all
+    samples at once, without subtraction, which would cost digits.
+    """
+
+    middle: int
+    first: Int64Array
+    """(sample,)"""
+    last: Int64Array
+    """(sample,)"""
+
+    @classmethod
+    def of(cls, enter: Int64Array, leave: Int64Array, samples: int) -> _AliveRange:
+        """Return the range from the first samples at or after start and end of each support, (scatterer,)."""
+        sample = np.arange(samples)
+        middle = int(enter.searchsorted(1))
+        last = np.maximum(enter.searchsorted(sample, side="right"), middle)
+        return cls(middle, leave.searchsorted(sample, side="right"), last)
+
+    @property
+    def begin(self) -> int:
+        """First scatterer that is alive at any sample."""
+        return int(self.first[0])
+
+    @property
+    def end(self) -> int:
+        """One after the last scatterer that is alive at any sample."""
+        return int(self.last[-1])
+
+    def sums(self, phasor: ComplexArray, moments: FloatArray, cut: int) -> ComplexArray:
+        """Return the sums of phasor times moment over the alive scatterers, (frequency, term, sample).
+
+        ``phasor`` (frequency, scatterer) and ``moments`` (term, scatterer) belong to the scatterers from ``cut`` on.
+        """
+        length = moments.shape[1]
+        middle = min(max(self.middle - cut, 0), length)
+        # One empty column at ``middle``, from which the running sums go backwards and forwards.
+        running = np.zeros((len(phasor), len(moments), length + 1), dtype=np.complex128)
+        np.multiply(phasor[:, None, :middle], moments[:, :middle], out=running[..., :middle])
+        np.multiply(phasor[:, None, middle:], moments[:, middle:], out=running[..., middle + 1 :])
+        np.cumsum(running[..., middle:], axis=-1, out=running[..., middle:])
+        np.cumsum(running[..., middle::-1], axis=-1, out=running[..., middle::-1])
+        sums = running.take(np.clip(self.last - cut, middle, length), axis=-1)
+        sums += running.take(np.clip(self.first - cut, 0, middle), axis=-1)
+        return np.asarray(sums)
 
 
-def _moments(scene: ScattererRows, part: slice, recurrence: list[tuple[int, int, int]]) -> FloatArray:
-    """Return I_n g_n^a, (exponent, scatterer)."""
-    shape, weight = scene.shape[:, part], scene.weight[part]
-    out = np.empty((len(recurrence) + 1, len(weight)))
-    out[0] = weight
-    for index, (lower, axis, _) in enumerate(recurrence, 1):
-        np.multiply(out[lower], shape[axis], out=out[index])
-    return out
+@dataclass(frozen=True, slots=True)
+class _Crossings:
+    """Ends of supports that cross samples while their scatterers move; every array (crossing end,)."""
+
+    scatterer: Int64Array
+    end: Int64Array
+    """0 for the start of the support, 1 for its end."""
+    time_s: FloatArray
+    """Time of the end at rest."""
+    first_sample: Int64Array
+    sample_count: Int64Array
+
+    def of(self, part: slice) -> _Crossings:
+        """Return a part of the ends."""
+        return _Crossings(
+            self.scatterer[part], self.end[part], self.time_s[part], self.first_sample[part], self.sample_count[part]
+        )
 
 
 def _correct_crossings(
     out: FloatArray,
     scene: ScattererRows,
-    index: tuple[Int64Array, Int64Array],
-    tables: Tables,
+    rest_sample: tuple[Int64Array, Int64Array],
+    tables: _Tables,
     pulse: Pulse,
     sample_time_s: FloatArray,
     budget: float,
 ) -> None:
-    """Add, at each sample that an end of a support crosses, what the motion lets in or out; in place.
+    """Add to ``out`` (row, echo, sample), in place, what moving ends of supports let in or out.
 
-    ``index`` (start, end): first sample from each scatterer's end on, at rest. Crossings that together add less than
-    ``budget`` to one echo are left out.
+    ``rest_sample``: for start and end, the first sample (scatterer,) at or after it at rest. Ends that together change
+    an echo by less than ``budget`` are left out.
     """
     reach_s = np.abs(scene.amplitude_s).max(axis=(0, 1)) @ np.abs(scene.shape)
-    farthest_s, heaviest = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
-    if farthest_s == 0 or heaviest == 0:
+    max_reach_s, max_weight = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
+    if max_reach_s == 0 or max_weight == 0:
         return
+    # Each end may cross at most ``crossed`` samples, and every crossing gets an equal fraction of the budget.
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
-    # How many samples one end can cross at most; an equal share of the budget for each.
-    crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
-    each = budget / (2 * len(reach_s) * crossing)
-    size, share = np.abs(scene.weight), reach_s / farthest_s
-    # Ends whose jump could exceed that share, at the start and at the end of the support, and the samples near them.
-    bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
-    if scene.colour is None:
-        matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
-    else:
-        matter = [
-            np.flatnonzero(size * _coloured_jump(scene.colour, lines, reach_s) > each) for lines in tables.lines[0]
-        ]
-    who = np.concatenate(matter)
-    end = np.repeat([0, 1], [len(part) for part in matter])
-    edge_time_s = scene.rest_s[who] + np.array([pulse.start_s, pulse.end_s])[end]
-    low = sample_time_s.searchsorted(edge_time_s - reach_s[who])
-    count = sample_time_s.searchsorted(edge_time_s + reach_s[who], side="right") - low
-    meets = np.flatnonzero(count)
-    who, end, edge_time_s, low, count = (part[meets] for part in (who, end, edge_time_s, low, count))
-    cut = each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
-    taylor = enough_taylor(tables.taylor, tables.scale * farthest_s, cut) * [[1.0], [-1.0]]
-    lines = tables.lines[1][:, :, : taylor.shape[1]] * np.array([1.0, -1.0])[:, None, None]
-    at_once = max(1, _VALUES_AT_ONCE // (out.shape[1] * int(count.max(initial=1))))
-    for begin in range(0, len(who), at_once):
-        some = slice(begin, begin + at_once)
-        # (pair,): every such end with every sample within its reach.
-        pair = np.repeat(np.arange(len(who[some])), count[some])
-        sample = np.arange(len(pair)) + np.repeat(low[some] - np.cumsum(count[some]) + count[some], count[some])
-        past_s = sample_time_s[sample] - edge_time_s[some][pair]
-        own, own_end = who[some][pair], end[some][pair]
-        was_past = sample >= np.where(own_end == 0, index[0][own], index[1][own])
-        if scene.colour is None:
-            expansion = taylor[own_end]
-        else:
-            # Each scatterer's own pulse: one expansion for all the samples that its end crosses.
-            ends = np.einsum("fs,sfq->sq", scene.colour[:, who[some]], lines[end[some]], optimize=True)
-            expansion = ends.real[pair]
-        _add_pairs(out, scene, own, sample, past_s, was_past, expansion)
+    crossed = 1 + (2 * max_reach_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
+    limit = budget / (2 * len(reach_s) * crossed)
+    crossings = _significant_ends(scene, tables, pulse, sample_time_s, reach_s, limit)
+    orders = _taylor_orders(
+        tables.scale_rad_per_s * max_reach_s, limit / max_weight / max(1.0, float(np.abs(pulse.amplitude).sum()))
+    )
+    taylor = tables.taylor[:, :, :orders]
+    ends_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
+    for begin in range(0, len(crossings.end), ends_per_chunk):
+        _correct_ends(
+            out, scene, rest_sample, crossings.of(slice(begin, begin + ends_per_chunk)), taylor, sample_time_s
+        )
 
 
-def _coloured_jump(colour: ComplexArray, lines: ComplexArray, reach_s: FloatArray) -> FloatArray:
-    """Return a bound on each scatterer's pulse within its reach of an end that jumps, (scatterer,)."""
-    jump = np.abs(np.einsum("fs,fq->qs", colour, lines))
-    # What cancels on paper is no jump.
-    unit = np.abs(lines).sum(axis=0)[:, None]
+def _significant_ends(
+    scene: ScattererRows,
+    tables: _Tables,
+    pulse: Pulse,
+    sample_time_s: FloatArray,
+    reach_s: FloatArray,
+    limit: float,
+) -> _Crossings:
+    """Return the ends that reach a sample and may change it by more than ``limit``; ``reach_s`` (scatterer,)."""
+    scatterers = [
+        np.flatnonzero(np.abs(scene.weight) * _pulse_bound_near_end(scene.response, jump, reach_s) > limit)
+        for jump in tables.jump
+    ]
+    scatterer = np.concatenate(scatterers)
+    end = np.repeat([0, 1], [len(indices) for indices in scatterers])
+    time_s = scene.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[end]
+    first_sample = sample_time_s.searchsorted(time_s - reach_s[scatterer])
+    sample_count = sample_time_s.searchsorted(time_s + reach_s[scatterer], side="right") - first_sample
+    crossing = np.flatnonzero(sample_count)
+    return _Crossings(
+        scatterer[crossing], end[crossing], time_s[crossing], first_sample[crossing], sample_count[crossing]
+    )
+
+
+def _pulse_bound_near_end(response: ComplexArray | None, jump: ComplexArray, reach_s: FloatArray) -> FloatArray:
+    """Return a bound on each scatterer's pulse within ``reach_s`` (scatterer,) of an end of its support, (scatterer,).
+
+    ``jump`` (frequency, order) are the derivatives over factorials at that end.
+    """
+    derivative = jump.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, jump)
+    size, parts_size = np.abs(derivative), np.abs(jump).sum(axis=0)
+    # Horner's rule over the orders.
     bound = np.zeros(len(reach_s))
-    for order in range(len(jump) - 1, -1, -1):
-        bound = bound * reach_s + np.where(jump[order] < 1e-12 * unit[order], 0.0, jump[order])
+    for order in range(len(size) - 1, -1, -1):
+        bound = bound * reach_s + np.where(size[order] < _CANCELLATION * parts_size[order], 0.0, size[order])
     return bound
 
 
-def _add_pairs(
+def _correct_ends(
     out: FloatArray,
     scene: ScattererRows,
-    who: Int64Array,
-    sample: Int64Array,
-    past_s: FloatArray,
-    was_past: BoolArray,
-    taylor: FloatArray,
+    rest_sample: tuple[Int64Array, Int64Array],
+    ends: _Crossings,
+    taylor: ComplexArray,
+    sample_time_s: FloatArray,
 ) -> None:
-    """Add to ``out``, at ``sample`` (pair,), the part of the scatterers ``who`` whose end has moved over it."""
-    row = scene.row[who]
-    if len(scene.amplitude_s) == 1:
-        moved_s = scene.shape[:, who].T @ scene.amplitude_s[0].T
+    """Add the corrections of some ends to ``out`` (row, echo, sample), in place; ``taylor`` (end, frequency, order)."""
+    # (pair,): every end with every sample within its reach.
+    count = ends.sample_count
+    pair = np.repeat(np.arange(len(count)), count)
+    sample = np.arange(len(pair)) + np.repeat(ends.first_sample - np.cumsum(count) + count, count)
+    scatterer, end = ends.scatterer[pair], ends.end[pair]
+    after_end_s = sample_time_s[sample] - ends.time_s[pair]
+    after_at_rest = sample >= np.where(end == 0, rest_sample[0][scatterer], rest_sample[1][scatterer])
+    # Taylor coefficients (pair, order): the same for all scatterers, or each with its beam's response.
+    if scene.response is None:
+        coefficients = taylor.sum(axis=1).real[end]
     else:
-        moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
-    # (pair, echo): time since the end passed the sample; the Taylor series there by Horner's rule.
-    x = np.subtract(past_s[:, None], moved_s, out=moved_s)
-    value = np.zeros_like(x)
-    for coefficient in taylor.T[:0:-1]:
-        value += coefficient[:, None]
-        value *= x
-    value += taylor[:, :1]
-    # +1 where the motion lets the scatterer in, -1 where it takes it out, 0 where nothing changes.
-    weight = scene.weight[who]
-    value *= np.where(x >= 0, np.where(was_past, 0.0, weight)[:, None], np.where(was_past, -weight, 0.0)[:, None])
-    # Pairs of one row and sample are summed before they are added: fancy indexing adds each place only once.
-    place = row * out.shape[2] + sample
-    order = np.argsort(place, kind="stable")
-    run = _runs(place[order])
-    first = order[run]
-    out[row[first], :, sample[first]] += np.add.reduceat(value[order], run, axis=0)
+        per_end = np.einsum("fs,sfq->sq", scene.response[:, ends.scatterer], taylor[ends.end], optimize=True)
+        coefficients = per_end.real[pair]
+    change = _crossing_change(scene, scatterer, after_end_s, after_at_rest, coefficients)
+    # Pairs of one row and sample are summed first, since fancy indexing adds to each element only once.
+    row = scene.row[scatterer]
+    target = row * out.shape[2] + sample
+    order = np.argsort(target, kind="stable")
+    begin = np.flatnonzero(np.diff(target[order], prepend=-1))
+    first = order[begin]
+    out[row[first], :, sample[first]] += np.add.reduceat(change[order], begin, axis=0)
 
 
-def largest_near(jumps: list[float], reach_s: float) -> tuple[int, float]:
-    """Return the lowest order that jumps, and a bound on the exponentials within ``reach_s`` of the support's end."""
-    bound = 0.0
-    for jump in reversed(jumps):
-        bound = bound * reach_s + jump
-    return next((order for order, jump in enumerate(jumps) if jump > 0), 0), bound
+def _crossing_change(
+    scene: ScattererRows,
+    scatterer: Int64Array,
+    after_end_s: FloatArray,
+    after_at_rest: BoolArray,
+    coefficients: FloatArray,
+) -> FloatArray:
+    """Return the change of the echoes at each pair of end and sample, (pair, echo).
+
+    ``after_end_s`` (pair,) is the sample's time after the end at rest, ``coefficients`` (pair, order) the pulse's
+    Taylor coefficients there, their sign negative for the end of a support.
+    """
+    # Time of the sample after the moved end, (pair, echo).
+    if len(scene.amplitude_s) == 1:
+        moved_s = scene.shape[:, scatterer].T @ scene.amplitude_s[0].T
+    else:
+        amplitude_s = scene.amplitude_s[scene.row[scatterer]]
+        moved_s = np.matmul(amplitude_s, scene.shape[:, scatterer].T[:, :, None])[:, :, 0]
+    after_s = np.subtract(after_end_s[:, None], moved_s, out=moved_s)
+    # The pulse there by Horner's rule.
+    change = np.zeros_like(after_s)
+    for coefficient in coefficients.T[:0:-1]:
+        change += coefficient[:, None]
+        change *= after_s
+    change += coefficients[:, :1]
+    # +1 where the motion moves the sample past the end, -1 where it moves it before the end, 0 without a crossing.
+    weight = scene.weight[scatterer]
+    entering, leaving = np.where(after_at_rest, 0.0, weight), np.where(after_at_rest, -weight, 0.0)
+    change *= np.where(after_s >= 0, entering[:, None], leaving[:, None])
+    return np.asarray(change)
 
 
-def largest_size(value: FloatArray) -> float:
-    """Return the largest magnitude, 0 of nothing."""
-    return max(abs(float(value.max())), abs(float(value.min()))) if value.size else 0.0
-
-
-def enough_taylor(taylor: FloatArray, angle: float, tolerance: float) -> FloatArray:
-    """Return as many Taylor coefficients (end, order) as keep the rest below ``tolerance``, ``angle`` from the end."""
-    tail, orders = angle, 1
-    while tail > tolerance and orders < taylor.shape[1]:
+def _taylor_orders(angle_rad: float, tolerance: float) -> int:
+    """Return how many Taylor coefficients keep the remainder below ``tolerance``, ``angle_rad`` from the end."""
+    remainder, orders = angle_rad, 1
+    while remainder > tolerance and orders < _TAYLOR_ORDERS:
         orders += 1
-        tail *= angle / orders
-    return taylor[:, :orders]
+        remainder *= angle_rad / orders
+    return orders
+
+
+def _max_abs(values: FloatArray) -> float:
+    return max(abs(float(values.max())), abs(float(values.min())))

@@ -8,7 +8,7 @@ from .front_end import (
     pulse_strength as pulse_strength,
     toneburst_echo_strength as toneburst_echo_strength,
 )
-from .record_noise import Begun as Begun, RecordNoise as RecordNoise
+from .record_noise import NoiseSource as NoiseSource, RecordNoise as RecordNoise
 from .streams import RecordStream as RecordStream
 from .timing import (
     STENCIL as STENCIL,

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
-from sim_backend.echoes import echo_pulse, echoes
+from sim_backend.echoes import EchoDelays, echo_pulse, echoes
 from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts
 
@@ -28,20 +28,19 @@ def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> FloatArr
 
 
 def echo_gain_v(
-    settings: SimulationSettings, depth_delay_s: FloatArray, weight: FloatArray, colour: ComplexArray | None = None
+    settings: SimulationSettings, depth_delay_s: FloatArray, weight: FloatArray, response: ComplexArray | None = None
 ) -> float:
     """Return the volts of a scatterer of weight 1, so that the resting echo has ``echo_rms_v`` in the reference gate.
 
-    It belongs to the scatterers given (scatterer,), with their ``colour`` (frequency, scatterer) where they have one,
+    It belongs to the scatterers given (scatterer,), with their ``response`` (frequency, scatterer) where they have one,
     and to the reference pulse: 3 cycles, ``reference_pulse_vpp``, ``reference_carrier_hz``. Zero where nothing
     echoes into the gate.
     """
     receiver = settings.receiver
     pulse = echo_pulse(settings, receiver.reference_carrier_hz)
     gate_s = reference_gate_s(receiver, settings.sound_speed_m_per_s)
-    still = np.zeros_like(weight), np.zeros(1)
-    speed_m_per_s = settings.sound_speed_m_per_s
-    resting = echoes(depth_delay_s, weight, *still, pulse, gate_s, speed_m_per_s, _GAIN_TOLERANCE, colour=colour)
+    at_rest = EchoDelays(depth_delay_s, np.zeros((1, len(weight))), np.zeros((1, 1)), response)
+    resting = echoes(at_rest, weight, pulse, gate_s, _GAIN_TOLERANCE)
     rms = float(np.sqrt(np.mean(np.square(resting))))
     return receiver.echo_rms_v / rms if rms > 0 else 0.0
 

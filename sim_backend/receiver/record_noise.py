@@ -23,7 +23,7 @@ from sim_backend.wiring import Capture
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
-Begun = Callable[[], FloatArray]
+NoiseSource = Callable[[], FloatArray]
 """Gives an array, waiting until it is made; the same at every call."""
 
 DRAWN_MEANWHILE = 1 << 18
@@ -40,7 +40,7 @@ class RecordNoise:
         self._ahead: tuple[Capture, Future[FloatArray]] | None = None
         self._before: tuple[int, int, int] | None = None
 
-    def begin(self, capture: Capture) -> Begun:
+    def begin(self, capture: Capture) -> NoiseSource:
         """Return what gives the noise of the records of ``capture``, (record, sample), V."""
         records, shape = len(capture.first_sample_ps), (len(capture.first_sample_ps), capture.samples)
         if self._receiver.snr_db is None:

@@ -54,7 +54,7 @@ class Measurement:
     """What was run."""
     tolerance: float
     terms: int
-    """Nodes, or orders of the series; 0 where exact."""
+    """Terms of the series; 0 for an exact sum."""
     error: float
     """Rms difference from the direct sum over its rms, in up to 6 of the echoes."""
     time_s: float
@@ -83,7 +83,7 @@ def measurements(
 def _of_scene(
     count: int, echoes: int, tolerances: tuple[float, ...], longest_s: float, seed: int
 ) -> Iterator[Measurement]:
-    from sim_backend.echoes import choices, direct_sum, synthesise
+    from sim_backend.echoes import direct_sum, method_times_s, synthesise
 
     delays, weight, pulse, gate_s = _scene(count, echoes, seed)
     checked = np.unique(np.linspace(0, echoes - 1, _CHECKED_ECHOES).astype(int))
@@ -107,11 +107,11 @@ def _of_scene(
     if count * echoes * _EXACT_PAIR_S <= longest_s:
         yield measured("running_sum", 0.0)
     for tolerance in tolerances:
-        able = choices(delays, weight, pulse, gate_s, tolerance, None)
-        for choice in able:
-            if choice.method != "running_sum" and choice.cost_s <= longest_s:
-                yield measured(choice.method, tolerance)
-        if min(choice.cost_s for choice in able) <= longest_s:
+        times_s = method_times_s(delays, pulse, gate_s, tolerance)
+        for method, time_s in times_s.items():
+            if method != "running_sum" and time_s <= longest_s:
+                yield measured(method, tolerance)
+        if min(times_s.values()) <= longest_s:
             yield measured(None, tolerance)
 
 
@@ -250,7 +250,7 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
 
 def _draw_work(rows: list[Measurement], panel: Axes) -> None:
     echoes = sorted({row.echoes for row in rows})
-    for kind_place, kind in enumerate(("direct", "running_sum", "interpolated", "series")):
+    for kind_place, kind in enumerate(("direct", "running_sum", "series")):
         marker, colour = mark(kind_place)
         for place, echo_count in enumerate(echoes):
             some = [row for row in rows if (row.evaluation, row.echoes) == (kind, echo_count)]

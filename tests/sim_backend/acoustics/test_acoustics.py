@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim_backend.acoustics.acoustics import Acoustics, transmitted_share
-from sim_backend.echoes.delays import distinct_echoes
+from sim_backend.acoustics.acoustics import Acoustics, transmitted_fraction
+from sim_backend.echoes.delays import EchoDelays, distinct_echoes
 from sim_backend.echoes.engine import echoes
 from sim_backend.echoes.pulse import echo_pulse, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
@@ -240,7 +240,7 @@ def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
     field, speed = draw_field(settings.scatterers, settings.beams, rng), settings.sound_speed_m_per_s
     delay_s = depth_delay_s(field, settings.scatterers.axial_delay, speed)
     weight, moves, pulse = field.tracking_weight, field.motion_weight, echo_pulse(settings, 9.0e6)
-    return echoes(delay_s, weight, moves, displacement_m, pulse, gate_s, speed, tolerance)
+    return echoes(EchoDelays.of_motion(delay_s, moves, displacement_m, speed), weight, pulse, gate_s, tolerance)
 
 
 def test_echoes_of_a_draw_are_the_plain_sum_with_time_counted_from_the_focus_echo():
@@ -282,7 +282,7 @@ def tracked_over_peak(axial_delay, volume_m, seed):
 )
 def test_tracked_over_peak_displacement_is_that_of_the_theory(axial_delay, volume_m, mean, spread):
     ratios = [tracked_over_peak(axial_delay, volume_m, seed) for seed in range(200)]
-    # Four standard errors of 200 draws, and the last digit of docs/theory/echoes.md, section 1.
+    # Four standard errors of 200 draws, and the last digit of docs/explanation/echoes.md, section 1.
     assert np.mean(ratios) == pytest.approx(mean, abs=4 * spread / np.sqrt(200) + 5e-4)
 
 
@@ -290,15 +290,15 @@ def test_a_tracking_pulse_below_the_diodes_threshold_makes_no_echo_and_a_strong_
     """37 dB behind 0.1 and 1 Vpp stand 3.5 and 35 V; of the reference's 35 V the bridge takes as much as of its own."""
     settings = SimulationSettings.model_validate({"transmitter": {"diode_threshold_v": 4.0}})
     vpp = np.array([0.1, 1.0, 2.0])
-    strength = vpp * transmitted_share(vpp, settings)
+    strength = vpp * transmitted_fraction(vpp, settings)
     assert strength[:2] == pytest.approx([0.0, 1.0], abs=1e-12)
     # Of a sine of amplitude a: a - 4 d / pi + O(d^3 / a^2), d the threshold, to a thousandth of its peak.
     peak_v = 0.5 * 10 ** (37 / 20)
     assert strength[2] == pytest.approx((2 * peak_v - 16 / np.pi) / (peak_v - 16 / np.pi), rel=2e-3)
-    assert transmitted_share(vpp, SimulationSettings()) == pytest.approx([1.0, 1.0, 1.0])
+    assert transmitted_fraction(vpp, SimulationSettings()) == pytest.approx([1.0, 1.0, 1.0])
     # a tracking transducer of its own has neither
     beams = settings.beams.model_copy(update={"tracking_focus_depth_m": 40e-3})
-    assert transmitted_share(vpp, settings.model_copy(update={"beams": beams})) == pytest.approx([1.0, 1.0, 1.0])
+    assert transmitted_fraction(vpp, settings.model_copy(update={"beams": beams})) == pytest.approx([1.0, 1.0, 1.0])
 
 
 def test_echoes_of_a_periodic_motion_are_made_once_each_and_are_those_of_every_pulse():
@@ -337,7 +337,7 @@ def test_echoes_are_kept_of_few_kinds_of_pulse():
     for shot in range(12):
         pulses = bursts(onset_ps + shot * 1_000_000_000, carrier_hz=9.0e6 + 1e4 * shot)
         acoustics.record_volts(NO_BURSTS, pulses, capture(pulses.onset_ps + 90_000_000))
-    assert len(vars(acoustics)["_repeated"]) == 8
+    assert len(vars(acoustics)["_stored_echoes"]) == 8
 
 
 def test_echoes_count_as_one_only_where_the_tolerance_cannot_tell():

@@ -1,12 +1,11 @@
 """Batches: many draws, gates and parameter values in one call, against each alone; and their statistics."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.engine import echoes
 from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.many_draws import DRAWS_AT_ONCE, batch, drawn_echoes
@@ -45,11 +44,10 @@ def three_rows(amplitude_m=(1e-6, 3e-6, 0.0)):
     )
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("amplitude_m", [(1e-6, 3e-6, 0.0), (1e-6, 1e-4, 0.0)])
-def test_every_row_of_a_batch_is_its_own_exact_sum(compiled, amplitude_m):
+def test_every_row_of_a_batch_is_its_own_exact_sum(amplitude_m):
     scene = three_rows(amplitude_m)
-    ours = batch(scene, PULSE, GATE_S, 1e-8, compiled=compiled)
+    ours = batch(scene, PULSE, GATE_S, 1e-8)
     for row in range(3):
         exact = exact_row(scene, row)
         assert rms_error(ours[row], exact) < 1e-8
@@ -65,46 +63,23 @@ def test_gates_longer_than_the_pulse_and_gates_shifted_by_row_are_exact_too():
         assert rms_error(ours[row], exact) < 1e-9
 
 
-def test_numba_is_imported_by_compiled_batches_alone():
-    """A scene of the twin and uncompiled draws leave it out: it takes longer to import than they to run."""
-    code = """
-import sys
-import numpy as np
-from sim_backend.echoes.delays import EchoDelays
-from sim_backend.echoes.engine import synthesise
-from sim_backend.echoes.many_draws import drawn_echoes
-from sim_backend.echoes.pulse import hann_pulse
-from sim_backend.settings.simulation import SimulationSettings
-settings, pulse, gate_s = SimulationSettings(), hann_pulse(9.0e6, 0.065), np.arange(-20, 20) * 1e-8
-synthesise(EchoDelays(np.zeros(1), np.ones((1, 1)), np.zeros((2, 1))), np.ones(1), pulse, gate_s)
-next(drawn_echoes(settings, np.zeros(2), pulse, gate_s, np.random.default_rng(0), 1, compiled=False))
-print("numba" in sys.modules)
-next(drawn_echoes(settings, np.zeros(2), pulse, gate_s, np.random.default_rng(0), 1))
-print("numba" in sys.modules)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True"]
-
-
-@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"weight": np.ones(5)}, r"weight is 5 long along its axis 'scatterer' and rest_s \d+"),
+        ({"weight": np.ones(5)}, r"weight has length 5 along its axis 'scatterer' and rest_s has \d+"),
         ({"shape": np.ones(5)}, r"shape has shape \(5,\): its axes must be \(shape, scatterer\)"),
         ({"amplitude_s": np.full((3, 2, 1), np.nan)}, r"amplitude_s\[0, 0, 0\] is nan"),
         ({"amplitude_s": np.zeros((2, 4, 1))}, "row must ascend from 0 to less than the 2 rows"),
     ],
 )
-def test_rows_that_do_not_fit_are_refused_before_compiled_code_reads_beyond_them(wrong, says, compiled):
+def test_rows_that_do_not_fit_are_refused_by_name(wrong, says):
     with pytest.raises(ValueError, match=says):
-        batch(replace(three_rows(), **wrong), PULSE, GATE_S, 1e-8, compiled=compiled)
+        batch(replace(three_rows(), **wrong), PULSE, GATE_S, 1e-8)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_scatterers_of_no_weight_are_silent(compiled):
+def test_scatterers_of_no_weight_are_silent():
     scene = three_rows()
-    assert not batch(replace(scene, weight=0 * scene.weight), PULSE, GATE_S, compiled=compiled).any()
+    assert not batch(replace(scene, weight=0 * scene.weight), PULSE, GATE_S).any()
 
 
 def test_scatterers_out_of_order_are_refused():
@@ -114,11 +89,10 @@ def test_scatterers_out_of_order_are_refused():
         batch(turned, PULSE, GATE_S)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_times_in_single_precision_are_taken_at_their_value(compiled):
+def test_times_in_single_precision_are_taken_at_their_value():
     scene, single_s = three_rows(), GATE_S.astype(np.float32)
-    ours = batch(scene, PULSE, single_s, 1e-9, compiled=compiled)
-    assert np.array_equal(ours, batch(scene, PULSE, single_s.astype(np.float64), 1e-9, compiled=compiled))
+    ours = batch(scene, PULSE, single_s, 1e-9)
+    assert np.array_equal(ours, batch(scene, PULSE, single_s.astype(np.float64), 1e-9))
 
 
 def test_same_seed_gives_the_same_draws_whatever_their_number():
@@ -158,7 +132,7 @@ def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
     field, speed = draw_field(settings.scatterers, settings.beams, rng), settings.sound_speed_m_per_s
     delay_s = depth_delay_s(field, settings.scatterers.axial_delay, speed)
     weight, moves, pulse = field.tracking_weight, field.motion_weight, echo_pulse(settings, 9.0e6)
-    return echoes(delay_s, weight, moves, displacement_m, pulse, gate_s, speed, tolerance)
+    return echoes(EchoDelays.of_motion(delay_s, moves, displacement_m, speed), weight, pulse, gate_s, tolerance)
 
 
 @pytest.mark.parametrize(
@@ -185,8 +159,7 @@ def test_a_thinned_draw_of_nothing_is_silent():
     assert (all_draws(3, settings=silent) == 0.0).all()
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_reflectors_add_their_own_echo_to_every_draw(compiled):
+def test_reflectors_add_their_own_echo_to_every_draw():
     """Echoes are linear: what a plane and a resting point add to a draw is what they make without scatterers."""
     reflectors = [
         {"kind": "plane", "position_m": (0.0, 0.0, 3e-4), "strength": 5.0},
@@ -194,7 +167,7 @@ def test_reflectors_add_their_own_echo_to_every_draw(compiled):
     ]
     settings = SimulationSettings.model_validate({"scatterers": {"reflectors": reflectors}})
     alone = SimulationSettings.model_validate({"scatterers": {"reflectors": reflectors, "per_cell": 0.0}})
-    added = all_draws(18, settings=settings, tolerance=1e-12, compiled=compiled) - all_draws(18, tolerance=1e-12)
+    added = all_draws(18, settings=settings, tolerance=1e-12) - all_draws(18, tolerance=1e-12)
     expected = one_draw(alone, CYCLE_M, GATE_S, np.random.default_rng(0), tolerance=0.0)
     assert np.abs(expected).max() > 10
     for draw in added:

@@ -1,7 +1,5 @@
 """The echo of moving scatterers: every evaluation against the double sum as written."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -10,7 +8,6 @@ from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.engine import echoes, synthesise
 from sim_backend.echoes.exact_sums import direct_sum, running_sum
 from sim_backend.echoes.many_draws import drawn_echoes
-from sim_backend.echoes.nodes import MOST_NODES, edge_share, interpolated, interpolated_within, node_count
 from sim_backend.echoes.pulse import Pulse, attenuated, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.settings.simulation import Beams, Scatterers, SimulationSettings
@@ -88,33 +85,10 @@ def test_running_sum_over_many_echoes_equals_each_alone():
 
 def test_moved_scatterer_echoes_later_by_twice_the_way():
     pulse = hann_pulse(9.0e6, 0.065)
-    ours = echoes(np.array([2e-7]), np.array([0.7]), np.array([0.5]), np.array([3e-6]), pulse, GATE_S, SOUND_SPEED)
+    delays = EchoDelays.of_motion(np.array([2e-7]), np.array([0.5]), np.array([3e-6]), SOUND_SPEED)
+    ours = echoes(delays, np.array([0.7]), pulse, GATE_S)
     expected = 0.7 * waveform(pulse, GATE_S - 2e-7 - 2 * 0.5 * 3e-6 / SOUND_SPEED)
     assert ours[0] == pytest.approx(expected, abs=1e-13)
-
-
-@pytest.mark.parametrize(
-    ("amplitude_m", "bandwidth", "nodes", "reference"),
-    [
-        (1e-7, 0.065, 4, 2e-11),
-        (1e-7, 0.065, 16, 3e-13),
-        (1e-6, 0.065, 5, 2e-9),
-        (1e-6, 0.065, 16, 1e-10),
-        (1e-5, 0.065, 8, 1e-7),
-        (1e-4, 0.065, 32, 6e-5),
-        (1e-6, 0.75, 6, 6e-7),
-        (1e-5, 0.75, 16, 1e-5),
-    ],
-)
-def test_interpolation_error_is_that_of_the_model_notes(amplitude_m, bandwidth, nodes, reference):
-    """Median of five draws: the notes give one unspecified draw, and between draws the error varies by some 3."""
-    pulse, errors = hann_pulse(9.0e6, bandwidth), []
-    for seed in range(5):
-        tau, weight, motion_weight = scene(seed)
-        exact = running_sum(delays(tau, motion_weight, amplitude_m * CYCLE), weight, pulse, GATE_S)
-        moved = EchoDelays(tau, motion_weight[None], 2 / SOUND_SPEED * amplitude_m * CYCLE[:, None])
-        errors.append(rms_error(interpolated(moved, weight, pulse, GATE_S, nodes), exact))
-    assert np.median(errors) < 3 * reference
 
 
 @pytest.mark.parametrize("bandwidth", [0.065, 0.4, 0.75, 2.0])
@@ -123,29 +97,20 @@ def test_echoes_meet_the_tolerance_asked_for(bandwidth, axial_delay):
     pulse = hann_pulse(9.0e6, bandwidth)
     for seed, amplitude_m in enumerate([1e-15, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4]):
         tau, weight, motion_weight = scene(seed, axial_delay)
-        moved = (tau, weight, motion_weight, amplitude_m * CYCLE[:20])
-        exact = running_sum(delays(tau, motion_weight, moved[3]), weight, pulse, GATE_S)
+        motion = EchoDelays.of_motion(tau, motion_weight, amplitude_m * CYCLE[:20], SOUND_SPEED)
+        exact = running_sum(motion.delay_s(), weight, pulse, GATE_S)
         for tolerance in (1e-3, 1e-6, 1e-9):
-            assert rms_error(echoes(*moved, pulse, GATE_S, SOUND_SPEED, tolerance), exact) < tolerance
+            assert rms_error(echoes(motion, weight, pulse, GATE_S, tolerance), exact) < tolerance
 
 
 def test_tolerance_zero_gives_the_exact_sum():
     tau, weight, motion_weight = scene(4)
     pulse = hann_pulse(9.0e6, 0.065)
-    ours = echoes(tau, weight, motion_weight, 1e-6 * CYCLE, pulse, GATE_S, SOUND_SPEED, 0.0)
+    motion = EchoDelays.of_motion(tau, motion_weight, 1e-6 * CYCLE, SOUND_SPEED)
+    ours = echoes(motion, weight, pulse, GATE_S, 0.0)
     exact = running_sum(delays(tau, motion_weight, 1e-6 * CYCLE), weight, pulse, GATE_S)
     # The two differ in the order in which 2 A g / c is rounded.
     assert peak_error(ours, exact) < 1e-13
-
-
-def test_a_micrometre_at_1e_8_takes_few_nodes_and_a_jumping_pulse_none():
-    tau, weight, _ = scene(0)
-    half_range_s = 2e-6 / SOUND_SPEED
-    pulse = hann_pulse(9.0e6, 0.065)
-    share = edge_share(tau, weight, pulse, half_range_s, GATE_S)
-    assert node_count(pulse, half_range_s, share, 1e-8) <= 8
-    assert node_count(rectangular_burst(3.0e6, 1e-4), half_range_s, share, 1e-8) == MOST_NODES
-    assert node_count(pulse, 0.0, share, 1e-8) == 1
 
 
 @pytest.mark.parametrize("bandwidth", [0.065, 0.3, 0.75])
@@ -160,33 +125,12 @@ def test_pulses_whose_ends_step_by_attenuation_meet_the_tolerance(bandwidth):
         assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance).echo, exact) < tolerance
 
 
-def test_a_weaker_pulse_needs_as_many_nodes():
-    strong = hann_pulse(9.0e6, 0.065)
-    weak = replace(strong, amplitude=tuple(1e-7 * amplitude for amplitude in strong.amplitude))
-    assert node_count(weak, 1e-8, 0.5, 1e-8) == node_count(strong, 1e-8, 0.5, 1e-8)
-
-
-def test_interpolation_that_misses_the_tolerance_is_noticed():
-    tau, weight, g = scene(0)
-    motion, pulse = EchoDelays(tau, g[None], 2e-6 / SOUND_SPEED * CYCLE[:, None]), hann_pulse(9.0e6, 0.065)
-    assert interpolated_within(motion, weight, pulse, GATE_S, 4, 1e-9) is None
-    made = interpolated_within(motion, weight, pulse, GATE_S, 8, 1e-6)
-    assert made is not None
-    assert rms_error(made, running_sum(motion.delay_s(), weight, pulse, GATE_S)) < 1e-6
-
-
-def test_edges_outside_the_gate_have_no_share():
-    pulse = hann_pulse(9.0e6, 0.065)
-    assert edge_share(np.zeros(3), np.ones(3), pulse, 1e-9, GATE_S) == 0.0
-    assert 0.0 < edge_share(np.full(3, 3e-7), np.ones(3), pulse, 1e-9, GATE_S) < 0.1
-
-
 def test_shift_moves_the_sample_times_of_each_echo():
     tau, weight, motion_weight = scene(5)
     pulse, shift_s = hann_pulse(9.0e6, 0.065), np.array([0.0, 3.3e-9, -7e-9])
     displacement_m = np.array([0.0, 1e-6, -1e-6])
-    moved = (tau, weight, motion_weight, displacement_m, pulse, GATE_S, SOUND_SPEED)
-    ours, exact = echoes(*moved, 1e-13, shift_s), echoes(*moved, 0.0, shift_s)
+    motion = EchoDelays.of_motion(tau, motion_weight, displacement_m, SOUND_SPEED).shifted(shift_s)
+    ours, exact = (echoes(motion, weight, pulse, GATE_S, tolerance) for tolerance in (1e-13, 0.0))
     for echo in range(3):
         # The two differ in the order in which shift and motion are rounded.
         assert peak_error(ours[echo], exact[echo]) < 1e-12
@@ -196,13 +140,16 @@ def test_shift_moves_the_sample_times_of_each_echo():
 
 def test_echoes_without_scatterers_or_echoes_are_empty_sums():
     nothing, pulse = np.zeros(0), hann_pulse(9.0e6, 0.065)
-    assert (echoes(nothing, nothing, nothing, np.zeros(3), pulse, GATE_S, SOUND_SPEED) == np.zeros((3, 130))).all()
-    assert echoes(np.zeros(1), np.ones(1), np.ones(1), nothing, pulse, GATE_S, SOUND_SPEED).shape == (0, 130)
+    without_scatterers = EchoDelays.of_motion(nothing, nothing, np.zeros(3), SOUND_SPEED)
+    assert (echoes(without_scatterers, nothing, pulse, GATE_S) == np.zeros((3, 130))).all()
+    without_echoes = EchoDelays.of_motion(np.zeros(1), np.ones(1), nothing, SOUND_SPEED)
+    assert echoes(without_echoes, np.ones(1), pulse, GATE_S).shape == (0, 130)
 
 
 def test_scatterers_that_cannot_reach_the_gate_add_exactly_nothing():
     tau = np.array([-5e-6, 5e-6])
-    ours = echoes(tau, np.ones(2), np.ones(2), np.zeros(2), hann_pulse(9.0e6, 0.065), GATE_S, SOUND_SPEED)
+    motion = EchoDelays.of_motion(tau, np.ones(2), np.zeros(2), SOUND_SPEED)
+    ours = echoes(motion, np.ones(2), hann_pulse(9.0e6, 0.065), GATE_S)
     assert (ours == 0.0).all()
 
 

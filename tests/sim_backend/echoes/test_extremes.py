@@ -265,7 +265,7 @@ def test_numbers_that_are_not_finite_are_refused_by_name(name, bad):
 
 def test_arrays_that_do_not_fit_are_refused_by_name_and_axis():
     motion = EchoDelays(np.zeros(3), np.ones((1, 3)), np.zeros((2, 1)))
-    with pytest.raises(ValueError, match="weight is 2 long along its axis 'scatterer' and rest_s 3"):
+    with pytest.raises(ValueError, match="weight has length 2 along its axis 'scatterer' and rest_s has 3"):
         synthesise(motion, np.ones(2), HANN, GATE_S)
     with pytest.raises(ValueError, match=r"amplitude_s has shape \(2,\): its axes must be \(echo, shape\)"):
         synthesise(replace(motion, amplitude_s=np.zeros(2)), np.ones(3), HANN, GATE_S)

@@ -15,11 +15,11 @@ from scipy.io import savemat
 
 import hpe_rig as hpe
 from hpe_rig.bench.twin import check_declared
-from hpe_rig.measurement.resumption import _refuse_other
-from hpe_rig.measurement.setup import prepare_text, with_scan_beside
+from hpe_rig.measurement.resumption import _refuse_differences
+from hpe_rig.measurement.setup import prepare_text, with_scan_in_folder
 from hpe_rig.prediction import force_of
 from hpe_rig.processing import Estimates
-from hpe_rig.runs.run import _warnings
+from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import SettingsError, load_scene, scene_text
 from hpe_rig.store import StoreError, sha256_of_scan
 from sim_backend.settings import SimulationSettings, Transducer
@@ -201,12 +201,12 @@ def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", ["push.csv", "/gone/push.csv", r"C:\scans\push.csv"])
 def test_a_scan_that_is_lost_is_taken_from_beside_the_run_file(path: str, tmp_path: Path) -> None:
     scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": path})
-    assert with_scan_beside(scene, tmp_path) == scene
+    assert with_scan_in_folder(scene, tmp_path) == scene
     (tmp_path / "push.csv").touch()
-    found = with_scan_beside(scene, tmp_path)
+    found = with_scan_in_folder(scene, tmp_path)
     assert found.beams is not None
     assert found.beams.excitation_scan == str(tmp_path / "push.csv")
-    assert with_scan_beside(found, tmp_path / "elsewhere") == found, "it is where it says"
+    assert with_scan_in_folder(found, tmp_path / "elsewhere") == found, "it is where it says"
 
 
 def test_a_run_is_resumed_with_the_scan_beside_its_file(tmp_path: Path) -> None:
@@ -222,6 +222,10 @@ def test_a_run_is_resumed_with_the_scan_beside_its_file(tmp_path: Path) -> None:
     assert beams.excitation_scan == str(here)
 
 
+def warnings_of(run: hpe.Run) -> list[str]:
+    return list(run_warnings(run.scene, run.plan, run.findings, run.stored, Estimates((), {})))
+
+
 def test_a_result_says_that_the_scan_is_no_longer_the_one_of_the_run(tmp_path: Path) -> None:
     path = tmp_path / "push.csv"
     path.write_text("x_m\n")
@@ -232,18 +236,18 @@ def test_a_result_says_that_the_scan_is_no_longer_the_one_of_the_run(tmp_path: P
     run = hpe.open_run(OLD_RUN)
     assert run.stored.scan_sha256 == "", "files of earlier releases do not say"
     run = replace(run, scene=scene)
-    of_the_file = [sum("no longer the one" in each for each in _warnings(run, Estimates((), {})))]
+    of_the_file = [sum("has changed since" in each for each in warnings_of(run))]
     for stored in (stated, "0" * 64):
         known = replace(run, stored=replace(run.stored, scan_sha256=stored))
-        of_the_file.append(sum("no longer the one" in each for each in _warnings(known, Estimates((), {}))))
+        of_the_file.append(sum("has changed since" in each for each in warnings_of(known)))
         setup: Any = SimpleNamespace(
             scene=SimpleNamespace(scene=scene, name="scene"), bench=SimpleNamespace(bench=run.bench)
         )
         with pytest.raises(StoreError, match="one run has one scan") if stored != stated else nullcontext():
-            _refuse_other(known, setup)
+            _refuse_differences(known.stored, setup, setup)
     assert of_the_file == [0, 0, 1]
     path.unlink()
-    (lost,) = [each for each in _warnings(known, Estimates((), {})) if each.startswith("beams.excitation_scan")]
+    (lost,) = [each for each in warnings_of(known) if each.startswith("beams.excitation_scan")]
     assert "cannot be read (no such file or directory)" in lost
 
 
@@ -262,10 +266,10 @@ def test_a_run_finds_its_scan_again_beside_the_run_file(tmp_path: Path, monkeypa
     assert force_of(run.scene) == before
     with (tmp_path / "push.csv").open("rb") as scan:
         assert run.stored.scan_sha256 == hashlib.file_digest(scan, "sha256").hexdigest()
-    assert not any("no longer the one" in warning for warning in run.estimate().warnings)
+    assert not any("has changed since" in warning for warning in run.estimate().warnings)
     with (tmp_path / "push.csv").open("a", encoding="utf-8") as scan:
         scan.write("\n")
-    assert any("no longer the one" in warning for warning in hpe.open_run(tmp_path / "run.h5").estimate().warnings)
+    assert any("has changed since" in warning for warning in hpe.open_run(tmp_path / "run.h5").estimate().warnings)
     (tmp_path / "push.csv").rename(tmp_path / "lost.csv")
     with pytest.raises(SettingsError, match="beside the run file"):
         force_of(hpe.open_run(tmp_path / "run.h5").scene)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from sim_backend.motion import force_share
+from sim_backend.motion import force_scale
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import (
     Accuracy,
@@ -47,7 +47,7 @@ def test_before_the_shock_a_plane_wave_is_fubinis() -> None:
 
 @pytest.mark.parametrize("sigma", [1.5, 3.0])
 def test_behind_the_shock_a_plane_wave_is_blackstocks(sigma: float) -> None:
-    """Weak shock theory (1966); 64 harmonics leave 1e-4 of the source (scripts/nonlinear_push.py)."""
+    """Weak shock theory (1966); 64 harmonics leave 1e-4 of the source (scripts/validation/nonlinear_push.py)."""
     n = np.arange(1, 6)
     shock = np.pi
     for _ in range(200):
@@ -130,8 +130,8 @@ def test_a_force_that_no_drive_makes_is_refused_with_the_largest() -> None:
 
 
 def test_a_scene_that_asks_for_nothing_gets_the_square() -> None:
-    assert force_share(SimulationSettings(specimen=Specimen())) is None
-    assert force_share(SimulationSettings(beams=Beams(), propagation=Propagation())) is None
+    assert force_scale(SimulationSettings(specimen=Specimen())) is None
+    assert force_scale(SimulationSettings(beams=Beams(), propagation=Propagation())) is None
 
 
 COARSE = {"beams": Beams(excitation_width_m=(0.34e-3, 0.34e-3, 3.6e-3)), "propagation": Propagation(harmonics=8)}
@@ -147,7 +147,7 @@ def test_the_force_of_a_carrier_is_the_push_of_that_carrier_computed_once(monkey
     monkeypatch.setattr("sim_backend.transducer.push.nonlinear_beam", counted)
     specimen = Specimen(force_density_n_per_m3=2.345e6)
     settings = SimulationSettings(specimen=specimen, **COARSE)
-    share = force_share(settings)
+    share = force_scale(settings)
     assert share is not None
     assert not marched, "a scene without tonebursts computes no push"
     carrier_hz, pressure = np.array([0.5e6, 0.4e6, 0.5e6]), np.array([0.5, 0.7, 1.0])
@@ -167,11 +167,11 @@ def test_the_force_of_a_carrier_is_the_push_of_that_carrier_computed_once(monkey
 
 @pytest.mark.slow
 def test_muscle_is_pushed_by_more_than_the_square_where_shocks_form() -> None:
-    """Errors by scripts/nonlinear_push.py: force 1 % at 24 harmonics."""
+    """Errors by scripts/validation/nonlinear_push.py: force 1 % at 24 harmonics."""
     specimen = Specimen(preset="bovine_muscle", force_density_n_per_m3=2.2e6)
     beams = Beams(excitation_width_m=(0.34e-3, 0.34e-3, 3.6e-3))
     settings = SimulationSettings(specimen=specimen, beams=beams, propagation=Propagation())
-    share = force_share(settings)
+    share = force_scale(settings)
     assert share is not None
     at = share(np.sqrt(np.array([0.01, 0.25, 0.49, 1.0])), np.full(4, 3e6))
     assert at[-1] == pytest.approx(1.0)

@@ -1,0 +1,89 @@
+"""Response of an aperture's beam to each scatterer, at every frequency of the pulse.
+
+A Gaussian beam only weakens an echo. A real beam weakens high frequencies more off the axis, and changes their phase.
+Docs/theory/transducer.md, section 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim_backend.arrays import ComplexArray, FloatArray
+from sim_backend.echoes.pulse import Pulse
+from sim_backend.settings import SimulationSettings
+
+if TYPE_CHECKING:
+    from sim_backend.transducer import Mixture
+
+
+_BAND_NODES = 9
+"""Frequencies between which the response is interpolated over the band of a pulse."""
+_MAX_WINDOW_LINES = 3
+"""Pulses of at most so many exponentials are windows; only a response linear in frequency keeps the window's shape."""
+_FAINT_AMPLITUDE = 1e-5
+"""Relative amplitude below which an exponential does not extend the band."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamResponse:
+    """Response of a beam to the echo of each scatterer."""
+
+    weight: FloatArray
+    """(scatterer,), largest magnitude over the frequencies of the pulse, relative to the focus."""
+    response: ComplexArray
+    """(frequency, scatterer), complex response at each frequency, divided by ``weight``."""
+    delay_ratio: FloatArray
+    """(scatterer,), delay caused by a displacement u, divided by 2 u / c."""
+
+
+def beam_response(
+    settings: SimulationSettings, offset_m: FloatArray, pulse: Pulse, of_push: bool = False
+) -> BeamResponse:
+    """Return the response of the aperture to echoes of ``pulse`` from ``offset_m`` (scatterer, 3) from the focus.
+
+    ``of_push``: the pulse is a toneburst, centred on the axis of the push instead of that of the tracking.
+    """
+    # Imported here, so that Gaussian beams do not load the package.
+    from sim_backend.transducer import pulse_echo_beam
+
+    x, y = (0.0, 0.0) if of_push else settings.beams.lateral_offset_m
+    lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
+    node_hz, mixture, nodes_to_lines = _band(pulse)
+    reach_m = float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
+    at_nodes, delay_ratio = pulse_echo_beam(settings, node_hz, *reach_m, mixture, of_push).at(lateral_m, axial_m)
+    response = nodes_to_lines @ at_nodes
+    weight = np.abs(response).max(axis=0)
+    return BeamResponse(weight, response / np.where(weight > 0, weight, 1.0), delay_ratio)
+
+
+def _band(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, FloatArray]:
+    """Return the frequencies and the mixture of them to tabulate, and the matrix (exponential, table) to the pulse.
+
+    For a window of up to three exponentials: the least squares straight line in frequency, weighted by energy, since
+    any other function would make steps where the window ends. For more: the polynomial through the Chebyshev points of
+    the band.
+    """
+    line_hz, amplitude = np.array(pulse.frequency_hz), np.abs(pulse.amplitude)
+    if len(line_hz) == 1:
+        return pulse.frequency_hz, None, np.ones((1, 1))
+    if len(line_hz) <= _MAX_WINDOW_LINES:
+        energy = amplitude**2 / (amplitude**2).sum()
+        offset_hz = line_hz - energy @ line_hz
+        # Two tables: the mean, and the slope times the largest offset from the mean frequency.
+        max_offset_hz = np.abs(offset_hz).max()
+        slope = energy * offset_hz * max_offset_hz / (energy @ offset_hz**2)
+        mixture = tuple(energy.tolist()), tuple(slope.tolist())
+        return pulse.frequency_hz, mixture, np.stack([np.ones(len(line_hz)), offset_hz / max_offset_hz], axis=1)
+    strong_hz = line_hz[amplitude > _FAINT_AMPLITUDE * amplitude.max()]
+    low_hz, high_hz = float(strong_hz.min()), float(strong_hz.max())
+    # Values at the points -> coefficients of the Chebyshev polynomials -> values at the exponentials.
+    chebyshev = np.polynomial.chebyshev
+    points = chebyshev.chebpts1(_BAND_NODES)
+    to_coefficients = chebyshev.chebvander(points, _BAND_NODES - 1).T * (2 / _BAND_NODES)
+    to_coefficients[0] /= 2
+    position = np.clip(2 * (line_hz - low_hz) / (high_hz - low_hz) - 1, -1.0, 1.0)
+    node_hz = tuple((low_hz + (high_hz - low_hz) * (points + 1) / 2).tolist())
+    return node_hz, None, chebyshev.chebvander(position, _BAND_NODES - 1) @ to_coefficients
