@@ -1,4 +1,4 @@
-"""APPLy, which sets a whole waveform with one command and **switches the output on at once**, as on the instrument."""
+"""APPLy: sets a whole waveform with one command and **switches the output on at once**, as on the instrument."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from sim_backend.generator.scpi_text import ScpiError, short_form
 from sim_backend.generator.timing import set_function
 
 SHAPES: Mapping[str, Mapping[str, float]] = {"SQU": {"duty_percent": 50.0}, "RAMP": {"symmetry_percent": 100.0}}
-"""What the command sets beside its arguments."""
+"""Settings of the command in addition to its arguments."""
 UNUSED = {"DC": 2, "NOIS": 1}
-"""How many of frequency, amplitude and offset stand there to keep the place and mean nothing."""
+"""How many of frequency, amplitude and offset are ignored."""
 
 
 def _apply(function: str) -> Write:
@@ -23,7 +23,7 @@ def _apply(function: str) -> Write:
         if len(arguments) > 3:
             raise ScpiError(-108, "Parameter not allowed")
         frequency, amplitude, offset = (*arguments, "", "", "")[:3]
-        # Triggered internally, without burst; the frequency that is given counts, not the one before it.
+        # Internal trigger, no burst. A given frequency replaces the previous one before the function is set.
         shape = SHAPES.get(function, {})
         start = replace(state, trigger_source="IMM", burst=False, range_auto="1", **shape)  # type: ignore[arg-type]
         start = replace(start, frequency_hz=1e3 if frequency else state.frequency_hz)
@@ -32,22 +32,22 @@ def _apply(function: str) -> Write:
         values = ((FREQUENCY, frequency), (AMPLITUDE, amplitude), (OFFSET, offset))
         for setting, text in (*first, *values[UNUSED.get(function, 0) :]):
             if text:
-                coerced = coerced.then(partial(setting.carried_out, arguments=(text,)))
+                coerced = coerced.then(partial(setting.execute, arguments=(text,)))
         return coerced.changed(output=True)
 
     return write
 
 
-def _shown(state: Registers, arguments: tuple[str, ...]) -> str:
+def _reply(state: Registers, arguments: tuple[str, ...]) -> str:
     values = ",".join(setting.answer(state, ()) for setting in (FREQUENCY, AMPLITUDE, OFFSET))
     return f'"{state.function} {values}"'
 
 
 def apply_forms(functions: str) -> Mapping[str, SettingCommand]:
-    """Return the forms of APPLy for ``functions``, by header (manual; what the trigger source becomes: sibling)."""
-    accepts = "frequency, amplitude, offset: numbers with units, MIN, MAX, DEF; those left out stay"
+    """Return the forms of APPLy for ``functions``, by header (manual; effect on the trigger source: sibling)."""
+    accepts = "frequency, amplitude, offset: numbers with units, MIN, MAX, DEF; omitted ones stay"
     forms = {
         f"[SOURce<n>:]APPLy:{function}": SettingCommand(_apply(short_form(function)), None, accepts)
         for function in functions.split()
     }
-    return {**forms, "[SOURce<n>:]APPLy": SettingCommand(None, _shown)}
+    return {**forms, "[SOURce<n>:]APPLy": SettingCommand(None, _reply)}

@@ -1,4 +1,4 @@
-"""Arbitrary waveforms as the instrument keeps them: names, points and their attributes; the twin never puts one out."""
+"""Arbitrary waveforms in memory: names, points and attributes; they have no output in the twin."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from sim_backend.generator.scpi_text import ScpiError, none_of, not_simulated, n
 BUILT_IN = ("EXP_RISE", "EXP_FALL", "NEG_RAMP", "SINC", "CARDIAC")
 VOLATILE = "VOLATILE"
 SLOTS = 4
-MOST_POINTS = 65_536
-FEWEST_POINTS = 8
-MOST_NAMES = 16
-"""Of the series, whose volatile memory holds many waveforms (assumed)."""
+MAX_POINTS = 65_536
+MIN_POINTS = 8
+MAX_NAMES = 16
+"""Waveforms in the volatile memory of the 33500 and 33600 series (assumed)."""
 _NAME = re.compile(r"[A-Z][A-Z0-9_]*", re.ASCII)
-LONGEST_NAME = 12
+MAX_NAME = 12
 
 
 def waveform_name(text: str) -> str:
-    """Return a name as the instrument keeps it; raise ``ScpiError`` -148 for what is none, -112 for a long one."""
+    """Return a name in capitals; raise ``ScpiError`` -148 for an invalid name, -112 for a long one."""
     plain = quoted(text) if text[:1] in ('"', "'") else text
     if not _NAME.fullmatch(plain.upper()):
         raise ScpiError(-148, "Character data not allowed")
-    if len(plain) > LONGEST_NAME:
+    if len(plain) > MAX_NAME:
         raise ScpiError(-112, "Program mnemonic too long")
     return plain.upper()
 
 
 class WaveformMemory:
-    """Waveforms by name: the one in volatile memory, four places that survive a reset, five that are built in."""
+    """Waveforms by name: one in volatile memory, four in non-volatile memory, five built in."""
 
     def __init__(self) -> None:
         self._points: dict[str, array[float]] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Every waveform that can be selected."""
+        """All selectable waveforms."""
         return (*((VOLATILE,) if VOLATILE in self._points else ()), *BUILT_IN, *self.stored)
 
     @property
     def stored(self) -> tuple[str, ...]:
-        """The waveforms of the user's in non-volatile memory."""
+        """The user's waveforms in non-volatile memory."""
         return tuple(name for name in self._points if name != VOLATILE)
 
     def download(self, arguments: tuple[str, ...], scale: float) -> None:
-        """Keep points in volatile memory, ``scale`` being the largest; the first argument says where they go."""
+        """Store points in volatile memory, with ``scale`` as full scale; the first argument is the destination."""
         if len(arguments) < 2:
             raise ScpiError(-109, "Missing parameter")
         if arguments[0].upper() != VOLATILE:
@@ -56,24 +56,24 @@ class WaveformMemory:
         self._points[VOLATILE] = _scaled(arguments[1:], scale)
 
     def download_named(self, arguments: tuple[str, ...], scale: float) -> None:
-        """Keep points in volatile memory under the name that the first argument gives, as the series do."""
+        """Store points in volatile memory under the name in the first argument (33500 and 33600 series)."""
         if len(arguments) < 2:
             raise ScpiError(-109, "Missing parameter")
         name = waveform_name(arguments[0])
         if name in self._points:
             raise ScpiError(786, "Specified arb waveform already exists")
-        if len(arguments) <= FEWEST_POINTS:
+        if len(arguments) <= MIN_POINTS:
             raise ScpiError(-222, "Data out of range; number of points")
-        if len(self._points) == MOST_NAMES:
+        if len(self._points) == MAX_NAMES:
             raise ScpiError(781, "Not enough memory to store new arb waveform")
         self._points[name] = _scaled(arguments[1:], scale)
 
     def clear(self) -> None:
-        """Forget every waveform of the user's."""
+        """Delete all waveforms of the user."""
         self._points.clear()
 
     def copy(self, arguments: tuple[str, ...]) -> None:
-        """Copy the volatile waveform to a name of its own."""
+        """Copy the volatile waveform to another name."""
         name = waveform_name(arguments[0] if arguments else one(arguments))
         none_of(arguments[2:])
         if name in BUILT_IN:
@@ -84,7 +84,7 @@ class WaveformMemory:
         self._points[name] = self._points[VOLATILE]
 
     def delete(self, name: str, active: str) -> None:
-        """Delete a waveform that is neither built in nor ``active``."""
+        """Delete a waveform; raise ``ScpiError`` if it is built in or ``active``."""
         if name in BUILT_IN:
             raise ScpiError(786, "Cannot delete a built-in arb waveform")
         if name == active:
@@ -92,24 +92,24 @@ class WaveformMemory:
         del self._points[self._existing(name)]
 
     def delete_all(self, active: str) -> None:
-        """Delete every waveform of the user's but the ``active`` one."""
+        """Delete all waveforms of the user except the ``active`` one."""
         self._points = {name: points for name, points in self._points.items() if name == active}
 
     def select(self, text: str) -> str:
-        """Return the name of a waveform that exists; raise ``ScpiError`` 785 for another."""
+        """Return the name of an existing waveform; raise ``ScpiError`` 785 for another."""
         return self._existing(waveform_name(text))
 
-    def attribute(self, what: str, name: str) -> str:
+    def attribute(self, attribute: str, name: str) -> str:
         """Return the average, crest factor, number of points or peak-to-peak value of a waveform."""
         if self._existing(name) in BUILT_IN:
             raise not_simulated("the points of built-in waveforms")
         points = np.frombuffer(self._points[name], np.float64)
-        if what == "POINTS":
+        if attribute == "POINTS":
             return f"{points.size:+d}"
         rms = float(np.sqrt(np.mean(points**2)))
         peak = float(np.max(np.abs(points)))
         values = {"AVERAGE": float(np.mean(points)), "PTPEAK": float(np.ptp(points))}
-        return real_reply(values.get(what, peak / rms if rms else 0.0))
+        return real_reply(values.get(attribute, peak / rms if rms else 0.0))
 
     def _existing(self, name: str) -> str:
         if name not in self.names:
@@ -120,7 +120,7 @@ class WaveformMemory:
 def _scaled(arguments: Sequence[str], scale: float) -> array[float]:
     if any(argument.startswith("#") for argument in arguments):
         raise not_simulated("binary blocks, send the points as numbers")
-    if len(arguments) > MOST_POINTS:
+    if len(arguments) > MAX_POINTS:
         raise ScpiError(-223, "Too much data")
     points = array("d", (number(argument, "")[0] / scale for argument in arguments))
     if max(points) > 1.0 or min(points) < -1.0:

@@ -1,6 +1,6 @@
-"""Command tree: every header of every model with what it does, as one table.
+"""Command tree: every header of every model with its effect, as one table.
 
-docs/command-tree.md is printed from it by scripts/command_tree.py.
+docs/reference/command-tree.md is printed from it by docs/_build_tools/command_tree.py.
 """
 
 from __future__ import annotations
@@ -8,53 +8,50 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 from sim_backend.generator.apply import apply_forms
-from sim_backend.generator.arbitrary import BUILT_IN, FEWEST_POINTS, MOST_POINTS, SLOTS, waveform_name
+from sim_backend.generator.arbitrary import BUILT_IN, MAX_POINTS, MIN_POINTS, SLOTS, waveform_name
 from sim_backend.generator.commands import settings_of
 from sim_backend.generator.headers import HeaderTable
 from sim_backend.generator.inactive import with_inactive
 from sim_backend.generator.kinds import SettingCommand
+from sim_backend.generator.machine import Machine
 from sim_backend.generator.models import MODELS, Model
 from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, none_of, not_simulated, one, whole_number
-from sim_backend.generator.stored_states import PLACES, place_of
+from sim_backend.generator.stored_states import LOCATIONS, location_of
 
-if TYPE_CHECKING:
-    from sim_backend.generator.instrument import Generator33250A
-
-Carry = Callable[["Generator33250A", tuple[str, ...]], None]
-Answer = Callable[["Generator33250A", tuple[str, ...]], str]
+Execute = Callable[[Machine, tuple[str, ...]], None]
+Answer = Callable[[Machine, tuple[str, ...]], str]
 
 SCPI_VERSION = "1999.0"
-"""Per manual; an emulator that was compared with hardware answers 1994.0 (unresolved)."""
+"""From the manual; an emulator that was compared with hardware answers 1994.0 (unresolved)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """What a header does that is no setting of a channel: as a command, and as a query; None where a form is missing.
+    """A header that is no setting of a channel, as a command and as a query; None if there is no such form.
 
-    ``accepts`` says in words what may follow the header, ``asked`` what may follow it with ``?``; empty for nothing.
+    ``accepts`` and ``query_accepts`` describe the arguments of the two forms; empty for none.
     """
 
-    command: Carry | None = None
+    command: Execute | None = None
     query: Answer | None = None
     accepts: str = ""
-    asked: str = ""
+    query_accepts: str = ""
 
     @property
-    def takes(self) -> str | None:
-        """What may follow the header as a command; None where there is no such form."""
+    def command_arguments(self) -> str | None:
+        """Description of the command's arguments, None if there is no command."""
         return None if self.command is None else self.accepts
 
     @property
-    def asks(self) -> str | None:
-        """What may follow the header as a query; None where there is no such form."""
-        return None if self.query is None else self.asked
+    def query_arguments(self) -> str | None:
+        """Description of the query's arguments, None if there is no query."""
+        return None if self.query is None else self.query_accepts
 
-    def carry_out(self, instrument: Generator33250A, query: bool, arguments: tuple[str, ...]) -> str | None:
-        """Return the reply of the query, or carry the command out; ``ScpiError`` -113 for a form that is missing."""
-        if not (self.asked if query else self.accepts):
+    def execute(self, instrument: Machine, query: bool, arguments: tuple[str, ...]) -> str | None:
+        """Return the reply of the query, or execute the command; raise ``ScpiError`` -113 for a missing form."""
+        if not (self.query_accepts if query else self.accepts):
             none_of(arguments)
         if query and self.query is not None:
             return self.query(instrument, arguments)
@@ -76,28 +73,28 @@ def _register(name: str, largest: int) -> Action:
     )
 
 
-def _wait_and_answer(instrument: Generator33250A, arguments: tuple[str, ...]) -> str:
+def _wait_and_answer(instrument: Machine, arguments: tuple[str, ...]) -> str:
     instrument.wait()
     return "1"
 
 
-def _beep(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
-    """Make no noise: there is nobody to hear it."""
+def _beep(instrument: Machine, arguments: tuple[str, ...]) -> None:
+    """Do nothing: the beeper is not simulated."""
 
 
-def _order(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+def _order(instrument: Machine, arguments: tuple[str, ...]) -> None:
     instrument.byte_order = keyword(one(arguments), ("NORMal", "SWAPped"))
 
 
-def _power_on_recall(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+def _power_on_recall(instrument: Machine, arguments: tuple[str, ...]) -> None:
     instrument.states.recalled_at_power_on = boolean(one(arguments))
 
 
-def _clear_at_power_on(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+def _clear_at_power_on(instrument: Machine, arguments: tuple[str, ...]) -> None:
     instrument.status.cleared_at_power_on = boolean(one(arguments))
 
 
-def _always_on(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+def _always_on(instrument: Machine, arguments: tuple[str, ...]) -> None:
     if not boolean(one(arguments)):
         raise not_simulated("a trigger system that is not continuously armed")
 
@@ -117,8 +114,8 @@ COMMON: Mapping[str, Action] = {
     "*PSC": Action(
         _clear_at_power_on, lambda instrument, arguments: str(int(instrument.status.cleared_at_power_on)), "0, 1"
     ),
-    "*SAV": Action(lambda instrument, arguments: instrument.save(place_of(arguments)), accepts="0 to 4"),
-    "*RCL": Action(lambda instrument, arguments: instrument.recall(place_of(arguments)), accepts="0 to 4"),
+    "*SAV": Action(lambda instrument, arguments: instrument.save(location_of(arguments)), accepts="0 to 4"),
+    "*RCL": Action(lambda instrument, arguments: instrument.recall(location_of(arguments)), accepts="0 to 4"),
     "*LRN": Action(query=lambda instrument, arguments: instrument.learn_string()),
 }
 
@@ -126,9 +123,9 @@ SYSTEM: Mapping[str, Action] = {
     "SYSTem:ERRor[:NEXT]": Action(query=lambda instrument, arguments: instrument.status.next_error()),
     "SYSTem:VERSion": Action(query=_fixed(SCPI_VERSION)),
     "SYSTem:BEEPer[:IMMediate]": Action(_beep),
-    "SYSTem:LOCal": Action(lambda instrument, arguments: instrument.hold(True)),
-    "SYSTem:REMote": Action(lambda instrument, arguments: instrument.hold(False)),
-    "SYSTem:RWLock": Action(lambda instrument, arguments: instrument.hold(False)),
+    "SYSTem:LOCal": Action(lambda instrument, arguments: instrument.set_local(True)),
+    "SYSTem:REMote": Action(lambda instrument, arguments: instrument.set_local(False)),
+    "SYSTem:RWLock": Action(lambda instrument, arguments: instrument.set_local(False)),
     "STATus:QUEStionable:CONDition": Action(query=_fixed("+0")),
     "STATus:QUEStionable[:EVENt]": Action(query=_fixed("+0")),
     "STATus:QUEStionable:ENABle": _register("QUES", 32767),
@@ -136,18 +133,19 @@ SYSTEM: Mapping[str, Action] = {
     "CALibration:COUNt": Action(query=_fixed("+0")),
     "CALibration:STRing": Action(query=_fixed('""')),
     "CALibration:SECure:STATe": Action(query=_fixed("1")),
-    "MEMory:NSTates": Action(query=_fixed(f"{PLACES:+d}")),
+    "MEMory:NSTates": Action(query=_fixed(f"{LOCATIONS:+d}")),
     "MEMory:STATe:NAME": Action(
         lambda instrument, arguments: instrument.states.rename(arguments),
-        lambda instrument, arguments: f'"{instrument.states.name(place_of(arguments))}"',
+        lambda instrument, arguments: f'"{instrument.states.name(location_of(arguments))}"',
         "0 to 4, name",
         "0 to 4",
     ),
     "MEMory:STATe:DELete": Action(
-        lambda instrument, arguments: instrument.states.delete(place_of(arguments)), accepts="0 to 4"
+        lambda instrument, arguments: instrument.states.delete(location_of(arguments)), accepts="0 to 4"
     ),
     "MEMory:STATe:VALid": Action(
-        query=lambda instrument, arguments: str(int(instrument.states.valid(place_of(arguments)))), asked="0 to 4"
+        query=lambda instrument, arguments: str(int(instrument.states.valid(location_of(arguments)))),
+        query_accepts="0 to 4",
     ),
     "MEMory:STATe:RECall:AUTO": Action(
         _power_on_recall, lambda instrument, arguments: str(int(instrument.states.recalled_at_power_on)), "ON, OFF"
@@ -160,30 +158,30 @@ def _names(names: tuple[str, ...]) -> str:
     return ",".join(f'"{name}"' for name in names) or '""'
 
 
-def _active(instrument: Generator33250A) -> str:
+def _active(instrument: Machine) -> str:
     return str(instrument.registers.inactive.get("waveform", BUILT_IN[0]))
 
 
-def _select(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+def _select(instrument: Machine, arguments: tuple[str, ...]) -> None:
     name = instrument.waveforms.select(one(arguments))
     instrument.program(with_inactive(instrument.registers, waveform=name))
 
 
-def _attribute(what: str) -> Action:
-    def answer(instrument: Generator33250A, arguments: tuple[str, ...]) -> str:
+def _attribute(attribute: str) -> Action:
+    def answer(instrument: Machine, arguments: tuple[str, ...]) -> str:
         name = waveform_name(one(arguments)) if arguments else _active(instrument)
-        return instrument.waveforms.attribute(what, name)
+        return instrument.waveforms.attribute(attribute, name)
 
-    return Action(query=answer, asked="name of a waveform, or none")
+    return Action(query=answer, query_accepts="name of a waveform, or none")
 
 
 def _download(scale: float) -> Action:
-    accepts = f"VOLATILE, 1 to {MOST_POINTS} numbers of -{scale:g} to {scale:g}"
+    accepts = f"VOLATILE, 1 to {MAX_POINTS} numbers of -{scale:g} to {scale:g}"
     return Action(lambda instrument, arguments: instrument.waveforms.download(arguments, scale), accepts=accepts)
 
 
 def _download_named(scale: float) -> Action:
-    accepts = f"name, {FEWEST_POINTS} to {MOST_POINTS} numbers of -{scale:g} to {scale:g}"
+    accepts = f"name, {MIN_POINTS} to {MAX_POINTS} numbers of -{scale:g} to {scale:g}"
     return Action(lambda instrument, arguments: instrument.waveforms.download_named(arguments, scale), accepts=accepts)
 
 
@@ -208,9 +206,9 @@ WAVEFORMS: Mapping[str, Action] = {
     "DATA:ATTRibute:CFACtor": _attribute("CFACTOR"),
     "DATA:ATTRibute:PTPeak": _attribute("PTPEAK"),
 }
-"""Waveforms of the 33250A and the 33220A."""
+"""Commands for waveforms on the 33250A and the 33220A."""
 
-OF_SERIES: Mapping[str, Action] = {
+SERIES: Mapping[str, Action] = {
     "*OPT": Action(query=_fixed("0")),
     "[SOURce<n>:]PHASe:SYNChronize": Action(lambda instrument, arguments: None),
     "INITiate<n>:CONTinuous": Action(_always_on, _fixed("1"), "ON"),
@@ -224,32 +222,32 @@ OF_SERIES: Mapping[str, Action] = {
         query=lambda instrument, arguments: _names((*BUILT_IN, *instrument.waveforms.stored))
     ),
 }
-"""Of the 33500 and the 33600 series alone (assumed: the reply to ``*OPT?``)."""
+"""Commands of the 33500 and the 33600 series alone (assumed: the reply to ``*OPT?``)."""
 
 ON_LAN: Mapping[str, Action] = {
     "SYSTem:COMMunicate:RLSTate": Action(
-        lambda instrument, arguments: instrument.hold(
-            keyword(one(arguments), ("LOCal", "REMote", "RWLock")) == "LOC", anywhere=True
+        lambda instrument, arguments: instrument.set_local(
+            keyword(one(arguments), ("LOCal", "REMote", "RWLock")) == "LOC", over_any_bus=True
         ),
         accepts="LOCal, REMote, RWLock",
     )
 }
-"""Of the models that have a network connector."""
+"""Commands of the models with a network connector."""
 
 Entry = SettingCommand | Action
 REMOTE = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())
-"""What an instrument on RS-232 takes while it is in local mode."""
+"""Commands that an instrument on RS-232 accepts in local mode."""
 
 
 def tree_of(model: Model) -> Mapping[str, Entry]:
-    """Return everything that ``model`` knows, by the form of its header."""
-    own = OF_SERIES if model.channels else WAVEFORMS
+    """Return all commands of ``model``, by the form of their header."""
+    waveforms = SERIES if model.channels else WAVEFORMS
     lan = {} if model.name == "33250A" else ON_LAN
-    return {**COMMON, **apply_forms(model.functions), **settings_of(model), **SYSTEM, **own, **lan}
+    return {**COMMON, **apply_forms(model.functions), **settings_of(model), **SYSTEM, **waveforms, **lan}
 
 
 @cache
 def table_of(name: str) -> HeaderTable[Entry]:
-    """Return the tree of a model by the name that it gives of itself."""
-    model = next(each for each in MODELS.values() if each.name == name)
+    """Return the commands of a model by the name in its identity."""
+    model = next(model for model in MODELS.values() if model.name == name)
     return HeaderTable(tree_of(model), model.channels)

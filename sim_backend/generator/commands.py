@@ -1,4 +1,4 @@
-"""Commands that set a waveform: header -> what it sets and what it answers, as functions of the registers."""
+"""Commands that set a waveform, by header: effect and reply as functions of the registers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from operator import attrgetter
 
 from sim_backend.generator import levels, registers, timing
-from sim_backend.generator.inactive import INACTIVE, OF_SERIES as INACTIVE_OF_SERIES, off
+from sim_backend.generator.inactive import INACTIVE, SERIES as INACTIVE_SERIES, off
 from sim_backend.generator.kinds import (
     LimitsOf,
     SettingCommand,
@@ -19,7 +19,7 @@ from sim_backend.generator.kinds import (
     numeric,
     switch,
 )
-from sim_backend.generator.levels import load_share
+from sim_backend.generator.levels import load_divider
 from sim_backend.generator.models import Model
 from sim_backend.generator.registers import Coerced, Registers
 from sim_backend.generator.scpi_text import boolean, none_of, number, one, quoted
@@ -37,12 +37,12 @@ def _amplitude() -> SettingCommand:
             vpp = DEFAULT_VPP
         if vpp is None:
             vpp = levels.to_vpp(state, *number(text, "VPP VRMS DBM V"))
-        return levels.set_amplitude(state, vpp / load_share(state))
+        return levels.set_amplitude(state, vpp / load_divider(state))
 
     shown = numeric(
         "VPP VRMS DBM",
         limits,
-        lambda state: levels.in_unit(state, state.amplitude_v * load_share(state)),
+        lambda state: levels.in_unit(state, state.amplitude_v * load_divider(state)),
         levels.set_amplitude,
     )
     return replace(shown, write=write)
@@ -54,37 +54,36 @@ DEFAULT_VPP = 0.1
 def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], Coerced]) -> SettingCommand:
     def limits(state: Registers) -> tuple[float, float]:
         low, high = open_limits(state)
-        return low * load_share(state), high * load_share(state)
+        return low * load_divider(state), high * load_divider(state)
 
     return numeric(
         "V",
         limits,
-        lambda state: getattr(state, field) * load_share(state),
-        lambda state, value: put(state, value / load_share(state)),
+        lambda state: getattr(state, field) * load_divider(state),
+        lambda state, value: put(state, value / load_divider(state)),
     )
 
 
 def _offset_limits(state: Registers) -> tuple[float, float]:
-    room = registers.PEAK_V - state.amplitude_v / 2
-    return -room, room
+    limit_v = registers.PEAK_V - state.amplitude_v / 2
+    return -limit_v, limit_v
 
 
 def _gap_v(state: Registers) -> float:
-    return registers.LEVEL_GAP_V / load_share(state)
+    return registers.LEVEL_GAP_V / load_divider(state)
 
 
 def _period_limits_s(state: Registers) -> tuple[float, float]:
-    # The period is that of every function: what the present one cannot do is out of range too.
+    # The period is shared with the present function, whose limits hold too.
     low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
-    least_hz, most_hz = timing.frequency_limits_hz(state)
-    return 1 / min(high_hz, most_hz), 1 / max(low_hz, least_hz)
+    min_hz, max_hz = timing.frequency_limits_hz(state)
+    return 1 / min(high_hz, max_hz), 1 / max(low_hz, min_hz)
 
 
 def _put_period(state: Registers, period_s: float) -> Coerced:
     period_s, errors = registers.clipped(period_s, *_period_limits_s(state), "pulse period")
-    held = timing.with_duty_held(state, 1 / period_s)
-    fitted = timing.settle_pulse(Coerced(held, errors), state.model.short_period_error)
-    return timing.settle_frequency(fitted)
+    changed = timing.at_frequency(state, 1 / period_s)
+    return timing.settle_frequency(timing.settle_pulse(Coerced(changed, errors), state.model.short_period_error))
 
 
 def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
@@ -92,7 +91,7 @@ def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
     frequency_hz, errors = registers.clipped(frequency_hz, low_hz, high_hz, "frequency")
     frequency_hz = registers.rounded(frequency_hz, state.model.frequency_digits, state.model.frequency_decimals)
     frequency_hz = min(max(frequency_hz, low_hz), high_hz)
-    return timing.settle_frequency(Coerced(timing.with_duty_held(state, frequency_hz), errors))
+    return timing.settle_frequency(Coerced(timing.at_frequency(state, frequency_hz), errors))
 
 
 def _pulse_duty_limits(state: Registers) -> tuple[float, float]:
@@ -129,12 +128,12 @@ def _phase(field: str, quantity: str) -> SettingCommand:
 
 def _text() -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        return Coerced(replace(state, display_text=quoted(one(arguments))[:LONGEST_TEXT]))
+        return Coerced(replace(state, display_text=quoted(one(arguments))[:MAX_TEXT]))
 
     return SettingCommand(write, lambda state, arguments: f'"{state.display_text}"', "quoted text")
 
 
-LONGEST_TEXT = 40
+MAX_TEXT = 40
 
 
 def _range() -> SettingCommand:
@@ -166,7 +165,7 @@ EDGES = clipping("S", timing.edge_limits_s, "edge_s", "pulse edge time")
 
 SETTINGS: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]FUNCtion[:SHAPe]": choice_of_model(
-        "SINusoid, SQUare, RAMP, PULSe, NOISe, DC, and what the model has of USER, TRIangle, PRBS, ARBitrary",
+        "SINusoid, SQUare, RAMP, PULSe, NOISe, DC, and USER, TRIangle, PRBS, ARBitrary if the model has them",
         lambda state: state.model.functions.split(),
         "function",
         timing.set_function,
@@ -191,7 +190,7 @@ SETTINGS: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]BURSt:STATe": switch("burst", timing.set_burst),
     "[SOURce<n>:]BURSt:MODE": choice("TRIGgered GATed", "burst_mode", timing.set_burst_mode),
     "[SOURce<n>:]BURSt:NCYCles": numeric(
-        "", lambda state: (1.0, float(state.model.most_cycles)), "cycles", timing.set_cycles, infinite=True
+        "", lambda state: (1.0, float(state.model.max_cycles)), "cycles", timing.set_cycles, infinite=True
     ),
     "[SOURce<n>:]BURSt:INTernal:PERiod": numeric(
         "S", attrgetter("model.burst_period_limits_s"), "burst_period_s", timing.set_burst_period
@@ -209,7 +208,7 @@ SETTINGS: Mapping[str, SettingCommand] = {
     "OUTPut:TRIGger[:STATe]": switch("trigger_output", timing.set_trigger_output),
     "OUTPut:TRIGger:SLOPe": choice("POSitive NEGative", "trigger_output_slope"),
     "TRIGger<n>[:SEQuence]:SOURce": choice_of_model(
-        "IMMediate, EXTernal, BUS, and TIMer where the model has one", _sources, "trigger_source", timing.set_source
+        "IMMediate, EXTernal, BUS, and TIMer if the model has one", _sources, "trigger_source", timing.set_source
     ),
     "TRIGger<n>[:SEQuence]:SLOPe": choice("POSitive NEGative", "trigger_slope"),
     "TRIGger<n>[:SEQuence]:DELay": clipping(
@@ -222,7 +221,7 @@ SETTINGS: Mapping[str, SettingCommand] = {
     "SYSTem:BEEPer:STATe": switch("beeper"),
     **INACTIVE,
 }
-"""Settings that every model has, by header (docs/theory/instruments.md, 1.4)."""
+"""Settings of every model, by header (docs/explanation/instruments.md, 1.4)."""
 
 OF_33250A: Mapping[str, SettingCommand] = {
     "[SOURce:]PULSe:PERiod": PERIOD,
@@ -230,7 +229,7 @@ OF_33250A: Mapping[str, SettingCommand] = {
     "[SOURce:]PULSe:TRANsition": EDGES,
     "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
 }
-HELD: Mapping[str, SettingCommand] = {
+PULSE: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]FUNCtion:PULSe:WIDTh": WIDTH,
     "[SOURce<n>:]FUNCtion:PULSe:DCYCle": numeric(
         "", _pulse_duty_limits, lambda state: 100 * state.width_s * state.frequency_hz, _put_pulse_duty
@@ -238,21 +237,20 @@ HELD: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]FUNCtion:PULSe:HOLD": choice("WIDTh DCYCle", "pulse_hold"),
 }
 OF_33220A: Mapping[str, SettingCommand] = {
-    **HELD,
+    **PULSE,
     "[SOURce:]PULSe:PERiod": PERIOD,
     "[SOURce:]FUNCtion:PULSe:TRANsition": EDGES,
     "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
 }
-OF_SERIES: Mapping[str, SettingCommand] = {
-    **HELD,
+SERIES: Mapping[str, SettingCommand] = {
+    **PULSE,
     "[SOURce<n>:]FUNCtion:PULSe:PERiod": PERIOD,
     "[SOURce<n>:]FUNCtion:PULSe:TRANsition[:BOTH]": EDGES,
     "TRIGger<n>:TIMer": clipping("S", attrgetter("model.burst_period_limits_s"), "timer_s", "trigger timer"),
-    **INACTIVE_OF_SERIES,
+    **INACTIVE_SERIES,
 }
 
 
 def settings_of(model: Model) -> Mapping[str, SettingCommand]:
-    """Return the settings of ``model`` by header; the models spell those of the pulse differently."""
-    own = {"33250A": OF_33250A, "33220A": OF_33220A}.get(model.name, OF_SERIES)
-    return {**SETTINGS, **own}
+    """Return the settings of ``model`` by header; the models differ in the headers of the pulse."""
+    return {**SETTINGS, **{"33250A": OF_33250A, "33220A": OF_33220A}.get(model.name, SERIES)}

@@ -1,9 +1,11 @@
 """Emission of a 33250A: programmed registers and trigger edges -> voltage steps or sine bursts.
 
-Assumed, no source found: Trig In is a 10 kohm TTL input that switches at 2.0 V; a trigger is ignored from the one
-before it until that one's burst has ended; a change of any setting that shapes the output cuts a burst, running or
-pending; a gate that closes lets the cycle that is running end (sibling). Not modelled: ramps, triangles and noise (they
-put out nothing), phases, jitter.
+Assumed, no source found:
+- Trig In is a 10 kohm TTL input that switches at 2.0 V;
+- triggers are ignored until the burst of the previous one has ended;
+- a change of a setting that affects the output cuts a running or pending burst;
+- when a gate closes, the running cycle is completed (sibling).
+Not modelled: ramps, triangles and noise (no output), phases, jitter.
 """
 
 from __future__ import annotations
@@ -31,22 +33,21 @@ from sim_backend.wiring import (
 
 TRIGGER_LEVEL_V = 2.0
 TRIGGER_INPUT_OHM = 10e3
-MOST_STEPS = 20_000_000
+MAX_STEPS = 20_000_000
 FAR_PS = 1 << 61
-UNSEEN = frozenset(
+WITHOUT_EFFECT = frozenset(
     {"unit", "load_ohm", "sync", "trigger_output", "trigger_output_slope", "range_auto", "angle_unit"}
     | {"display", "display_text", "beeper", "inactive", "phase_deg", "pulse_hold"}
 )
-"""Registers that do not show at the output; the declared load only changes what is displayed."""
+"""Registers that do not affect the output; the declared load changes displayed values alone."""
 
 History = Sequence[tuple[int, Registers]]
 
 
-def shapes_output(before: Registers, after: Registers) -> bool:
-    """Return whether the step from one state to the other can be seen at the output."""
-    return (before.output or after.output) and any(
-        getattr(before, item.name) != getattr(after, item.name) for item in fields(Registers) if item.name not in UNSEEN
-    )
+def changes_output(before: Registers, after: Registers) -> bool:
+    """Return whether the output differs between two states."""
+    names = (item.name for item in fields(Registers) if item.name not in WITHOUT_EFFECT)
+    return (before.output or after.output) and any(getattr(before, name) != getattr(after, name) for name in names)
 
 
 def is_endless(registers: Registers) -> bool:
@@ -58,10 +59,10 @@ def is_endless(registers: Registers) -> bool:
 
 
 def respond(history: History, software_ps: Sequence[int], arriving: Steps, latency_ps: int, until_ps: int) -> Emission:
-    """Return all that is put out; ``history`` holds (time, registers) from the first state on, by time.
+    """Return the whole output, in open-circuit volts; an endless output is computed up to ``until_ps``.
 
-    ``software_ps`` are triggers by command, ``arriving`` is the voltage at Trig In. Outputs without an end of their own
-    are worked out to ``until_ps``. The emission's voltages and amplitudes are open-circuit ones.
+    ``history`` holds (time, registers), sorted by time; ``software_ps`` are triggers by command, ``arriving`` is the
+    voltage at Trig In.
     """
     segments = [
         (start_ps, history[index + 1][0] if index + 1 < len(history) else FAR_PS, registers)
@@ -69,13 +70,14 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
     ]
     steps, bursts, ignored, idle_v = [], [], 0, 0.0
     for index, (start_ps, stop_ps, registers) in enumerate(segments):
+        # Each state lasts until the next one.
         next_idle_v = _idle_v(segments[index + 1][2]) if index + 1 < len(segments) else 0.0
         if registers.burst and registers.burst_mode == "GAT":
             onset_ps, cycles = _gated(registers, start_ps, stop_ps, arriving, latency_ps)
         else:
-            onset_ps, missed = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
+            onset_ps, ignored_here = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
             cycles = np.full(onset_ps.size, registers.cycles if registers.burst else math.inf)
-            ignored += missed
+            ignored += ignored_here
         if _idle_v(registers) != idle_v:
             steps.append(_steps(np.array([start_ps]), idle_v, _idle_v(registers)))
         idle_v = _idle_v(registers)
@@ -98,9 +100,9 @@ def _onsets(
     latency_ps: int,
     until_ps: int,
 ) -> tuple[Int64Array, int]:
-    nothing = np.empty(0, np.int64)
+    """Return burst onsets between ``start_ps`` and ``stop_ps``, and the number of ignored triggers."""
     if not registers.output:
-        return nothing, 0
+        return np.empty(0, np.int64), 0
     if not registers.burst:
         return np.array([start_ps]), 0
     triggers = [np.array([time for time in software_ps if start_ps <= time < stop_ps], np.int64)]
@@ -113,12 +115,13 @@ def _onsets(
         triggers.append(np.arange(start_ps, last_ps, period_ps, dtype=np.int64))
     trigger_ps = np.sort(np.concatenate(triggers))
     busy_ps = min(FAR_PS, round(min(registers.delay_s + registers.burst_s, 1e6) * PS_PER_S))
-    taken = accepted(trigger_ps, busy_ps)
-    onset_ps = trigger_ps[taken] + latency_ps + to_ps(registers.delay_s)
-    return onset_ps[onset_ps < stop_ps], trigger_ps.size - taken.size
+    indices = accepted(trigger_ps, busy_ps)
+    onset_ps = trigger_ps[indices] + latency_ps + to_ps(registers.delay_s)
+    return onset_ps[onset_ps < stop_ps], trigger_ps.size - indices.size
 
 
 def _idle_v(registers: Registers) -> float:
+    """Return the voltage between bursts."""
     if registers.output and registers.function == "DC":
         return registers.offset_v
     if not registers.output or registers.function not in ("PULS", "SQU"):
@@ -129,13 +132,13 @@ def _idle_v(registers: Registers) -> float:
 def _gated(
     registers: Registers, start_ps: int, stop_ps: int, arriving: Steps, latency_ps: int
 ) -> tuple[Int64Array, FloatArray]:
-    """Return when the gate starts the output, and how many cycles come before it has closed: (burst,)."""
+    """Return the onsets of gated output, and the cycles until the gate has closed: (burst,)."""
     if not registers.output:
         return np.empty(0, np.int64), np.empty(0)
     normal = registers.gate_polarity == "NORM"
     opens = crossings(arriving, TRIGGER_LEVEL_V, normal, TRIGGER_INPUT_OHM)
     closes = crossings(arriving, TRIGGER_LEVEL_V, not normal, TRIGGER_INPUT_OHM)
-    # Where nothing has arrived yet the input is low.
+    # Before the first edge the input is low.
     opened, closed = np.searchsorted(opens, start_ps, "right"), np.searchsorted(closes, start_ps, "right")
     if opened > closed or (opened == closed and not normal):
         opens = np.insert(opens, opened, start_ps)
@@ -146,12 +149,12 @@ def _gated(
     onset_ps = opens + latency_ps
     end_ps = onset_ps + _length_ps(registers, cycles)
     # Assumed: a gate that opens again within the last cycle is ignored, as a trigger is.
-    kept, idle_ps = [], start_ps
+    accepted_indices, idle_ps = [], start_ps
     for index in np.flatnonzero(onset_ps < stop_ps):
         if onset_ps[index] >= idle_ps:
-            kept.append(index)
+            accepted_indices.append(index)
             idle_ps = end_ps[index]
-    return onset_ps[kept], cycles[kept]
+    return onset_ps[accepted_indices], cycles[accepted_indices]
 
 
 def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
@@ -162,35 +165,36 @@ def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
 def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int) -> Bursts:
     full_ps = onset_ps + _length_ps(registers, cycles)
     end_ps = np.minimum(full_ps, stop_ps)
-    whole = np.isfinite(cycles) & (end_ps == full_ps)
-    done = np.where(whole, cycles, (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
-    same = np.ones(onset_ps.size)
-    return Bursts(onset_ps, end_ps, registers.frequency_hz * same, done, registers.amplitude_v * same)
+    is_complete = np.isfinite(cycles) & (end_ps == full_ps)
+    emitted = np.where(is_complete, cycles, (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
+    ones = np.ones(onset_ps.size)
+    return Bursts(onset_ps, end_ps, registers.frequency_hz * ones, emitted, registers.amplitude_v * ones)
 
 
 def _pulses(
     registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int, after_cut_v: float
 ) -> tuple[Steps, bool]:
+    """Return the steps of all pulses, and whether ``stop_ps`` cuts a pulse, which then ends at ``after_cut_v``."""
     period_ps = PS_PER_S / registers.frequency_hz
     square_s = registers.duty_percent / 100 / registers.frequency_hz
     high_s = registers.width_s if registers.function == "PULS" else square_s
     counts = np.minimum(cycles, np.ceil((stop_ps - onset_ps) / period_ps)).astype(np.int64)
-    if counts.sum() > MOST_STEPS:
+    if counts.sum() > MAX_STEPS:
         raise ValueError(
-            f"the programmed output has {counts.sum()} pulses, more than the twin follows ({MOST_STEPS}); "
+            f"the programmed output has {counts.sum()} pulses, more than the twin simulates ({MAX_STEPS}); "
             "program a finite burst or a lower frequency"
         )
-    # Every pulse from its burst's onset, not from the pulse before: rounding must not add up.
+    # Pulse times are rounded relative to the burst's onset, so that rounding does not accumulate.
     number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
     rise_ps = np.repeat(onset_ps, counts) + np.rint(number * period_ps).astype(np.int64)
     rise_ps = rise_ps[rise_ps < stop_ps]
     fall_ps = rise_ps + to_ps(high_s)
-    cut = fall_ps > stop_ps
+    is_cut = fall_ps > stop_ps
     idle_v, active_v = registers.low_v, registers.high_v
     if registers.polarity != "NORM":
         idle_v, active_v = active_v, idle_v
-    falls = Steps(np.minimum(fall_ps, stop_ps), np.full(fall_ps.size, active_v), np.where(cut, after_cut_v, idle_v))
-    return joined_steps([_steps(rise_ps, idle_v, active_v), falls]), bool(cut.any())
+    falls = Steps(np.minimum(fall_ps, stop_ps), np.full(fall_ps.size, active_v), np.where(is_cut, after_cut_v, idle_v))
+    return joined_steps([_steps(rise_ps, idle_v, active_v), falls]), bool(is_cut.any())
 
 
 def _steps(time_ps: Int64Array, before_v: float, after_v: float) -> Steps:

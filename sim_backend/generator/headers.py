@@ -1,4 +1,4 @@
-"""Headers: a message into commands, each looked up in the tree of those that the instrument knows."""
+"""Headers: a message -> commands, each looked up in the instrument's command tree."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Branch = tuple[str, ...]
 
 _FORM_NODE = re.compile(r"\[:?([A-Za-z]+)(<n>)?:?\]|:?([A-Za-z]+)(<n>)?")
 _MNEMONIC = re.compile(r"\*?[A-Z][A-Z_]*([0-9]*)", re.IGNORECASE | re.ASCII)
-LONGEST_MNEMONIC = 12
-MOST_ARGUMENTS = 70_000
-"""More than the longest arbitrary waveform needs."""
-REMEMBERED = 2_000
-"""How many spellings are remembered with what they mean; a program uses some dozens."""
+MAX_MNEMONIC = 12
+MAX_ARGUMENTS = 70_000
+"""Room for the longest arbitrary waveform."""
+MAX_CACHED = 2_000
+"""Size of the cache of spellings; a program uses some dozens."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command(Generic[Entry]):
-    """One command of a message: what the table says about its header, and what was sent with it."""
+    """One command of a message: the table's entry for its header, and its arguments."""
 
     entry: Entry
     channel: int
@@ -33,8 +33,8 @@ class Command(Generic[Entry]):
 
 
 @dataclass(frozen=True, slots=True)
-class _Known(Generic[Entry]):
-    """A header that was looked up once, as it was written: its entry, and the node at which the next may go on."""
+class _Header(Generic[Entry]):
+    """A header in one spelling: its entry, and the branch that continues with the next header."""
 
     entry: Entry
     channel: int
@@ -45,18 +45,18 @@ class _Known(Generic[Entry]):
 class HeaderTable(Generic[Entry]):
     """Forms such as ``[SOURce<n>:]FREQuency[:CW]`` with their entries, in every accepted spelling.
 
-    A node in brackets may be left out; every node has a long and a short form; ``<n>`` stands for the number of a
-    channel, which may be given where ``channels`` is above 0.
+    A node in brackets may be omitted; every node has a long and a short form; ``<n>`` is an optional channel number if
+    ``channels`` is above 0.
     """
 
     def __init__(self, entries: Mapping[str, Entry], channels: int = 0) -> None:
         self._channels = channels
         self._short: dict[str, str] = {}
         self._entries: dict[Branch, tuple[Entry, Branch]] = {}
-        self._known: dict[tuple[Branch, str], _Known[Entry]] = {}
+        self._cache: dict[tuple[Branch, str], _Header[Entry]] = {}
         for form, entry in entries.items():
             for nodes in self._variants(form):
-                # A number may follow the nodes that the form marks; they are listed with the entry.
+                # The nodes with <n>, which a number may follow, are stored with the entry.
                 self._entries[tuple(node for node, _ in nodes)] = entry, tuple(node for node, many in nodes if many)
 
     def _variants(self, form: str) -> Iterable[tuple[tuple[str, bool], ...]]:
@@ -73,65 +73,65 @@ class HeaderTable(Generic[Entry]):
         return [tuple(filter(None, nodes)) for nodes in itertools.product(*choices)]
 
     def commands(self, message: str) -> Iterator[Command[Entry]]:
-        """Yield the commands of ``message``; raise ``ScpiError`` at the first that is none.
+        """Yield the commands of ``message``; raise ``ScpiError`` at the first invalid one.
 
-        A header after ``;`` continues at the node where the one before stood, unless it starts with ``:`` or ``*``.
+        A header after ``;`` continues in the branch of the previous one, unless it starts with ``:`` or ``*``.
         """
         branch: Branch = ()
         for part in split_outside_quotes(message, ";"):
             words = part.split(None, 1)
             if not words:
                 continue
-            known = self._known.get((branch, words[0])) or self._look_up(branch, words[0])
-            branch = known.branch
+            header = self._cache.get((branch, words[0])) or self._look_up(branch, words[0])
+            branch = header.branch
             arguments = _arguments(words[1]) if len(words) > 1 else ()
-            yield Command(known.entry, known.channel, known.query, arguments)
+            yield Command(header.entry, header.channel, header.query, arguments)
 
     def find(self, header: str) -> Entry | None:
-        """Return the entry of a header from the root without ``?``; None where there is none."""
+        """Return the entry of a header from the root, without ``?``; None if there is none."""
         try:
             return self._look_up((), header).entry
         except ScpiError:
             return None
 
-    def _look_up(self, branch: Branch, header: str) -> _Known[Entry]:
+    def _look_up(self, branch: Branch, header: str) -> _Header[Entry]:
         nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
         if not header.startswith(("*", ":")):
             nodes = branch + nodes
-        entry, channel = self._of(nodes)
-        if len(self._known) >= REMEMBERED:
-            self._known.clear()
-        # A common command leaves the place in the tree as it was.
-        known = _Known(entry, channel, header.endswith("?"), branch if header.startswith("*") else nodes[:-1])
-        self._known[branch, header] = known
-        return known
+        entry, channel = self._entry(nodes)
+        if len(self._cache) >= MAX_CACHED:
+            self._cache.clear()
+        # A common command does not change the branch.
+        result = _Header(entry, channel, header.endswith("?"), branch if header.startswith("*") else nodes[:-1])
+        self._cache[branch, header] = result
+        return result
 
-    def _of(self, nodes: Branch) -> tuple[Entry, int]:
+    def _entry(self, nodes: Branch) -> tuple[Entry, int]:
         plain, numbered = [], []
         for node in nodes:
             digits = _digits(node)
             plain.append(self._short.get(node[: len(node) - len(digits)].upper(), "?"))
             numbered += [(plain[-1], digits)] if digits else []
-        found = self._entries.get(tuple(plain))
-        if found is None or not all(self._channels and node in found[1] for node, _ in numbered):
+        match = self._entries.get(tuple(plain))
+        if match is None or not all(self._channels and node in match[1] for node, _ in numbered):
             raise ScpiError(-113, "Undefined header")
         numbers = {int(digits[:3]) for _, digits in numbered} or {1}
         if len(numbers) > 1 or not 1 <= min(numbers) <= self._channels + (not self._channels):
             raise ScpiError(-114, "Header suffix out of range")
-        return found[0], numbers.pop()
+        return match[0], numbers.pop()
 
 
 def _digits(node: str) -> str:
-    """Return the number at the end of a mnemonic; raise ``ScpiError`` for what is none."""
+    """Return the digits at the end of a mnemonic; raise ``ScpiError`` for an invalid mnemonic."""
     match = _MNEMONIC.fullmatch(node)
     if match is None:
         raise ScpiError(-102, "Syntax error") if node.isascii() else ScpiError(-101, "Invalid character")
-    if len(node) - len(match[1]) > LONGEST_MNEMONIC:
+    if len(node) - len(match[1]) > MAX_MNEMONIC:
         raise ScpiError(-112, "Program mnemonic too long")
     return match[1]
 
 
 def _arguments(text: str) -> tuple[str, ...]:
-    if text.count(",") > MOST_ARGUMENTS:
+    if text.count(",") > MAX_ARGUMENTS:
         raise ScpiError(-223, "Too much data")
     return tuple(argument.strip() for argument in split_outside_quotes(text.strip(), ","))

@@ -1,7 +1,7 @@
-"""Inactive settings, those of modulation, sweep and arbitrary waveforms: kept and answered, never put out.
+"""Inactive settings: modulation, sweep and arbitrary waveforms, which have no output in the twin.
 
-No bench here uses them. While they are off they behave as on the instrument; to switch one on is refused with an error
-that says that the twin does not simulate it.
+While these functions are off, their settings behave as on the instrument. Switching one on is refused with an error
+that the twin does not simulate it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SLOW_HZ = (2e-3, 20e3)
 
 
 def with_inactive(state: Registers, **values: float | str) -> Registers:
-    """Return the registers with some inactive settings changed."""
+    """Return the registers with changed inactive settings."""
     return replace(state, inactive={**state.inactive, **values})
 
 
@@ -31,7 +31,7 @@ def _number(key: str, default: float, limits: LimitsOf, units: str = "") -> Sett
     return numeric(units, limits, lambda state: state.inactive.get(key, default), put)
 
 
-def _between(low: float, high: float) -> LimitsOf:
+def _fixed_limits(low: float, high: float) -> LimitsOf:
     return lambda state: (low, high)
 
 
@@ -42,12 +42,12 @@ def _word(key: str, default: str, words: str) -> SettingCommand:
     return choice(words, lambda state: state.inactive.get(key, default), put)
 
 
-def off(what: str) -> SettingCommand:
-    """Return the switch of a function that the twin lacks: it is off, and refuses to be switched on."""
+def off(function: str) -> SettingCommand:
+    """Return the switch of a function that is not simulated: it is off and cannot be switched on."""
 
     def put(state: Registers, on: bool) -> Coerced:
         if on:
-            raise not_simulated(what)
+            raise not_simulated(function)
         return Coerced(state)
 
     return switch(lambda state: False, put)
@@ -60,15 +60,18 @@ def _ends_hz(state: Registers) -> tuple[float, float]:
 def _sweep_end(
     quantity: str, of: Callable[[float, float], float], ends: Callable[[float, float, float], tuple[float, float]]
 ) -> SettingCommand:
-    """Return centre or span of the sweep: ``of`` start and stop, and the ``ends`` that a new value makes."""
+    """Return centre or span of the sweep.
+
+    ``of`` computes it from start and stop frequency, ``ends`` the new start and stop from its new value.
+    """
 
     def limits(state: Registers) -> tuple[float, float]:
         low, high = frequency_limits_hz(state)
         start_hz, stop_hz = _ends_hz(state)
-        room_hz, middle_hz = abs(stop_hz - start_hz) / 2, (start_hz + stop_hz) / 2
+        half_span_hz, centre_hz = abs(stop_hz - start_hz) / 2, (start_hz + stop_hz) / 2
         if quantity == "centre frequency":
-            return low + room_hz, high - room_hz
-        return 0.0, 2 * min(high - middle_hz, middle_hz - low)
+            return low + half_span_hz, high - half_span_hz
+        return 0.0, 2 * min(high - centre_hz, centre_hz - low)
 
     def put(state: Registers, value: float) -> Coerced:
         value, errors = clipped(value, *limits(state), quantity)
@@ -78,12 +81,12 @@ def _sweep_end(
     return numeric("HZ", limits, lambda state: of(*_ends_hz(state)), put)
 
 
-def _modulation(name: str, what: str, rate_hz: float) -> dict[str, SettingCommand]:
+def _modulation(name: str, function: str, rate_hz: float) -> dict[str, SettingCommand]:
     key = name.lower()
     return {
-        f"[SOURce<n>:]{name}:STATe": off(what),
+        f"[SOURce<n>:]{name}:STATe": off(function),
         f"[SOURce<n>:]{name}:SOURce": _word(f"{key}_source", "INT", "INTernal EXTernal"),
-        f"[SOURce<n>:]{name}:INTernal:FREQuency": _number(f"{key}_frequency", rate_hz, _between(*SLOW_HZ), "HZ"),
+        f"[SOURce<n>:]{name}:INTernal:FREQuency": _number(f"{key}_frequency", rate_hz, _fixed_limits(*SLOW_HZ), "HZ"),
         f"[SOURce<n>:]{name}:INTernal:FUNCtion[:SHAPe]": _word(f"{key}_shape", "SIN", SHAPES),
     }
 
@@ -94,22 +97,22 @@ def _centred(value: float, start_hz: float, stop_hz: float) -> tuple[float, floa
 
 
 def _spanning(value: float, start_hz: float, stop_hz: float) -> tuple[float, float]:
-    middle_hz = (start_hz + stop_hz) / 2
-    return middle_hz - value / 2, middle_hz + value / 2
+    centre_hz = (start_hz + stop_hz) / 2
+    return centre_hz - value / 2, centre_hz + value / 2
 
 
 INACTIVE: Mapping[str, SettingCommand] = {
     **_modulation("AM", "amplitude modulation", 100.0),
-    "[SOURce<n>:]AM:DEPTh": _number("am_depth", 100.0, _between(0.0, 120.0)),
+    "[SOURce<n>:]AM:DEPTh": _number("am_depth", 100.0, _fixed_limits(0.0, 120.0)),
     **_modulation("FM", "frequency modulation", 10.0),
-    "[SOURce<n>:]FM:DEViation": _number("fm_deviation", 100.0, _between(5.0, 40.05e6), "HZ"),
+    "[SOURce<n>:]FM:DEViation": _number("fm_deviation", 100.0, _fixed_limits(5.0, 40.05e6), "HZ"),
     "[SOURce<n>:]FSKey:STATe": off("frequency shift keying"),
     "[SOURce<n>:]FSKey:SOURce": _word("fsk_source", "INT", "INTernal EXTernal"),
     "[SOURce<n>:]FSKey:FREQuency": _number("hop_frequency", 100.0, frequency_limits_hz, "HZ"),
-    "[SOURce<n>:]FSKey:INTernal:RATE": _number("fsk_rate", 10.0, _between(2e-3, 100e3), "HZ"),
+    "[SOURce<n>:]FSKey:INTernal:RATE": _number("fsk_rate", 10.0, _fixed_limits(2e-3, 100e3), "HZ"),
     "[SOURce<n>:]SWEep:STATe": off("the sweep"),
     "[SOURce<n>:]SWEep:SPACing": _word("sweep_spacing", "LIN", "LINear LOGarithmic"),
-    "[SOURce<n>:]SWEep:TIME": _number("sweep_time", 1.0, _between(1e-3, 500.0), "S"),
+    "[SOURce<n>:]SWEep:TIME": _number("sweep_time", 1.0, _fixed_limits(1e-3, 500.0), "S"),
     "[SOURce<n>:]FREQuency:STARt": _number("start_frequency", 100.0, frequency_limits_hz, "HZ"),
     "[SOURce<n>:]FREQuency:STOP": _number("stop_frequency", 1e3, frequency_limits_hz, "HZ"),
     "[SOURce<n>:]FREQuency:CENTer": _sweep_end("centre frequency", lambda a, b: (a + b) / 2, _centred),
@@ -117,12 +120,12 @@ INACTIVE: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]MARKer[:STATe]": off("the frequency marker"),
     "[SOURce<n>:]MARKer:FREQuency": _number("marker_frequency", 500.0, frequency_limits_hz, "HZ"),
 }
-"""Settings of modulation, sweep and marker by header (manual; assumed of the siblings, which have more of them)."""
+"""Settings of modulation, sweep and marker by header (manual; assumed for the siblings, which have more)."""
 
-OF_SERIES: Mapping[str, SettingCommand] = {
-    "[SOURce<n>:]FUNCtion:ARBitrary:SRATe": _number("sample_rate", 40e3, _between(1e-6, 250e6)),
+SERIES: Mapping[str, SettingCommand] = {
+    "[SOURce<n>:]FUNCtion:ARBitrary:SRATe": _number("sample_rate", 40e3, _fixed_limits(1e-6, 250e6)),
     "[SOURce<n>:]FUNCtion:ARBitrary:FILTer": _word("arbitrary_filter", "NORM", "NORMal STEP OFF"),
     "[SOURce<n>:]FUNCtion:ARBitrary:ADVance": _word("arbitrary_advance", "SRAT", "TRIGger SRATe"),
-    "TRIGger<n>:COUNt": _number("trigger_count", 1.0, _between(1.0, 1e6)),
+    "TRIGger<n>:COUNt": _number("trigger_count", 1.0, _fixed_limits(1.0, 1e6)),
 }
-"""Of the 33500 and 33600 series; the trigger count has an effect only where triggering is not continuously armed."""
+"""Settings of the 33500 and 33600 series; the trigger count has no effect, as triggering is continuously armed."""

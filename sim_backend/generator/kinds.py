@@ -1,4 +1,4 @@
-"""Kinds of settings: numbers, keywords, switches and strings, each as what a header writes, reads and accepts."""
+"""Kinds of settings: numbers, keywords, switches and strings."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from sim_backend.generator.scpi_text import INFINITE, ScpiError, boolean, keywor
 Write = Callable[[Registers, tuple[str, ...]], Coerced]
 Read = Callable[[Registers, tuple[str, ...]], str]
 LimitsOf = Callable[[Registers], tuple[float, float]]
-# What is shown of the registers: a field by its name, or what a function makes of them.
 Shown = str | Callable[[Registers], Any]
+"""The displayed value of a setting: a field of the registers by name, or a function of the registers."""
 
 
 @dataclass(frozen=True, slots=True)
 class SettingCommand:
-    """What one header does to the registers of a channel; None where the form without or with ``?`` does not exist.
+    """Effect of one header on the registers of a channel; None if the form without or with ``?`` does not exist.
 
-    ``accepts`` says in words what may follow the header.
+    ``accepts`` describes the command's arguments.
     """
 
     write: Write | None
@@ -29,23 +29,23 @@ class SettingCommand:
     accepts: str = ""
 
     @property
-    def takes(self) -> str | None:
-        """What may follow the header as a command; None where there is no such form."""
+    def command_arguments(self) -> str | None:
+        """Description of the command's arguments, None if there is no command."""
         return None if self.write is None else self.accepts
 
     @property
-    def asks(self) -> str | None:
-        """What may follow the header as a query; None where there is no such form."""
+    def query_arguments(self) -> str | None:
+        """Description of the query's arguments, None if there is no query."""
         return None if self.read is None else ""
 
-    def carried_out(self, state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        """Return the registers after the command; raise ``ScpiError`` -113 where it exists as a query alone."""
+    def execute(self, state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        """Return the registers after the command; raise ``ScpiError`` -113 if there is a query alone."""
         if self.write is None:
             raise ScpiError(-113, "Undefined header")
         return self.write(state, arguments)
 
     def answer(self, state: Registers, arguments: tuple[str, ...]) -> str:
-        """Return the reply to the query; raise ``ScpiError`` -113 where there is none."""
+        """Return the reply to the query; raise ``ScpiError`` -113 if there is no query."""
         if self.read is None:
             raise ScpiError(-113, "Undefined header")
         return self.read(state, arguments)
@@ -59,9 +59,9 @@ def numeric(
     infinite: bool = False,
     convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
 ) -> SettingCommand:
-    """Return a number in ``units`` between ``limits``; ``put`` sets it, ``convert`` turns its unit into the one shown.
+    """Return a numeric setting in ``units`` between ``limits``, or MIN, MAX, DEF, and INF if it may be ``infinite``.
 
-    MIN, MAX and DEF may stand for it, INF where it may be ``infinite``.
+    ``put`` sets the value; ``convert`` converts its unit to the displayed one.
     """
     get = getter(shown)
 
@@ -95,7 +95,7 @@ def clipping(
     quantity: str,
     settle: Callable[[Coerced], Coerced] = lambda coerced: coerced,
 ) -> SettingCommand:
-    """Return a number that is clipped to its limits; ``settle`` fits the other settings to it."""
+    """Return a numeric setting that is clipped to its limits; ``settle`` adapts other settings to it."""
 
     def put(state: Registers, value: float) -> Coerced:
         value, errors = clipped(value, *limits(state), quantity)
@@ -105,7 +105,7 @@ def clipping(
 
 
 def choice(words: str, shown: Shown, put: Callable[[Registers, str], Coerced] | None = None) -> SettingCommand:
-    """Return a keyword, one of ``words``, which are written like ``SINusoid``."""
+    """Return a setting with one of the keywords ``words``, written like ``SINusoid``."""
     return choice_of_model(", ".join(words.split()), lambda state: words.split(), shown, put)
 
 
@@ -115,33 +115,33 @@ def choice_of_model(
     shown: Shown,
     put: Callable[[Registers, str], Coerced] | None = None,
 ) -> SettingCommand:
-    """Return a keyword out of those that the model of the registers knows."""
+    """Return a setting with one of the keywords of the registers' model."""
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
         lambda state, arguments: put(state, keyword(one(arguments), words(state))),
-        _plain(lambda state: str(get(state))),
+        _without_arguments(lambda state: str(get(state))),
         accepts,
     )
 
 
 def switch(shown: Shown, put: Callable[[Registers, bool], Coerced] | None = None) -> SettingCommand:
-    """Return a switch."""
+    """Return an on/off setting."""
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
         lambda state, arguments: put(state, boolean(one(arguments))),
-        _plain(lambda state: str(int(get(state)))),
+        _without_arguments(lambda state: str(int(get(state)))),
         "ON, OFF",
     )
 
 
 def extreme(text: str, limits: tuple[float, float]) -> float | None:
-    """Return the limit that the keyword in ``text`` stands for; None for another text."""
+    """Return the limit for the keyword MIN or MAX, None for another text."""
     low, high = limits
     return {"MIN": low, "MINIMUM": low, "MAX": high, "MAXIMUM": high}.get(text.upper())
 
 
 def getter(shown: Shown) -> Callable[[Registers], Any]:
-    """Return the function that shows something of the registers."""
+    """Return the function from registers to the displayed value."""
     return attrgetter(shown) if isinstance(shown, str) else shown
 
 
@@ -149,7 +149,7 @@ def _setter(shown: Shown) -> Callable[[Registers, Any], Coerced]:
     return lambda state, value: Coerced(replace(state, **{str(shown): value}))
 
 
-def _plain(show: Callable[[Registers], str]) -> Read:
+def _without_arguments(show: Callable[[Registers], str]) -> Read:
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
         none_of(arguments)
         return show(state)

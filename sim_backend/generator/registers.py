@@ -1,8 +1,7 @@
-"""Registers of a 33250A, and how a setting that does not fit is bent: pure functions from registers to registers.
+"""Registers of a 33250A, and the coercion of settings that do not fit.
 
-The instrument clips or substitutes and queues an error, it never refuses a number (docs/theory/instruments.md,
-1.6). Levels are kept as open-circuit voltages, so that a change of the declared load rescales what is displayed and
-nothing else.
+The instrument clips or substitutes a number and queues an error; it never refuses one (docs/explanation/instruments.md,
+1.6). Levels are stored as open-circuit voltages, so the declared load changes the displayed values alone.
 """
 
 from __future__ import annotations
@@ -18,24 +17,24 @@ Error = tuple[int, str]
 PEAK_V = 10.0
 """Largest open-circuit voltage: 5 V into 50 ohm (manual)."""
 SMALLEST_VPP = 2e-3
-"""Smallest open-circuit amplitude: 1 mVpp into 50 ohm (a driver's argument limits, taken from the manual)."""
+"""Smallest open-circuit amplitude: 1 mVpp into 50 ohm (the limits of a driver, from the manual)."""
 LEVEL_GAP_V = 1e-3
-"""Least distance of the high from the low level, as displayed."""
+"""Smallest difference of high and low level, as displayed."""
 EDGE_S = 5e-9
 LOAD_LIMITS_OHM = (1.0, 10_000.0)
 
 # Assumed: no source was found for these.
-EDGE_SHARE_OF_WIDTH = 0.625
+EDGE_FRACTION_OF_WIDTH = 0.625
 EDGES_IN_PERIOD = 1.6
 BURST_MARGIN_S = 200e-9
 
 ROUNDING = 1e-12
-"""A limit that is itself computed counts as kept within this relative error."""
+"""Relative tolerance of a computed limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """Everything a program can set, and the model whose limits it meets; the defaults are the power-on state.
+    """All settings of one channel, with the model that limits them; the defaults are the power-on state.
 
     Levels are open-circuit volts.
     """
@@ -74,7 +73,7 @@ class Registers:
     display_text: str = ""
     beeper: bool = True
     inactive: Mapping[str, float | str] = field(default_factory=dict)
-    """Settings of functions that are off, as far as they were changed (`inactive`)."""
+    """Settings of inactive functions that were changed (see `inactive`)."""
 
     @property
     def amplitude_v(self) -> float:
@@ -88,37 +87,37 @@ class Registers:
 
     @property
     def burst_s(self) -> float:
-        """Duration of a burst; inf where it never ends."""
+        """Duration of a burst; infinite for endless bursts."""
         return self.cycles / self.frequency_hz
 
 
 def power_on(model: Model, beeper: bool = True) -> Registers:
-    """Return what ``model`` wakes up with; its edges are no faster than it can make them."""
+    """Return the power-on state of ``model``; its edge time respects the model's limit."""
     return Registers(model, edge_s=max(EDGE_S, model.edge_limits_s[0]), beeper=beeper)
 
 
 @dataclass(frozen=True, slots=True)
 class Coerced:
-    """Registers after a setting, with what the error queue was told."""
+    """Registers after a setting, and the errors to queue."""
 
     registers: Registers
     errors: tuple[Error, ...] = ()
 
     def then(self, put: Callable[[Registers], Coerced]) -> Coerced:
-        """Return what ``put`` makes of these, and the errors of both."""
+        """Apply ``put`` to the registers, and append its errors."""
         after = put(self.registers)
         return Coerced(after.registers, self.errors + after.errors)
 
     def changed(self, conflict: str = "", **settings: object) -> Coerced:
-        """Return these with ``settings``, and the settings conflict that forced them if there was one."""
-        told = ((-221, f"Settings conflict; {conflict}"),) if conflict else ()
-        return Coerced(replace(self.registers, **settings), self.errors + told)  # type: ignore[arg-type]
+        """Return the registers with ``settings``; ``conflict`` is the text of a settings conflict to queue."""
+        errors = ((-221, f"Settings conflict; {conflict}"),) if conflict else ()
+        return Coerced(replace(self.registers, **settings), self.errors + errors)  # type: ignore[arg-type]
 
 
 def rounded(value: float, digits: int, decimals: int) -> float:
-    """Return ``value`` as an instrument of limited resolution holds it: to the nearest (assumed) of its settings.
+    """Return ``value`` rounded to the instrument's resolution (assumed: to the nearest).
 
-    These have ``digits`` significant digits, and ``decimals`` decimal places at most.
+    The resolution is ``digits`` significant digits, and at most ``decimals`` decimal places.
     """
     if not value or not math.isfinite(value):
         return value
@@ -126,7 +125,7 @@ def rounded(value: float, digits: int, decimals: int) -> float:
 
 
 def clipped(value: float, low: float, high: float, quantity: str) -> tuple[float, tuple[Error, ...]]:
-    """Return ``value`` within the limits, and the error that says which of them it hit."""
+    """Return ``value`` clipped to the limits, and the error if it was outside."""
     if value > high + ROUNDING * abs(high):
         return high, ((-222, f"Data out of range; {quantity}; value clipped to upper limit"),)
     if value < low - ROUNDING * abs(low):

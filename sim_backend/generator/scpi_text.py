@@ -1,4 +1,4 @@
-"""SCPI text: arguments as numbers with suffixes, keywords, switches and strings, and the formats of replies."""
+"""SCPI text: numbers with suffixes, keywords, switches and strings in arguments; formats of replies."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import re
 from collections.abc import Iterable
 
 _MULTIPLIERS = {"": 1.0, "N": 1e-9, "U": 1e-6, "M": 1e-3, "K": 1e3, "MA": 1e6, "G": 1e9}
-# ASCII digits alone: a superscript two is a digit to Python and none to an instrument.
+# ASCII digits alone: Python would also accept a superscript two.
 _NUMBER = re.compile(r"([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:E([+-]?[0-9]+))?\s*([A-Z]*)", re.IGNORECASE | re.ASCII)
-MOST_DIGITS = 255
-LARGEST_EXPONENT = 32_000
+MAX_DIGITS = 255
+MAX_EXPONENT = 32_000
 INFINITE = 9.9e37
-"""How infinity is printed, and from where on a number is taken for it (SCPI-99, volume 1, 7.2.1.4)."""
+"""Infinity in replies; larger numbers in arguments are infinite too (SCPI-99, volume 1, 7.2.1.4)."""
 
 
 class ScpiError(Exception):
-    """A command that cannot be carried out: the number and text for the error queue."""
+    """Failure of a command, with number and text for the error queue."""
 
     def __init__(self, number: int, text: str) -> None:
         super().__init__(number, text)
@@ -24,13 +24,13 @@ class ScpiError(Exception):
         self.text = text
 
 
-def not_simulated(what: str) -> ScpiError:
-    """Return the error of a function that the instrument has and the twin does not: nothing is accepted and ignored."""
-    return ScpiError(-241, f"Hardware missing; the twin does not simulate {what}")
+def not_simulated(function: str) -> ScpiError:
+    """Return the error of a function that the instrument has and the twin does not simulate."""
+    return ScpiError(-241, f"Hardware missing; the twin does not simulate {function}")
 
 
 def split_outside_quotes(text: str, separator: str) -> list[str]:
-    """Return the parts of ``text`` between separators that stand outside quoted strings."""
+    """Split ``text`` at separators outside quoted strings."""
     if '"' not in text and "'" not in text:
         return text.split(separator)
     parts, start, quote = [], 0, ""
@@ -46,7 +46,7 @@ def split_outside_quotes(text: str, separator: str) -> list[str]:
 
 
 def short_form(word: str) -> str:
-    """Return the short form of a keyword that is written like ``SINusoid``."""
+    """Return the short form of a keyword, its capitals (``SINusoid``)."""
     return "".join(letter for letter in word if not letter.islower())
 
 
@@ -65,7 +65,7 @@ def keyword(text: str, choices: Iterable[str]) -> str:
 
 
 def boolean(text: str) -> bool:
-    """Return a switch; raise ``ScpiError`` -224 for what is neither ON, OFF nor a number."""
+    """Return the value of ON, OFF or a number; raise ``ScpiError`` -224 for another text."""
     if text.upper() in ("ON", "OFF"):
         return text.upper() == "ON"
     if not _NUMBER.fullmatch(text):
@@ -74,19 +74,19 @@ def boolean(text: str) -> bool:
 
 
 def number(text: str, units: str) -> tuple[float, str]:
-    """Return a number and the unit that came with it ("" for none), in the unit without its prefix.
+    """Return a number without its prefix, and its unit ("" for none).
 
-    ``units`` lists the units allowed, such as ``"HZ"`` or ``"V VPP VRMS DBM"``. ``M`` is milli except in ``MHZ`` and
-    ``MOHM``. A number beyond the range of floating point is infinite. Raises ``ScpiError`` -148 for a word, -123 and
-    -124 for an exponent and a mantissa that are too long, -138 for a suffix where none may stand, -131 for a wrong one.
+    ``units`` lists the valid units, such as ``"HZ"`` or ``"V VPP VRMS DBM"``. ``M`` is milli except in ``MHZ`` and
+    ``MOHM``. A number beyond floating point is infinite. Raises ``ScpiError`` -148 for a word, -123 for a large
+    exponent, -124 for a long mantissa, -138 for a suffix without valid units, -131 for another suffix.
     """
     match = _NUMBER.fullmatch(text)
     if match is None:
         raise ScpiError(-148, "Character data not allowed")
     mantissa, exponent, suffix = match[1], match[2] or "0", match[3].upper()
-    if len(mantissa) > MOST_DIGITS:
+    if len(mantissa) > MAX_DIGITS:
         raise ScpiError(-124, "Too many digits")
-    if len(exponent) > 6 or abs(int(exponent)) > LARGEST_EXPONENT:
+    if len(exponent) > 6 or abs(int(exponent)) > MAX_EXPONENT:
         raise ScpiError(-123, "Exponent too large")
     value = float(f"{mantissa}E{exponent}")
     return _in_unit(value, suffix, units) if suffix else (value, "")
@@ -104,7 +104,7 @@ def _in_unit(value: float, suffix: str, units: str) -> tuple[float, str]:
 
 
 def whole_number(text: str, low: float, high: float) -> int:
-    """Return a whole number, rounded; raise ``ScpiError`` -222 for one beyond the limits."""
+    """Return a rounded whole number; raise ``ScpiError`` -222 outside the limits."""
     value, _ = number(text, "")
     if not (math.isfinite(value) and low <= value <= high):
         raise ScpiError(-222, "Data out of range")
@@ -112,14 +112,14 @@ def whole_number(text: str, low: float, high: float) -> int:
 
 
 def quoted(text: str) -> str:
-    """Return the content of a quoted string; raise ``ScpiError`` -151 where the quotes are missing."""
+    """Return the content of a quoted string; raise ``ScpiError`` -151 without quotes."""
     if len(text) < 2 or text[0] not in "\"'" or text[-1] != text[0]:
         raise ScpiError(-151, "Invalid string data")
     return text[1:-1]
 
 
 def one(arguments: tuple[str, ...]) -> str:
-    """Return the only argument; raise ``ScpiError`` -109 where there is none and -108 where there are more."""
+    """Return the only argument; raise ``ScpiError`` -109 if there is none, -108 if there are more."""
     if not arguments:
         raise ScpiError(-109, "Missing parameter")
     none_of(arguments[1:])
@@ -127,11 +127,11 @@ def one(arguments: tuple[str, ...]) -> str:
 
 
 def none_of(arguments: tuple[str, ...]) -> None:
-    """Raise ``ScpiError`` -108 where there is an argument."""
+    """Raise ``ScpiError`` -108 if there is an argument."""
     if arguments:
         raise ScpiError(-108, "Parameter not allowed")
 
 
 def real_reply(value: float) -> str:
-    """Return a real number as the instrument prints it; infinity is 9.9E+37."""
+    """Return a real number in the instrument's format; infinity is 9.9E+37."""
     return f"{INFINITE if math.isinf(value) else value + 0.0:+.13E}"

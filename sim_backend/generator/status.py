@@ -1,11 +1,11 @@
-"""Error queue and status registers of a 33250A (docs/theory/instruments.md, 1.5 and 1.6)."""
+"""Error queue and status registers of a 33250A (docs/explanation/instruments.md, 1.5 and 1.6)."""
 
 from __future__ import annotations
 
 QUEUE_DEPTH = 20
 STB_ERRORS, STB_MESSAGE, STB_EVENT, STB_SUMMARY = 4, 16, 32, 64
 ESR_COMPLETE, ESR_QUERY, ESR_DEVICE, ESR_EXECUTION, ESR_COMMAND, ESR_POWER_ON = 1, 4, 8, 16, 32, 128
-_EVENT_OF_HUNDREDS = {1: ESR_COMMAND, 2: ESR_EXECUTION, 3: ESR_DEVICE, 4: ESR_QUERY}
+_EVENT_BY_HUNDREDS = {1: ESR_COMMAND, 2: ESR_EXECUTION, 3: ESR_DEVICE, 4: ESR_QUERY}
 
 
 class Status:
@@ -19,7 +19,7 @@ class Status:
 
     def queue(self, number: int, text: str) -> None:
         """Append an error; the 21st turns the newest into -350 and is lost."""
-        self._events |= _EVENT_OF_HUNDREDS[-number // 100] if number < 0 else ESR_DEVICE
+        self._events |= _EVENT_BY_HUNDREDS[-number // 100] if number < 0 else ESR_DEVICE
         if len(self._errors) < QUEUE_DEPTH:
             self._errors.append((number, text))
         else:
@@ -36,7 +36,7 @@ class Status:
         self._events = 0
 
     def complete(self) -> None:
-        """Note the completion of everything that was asked for."""
+        """Set the operation-complete bit of the event register."""
         self._events |= ESR_COMPLETE
 
     def events(self) -> str:
@@ -53,7 +53,7 @@ class Status:
 
     def enable(self, register: str, value: int) -> None:
         """Set an enable register, "ESE", "SRE" or "QUES"."""
-        # The summary of requests cannot itself ask for service (IEEE 488.2, 11.3.2).
+        # The summary bit cannot request service itself (IEEE 488.2, 11.3.2).
         self._enabled[register] = value & ~STB_SUMMARY if register == "SRE" else value
 
     def enabled(self, register: str) -> str:

@@ -1,63 +1,63 @@
-"""Stored states: the places of ``*SAV`` and ``*RCL`` with their names, and the learn string of ``*LRN?``."""
+"""Stored states: the memory locations of ``*SAV`` and ``*RCL``, and the learn string of ``*LRN?``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
 from sim_backend.generator.arbitrary import waveform_name
-from sim_backend.generator.levels import load_share
+from sim_backend.generator.levels import load_divider
 from sim_backend.generator.registers import Registers
 from sim_backend.generator.scpi_text import ScpiError, one, real_reply, whole_number
 
-PLACES = 5
-DEFAULT_NAMES = ("AUTO_RECALL", *(f"STATE_{place}" for place in range(1, PLACES)))
+LOCATIONS = 5
+DEFAULT_NAMES = ("AUTO_RECALL", *(f"STATE_{location}" for location in range(1, LOCATIONS)))
 State = tuple[Registers, ...]
 
 
 class StoredStates:
-    """States by place, 0 to 4; they survive a reset."""
+    """States by memory location, 0 to 4; they survive a reset."""
 
     def __init__(self) -> None:
         self._states: dict[int, State] = {}
         self._names = list(DEFAULT_NAMES)
         self.recalled_at_power_on = False
 
-    def save(self, place: int, state: State) -> None:
-        """Keep ``state``."""
-        self._states[place] = state
+    def save(self, location: int, state: State) -> None:
+        """Store ``state``."""
+        self._states[location] = state
 
-    def recall(self, place: int) -> State:
-        """Return the state of a place; raise ``ScpiError`` 810 where none was stored."""
-        if place not in self._states:
+    def recall(self, location: int) -> State:
+        """Return the stored state; raise ``ScpiError`` 810 if there is none."""
+        if location not in self._states:
             raise ScpiError(810, "State has not been stored")
-        return self._states[place]
+        return self._states[location]
 
-    def delete(self, place: int) -> None:
-        """Forget the state of a place, and its name."""
-        self._states.pop(place, None)
-        self._names[place] = DEFAULT_NAMES[place]
+    def delete(self, location: int) -> None:
+        """Delete a state and its name."""
+        self._states.pop(location, None)
+        self._names[location] = DEFAULT_NAMES[location]
 
-    def valid(self, place: int) -> bool:
-        """Return whether a state is stored at a place."""
-        return place in self._states
+    def valid(self, location: int) -> bool:
+        """Return whether a state is stored at the location."""
+        return location in self._states
 
     def rename(self, arguments: tuple[str, ...]) -> None:
-        """Give a place another name."""
-        place = place_of(arguments[:1])
-        self._names[place] = waveform_name(one(arguments[1:]))
+        """Set the name of a location."""
+        location = location_of(arguments[:1])
+        self._names[location] = waveform_name(one(arguments[1:]))
 
-    def name(self, place: int) -> str:
-        """Return the name of a place."""
-        return self._names[place]
-
-
-def place_of(arguments: tuple[str, ...]) -> int:
-    """Return the place that the only argument names; raise ``ScpiError`` -222 for one that does not exist."""
-    return whole_number(one(arguments), 0, PLACES - 1)
+    def name(self, location: int) -> str:
+        """Return the name of a location."""
+        return self._names[location]
 
 
-# In an order that meets no conflict after a reset: what belongs to a burst while it is off and the frequency as high as
-# it can be, the pulse at a rate at which it fits, then frequency, function, levels; the output last.
+def location_of(arguments: tuple[str, ...]) -> int:
+    """Return the location in the only argument; raise ``ScpiError`` -222 if it does not exist."""
+    return whole_number(one(arguments), 0, LOCATIONS - 1)
+
+
+# The order avoids conflicts after a reset: burst settings with the burst off and the highest frequency, the pulse at a
+# frequency with room for it, then frequency, function, levels; the output last.
 BURST_AND_TRIGGER = (
     *("TRIG<n>:SLOP", "SOUR<n>:BURS:MODE", "SOUR<n>:BURS:NCYC", "SOUR<n>:BURS:INT:PER", "SOUR<n>:BURS:PHAS"),
     *("SOUR<n>:BURS:GATE:POL", "TRIG<n>:TIM", "TRIG<n>:DEL", "TRIG<n>:SOUR", "OUTP:TRIG:SLOP", "OUTP:TRIG"),
@@ -76,22 +76,22 @@ INACTIVE = (
 )
 
 
-def learn_string(channels: Sequence[Registers], numbered: bool, ask: Callable[[str, int], str | None]) -> str:
+def learn_string(channels: Sequence[Registers], numbered: bool, setting_of: Callable[[str, int], str | None]) -> str:
     """Return the commands that restore the state of all ``channels`` from anywhere, as one message.
 
-    ``ask`` returns the setting of a header and a channel as the query does, None where the model lacks the header.
+    ``setting_of`` returns the query's reply for a header and a channel, None if the model lacks the header.
     """
     commands = ["*RST"]
     for channel, state in enumerate(channels, 1):
         for header, value in _settings(state):
-            held = ask(header.replace("<n>", ""), channel) if value is None else value
-            if held is not None:
-                commands.append(f":{header.replace('<n>', str(channel) if numbered else '')} {held}")
+            setting = setting_of(header.replace("<n>", ""), channel) if value is None else value
+            if setting is not None:
+                commands.append(f":{header.replace('<n>', str(channel) if numbered else '')} {setting}")
     return ";".join(commands)
 
 
 def _settings(state: Registers) -> Iterator[tuple[str, str | None]]:
-    """Yield headers, with a value where it is not the present one."""
+    """Yield headers; a value replaces the present setting."""
     yield "UNIT:ANGL", None
     yield "OUTP<n>:LOAD", None
     yield "SOUR<n>:FUNC:SQU:DCYC", None
@@ -104,6 +104,6 @@ def _settings(state: Registers) -> Iterator[tuple[str, str | None]]:
     yield from ((f"SOUR<n>:{header}", None) for header in INACTIVE)
     yield "SOUR<n>:FREQ", None
     yield "SOUR<n>:FUNC", None
-    # Whatever unit it is shown in: peak to peak it is what room the offset leaves.
-    yield "SOUR<n>:VOLT", f"{real_reply(state.amplitude_v * load_share(state))} VPP"
+    # In volts peak to peak, independent of the displayed unit.
+    yield "SOUR<n>:VOLT", f"{real_reply(state.amplitude_v * load_divider(state))} VPP"
     yield from ((header, None) for header in WAVEFORM)

@@ -1,4 +1,4 @@
-"""Timing of a 33250A: function, frequency, pulse shape and burst, bent so that they fit each other."""
+"""Timing of a 33250A: function, frequency, pulse shape and burst, coerced so that they fit each other."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from sim_backend.generator.registers import (
     BURST_MARGIN_S,
-    EDGE_SHARE_OF_WIDTH,
+    EDGE_FRACTION_OF_WIDTH,
     EDGES_IN_PERIOD,
     ROUNDING,
     Coerced,
@@ -27,7 +27,7 @@ NOT_SIMULATED = {
 
 
 def width_limits_s(registers: Registers) -> tuple[float, float]:
-    """Return the pulse widths that the period leaves room for."""
+    """Return the limits of the pulse width in the period."""
     narrowest_s, widest_s = registers.model.width_limits_s
     period_s = 1 / registers.frequency_hz
     lowest = next((width for longest, width in registers.model.narrowest_s if period_s > longest), narrowest_s)
@@ -35,29 +35,29 @@ def width_limits_s(registers: Registers) -> tuple[float, float]:
 
 
 def edge_limits_s(registers: Registers) -> tuple[float, float]:
-    """Return the edge times that pulse width and period leave room for."""
-    room_s = (1 / registers.frequency_hz - registers.width_s) / EDGES_IN_PERIOD
+    """Return the limits of the edge time, from pulse width and period."""
+    max_edge_s = (1 / registers.frequency_hz - registers.width_s) / EDGES_IN_PERIOD
     fastest_s, slowest_s = registers.model.edge_limits_s
-    return fastest_s, max(fastest_s, min(slowest_s, EDGE_SHARE_OF_WIDTH * registers.width_s, room_s))
+    return fastest_s, max(fastest_s, min(slowest_s, EDGE_FRACTION_OF_WIDTH * registers.width_s, max_edge_s))
 
 
 def duty_limits_percent(registers: Registers) -> tuple[float, float]:
-    """Return the duty cycles of the square wave at its frequency."""
+    """Return the limits of the square wave's duty cycle at its frequency."""
     model, frequency_hz = registers.model, registers.frequency_hz
     if not model.duty_steps:
-        # Bounded by the narrowest pulse alone.
-        least = min(50.0, max(0.01, 100 * model.width_limits_s[0] * frequency_hz))
-        return least, 100.0 - least
+        # Limited by the narrowest pulse alone.
+        lowest = min(50.0, max(0.01, 100 * model.width_limits_s[0] * frequency_hz))
+        return lowest, 100.0 - lowest
     return next((low, high) for above_hz, low, high in model.duty_steps if frequency_hz > above_hz)
 
 
 def frequency_limits_hz(registers: Registers) -> tuple[float, float]:
-    """Return the frequencies of the present function."""
+    """Return the frequency limits of the present function."""
     return registers.model.frequency_limits_hz[registers.function]
 
 
 def set_function(registers: Registers, function: str) -> Coerced:
-    """Return the registers with another function; the frequency and what hangs on it may give way."""
+    """Set the function; a conflicting frequency, and settings that depend on it, are changed."""
     if function in NOT_SIMULATED:
         raise not_simulated(NOT_SIMULATED[function])
     state = Coerced(registers).changed(function=function)
@@ -72,7 +72,7 @@ def set_function(registers: Registers, function: str) -> Coerced:
 
 
 def settle_frequency(state: Coerced) -> Coerced:
-    """Return what a new frequency or period makes of pulse, duty cycle and burst."""
+    """Adapt pulse, duty cycle and burst to a new frequency or period."""
     registers = state.registers
     if registers.function == "PULS":
         state = settle_pulse(state)
@@ -83,8 +83,8 @@ def settle_frequency(state: Coerced) -> Coerced:
     return settle_burst(state) if registers.burst else state
 
 
-def with_duty_held(registers: Registers, frequency_hz: float) -> Registers:
-    """Return the registers at another frequency, the pulse as wide or as large a part of the period as before."""
+def at_frequency(registers: Registers, frequency_hz: float) -> Registers:
+    """Return the registers at another frequency, with the same pulse width or, by ``pulse_hold``, duty cycle."""
     width_s = registers.width_s
     if registers.pulse_hold == "DCYC":
         width_s *= registers.frequency_hz / frequency_hz
@@ -92,7 +92,7 @@ def with_duty_held(registers: Registers, frequency_hz: float) -> Registers:
 
 
 def settle_pulse(state: Coerced, number: int = -221) -> Coerced:
-    """Return a pulse that fits its period: the edge gives way first, then the width; ``number`` is the error's."""
+    """Fit the pulse into its period: first the edge is shortened, then the width; ``number`` is the error's."""
     registers = state.registers
     _, edge_s = edge_limits_s(registers)
     if registers.edge_s > edge_s * (1 + ROUNDING):
@@ -115,14 +115,14 @@ def set_width(registers: Registers, width_s: float) -> Coerced:
     """Return the registers with another pulse width; the edge time may give way."""
     width_s, errors = clipped(width_s, *width_limits_s(registers), "pulse width")
     state = Coerced(replace(registers, width_s=width_s), errors)
-    edge_s = max(registers.model.edge_limits_s[0], EDGE_SHARE_OF_WIDTH * width_s)
+    edge_s = max(registers.model.edge_limits_s[0], EDGE_FRACTION_OF_WIDTH * width_s)
     if registers.edge_s > edge_s * (1 + ROUNDING):
         state = state.changed("pulse edge time decreased due to pulse width", edge_s=edge_s)
     return state
 
 
 def set_burst(registers: Registers, on: bool) -> Coerced:
-    """Return the registers with the burst on or off; it needs a function that can burst."""
+    """Switch the burst on or off; DC and triggered noise cannot burst."""
     if not on:
         return Coerced(replace(registers, burst=False))
     state = Coerced(registers)
@@ -132,10 +132,10 @@ def set_burst(registers: Registers, on: bool) -> Coerced:
 
 
 def set_cycles(registers: Registers, cycles: float) -> Coerced:
-    """Return the registers with another burst count; inf and an internal trigger exclude each other."""
+    """Set the burst count; an infinite one excludes internal triggers."""
     errors: tuple[Error, ...] = ()
     if cycles != math.inf:
-        cycles, errors = clipped(round(max(cycles, 0.0)), 1, registers.model.most_cycles, "burst count")
+        cycles, errors = clipped(round(max(cycles, 0.0)), 1, registers.model.max_cycles, "burst count")
     state = Coerced(replace(registers, cycles=cycles), errors)
     if math.isinf(cycles) and registers.trigger_source in INTERNAL:
         state = state.changed("trigger source changed to BUS due to infinite burst", trigger_source="BUS")
@@ -143,24 +143,24 @@ def set_cycles(registers: Registers, cycles: float) -> Coerced:
 
 
 def set_source(registers: Registers, source: str) -> Coerced:
-    """Return the registers with another trigger source; Trig In and Trig Out share one connector."""
+    """Set the trigger source; an external one turns Trig Out off, which shares the connector."""
     state = Coerced(replace(registers, trigger_source=source))
     if source == "EXT" and registers.trigger_output:
         state = state.changed("trigger output turned off by external trigger", trigger_output=False)
     if source in INTERNAL and math.isinf(registers.cycles):
-        state = state.changed("burst count changed due to immediate trigger", cycles=float(registers.model.most_cycles))
+        state = state.changed("burst count changed due to immediate trigger", cycles=float(registers.model.max_cycles))
     return settle_burst(state)
 
 
 def set_trigger_output(registers: Registers, on: bool) -> Coerced:
-    """Return the registers with Trig Out on or off; it stays off where the connector is an input."""
+    """Switch Trig Out on or off; it stays off while its connector is an input."""
     if on and (registers.trigger_source == "EXT" or (registers.burst and registers.burst_mode == "GAT")):
         return Coerced(registers).changed("trigger output not possible with external trigger")
     return Coerced(replace(registers, trigger_output=on))
 
 
 def set_burst_mode(registers: Registers, mode: str) -> Coerced:
-    """Return the registers with triggered or gated bursts; gated takes the trigger connector."""
+    """Select triggered or gated bursts; gated ones use the trigger connector as an input."""
     state = Coerced(replace(registers, burst_mode=mode))
     if mode == "GAT" and registers.trigger_output:
         state = state.changed("trigger output turned off by gated burst", trigger_output=False)
@@ -168,7 +168,7 @@ def set_burst_mode(registers: Registers, mode: str) -> Coerced:
 
 
 def set_burst_period(registers: Registers, period_s: float) -> Coerced:
-    """Return the registers with another internal burst period."""
+    """Set the internal burst period."""
     lowest, highest = registers.model.burst_period_limits_s
     if registers.trigger_source == "IMM" and math.isfinite(registers.cycles):
         lowest = min(highest, max(lowest, registers.burst_s + BURST_MARGIN_S))
@@ -177,7 +177,7 @@ def set_burst_period(registers: Registers, period_s: float) -> Coerced:
 
 
 def settle_burst(state: Coerced) -> Coerced:
-    """Return a burst that its frequency can do and, with the internal trigger, one that fits the burst period."""
+    """Fit the burst to its frequency limit and, with the internal trigger, into the burst period."""
     registers = state.registers
     finite = math.isfinite(registers.cycles) and registers.burst_mode == "TRIG"
     too_fast = registers.function in ("SIN", "SQU") and registers.frequency_hz > registers.model.finite_burst_ceiling_hz
@@ -185,17 +185,17 @@ def settle_burst(state: Coerced) -> Coerced:
         state = state.changed("frequency reduced for burst mode", frequency_hz=registers.model.finite_burst_ceiling_hz)
     if registers.trigger_source != "IMM" or not finite:
         return state
-    needed_s, longest_s = state.registers.burst_s + BURST_MARGIN_S, registers.model.burst_period_limits_s[1]
-    if min(needed_s, longest_s) > registers.burst_period_s * (1 + ROUNDING):
-        period_s = min(needed_s, longest_s)
+    burst_s, longest_s = state.registers.burst_s + BURST_MARGIN_S, registers.model.burst_period_limits_s[1]
+    if min(burst_s, longest_s) > registers.burst_period_s * (1 + ROUNDING):
+        period_s = min(burst_s, longest_s)
         state = state.changed("burst period increased to fit entire burst", burst_period_s=period_s)
-    most = math.floor(longest_s * state.registers.frequency_hz * (1 + ROUNDING))
-    if registers.cycles > most:
-        state = state.changed("burst count reduced to fit entire burst", cycles=float(max(1, most)))
-    if most < 1:
-        # Not even one cycle fits: of a 33250A 2 mHz is the slowest burst that triggers itself.
+    max_count = math.floor(longest_s * state.registers.frequency_hz * (1 + ROUNDING))
+    if registers.cycles > max_count:
+        state = state.changed("burst count reduced to fit entire burst", cycles=float(max(1, max_count)))
+    if max_count < 1:
+        # Not even one cycle fits: for a 33250A this happens below 2 mHz.
         state = state.changed("frequency increased for burst mode", frequency_hz=1 / longest_s)
-    room_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
-    if registers.delay_s > room_s + ROUNDING:
-        state = state.changed("trigger delay reduced to fit entire burst", delay_s=room_s)
+    max_delay_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
+    if registers.delay_s > max_delay_s + ROUNDING:
+        state = state.changed("trigger delay reduced to fit entire burst", delay_s=max_delay_s)
     return state

@@ -314,9 +314,9 @@ def test_inverted_pulse_has_its_rising_edge_at_the_end():
     assert rises(emission.steps) == [10, 1_200_000]
 
 
-def test_a_train_too_long_to_follow_is_refused():
+def test_a_train_of_too_many_pulses_is_refused():
     endless = Registers(function="SQU", output=True, high_v=4.0, low_v=0.0, frequency_hz=80e6)
-    with pytest.raises(ValueError, match="more than the twin follows"):
+    with pytest.raises(ValueError, match="more than the twin simulates"):
         respond([(0, endless)], [], no_steps(), 0, 10**12)
 
 

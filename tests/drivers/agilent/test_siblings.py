@@ -107,7 +107,7 @@ def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, 
 def test_the_driver_asks_no_more_of_a_model_than_the_twins_instrument_does(model: GeneratorModel) -> None:
     """Both are written from the manuals, apart from each other; of a series the driver takes the smallest member."""
     instrument = models_33250a.MODELS[model.name]
-    assert model.cycles == (1, instrument.most_cycles)
+    assert model.cycles == (1, instrument.max_cycles)
     assert model.delay_s == instrument.delay_limits_s
     assert model.width_s == instrument.width_limits_s
     assert model.edge_s == instrument.edge_limits_s[0]
