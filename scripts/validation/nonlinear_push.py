@@ -312,7 +312,7 @@ def drive() -> Iterator[str]:
     yield "| V^2 | force | exponent | p+ | p- | I_sppa | largest |"
     yield "|---:|---:|---:|---:|---:|---:|---:|"
     squares = np.array([0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 0.81, 1.0])
-    force = push.share(np.sqrt(squares), SPECIMEN.force_density_n_per_m3)
+    force = push.relative_force(np.sqrt(squares), SPECIMEN.force_density_n_per_m3)
     here = push.at(np.sqrt(squares) * at_pa)
     columns = here.positive_pa, here.negative_pa, here.sppa_w_per_m2, here.peak_force_n_per_m3
     gain = force / squares / (force[0] / squares[0])

@@ -10,7 +10,7 @@ from .field import (
 )
 from .force import (
     ForcePulses as ForcePulses,
-    force_share as force_share,
+    force_scale as force_scale,
     harmonic_v as harmonic_v,
     radiation_force as radiation_force,
     transmit_response as transmit_response,

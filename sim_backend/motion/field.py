@@ -1,11 +1,17 @@
-"""Displacement around the focus, in time: broader than the force that causes it, and later the farther out.
+"""Displacement around the focus: broader than the force that causes it, and later with distance.
 
     u(r, t) = sum over modes of shape_i(lateral, axial) * amplitude_i(t)
+    U(r, s) = f0 / mu(s) * integral of S(k, r) k² / (k² + rho s² / mu(s)) dk
 
-The same medium and force as `sim_backend.motion.specimen`, off the axis, where the integral over wave numbers k has no
-closed form worth its price. It runs along a ray in the complex k plane instead: clear of the shear pole at every node
-of the hyperbola in the s plane, an elastic medium's included. The force is round: a Gaussian of equal lateral widths,
-or a sum of such, whose spectrum is the sum of theirs. docs/theory/medium.md, section 5.
+    k           wave number, 1/m, along a ray in the complex plane
+    S(k, r)     spectrum of the force times the wave at point r, summed over directions
+    s           complex frequency, 1/s
+    mu, rho     complex shear modulus, Pa; density, kg/m³
+
+Medium and force are those of `sim_backend.motion.specimen`. Off the axis the integral over wave numbers has no useful
+closed form. The ray keeps clear of the shear pole at every node of the contour in the s plane, also for an elastic
+medium. The force is round: a Gaussian of equal lateral widths, or a sum of such Gaussians, with the sum of their
+spectra. Docs/explanation/medium.md, section 5.
 """
 
 from __future__ import annotations
@@ -15,11 +21,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
-from sim_backend.motion.force import Share, force_share, radiation_force
-from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
+from sim_backend.motion.force import ForceScale, force_scale, radiation_force
+from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, chebyshev_matrix, panels_of
 from sim_backend.motion.specimen import (
     StepResponse,
     Triple,
@@ -37,32 +43,31 @@ from sim_backend.settings import SimulationSettings, Specimen, Transmitter
 from sim_backend.transducer import GaussianSum, push_intensity
 from sim_backend.wiring import Bursts
 
-# The ray's angle: more than the hyperbola's 0.35, behind which the pole hides, and less than pi / 4. Waves grow along
-# it as exp(|k| r sin(ray)), which costs digits and nodes far from the axis: there both turn towards the real one.
+# Angle of the ray: above the contour's 0.35, which keeps the pole behind it, and below pi / 4. Waves grow along the ray
+# as exp(|k| r sin(ray)), which costs digits and nodes far from the axis; there both angles are smaller.
 _RAY = 0.55
-_LARGEST_GROWTH_EXPONENT = 4.0
-# |k| up to the highest that matters, octave by octave: the uppermost five, whose waves turn fast, with more nodes.
+_MAX_GROWTH_EXPONENT = 4.0
+# Octaves of |k| up to the highest that matters; the upper ones, with short waves, need more nodes.
 _OCTAVES = 21
-_NODES_AN_OCTAVE = 12
-_NODES_WHERE_WAVES_ARE_SHORT = 36
-_SHORT_OCTAVES = 5
-# exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
+_NODES_PER_OCTAVE = 12
+_NODES_PER_SHORT_WAVE_OCTAVE = 36
+_SHORT_WAVE_OCTAVES = 5
+# exp(-32) = 1e-14: parts of the spectrum below it are negligible at every point.
 _NEGLIGIBLE_EXPONENT = 32.0
-# Of two numbers, one this many times the other: the series in their ratio is over, to 1e-16, after so many powers.
-_OUTWEIGHS, _TERMS = 16.0, 14
-# Of the table of J0 along the ray.
-_CELL, _CELL_NODES = 0.5, 10
-# Chebyshev degrees of the shapes; laterally more where the field reaches over many widths of the force.
+# If one of two numbers is 16 times the other, a series in their ratio is exact to 1e-16 after 14 powers.
+_DOMINANCE_RATIO, _SERIES_TERMS = 16.0, 14
+# Cells of the table of J0 along the ray: length in radians, and nodes in each.
+_BESSEL_CELL, _BESSEL_NODES = 0.5, 10
+# Chebyshev degrees of the shapes; laterally more if the field extends over many widths of the force.
 _LATERAL_DEGREES = 16
-_LATERAL_DEGREES_A_WIDTH = 3.8
+_LATERAL_DEGREES_PER_WIDTH = 3.8
 _AXIAL_DEGREES = 10
-# From about when on errors count against how far a medium has crept: shear waves have then left the force.
+_ASYMMETRIC_AXIAL_DEGREES = 20  # in the depth itself, for a force that differs before and behind the focal plane
+# From this time on errors are relative to how far a medium has crept: shear waves have then left the force.
 _CREEP_S = 1e-3
-_UNEVEN_DEGREES = 20
-"""Of a force that is not the same before and behind the focal plane, in the depth itself instead of its square."""
 
 Force = Triple | GaussianSum
-"""Shape of the body force: a Gaussian's widths, or a sum of Gaussians."""
+"""Shape of the body force: the widths of a Gaussian, or a sum of Gaussians."""
 
 
 def force_shape(settings: SimulationSettings) -> Force:
@@ -72,23 +77,21 @@ def force_shape(settings: SimulationSettings) -> Force:
 
 @dataclass(frozen=True, slots=True)
 class FocusField:
-    """The medium's step response in a cylinder around the focus, as few shapes, each with its own course in time.
-
-    Of a place beside the axis it is a shell, from ``lateral_inner_m`` outwards.
-    """
+    """Step response of the medium in a cylinder or shell around the axis: few shapes, each with its response in time."""
 
     lateral_reach_m: float
     axial_reach_m: float
     response: StepResponse
-    """Amplitude of every mode, m per N/m^3."""
+    """Amplitude of every mode, m per N/m³."""
     shape: FloatArray
     """Chebyshev coefficients of every mode in the squares of both coordinates, (mode, lateral, axial)."""
     lateral_inner_m: float = 0.0
-    uneven: bool = False
-    """Whether they are in the depth itself: the field differs before and behind the focal plane."""
+    """Inner radius of the shell."""
+    asymmetric: bool = False
+    """Whether the field differs before and behind the focal plane; the axial series is then in the depth itself."""
 
     def shapes(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
-        """Return every mode's shape at points (point,), distances from axis and focal plane: (point, mode)."""
+        """Return the shape of every mode at points (point,), given by distance from axis and depth: (point, mode)."""
         reach, inner = (self.lateral_reach_m, self.axial_reach_m), (self.lateral_inner_m, 0.0)
         outside = lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001)
         if outside or lateral_m.min(initial=inner[0]) < inner[0] * 0.9999:
@@ -97,14 +100,14 @@ class FocusField:
                 f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
                 "Try: a field that reaches as far as the scatterers."
             )
-        # Squared, from the inner edge (0) to the reach (1), then led to the -1 to 1 of the polynomials.
-        squares = zip((lateral_m, axial_m), inner, reach, strict=True)
-        places = [np.clip(2 * (at**2 - least**2) / (most**2 - least**2) - 1, -1.0, 1.0) for at, least, most in squares]
-        if self.uneven:
-            places[1] = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
-        rows = chebvander(places[0], self.shape.shape[1] - 1)
-        columns = chebvander(places[1], self.shape.shape[2] - 1)
-        return np.asarray(np.einsum("pl,mla,pa->pm", rows, self.shape, columns, optimize=True))
+        # Squared coordinates, mapped from inner edge and reach to -1 and 1.
+        axes = zip((lateral_m, axial_m), inner, reach, strict=True)
+        positions = [np.clip(2 * (at**2 - low**2) / (high**2 - low**2) - 1, -1.0, 1.0) for at, low, high in axes]
+        if self.asymmetric:
+            positions[1] = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
+        lateral = chebvander(positions[0], self.shape.shape[1] - 1)
+        axial = chebvander(positions[1], self.shape.shape[2] - 1)
+        return np.asarray(np.einsum("pl,mla,pa->pm", lateral, self.shape, axial, optimize=True))
 
 
 def focus_field(
@@ -115,57 +118,56 @@ def focus_field(
     tolerance: float = 1e-5,
     lateral_inner_m: float = 0.0,
 ) -> FocusField:
-    """Return the field of ``specimen`` around the focus, good to ``tolerance`` of the static displacement there.
+    """Return the field of ``specimen`` around the focus, exact to ``tolerance`` of the static displacement there.
 
-    Of a medium that creeps for ever: of what it has moved so far, or in the first millisecond where that is more.
-    From ``lateral_inner_m`` off the axis to ``lateral_reach_m``.
-
+    For a medium that creeps without end the tolerance is relative to the displacement so far, or to that after the
+    first millisecond if that is larger. The field covers ``lateral_inner_m`` to ``lateral_reach_m`` off the axis.
     Raises ``ValueError`` for a force of unequal lateral widths.
     """
-    shape = _gaussians(force)
-    across = max(
-        _LATERAL_DEGREES,
-        math.ceil(_LATERAL_DEGREES_A_WIDTH * (lateral_reach_m - lateral_inner_m) / _scale(shape)[0]),
+    gaussians = _gaussians(force)
+    width_m = _length_scales_m(gaussians)[0]
+    lateral_count = max(
+        _LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_PER_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m)
     )
-    lateral_m = np.sqrt(lateral_inner_m**2 + (lateral_reach_m**2 - lateral_inner_m**2) * _nodes(across))
-    uneven = any(shape.centre_m)
-    along = _UNEVEN_DEGREES if uneven else _AXIAL_DEGREES
-    axial_m = axial_reach_m * (2 * _nodes(along) - 1 if uneven else np.sqrt(_nodes(along)))
-    spectrum = _Spectrum(shape, lateral_m, axial_m)
-    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
-    # A matrix of courses in time by points in space: its singular vectors are the modes, few of which are large.
-    degrees, count, points = panels.coefficient.shape
-    worth = _worth(specimen, panels)[:, None]
-    left, size, right = np.linalg.svd((panels.coefficient / worth).reshape(-1, points), full_matrices=False)
+    # Chebyshev points of the squared coordinates, or of the depth itself.
+    lateral_m = np.sqrt(lateral_inner_m**2 + (lateral_reach_m**2 - lateral_inner_m**2) * _unit_points(lateral_count))
+    asymmetric = any(gaussians.centre_m)
+    axial_count = _ASYMMETRIC_AXIAL_DEGREES if asymmetric else _AXIAL_DEGREES
+    axial_points = _unit_points(axial_count)
+    axial_m = axial_reach_m * (2 * axial_points - 1 if asymmetric else np.sqrt(axial_points))
+    spectrum = _Spectrum(gaussians, lateral_m, axial_m)
+    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _rotated_contour(spectrum.ray / _RAY))
+    # Modes: singular vectors of the matrix of time by point, of which few are large.
+    degrees, panel_count, points = panels.coefficient.shape
+    scale = _error_scale(specimen, panels)[:, None]
+    left, size, right = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
-    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes) * worth
-    # From values at the grid's Chebyshev points to coefficients, along both axes.
-    grid = right[:modes].reshape(modes, across, along)
-    series = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(along), optimize=True)
-    # What is left of a response below the tolerance is the quadrature's: a pulse is over by then.
-    memory = memory_s(specimen, Panels(courses), 0.1 * tolerance)
-    response = StepResponse(memory, Panels(courses))
-    return FocusField(lateral_reach_m, axial_reach_m, response, series, lateral_inner_m, uneven)
+    responses = Panels((left[:, :modes] * size[:modes]).reshape(degrees, panel_count, modes) * scale)
+    # From values at the Chebyshev points of the grid to coefficients, along both axes.
+    grid = right[:modes].reshape(modes, lateral_count, axial_count)
+    matrices = chebyshev_matrix(lateral_count), chebyshev_matrix(axial_count)
+    shape = np.einsum("la,cb,mab->mlc", *matrices, grid, optimize=True)
+    # Changes below the tolerance are errors of the quadrature, so a response has ended there.
+    response = StepResponse(memory_s(specimen, responses, 0.1 * tolerance), responses)
+    return FocusField(lateral_reach_m, axial_reach_m, response, shape, lateral_inner_m, asymmetric)
 
 
 def focus_response(specimen: Specimen, force: Force) -> StepResponse:
-    """Return the step response at the focus: of a Gaussian in closed form, of a sum of them to 1e-7 of itself."""
-    return (
-        _kept_sum_response(specimen, force)
-        if isinstance(force, GaussianSum)
-        else tabulate_step_response(specimen, force)
-    )
+    """Return the step response at the focus: for a Gaussian in closed form, for a sum of Gaussians to 1e-7."""
+    if isinstance(force, GaussianSum):
+        return _sum_response(specimen, force)
+    return tabulate_step_response(specimen, force)
 
 
 @lru_cache(maxsize=8)
-def _kept_sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
+def _sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
     spectrum = _focus_spectrum(force)
-    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
+    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _rotated_contour(spectrum.ray / _RAY))
     return StepResponse(memory_s(specimen, panels), panels)
 
 
 def focus_transfer(specimen: Specimen, force: Force, frequency_hz: FloatArray) -> ComplexArray:
-    """Return displacement at the focus over body force there, complex (frequency,), as `frequency_response` does."""
+    """Return displacement over body force at the focus, complex (frequency,), as `frequency_response` does."""
     if not isinstance(force, GaussianSum):
         return frequency_response(specimen, force, frequency_hz)
     s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
@@ -174,23 +176,23 @@ def focus_transfer(specimen: Specimen, force: Force, frequency_hz: FloatArray) -
 
 @lru_cache(maxsize=8)
 def _focus_spectrum(force: GaussianSum) -> _Spectrum:
-    """Kept: a plan's checks ask for the motion of the focus at every frequency and estimator."""
+    """Return the spectrum at the focus; cached, since checks need it at every frequency and estimator."""
     return _Spectrum(force, np.zeros(1), np.zeros(1))
 
 
-def _worth(specimen: Specimen, panels: Panels) -> FloatArray:
-    """Return the displacement that an error counts against in every panel (panel,), but for a common factor."""
+def _error_scale(specimen: Specimen, panels: Panels) -> FloatArray:
+    """Return the displacement to which errors in each panel are relative, (panel,), up to a common factor."""
     if not creeps_for_ever(specimen):
         return np.ones(panels.coefficient.shape[1])
-    # In hours a medium creeps so far that all its motion under a toneburst would be less than the tolerance.
-    farthest = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
-    least = farthest[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
-    return np.asarray(np.maximum(farthest, least) / least)
+    # In hours a medium creeps so far that all its motion under a toneburst would be below the tolerance.
+    largest = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
+    smallest = largest[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
+    return np.asarray(np.maximum(largest, smallest) / smallest)
 
 
 @dataclass(frozen=True, slots=True)
 class MediumMotion:
-    """The field's modes at the scatterers, and what drives them."""
+    """Motion of the scatterers by the field of a medium."""
 
     shape: FloatArray
     """(mode, scatterer)"""
@@ -198,56 +200,57 @@ class MediumMotion:
     specimen: Specimen
     transmitter: Transmitter
     travel_s: float
-    share: Share | None = None
+    force_scale: ForceScale | None = None
 
     def amplitudes_m(self, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:
-        """Return every mode's amplitude at ``time_ps`` (time,) under ``tonebursts``: (time, mode)."""
-        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.share)
-        return transients(self.field.response, force, time_ps)
+        """Return the amplitude of every mode at ``time_ps`` (time,) under ``tonebursts``, (time, mode)."""
+        return self._transients(self.field.response, tonebursts, time_ps)
 
     def displacement_m(self, tonebursts: Bursts, time_ps: Int64Array, lateral_m: float) -> FloatArray:
-        """Return the displacement beside the focus at ``time_ps`` (time,)."""
+        """Return the displacement at ``time_ps`` (time,) in the focal plane, ``lateral_m`` off the axis."""
         shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
-        # one response in place of as many as there are modes: the table is summed over them first
+        # Sum the modes first, so that one response replaces as many as there are modes.
         response = self.field.response
-        there = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shape.T))
-        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.share)
-        return transients(there, force, time_ps)[:, 0]
+        at_point = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shape.T))
+        return self._transients(at_point, tonebursts, time_ps)[:, 0]
+
+    def _transients(self, response: StepResponse, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.force_scale)
+        return transients(response, force, time_ps)
 
 
 def medium_motion(
-    settings: SimulationSettings, offset_m: FloatArray, travel_s: float, beside_m: float = 0.0
+    settings: SimulationSettings, offset_m: FloatArray, travel_s: float, lateral_offset_m: float = 0.0
 ) -> MediumMotion:
-    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus, and of a point beside it.
+    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus.
 
-    Needs ``settings.specimen``; ``beside_m`` is that point's distance from the axis.
+    Needs ``settings.specimen``. The field also covers the point ``lateral_offset_m`` off the axis.
     """
     specimen = settings.specimen or Specimen()
     lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), offset_m[:, 2]
-    # At least the force's own widths, so that a single scatterer at the focus leaves a field to tabulate.
+    # At least the widths of the force, so that a single scatterer at the focus has a field to tabulate.
     force = force_shape(settings)
-    width_m = _scale(_gaussians(force))
-    reach_m = [
-        max(float(np.abs(at).max(initial=least)), width)
-        for at, least, width in ((lateral_m, abs(beside_m), width_m[0]), (axial_m, 0.0, width_m[1]))
-    ]
-    # Far beside the axis only the shell that holds scatterers is tabulated.
-    inner_m = float(lateral_m.min(initial=abs(beside_m)))
-    # a shell of some thickness, though every scatterer be as far from the axis as the tracking beam
-    reach_m[0] = max(reach_m[0], inner_m + width_m[0] / 100)
-    field = _kept_field(specimen, force, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
+    width_m = _length_scales_m(_gaussians(force))
+    point_m = abs(lateral_offset_m)
+    lateral_reach_m = max(float(lateral_m.max(initial=point_m)), width_m[0])
+    axial_reach_m = max(float(np.abs(axial_m).max(initial=0.0)), width_m[1])
+    # Far off the axis only the shell with the scatterers is tabulated; it needs some thickness for a single radius.
+    inner_m = float(lateral_m.min(initial=point_m))
+    lateral_reach_m = max(lateral_reach_m, inner_m + width_m[0] / 100)
+    shell_inner_m = inner_m if inner_m > width_m[0] else 0.0
+    field = _cached_field(specimen, force, lateral_reach_m, axial_reach_m, lateral_inner_m=shell_inner_m)
     shape = field.shapes(lateral_m, axial_m).T
-    return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_share(settings))
+    return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_scale(settings))
 
 
-# Of the settings and the draw of scatterers alone: repeated measurements of one scene share it.
-_kept_field = lru_cache(maxsize=8)(focus_field)
+# The field depends only on settings and scatterers, so repeated measurements of a scene share it.
+_cached_field = lru_cache(maxsize=8)(focus_field)
 
 
 def field_transfer(
     specimen: Specimen, force: Force, lateral_m: FloatArray, axial_m: FloatArray, frequency_hz: FloatArray
 ) -> ComplexArray:
-    """Return displacement over body force on a grid, (frequency, lateral, axial), m per N/m^3, factor exp(+jwt)."""
+    """Return displacement over body force on a grid, (frequency, lateral, axial), m per N/m³, factor exp(+jwt)."""
     s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
     value = _Spectrum(_gaussians(force), lateral_m, axial_m).transfer(specimen, s)
     return value.reshape(len(s), len(lateral_m), len(axial_m))
@@ -265,160 +268,160 @@ def _gaussians(force: Force) -> GaussianSum:
     return GaussianSum((force[0],), force[2], (0.0,), ((1.0,),))
 
 
-def _scale(force: GaussianSum) -> tuple[float, float]:
-    """Return over what lengths the force changes, across and along: those of the Gaussian, or of the narrowest."""
+def _length_scales_m(force: GaussianSum) -> tuple[float, float]:
+    """Return the lateral and axial lengths over which the force changes: the widths of the narrowest Gaussian."""
     return force.lateral_width_m[0], force.axial_width_m
 
 
 class _Spectrum:
-    """What the force's spectrum puts into every point from every wave number on the ray: computed once a geometry."""
+    """Spectrum of the force at all points, for all wave numbers on the ray; computed once for a geometry."""
 
     def __init__(self, force: GaussianSum, lateral_m: FloatArray, axial_m: FloatArray) -> None:
         directions = _Directions(force)
-        self.ray = _ray(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
-        self._k2, into = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
-        self._k2_into = self._k2[:, None] * into
+        self.ray = _ray_angle(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
+        self._k2, weighted = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
+        self._k2_weighted = self._k2[:, None] * weighted
 
     def transfer(self, specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
-        """Return the displacement at every point, (s, point)."""
+        """Return U(r, s) / f0, (s, point).
+
+        The sum over wave numbers is that of k² / (k² + pole), with pole = rho s² / mu.
+        """
         modulus = shear_modulus(specimen, s_per_s)
         pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
-        # at rest too
-        pole[pole == 0] = np.finfo(np.float64).tiny
-        displaced = np.empty((len(pole), self._k2_into.shape[1]), np.complex128)
+        pole[pole == 0] = np.finfo(np.float64).tiny  # at rest
+        response = np.empty((len(pole), self._k2_weighted.shape[1]), np.complex128)
         order = np.argsort(np.abs(pole))
-        size, length2, power = np.abs(pole)[order], np.abs(self._k2), np.arange(_TERMS)
-        # k^2 / (k^2 + pole): of poles of one size the fraction hangs on both where wave numbers are near; where one of
-        # the two outweighs the other it is a power series in their ratio, whose sums over wave numbers serve all poles.
+        size, k2_size, power = np.abs(pole)[order], np.abs(self._k2), np.arange(_SERIES_TERMS)
+        # Poles of similar size share their wave numbers. Near ones need the fraction of both. If one of the two
+        # dominates, the fraction is a power series in their ratio, with sums over wave numbers that serve all poles.
         for poles in np.split(order, np.flatnonzero(np.diff(np.floor(np.log2(size) / 4))) + 1):
-            p, least, most = pole[poles], abs(pole[poles[0]]), abs(pole[poles[-1]])
-            # the wave numbers grow along the ray
-            low, high = np.searchsorted(length2, [least / _OUTWEIGHS, most * _OUTWEIGHS])
+            p, smallest, largest = pole[poles], abs(pole[poles[0]]), abs(pole[poles[-1]])
+            # The wave numbers ascend along the ray: long waves, near the pole, short waves.
+            low, high = np.searchsorted(k2_size, [smallest / _DOMINANCE_RATIO, largest * _DOMINANCE_RATIO])
             short, near, long = self._k2[high:], self._k2[low:high], self._k2[:low]
-            by_short = (most / short) ** power[:, None] / short @ self._k2_into[high:]
-            by_long = (long / least) ** power[:, None] @ self._k2_into[:low]
-            displaced[poles] = (
-                (1 / (near + p[:, None])) @ self._k2_into[low:high]
-                + (-p[:, None] / most) ** power @ by_short
-                + (-least / p[:, None]) ** power / p[:, None] @ by_long
+            short_sums = (largest / short) ** power[:, None] / short @ self._k2_weighted[high:]
+            long_sums = (long / smallest) ** power[:, None] @ self._k2_weighted[:low]
+            response[poles] = (
+                (1 / (near + p[:, None])) @ self._k2_weighted[low:high]
+                + (-p[:, None] / largest) ** power @ short_sums
+                + (-smallest / p[:, None]) ** power / p[:, None] @ long_sums
             )
-        return np.asarray(displaced / modulus[:, None])
+        return np.asarray(response / modulus[:, None])
 
 
 class _Directions:
-    """The force's spectrum along each direction of a wave, whose cosine with the axis is ``m`` (direction,)."""
+    """Spectrum of the force along directions with cosine ``m`` (direction,) to the axis."""
 
     def __init__(self, force: GaussianSum) -> None:
         widths = np.array(force.lateral_width_m)
-        # The nodes of the narrowest Gaussian, whose spectrum is the most crowded at m = 0, serve all.
-        self.m, self.least, self.share = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
-        self._half = (np.outer(1 - self.m**2, widths**2) + (force.axial_width_m * self.m[:, None]) ** 2) / 2
+        # The nodes of the narrowest Gaussian, with the spectrum most concentrated at m = 0, serve all Gaussians.
+        self.m, self.min_a_m2, self.weight = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
+        self._a_m2 = (np.outer(1 - self.m**2, widths**2) + (force.axial_width_m * self.m[:, None]) ** 2) / 2
         volumes = [force_volume((width, width, force.axial_width_m)) for width in force.lateral_width_m]
-        self._centre_m, self._strength = np.array(force.centre_m), np.array(force.share) * np.array(volumes)
-        self.farthest_m = float(np.abs(self._centre_m).max())
+        self._centre_m, self._strength = np.array(force.centre_m), np.array(force.amplitude) * np.array(volumes)
+        self.max_centre_m = float(np.abs(self._centre_m).max())
 
-    def spectra(self, k: ComplexArray, seen: BoolArray) -> tuple[ComplexArray, ComplexArray | None]:
-        """Return its even and odd part along the directions ``seen``, (k, direction); None: it has no odd one."""
+    def spectra(self, k: ComplexArray, selected: BoolArray) -> tuple[ComplexArray, ComplexArray | None]:
+        """Return the even and odd parts along the ``selected`` directions, (k, direction); None without odd part."""
         # (k, direction, width)
-        spread = np.exp(-(k**2)[:, None, None] * self._half[seen]) * self.share[seen, None]
+        gaussian = np.exp(-(k**2)[:, None, None] * self._a_m2[selected]) * self.weight[selected, None]
         if not self._centre_m.any():
-            return np.asarray(spread @ self._strength[0]), None
-        turn = np.multiply.outer(np.outer(k, self.m[seen]), self._centre_m)
-        at_centre = np.einsum("ji,kmi->kmj", self._strength, spread, optimize=True)
-        return np.asarray((np.cos(turn) * at_centre).sum(axis=2)), np.asarray((np.sin(turn) * at_centre).sum(axis=2))
+            return np.asarray(gaussian @ self._strength[0]), None
+        phase = np.multiply.outer(np.outer(k, self.m[selected]), self._centre_m)
+        at_centre = np.einsum("ji,kmi->kmj", self._strength, gaussian, optimize=True)
+        even, odd = (np.asarray((wave(phase) * at_centre).sum(axis=2)) for wave in (np.cos, np.sin))
+        return even, odd
+
+    def reach_m(self, lateral_m: float, axial_m: float) -> FloatArray:
+        """Return the largest path along each direction from the force to points within a cylinder, (direction,)."""
+        return np.asarray(lateral_m * np.sqrt(1 - self.m**2) + (axial_m + self.max_centre_m) * self.m)
 
 
-def _ray(directions: _Directions, lateral_reach_m: float, axial_reach_m: float) -> float:
-    """Return the angle up to which waves along the ray grow at most to ``_LARGEST_GROWTH_EXPONENT`` in any point."""
-    m, a = directions.m, directions.least
-    reach_m = lateral_reach_m * np.sqrt(1 - m**2) + (axial_reach_m + directions.farthest_m) * m
-    # exp(|k| r sin(ray) - a |k|^2 cos(2 ray)) is largest at r^2 sin(ray)^2 / (4 a cos(2 ray))
-    most = float((reach_m**2 / (4 * a)).max())
-    return min(_RAY, math.asin(math.sqrt(_LARGEST_GROWTH_EXPONENT / (most + 2 * _LARGEST_GROWTH_EXPONENT))))
+def _ray_angle(directions: _Directions, lateral_reach_m: float, axial_reach_m: float) -> float:
+    """Return the largest angle of the ray with waves that grow at most to ``_MAX_GROWTH_EXPONENT`` at any point."""
+    reach_m, a_m2 = directions.reach_m(lateral_reach_m, axial_reach_m), directions.min_a_m2
+    # exp(|k| r sin(ray) - a |k|² cos(2 ray)) has its maximum at the exponent r² sin(ray)² / (4 a cos(2 ray)).
+    largest = float((reach_m**2 / (4 * a_m2)).max())
+    return min(_RAY, math.asin(math.sqrt(_MAX_GROWTH_EXPONENT / (largest + 2 * _MAX_GROWTH_EXPONENT))))
 
 
-def _turned(contour: Contour, share: float) -> Contour:
-    """Return a hyperbola with this share of the angle, as exact: it passes its poles nearer, with more nodes."""
-    if share == 1.0:
+def _rotated_contour(angle_ratio: float) -> Contour:
+    """Return the field's contour with its angle times ``angle_ratio``; as exact, with more nodes."""
+    contour = FIELD_CONTOUR
+    if angle_ratio == 1.0:
         return contour
-    alpha = contour.alpha * share
+    alpha = contour.alpha * angle_ratio
     span = math.acosh(math.cosh(contour.span) * math.sin(contour.alpha) / math.sin(alpha))
-    return replace(contour, nodes=math.ceil(contour.nodes / share), span=span, alpha=alpha)
+    return replace(contour, nodes=math.ceil(contour.nodes / angle_ratio), span=span, alpha=alpha)
 
 
 def _ray_spectrum(
     directions: _Directions, lateral_m: FloatArray, axial_m: FloatArray, ray: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
-    m, a = directions.m, directions.least
-    turn, finer = np.exp(1j * ray), _RAY / ray
-    reach_m = lateral_m.max() * np.sqrt(1 - m**2) + (np.abs(axial_m).max() + directions.farthest_m) * m
-    highest = float(_highest(a, reach_m, ray).max())
-    bessel = _BesselOnRay(turn, highest * float(lateral_m.max()))
+    """Return k² of the wave numbers, (k,), and their weighted spectrum at every point, (k, point)."""
+    m, a_m2, rotation = directions.m, directions.min_a_m2, np.exp(1j * ray)
+    reach_m = directions.reach_m(lateral_m.max(), np.abs(axial_m).max())
+    highest = float(_highest_wave_number(a_m2, reach_m, ray).max())
+    bessel = _BesselOnRay(rotation, highest * float(lateral_m.max()))
     edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
-    k2, into = [], []
+    k2, weighted = [], []
     for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
-        short = octave > _OCTAVES - _SHORT_OCTAVES
-        count = _NODES_WHERE_WAVES_ARE_SHORT if short else _NODES_AN_OCTAVE
-        node, weight = legendre(math.ceil(count * finer))
+        # Gauss-Legendre nodes of the octave.
+        is_short = octave > _OCTAVES - _SHORT_WAVE_OCTAVES
+        count = _NODES_PER_SHORT_WAVE_OCTAVE if is_short else _NODES_PER_OCTAVE
+        node, weight = legendre(math.ceil(count * (_RAY / ray)))
         along_ray = (high + low) / 2 + (high - low) / 2 * node
-        k = turn * along_ray
-        # Directions in which the force is too long for these wave numbers put nothing into any point.
-        fall = a * (low * low * math.cos(2 * ray))
-        seen = fall - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
-        sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
-        even, odd = directions.spectra(k, seen)
-        # (k, direction, lateral) and (k, direction, axial): the wave across the axis and along it.
+        k = rotation * along_ray
+        # Directions along which the force is too long for these wave numbers contribute nothing.
+        decay = a_m2 * (low * low * math.cos(2 * ray))
+        selected = decay - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
+        sine, cosine = np.sqrt(1 - m[selected] ** 2)[:, None], m[selected][:, None]
+        even, odd = directions.spectra(k, selected)
+        # The wave across the axis, (k, direction, lateral), and along it, (k, direction, axial).
         across = bessel.at(along_ray[:, None, None] * (sine * lateral_m))
         phase = k[:, None, None] * cosine * axial_m
         along = even[:, :, None] * np.cos(phase)
         if odd is not None:
             along += odd[:, :, None] * np.sin(phase)
-        # Summed over directions: what these wave numbers put into every point, (k, lateral, axial).
+        # Sum over directions, (k, lateral, axial), and the weight of the quadrature.
         block = np.einsum("kml,kma->kla", across, along, optimize=True)
         k2.append(k**2)
-        into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
-    return np.concatenate(k2), np.concatenate(into)
+        weighted.append(block.reshape(len(k), -1) * (rotation * (high - low) / 2 * weight)[:, None])
+    return np.concatenate(k2), np.concatenate(weighted)
 
 
 class _BesselOnRay:
-    """J0 at distances from 0 along the ray, by a polynomial in each cell of a table: to 4e-15 of exp(|Im z|).
+    """J0 at distances from 0 along the ray, by a table of polynomials: to 4e-15 of exp(|Im z|).
 
-    One cell is half a radian long; jv of complex arguments takes ten times as long as its polynomial.
+    It takes a tenth of the time of scipy's jv for complex arguments.
     """
 
-    def __init__(self, turn: complex, farthest: float) -> None:
-        # Here, so that what needs no field does not load it.
+    def __init__(self, rotation: complex, max_distance: float) -> None:
+        # Imported here, so that scenes without a field do not load it.
         from scipy.special import jv
 
-        node = np.cos((np.arange(_CELL_NODES) + 0.5) * np.pi / _CELL_NODES)
-        middle = (np.arange(int(farthest / _CELL) + 1) + 0.5) * _CELL
-        value = jv(0, turn * (middle + node[:, None] * _CELL / 2))
+        node = np.cos((np.arange(_BESSEL_NODES) + 0.5) * np.pi / _BESSEL_NODES)
+        middle = (np.arange(int(max_distance / _BESSEL_CELL) + 1) + 0.5) * _BESSEL_CELL
+        value = jv(0, rotation * (middle + node[:, None] * _BESSEL_CELL / 2))
         self._polynomial = np.linalg.solve(np.vander(node).astype(np.complex128), value)
 
     def at(self, distance: FloatArray) -> ComplexArray:
-        """Return J0 at ``distance``, any shape, from 0 to ``farthest``."""
-        cell, place = np.divmod(distance / _CELL, 1.0)
-        here, place = cell.astype(np.intp), 2 * place - 1
-        value = self._polynomial[0][here]
+        """Return J0 at ``distance``, any shape, from 0 to ``max_distance``."""
+        cell, position = np.divmod(distance / _BESSEL_CELL, 1.0)
+        index, position = cell.astype(np.intp), 2 * position - 1
+        value = self._polynomial[0][index]
         for row in self._polynomial[1:]:
-            value = value * place + row[here]
+            value = value * position + row[index]
         return np.asarray(value)
 
 
-def _highest(a: FloatArray, distance_m: FloatArray, ray: float) -> FloatArray:
-    """Return |k| where the force's spectrum, which falls, outweighs the waves, which grow along the ray off it."""
-    fall, growth = a * math.cos(2 * ray), distance_m * math.sin(ray)
-    return np.asarray((growth + np.sqrt(growth**2 + 4 * _NEGLIGIBLE_EXPONENT * fall)) / (2 * fall))
+def _highest_wave_number(a_m2: FloatArray, distance_m: FloatArray, ray: float) -> FloatArray:
+    """Return |k| beyond which the decay of the force's spectrum dominates the growth of the waves along the ray."""
+    decay, growth = a_m2 * math.cos(2 * ray), distance_m * math.sin(ray)
+    return np.asarray((growth + np.sqrt(growth**2 + 4 * _NEGLIGIBLE_EXPONENT * decay)) / (2 * decay))
 
 
-def _nodes(count: int) -> FloatArray:
-    """Return Chebyshev's points of 0 to 1, (count,)."""
-    return np.asarray((np.cos((np.arange(count) + 0.5) * np.pi / count) + 1) / 2)
-
-
-def _to_series(count: int) -> FloatArray:
-    """Return the matrix from values at `_nodes` to Chebyshev coefficients, (degree, node)."""
-    series = np.cos(np.outer(np.arange(count), (np.arange(count) + 0.5) * np.pi / count)) * (2 / count)
-    series[0] /= 2
-    return np.asarray(series)
+def _unit_points(count: int) -> FloatArray:
+    """Return the Chebyshev points of the interval from 0 to 1, (count,)."""
+    return np.asarray((chebpts1(count) + 1) / 2)

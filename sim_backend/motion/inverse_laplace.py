@@ -1,11 +1,16 @@
-"""Inverse Laplace transform of a transfer function: its step response at any time, tabulated in panels of log time.
+"""Inverse Laplace transform of a transfer function: its step response, tabulated in panels of logarithmic time.
 
     S(t) = 1/(2 pi j) * integral of exp(s t) U(s)/s ds,    s(x) = (m/t0) (1 + sin(j x - alpha))
 
-One hyperbola serves t0 to 4 t0. U must be analytic to the right of it: off the negative real axis and, where it grows
-(an elastic medium's does like exp(s^2)), not nearer to that axis than 45 degrees: that sets alpha. The error falls
-geometrically with the nodes; 32 give 3e-13 (Weideman and Trefethen, Math. Comp. 76, 2007, for the method;
-docs/theory/medium.md, section 4).
+    S, U      step response; transfer function
+    s, t      complex frequency, 1/s; time, s
+    x         parameter along the contour, a hyperbola of height m and angle alpha
+    t0        begin of a panel, s; one hyperbola serves t0 to 4 t0
+
+U must be analytic to the right of the contour, thus away from the negative real axis. Where U grows (an elastic medium's
+does like exp(s²)), it must be no nearer to that axis than 45 degrees, which fixes alpha. The error falls geometrically
+with the nodes; 32 nodes give 3e-13. Method: Weideman and Trefethen, Math. Comp. 76, 2007;
+docs/explanation/medium.md, section 4.
 """
 
 from __future__ import annotations
@@ -14,11 +19,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander
 
 from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 
-# Each panel ends at four times its begin: as far as one hyperbola serves.
-_RATIO = 4.0
+_PANEL_RATIO = 4.0
+"""End over begin of a panel: as long as one hyperbola serves."""
 _DEGREES = 24
 _FIRST_S = 1e-12
 _LAST_S = 1e4
@@ -26,7 +32,7 @@ _LAST_S = 1e4
 
 @dataclass(frozen=True, slots=True)
 class Contour:
-    """A hyperbola: nodes above the real axis, their range of x, height m and angle alpha."""
+    """A hyperbola: number of nodes above the real axis, their range of x, height m and angle alpha."""
 
     nodes: int
     span: float
@@ -36,12 +42,12 @@ class Contour:
 
 AXIS_CONTOUR = Contour(32, 3.5, 3.0, 0.65)
 FIELD_CONTOUR = Contour(40, 4.6, 1.0, 0.35)
-"""Nearer to the imaginary axis, for transfer functions that are not continued as far; 2e-8."""
+"""Nearer to the imaginary axis, for transfer functions with a smaller analytic region; exact to 2e-8."""
 
 
 @dataclass(frozen=True, slots=True)
 class Panels:
-    """Step responses tabulated as Chebyshev series in time, panel by panel, each four times as long as the last."""
+    """Step responses tabulated as Chebyshev series in time, in panels that each are four times as long as the last."""
 
     coefficient: FloatArray
     """(degree, panel, response)."""
@@ -49,26 +55,26 @@ class Panels:
     @property
     def begins_s(self) -> FloatArray:
         """Begin of every panel, (panel,)."""
-        return np.asarray(_FIRST_S * _RATIO ** np.arange(self.coefficient.shape[1]))
+        return np.asarray(_FIRST_S * _PANEL_RATIO ** np.arange(self.coefficient.shape[1]))
 
     @property
     def end_s(self) -> float:
         """End of the last panel."""
-        return float(_FIRST_S * _RATIO ** self.coefficient.shape[1])
+        return float(_FIRST_S * _PANEL_RATIO ** self.coefficient.shape[1])
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return the responses at ``time_s``, shape of it and then (response,).
+        """Return the responses at ``time_s``, (*time, response).
 
-        Exactly 0 up to the onset; before the first panel inertia alone acts, so it goes with the square of time;
-        beyond the last it keeps its last value.
+        They are exactly 0 up to the onset. Before the first panel only inertia acts, so they grow with the square of
+        time. After the last panel they keep their last value.
         """
         time_s = np.asarray(time_s, dtype=np.float64)
-        late_s = np.clip(time_s, _FIRST_S, self.end_s)
+        in_table_s = np.clip(time_s, _FIRST_S, self.end_s)
         last = self.coefficient.shape[1] - 1
-        # Which panel, and where in it from -1 to 1; rounding at a panel's end is harmless, its series goes on.
-        panel = np.clip(np.log(late_s / _FIRST_S) / np.log(_RATIO), 0, last).astype(np.int64)
-        x = 2 * (late_s / (_FIRST_S * _RATIO**panel) - 1) / (_RATIO - 1) - 1
-        value = _clenshaw(self.coefficient, panel, x[..., None])
+        # Panel, and position in it from -1 to 1. Rounding at the end of a panel is harmless: its series continues.
+        panel = np.clip(np.log(in_table_s / _FIRST_S) / np.log(_PANEL_RATIO), 0, last).astype(np.int64)
+        position = 2 * (in_table_s / (_FIRST_S * _PANEL_RATIO**panel) - 1) / (_PANEL_RATIO - 1) - 1
+        value = _chebyshev_sum(self.coefficient, panel, position[..., None])
         early = np.clip(time_s / _FIRST_S, 0.0, 1.0) ** 2
         return np.asarray(value * early[..., None])
 
@@ -76,39 +82,40 @@ class Panels:
 def panels_of(
     transfer: Callable[[ComplexArray], ComplexArray], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
 ) -> Panels:
-    """Return the table of the responses whose ``transfer`` gives (s, response) for s (s,), from 1 ps to 10^4 s."""
-    count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_RATIO)))
-    begin_s = _FIRST_S * _RATIO ** np.arange(count)
+    """Return the table of step responses from 1 ps to 10^4 s; ``transfer`` returns (s, response) for s (s,)."""
+    count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_PANEL_RATIO)))
+    begin_s = _FIRST_S * _PANEL_RATIO ** np.arange(count)
     s, weight = _hyperbola(contour)
-    # (panel, node, response): every panel's hyperbola is the same one, scaled by its begin.
+    # (panel, node, response): all panels have the same hyperbola, scaled by their begin.
     value = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
-    angle = (np.arange(degrees) + 0.5) * np.pi / degrees
-    # Chebyshev points of a panel, in units of its begin: 1 to 4.
-    place = 1 + (_RATIO - 1) * (np.cos(angle) + 1) / 2
-    # (time, node) is the same for every panel: time is counted in units of its begin.
-    to_time = np.exp(np.outer(place, s)) * weight
+    # Chebyshev points in units of a panel's begin, 1 to 4, so that exp(s t) is the same for all panels.
+    time = 1 + (_PANEL_RATIO - 1) * (chebpts1(degrees) + 1) / 2
+    to_time = np.exp(np.outer(time, s)) * weight
     samples = np.einsum("tn,pnr->tpr", to_time, value, optimize=True).real
-    to_coefficients = np.cos(np.outer(np.arange(degrees), angle)) * (2 / degrees)
-    to_coefficients[0] /= 2
-    return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples, optimize=True))
+    return Panels(np.einsum("dt,tpr->dpr", chebyshev_matrix(degrees), samples, optimize=True))
+
+
+def chebyshev_matrix(count: int) -> FloatArray:
+    """Return the matrix from values at the Chebyshev points, ascending, to Chebyshev coefficients, (degree, point)."""
+    matrix = chebvander(chebpts1(count), count - 1).T * (2 / count)
+    matrix[0] /= 2
+    return np.asarray(matrix)
 
 
 def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
-    """Return s and the weight of U(s), (node,), for times 1 to 4; the half above the real axis, counted twice."""
+    """Return s and the weight of U(s), (node,), for times 1 to 4: the half above the real axis, counted twice."""
     step = contour.span / contour.nodes
     x = (np.arange(contour.nodes) + 0.5) * step
     s = contour.height * (1 + np.sin(1j * x - contour.alpha))
     return s, step / np.pi * contour.height * np.cos(1j * x - contour.alpha) / s
 
 
-def _clenshaw(coefficient: FloatArray, panel: Int64Array, x: FloatArray) -> FloatArray:
-    """Return each panel's Chebyshev series at ``x`` by Clenshaw's recurrence, (*panel, response).
+def _chebyshev_sum(coefficient: FloatArray, panel: Int64Array, position: FloatArray) -> FloatArray:
+    """Return each panel's Chebyshev series at ``position`` by Clenshaw's recurrence, (*panel, response).
 
-    Row by row: numpy's chebval would gather (degree, time, response) at once.
+    Degree by degree, since numpy's chebval would need (degree, time, response) at once.
     """
-    one = np.zeros_like(x)
-    two = np.zeros_like(x)
-    twice = 2 * x
+    upper, second_upper, doubled = np.zeros_like(position), np.zeros_like(position), 2 * position
     for row in coefficient[:0:-1]:
-        one, two = row[panel] + twice * one - two, one
-    return np.asarray(coefficient[0][panel] + x * one - two)
+        upper, second_upper = row[panel] + doubled * upper - second_upper, upper
+    return np.asarray(coefficient[0][panel] + position * upper - second_upper)

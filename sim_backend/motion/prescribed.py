@@ -1,4 +1,10 @@
-"""Prescribed motion: of the focus, eq. (1) and (13), and of the whole specimen."""
+"""Prescribed motion of the focus, eq. (1) and (13), and of the whole specimen.
+
+D(t) = sum_i D_i sin(2 pi f_i t + phi_i)
+
+D_i, f_i, phi_i   amplitude, m; frequency, Hz; phase, rad
+t                 time after the master trigger
+"""
 
 from __future__ import annotations
 
@@ -11,47 +17,48 @@ from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.settings import BackgroundMotion, MotionComponent
 from sim_backend.wiring import PS_PER_S
 
-_TIMES_AT_ONCE = 1 << 16
+_TIMES_PER_CHUNK = 1 << 16
 
 
 def motion_at(components: Sequence[MotionComponent], time_ps: Int64Array) -> FloatArray:
-    """Return the sum of sinusoids D sin(2 pi f t + phi), m, at ``time_ps`` (time,) after the master trigger.
+    """Return the displacement D(t), m, at ``time_ps`` (time,) after the master trigger.
 
-    The phase is right to 1e-12 rad after 1e5 s.
+    The phase is exact to 1e-12 rad after 1e5 s.
     """
     displacement_m = np.zeros(time_ps.shape)
-    for first in range(0, len(time_ps), _TIMES_AT_ONCE):
-        some = slice(first, first + _TIMES_AT_ONCE)
+    for first in range(0, len(time_ps), _TIMES_PER_CHUNK):
+        part = slice(first, first + _TIMES_PER_CHUNK)
         for component in components:
-            phase_rad = 2 * np.pi * turns(component.frequency_hz, time_ps[some]) + component.phase_rad
-            displacement_m[some] += component.amplitude_m * np.sin(phase_rad)
+            phase_rad = 2 * np.pi * cycles_at(component.frequency_hz, time_ps[part]) + component.phase_rad
+            displacement_m[part] += component.amplitude_m * np.sin(phase_rad)
     return displacement_m
 
 
 def background_at(background: Sequence[BackgroundMotion], time_ps: Int64Array) -> FloatArray:
-    """Return how far the whole specimen has moved, m, at ``time_ps`` (time,) after the master trigger."""
-    return motion_at([part for each in background for part in _components(each)], time_ps)
+    """Return the displacement of the whole specimen, m, at ``time_ps`` (time,) after the master trigger."""
+    return motion_at([component for motion in background for component in _components(motion)], time_ps)
 
 
 def _components(background: BackgroundMotion) -> Iterator[MotionComponent]:
-    for order, share in enumerate((1.0, *background.harmonics), 1):
+    """Yield the fundamental and the harmonics of a periodic background motion."""
+    for order, relative_amplitude in enumerate((1.0, *background.harmonics), 1):
         yield MotionComponent(
             frequency_hz=order * background.frequency_hz,
-            amplitude_m=abs(share) * background.amplitude_m,
-            phase_rad=order * background.phase_rad + (math.pi if share < 0 else 0.0),
+            amplitude_m=abs(relative_amplitude) * background.amplitude_m,
+            phase_rad=order * background.phase_rad + (math.pi if relative_amplitude < 0 else 0.0),
         )
 
 
-def turns(frequency_hz: float, time_ps: Int64Array) -> FloatArray:
-    """Return f t less its whole turns: those of whole hertz and whole seconds are dropped as integers, before rounding.
+def cycles_at(frequency_hz: float, time_ps: Int64Array) -> FloatArray:
+    """Return f t up to a whole number of cycles, exact to 1e-13 cycles for up to 1e6 Hz and 1e5 s.
 
-    Exact but for 1e-13 turns up to 1e6 Hz and 1e5 s.
+    Whole hertz times whole seconds are whole cycles, so they are dropped as integers before rounding.
     """
-    whole_s, rest_ps = np.divmod(time_ps, PS_PER_S)
+    whole_s, remainder_ps = np.divmod(time_ps, PS_PER_S)
     whole_hz = int(frequency_hz)
-    part_hz = frequency_hz - whole_hz
-    # Split so that each product with up to 2^17 seconds is exact: 26 bits of a hertz, and what is left.
-    coarse_hz = np.round(part_hz * 2**26) / 2**26
-    of_whole_s = np.mod(coarse_hz * whole_s, 1.0) + (part_hz - coarse_hz) * whole_s
-    of_rest = np.mod(whole_hz * rest_ps, PS_PER_S) / PS_PER_S + part_hz * (rest_ps / PS_PER_S)
-    return np.asarray(of_whole_s + of_rest)
+    fraction_hz = frequency_hz - whole_hz
+    # The upper 26 bits of the fraction times up to 2^17 seconds are an exact product; the lower bits are small.
+    upper_hz = np.round(fraction_hz * 2**26) / 2**26
+    cycles_of_seconds = np.mod(upper_hz * whole_s, 1.0) + (fraction_hz - upper_hz) * whole_s
+    cycles_of_remainder = np.mod(whole_hz * remainder_ps, PS_PER_S) / PS_PER_S + fraction_hz * (remainder_ps / PS_PER_S)
+    return np.asarray(cycles_of_seconds + cycles_of_remainder)

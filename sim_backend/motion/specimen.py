@@ -1,11 +1,20 @@
 """Displacement at the focus of an incompressible viscoelastic medium under a Gaussian body force.
 
-    drive -> body force f0 exp(-x^2/2sx^2 - y^2/2sy^2 - z^2/2sz^2) along z -> displacement u at its centre
+    drive -> body force f0 exp(-x²/2sx² - y²/2sy² - z²/2sz²) along z -> displacement U at its centre
 
-The medium has density rho and complex shear modulus mu(s), s = j w. The integral over wave numbers is a closed form at
-every complex s, which leaves one smooth quadrature over directions (`transfer`). On s = j w that is the frequency
-response; summed along a hyperbola in the left half plane (`sim_backend.motion.inverse_laplace`) it is the response to a
-step, at any time, without period, padding or time step. Derived in docs/theory/medium.md, sections 1 to 4.
+    U(s) = f0 V / mu(s) * mean over directions of (1 - m²) sqrt(pi/a) (1 + j sqrt(pi) z w(z))
+    z = q sqrt(a),    q = j s sqrt(rho / mu(s)),    V = (2 pi)^(-1/2) sx sy sz
+
+    s           complex frequency, 1/s; j w on the imaginary axis
+    mu, rho     complex shear modulus, Pa; density, kg/m³
+    m           cosine between a direction and the force
+    a           half the squared width of the force along the direction, m²
+    w           Faddeeva function
+
+The integral over wave numbers is a closed form at every complex s, so only a smooth quadrature over directions remains
+(`transfer`). At s = j w it is the frequency response. Summed along a hyperbola in the left half plane
+(`sim_backend.motion.inverse_laplace`) it is the response to a step at any time, without period, padding or time step.
+Derivation: docs/explanation/medium.md, sections 1 to 4.
 """
 
 from __future__ import annotations
@@ -19,59 +28,59 @@ import numpy as np
 from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.inverse_laplace import AXIS_CONTOUR, Panels, panels_of
-from sim_backend.motion.sphere import SPHERE_CONTOUR, SPHERE_DEGREES, sphere_response, sphere_share
+from sim_backend.motion.sphere import SPHERE_CONTOUR, SPHERE_DEGREES, sphere_force_volume_m3, sphere_response
 from sim_backend.settings import OWN_MEDIA, Specimen, creeps, modulus_of
 from sim_backend.wiring import PS_PER_S
 
 Triple = tuple[float, float, float]
 
 _DIRECTION_NODES = 64
-# Relative to the static displacement: below this a response has ended.
-_FORGOTTEN = 1e-11
-# Times under several pulses whose responses are looked up together: they stay in the processor's cache.
-_TIMES_AT_ONCE = 1 << 12
-# |z| from which the continued fraction, so many terms deep, is as exact as the difference it replaces (8e-13).
+# A response has ended when it changes by less than this fraction of the static displacement.
+_MEMORY_TOLERANCE = 1e-11
+# Times under several pulses that are looked up together, so that they stay in the cache.
+_TIMES_PER_CHUNK = 1 << 12
+# From this |z| on, a continued fraction of so many terms is as exact as the difference that it replaces (8e-13).
 _FAR, _FAR_TERMS = 6.0, 16
 
 
 def shear_modulus(specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
-    """Return the modulus mu(s) in Pa, shape of ``s_per_s``; analytic off the negative real axis, so also in time.
+    """Return the modulus mu(s) in Pa, shape of ``s_per_s``; analytic away from the negative real axis.
 
-    Voigt ``mu1 + s mu2``; Maxwell ``s mu1 mu2 / (mu1 + s mu2)``; Zener ``mu1`` beside a Maxwell branch of
-    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. docs/theory/medium.md, section 1.
+    Voigt ``mu1 + s mu2``; Maxwell ``s mu1 mu2 / (mu1 + s mu2)``; Zener ``mu1`` parallel to a Maxwell branch of
+    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. Docs/explanation/medium.md, section 1.
     """
     mu1, mu2 = specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s
     match specimen.medium:
         case "voigt":
             return mu1 + s_per_s * mu2
         case "maxwell":
-            return _branch(mu1, mu2, s_per_s)
+            return _maxwell_modulus(mu1, mu2, s_per_s)
         case "zener":
-            return mu1 + _branch(specimen.branch_modulus_pa, mu2, s_per_s)
+            return mu1 + _maxwell_modulus(specimen.branch_modulus_pa, mu2, s_per_s)
         case "power_law":
             relative = s_per_s / (2 * np.pi * specimen.reference_frequency_hz)
             return np.asarray(mu1 * relative**specimen.power)
-        case foreign:
-            return modulus_of(foreign, dict(specimen.parameters), s_per_s)
+        case installed:
+            return modulus_of(installed, dict(specimen.parameters), s_per_s)
 
 
-def _branch(modulus_pa: float, viscosity_pa_s: float, s_per_s: ComplexArray) -> ComplexArray:
-    # Divided through by the modulus: neither a stiff spring nor a fast s overflows.
+def _maxwell_modulus(modulus_pa: float, viscosity_pa_s: float, s_per_s: ComplexArray) -> ComplexArray:
+    # Divided by the modulus, so that neither a stiff spring nor a fast s overflows.
     return np.asarray(s_per_s * viscosity_pa_s / (1 + s_per_s * (viscosity_pa_s / modulus_pa)))
 
 
 def creeps_for_ever(specimen: Specimen) -> bool:
-    """Return whether a constant force moves the medium without end: it has no static displacement."""
+    """Return whether a constant force moves the medium without end, so that it has no static displacement."""
     if specimen.medium not in OWN_MEDIA:
         return creeps(specimen.medium)
     return specimen.medium == "maxwell" or (specimen.medium == "power_law" and specimen.power > 0)
 
 
 def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: FloatArray) -> ComplexArray:
-    """Return displacement at the focus over body force there, m per N/m^3, complex (frequency,), time factor exp(+jwt).
+    """Return displacement over body force at the focus, m per N/m³, complex (frequency,), time factor exp(+jwt).
 
-    ``width_m`` the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Raises ``ValueError`` at 0 Hz for a medium
-    that creeps for ever. docs/theory/medium.md, section 2.
+    ``width_m`` are the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Raises ``ValueError`` at 0 Hz for a
+    medium that creeps without end. Docs/explanation/medium.md, section 2.
     """
     frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
     if creeps_for_ever(specimen) and not frequency_hz.all():
@@ -83,52 +92,49 @@ def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: FloatA
 
 
 def transfer(specimen: Specimen, width_m: Triple, s_per_s: ComplexArray) -> ComplexArray:
-    """Return the same at complex frequencies ``s_per_s`` (frequency,), continued into the left half plane.
+    """Return U(s) / f0 at complex frequencies ``s_per_s`` (frequency,), also in the left half plane.
 
-    Of a rigid sphere, whose force stands for the body force, its own displacement. Of the medium:
-
-    ``U = f0 (2 pi)^(-1/2) sx sy sz / mu(s) * mean over directions of (1 - m^2) sqrt(pi/a) (1 + j sqrt(pi) z w(z))``,
-    z = q sqrt(a), q = j s sqrt(rho / mu(s)), a half the squared width of the force along the direction.
+    With a rigid sphere it is the displacement of the sphere over the body force that represents the same drive.
     """
     modulus = shear_modulus(specimen, s_per_s)
     if specimen.sphere is not None:
-        moved = sphere_response(specimen.sphere, modulus, specimen.density_kg_per_m3, s_per_s)
-        return np.asarray(sphere_share(specimen, specimen.sphere) * moved)
-    a, share = _directions(width_m)
+        response = sphere_response(specimen.sphere, modulus, specimen.density_kg_per_m3, s_per_s)
+        return np.asarray(sphere_force_volume_m3(specimen, specimen.sphere) * response)
+    a, weight = _directions(width_m)
     q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
-    # (frequency, direction) @ (direction,): what each direction adds when at rest, times its share of inertia.
-    moved = inertia_factor(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * share)
-    return np.asarray(force_volume(width_m) / modulus * moved)
+    # (frequency, direction) @ (direction,): the inertia factor times the static contribution of each direction.
+    mean = inertia_factor(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * weight)
+    return np.asarray(force_volume(width_m) / modulus * mean)
 
 
 def inertia_factor(z: ComplexArray) -> ComplexArray:
     """Return ``1 + j sqrt(pi) z w(z)``, any shape, to 1e-12 for Im z >= 0; w is the Faddeeva function.
 
-    What remains of a Gaussian source's static response once inertia counts: 1 at rest, -1/(2 z^2) far out. There the
-    two terms cancel, so Laplace's continued fraction takes over, which never forms the difference; Im z < 0 by
-    w(z) = 2 exp(-z^2) - w(-z), which overflows where the function does. docs/theory/medium.md, section 3.
+    It is the response of a Gaussian source relative to its static response: 1 at rest, -1/(2 z²) at large |z|. There
+    the two terms cancel, so Laplace's continued fraction replaces their difference. For Im z < 0,
+    w(z) = 2 exp(-z²) - w(-z), which overflows where the function does. Docs/explanation/medium.md, section 3.
     """
-    # Here, so that what needs no specimen does not load it; every run has loaded it by then for scipy.fft.
+    # Imported here, so that scenes without a specimen do not load it.
     from scipy.special import wofz
 
     z = np.asarray(z, dtype=np.complex128)
-    far = np.abs(z) >= _FAR
-    out = np.empty_like(z)
-    out[~far] = 1 + 1j * np.sqrt(np.pi) * z[~far] * wofz(z[~far])
-    distant = z[far]
-    rest = np.zeros_like(distant)
-    # From the innermost term out; the fraction is even in z, so one sign serves both half planes.
+    is_far = np.abs(z) >= _FAR
+    factor = np.empty_like(z)
+    factor[~is_far] = 1 + 1j * np.sqrt(np.pi) * z[~is_far] * wofz(z[~is_far])
+    # The continued fraction from its innermost term; it is even in z, so one sign serves both half planes.
+    far = z[is_far]
+    fraction = np.zeros_like(far)
     for term in range(_FAR_TERMS, 0, -1):
-        rest = term / 2 / (distant - rest)
-    out[far] = -rest / (distant - rest)
-    below = far & (z.imag < 0)
-    out[below] += 2j * np.sqrt(np.pi) * z[below] * np.exp(-(z[below] ** 2))
-    return out
+        fraction = term / 2 / (far - fraction)
+    factor[is_far] = -fraction / (far - fraction)
+    lower = is_far & (z.imag < 0)
+    factor[lower] += 2j * np.sqrt(np.pi) * z[lower] * np.exp(-(z[lower] ** 2))
+    return factor
 
 
 @lru_cache
 def legendre(count: int) -> tuple[FloatArray, FloatArray]:
-    """Return ``count`` nodes and weights of Gauss's quadrature, which no caller can change: all get the same."""
+    """Return ``count`` nodes and weights of Gauss-Legendre quadrature, read-only because all callers share them."""
     node, weight = np.polynomial.legendre.leggauss(count)
     node.flags.writeable = weight.flags.writeable = False
     return node, weight
@@ -136,10 +142,10 @@ def legendre(count: int) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True)
 class StepResponse:
-    """Displacement at the focus, m per N/m^3, at a time after a unit force is switched on for good."""
+    """Displacement at the focus, m per N/m³, after a unit force is switched on."""
 
     memory_s: float
-    """Time after which the displacement is the static one; where there is none, the end of the table."""
+    """Time after which the displacement is static; for a medium that creeps without end, the end of the table."""
     panels: Panels
 
     def at(self, time_s: FloatArray) -> FloatArray:
@@ -149,94 +155,95 @@ class StepResponse:
 
 @lru_cache(maxsize=8)
 def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
-    """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s, a sphere's to 1e-6.
+    """Return the specimen's step response from 1 ps to 10^4 s, exact to 1e-10 of itself, a sphere's to 1e-6.
 
-    Kept: a plan's checks and the measurement of a scene ask for the same one.
+    Cached: the checks of a plan and the measurement use the same one.
     """
-    course = (AXIS_CONTOUR,) if specimen.sphere is None else (SPHERE_CONTOUR, SPHERE_DEGREES)
-    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], *course)
+    contour = (AXIS_CONTOUR,) if specimen.sphere is None else (SPHERE_CONTOUR, SPHERE_DEGREES)
+    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], *contour)
     return StepResponse(memory_s(specimen, panels), panels)
 
 
-def memory_s(specimen: Specimen, panels: Panels, forgotten: float = _FORGOTTEN) -> float:
-    """Return the time after which no response of ``panels`` changes; their end for a medium that creeps for ever.
+def memory_s(specimen: Specimen, panels: Panels, tolerance: float = _MEMORY_TOLERANCE) -> float:
+    """Return the time after which no response changes by more than ``tolerance`` of the largest static one.
 
-    By more than ``forgotten``, relative to the largest of them at rest.
+    For a medium that creeps without end it is the end of ``panels``.
     """
     if creeps_for_ever(specimen):
         return panels.end_s
     value = panels.at(np.append(panels.begins_s, panels.end_s))
-    moving = np.abs(value - value[-1]).max(axis=1) > forgotten * np.abs(value[-1]).max()
-    return float(panels.begins_s[min(int(np.flatnonzero(moving)[-1]) + 1, len(moving) - 2)])
+    changes = np.abs(value - value[-1]).max(axis=1) > tolerance * np.abs(value[-1]).max()
+    return float(panels.begins_s[min(int(np.flatnonzero(changes)[-1]) + 1, len(changes) - 2)])
 
 
 def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
-    """Return the displacement at the focus at ``time_ps`` (time,) under all ``force`` pulses, m; 0 before any."""
+    """Return the displacement at the focus at ``time_ps`` (time,) under all ``force`` pulses, m."""
     return transients(response, force, time_ps)[:, 0]
 
 
 def transients(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
-    """Return every tabulated response at ``time_ps`` (time,) under all ``force`` pulses: (time, response).
+    """Return all tabulated responses at ``time_ps`` (time,) under all ``force`` pulses, (time, response).
 
-    Each pulse is a step up and a step down; once both are older than the medium's memory they cancel, so a pulse
-    costs only the times that feel it.
+    A pulse is a step up and a step down. They cancel once both are older than the medium's memory, so a pulse is only
+    evaluated at the times between its onset and the end of its memory.
     """
     order = np.argsort(time_ps, kind="stable")
     ascending_ps = time_ps[order]
     memory_ps = math.ceil(response.memory_s * PS_PER_S)
-    moved = np.zeros((len(time_ps), response.panels.coefficient.shape[2]))
+    displacement = np.zeros((len(time_ps), response.panels.coefficient.shape[2]))
     first = np.searchsorted(ascending_ps, force.onset_ps)
     last = np.searchsorted(ascending_ps, force.end_ps + memory_ps, side="right")
-    # Each pulse is added to the slice of times that lie between its onset and the end of its memory. The responses to
-    # several pulses, one after another, are looked up together.
-    felt = np.flatnonzero(first < last)
-    total = np.cumsum(last[felt] - first[felt])
-    for some in np.split(felt, np.flatnonzero(np.diff(total // _TIMES_AT_ONCE)) + 1) if felt.size else ():
-        parts, count = [slice(first[index], last[index]) for index in some], last[some] - first[some]
-        edges_ps = np.repeat([force.onset_ps[some], force.end_ps[some]], count, axis=1)
-        age_s = (np.concatenate([ascending_ps[part] for part in parts]) - edges_ps) / PS_PER_S
+    # Pulses with any time in their memory, in groups that fill a chunk of times.
+    active = np.flatnonzero(first < last)
+    total = np.cumsum(last[active] - first[active])
+    groups = np.split(active, np.flatnonzero(np.diff(total // _TIMES_PER_CHUNK)) + 1) if active.size else ()
+    for pulses in groups:
+        spans, count = [slice(first[pulse], last[pulse]) for pulse in pulses], last[pulses] - first[pulses]
+        # Ages of both steps at all times of all pulses in the group, (step, time).
+        edges_ps = np.repeat([force.onset_ps[pulses], force.end_ps[pulses]], count, axis=1)
+        age_s = (np.concatenate([ascending_ps[span] for span in spans]) - edges_ps) / PS_PER_S
         up, down = response.panels.at(age_s)
-        added = np.repeat(force.force_density_n_per_m3[some], count)[:, None] * (up - down)
-        for part, own in zip(parts, np.split(added, np.cumsum(count)[:-1]), strict=True):
-            moved[part] += own
-    unsorted = np.empty_like(moved)
-    unsorted[order] = moved
+        contribution = np.repeat(force.force_density_n_per_m3[pulses], count)[:, None] * (up - down)
+        for span, of_pulse in zip(spans, np.split(contribution, np.cumsum(count)[:-1]), strict=True):
+            displacement[span] += of_pulse
+    unsorted = np.empty_like(displacement)
+    unsorted[order] = displacement
     return unsorted
 
 
 def force_volume(width_m: Triple) -> float:
-    """Return (2 pi)^(-1/2) sx sy sz, the Gaussian's volume over (2 pi)^2."""
+    """Return V = (2 pi)^(-1/2) sx sy sz, the Gaussian's volume over (2 pi)²."""
     return math.prod(width_m) / math.sqrt(2 * math.pi)
 
 
 def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
-    """Return ``a``, half the squared width of the force along each direction, and its share, (direction,)."""
+    """Return ``a``, half the squared width of the force along each direction, and the weight of it, (direction,)."""
     wide, narrow = max(width_m[:2]), min(width_m[:2])
-    # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, r the ratio of the lateral widths.
+    # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, with r the ratio of the lateral widths.
     count = 1 if wide == narrow else 8 * math.ceil(wide / narrow) + 8
     azimuth = (np.arange(count) + 0.5) * np.pi / (2 * count)
-    lateral = width_m[0] * width_m[0] * np.cos(azimuth) ** 2 + width_m[1] * width_m[1] * np.sin(azimuth) ** 2
-    parts = [polar_nodes(float(square), width_m[2] ** 2) for square in lateral]
-    return np.concatenate([a for _, a, _ in parts]), np.concatenate([share for _, _, share in parts]) / count
+    lateral_m2 = width_m[0] * width_m[0] * np.cos(azimuth) ** 2 + width_m[1] * width_m[1] * np.sin(azimuth) ** 2
+    nodes = [polar_nodes(float(width_m2), width_m[2] ** 2) for width_m2 in lateral_m2]
+    return np.concatenate([a for _, a, _ in nodes]), np.concatenate([weight for _, _, weight in nodes]) / count
 
 
-def polar_nodes(lateral: float, axial: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return cosine m, half the squared width ``a`` and share of the directions of one azimuth, (direction,) each.
+def polar_nodes(lateral_m2: float, axial_m2: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return cosine m, half the squared width ``a`` and weight of the directions of one azimuth, (direction,) each.
 
-    ``lateral`` and ``axial`` are the squared widths. The share is that of the
-    divergence-free force, 1 - m^2, with the quadrature's weight. Gauss-Legendre nodes in the variable that makes the
-    width a smooth function: asinh for a force longer than wide, asin for a disc (docs/theory/medium.md, section 2).
+    ``lateral_m2`` and ``axial_m2`` are squared widths. The weight is that of the divergence-free part of the force,
+    1 - m², times the quadrature's. Gauss-Legendre nodes lie in the variable that makes the width a smooth function:
+    asinh for a force longer than wide, asin for a disc (docs/explanation/medium.md, section 2).
     """
     node, weight = legendre(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2
-    if axial > lateral:
-        unit = math.sqrt(lateral / (axial - lateral))
+    if axial_m2 > lateral_m2:
+        unit = math.sqrt(lateral_m2 / (axial_m2 - lateral_m2))
         top = math.asinh(1 / unit)
         m, slope = unit * np.sinh(top * node), unit * top * np.cosh(top * node)
-    elif axial < lateral:
-        unit = 1 / math.sqrt(1 - axial / lateral)
+    elif axial_m2 < lateral_m2:
+        unit = 1 / math.sqrt(1 - axial_m2 / lateral_m2)
         top = math.asin(1 / unit)
         m, slope = unit * np.sin(top * node), unit * top * np.cos(top * node)
     else:
         m, slope = node, np.ones_like(node)
-    return m, (lateral * (1 - m**2) + axial * m**2) / 2, 2 * (1 - m**2) * slope * weight
+    return m, (lateral_m2 * (1 - m**2) + axial_m2 * m**2) / 2, 2 * (1 - m**2) * slope * weight

@@ -1,10 +1,15 @@
-"""Rigid sphere in the medium, pushed by the radiation force: what calibrates a gelatin's moduli.
+"""Rigid sphere in the medium, pushed by the radiation force: it calibrates the moduli of a gelatin.
 
-    F = U (6 pi a mu (1 + l + l^2 / 9) + m s^2),      l = a s sqrt(rho / mu(s))
+    F = U (6 pi a mu (1 + l + l² / 9) + m s²),      l = a s sqrt(rho / mu(s))
+
+    F, U       force, N; displacement, m
+    a, m       radius, m; mass of the sphere, kg
+    mu, rho    shear modulus, Pa, and density, kg/m³, of the medium
+    s          complex frequency, 1/s
 
 Oestreicher's impedance of an oscillating rigid sphere (J. Acoust. Soc. Am. 23, 1951, p. 707) in an incompressible
-medium: Stokes' drag, Basset's history and the mass of medium that moves along. Chen and others (J. Acoust. Soc. Am.
-112, 2002, p. 884) push such a sphere by ultrasound and fit its motion. docs/theory/medium.md, section 8.
+medium: Stokes' drag, Basset's history term and the moved mass of medium. Chen and others (J. Acoust. Soc. Am. 112,
+2002, p. 884) push such a sphere by ultrasound and fit its motion. Docs/explanation/medium.md, section 8.
 """
 
 from __future__ import annotations
@@ -18,12 +23,12 @@ from sim_backend.motion.inverse_laplace import Contour
 from sim_backend.settings import Specimen, Sphere
 
 SPHERE_CONTOUR = Contour(96, 5.6, 0.8, 0.15)
-"""Behind which a sphere's resonance hides: its poles lie 22 degrees off the imaginary axis for steel; 1e-6."""
+"""Contour to the right of a sphere's poles, which for steel are 22 degrees off the imaginary axis; exact to 1e-6."""
 SPHERE_DEGREES = 48
 
 
 def sphere_mass_kg(sphere: Sphere) -> float:
-    """Return the sphere's own mass."""
+    """Return the mass of the sphere."""
     return 4 / 3 * math.pi * sphere.radius_m**3 * sphere.density_kg_per_m3
 
 
@@ -32,11 +37,11 @@ def sphere_response(
 ) -> ComplexArray:
     """Return displacement over force, m/N (frequency,), in a medium of complex shear modulus (frequency,)."""
     a = sphere.radius_m
-    wave = a * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
-    drag = 6 * math.pi * a * modulus_pa * (1 + wave + wave**2 / 9)
+    relative_radius = a * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
+    drag = 6 * math.pi * a * modulus_pa * (1 + relative_radius + relative_radius**2 / 9)
     return np.asarray(1 / (drag + sphere_mass_kg(sphere) * s_per_s**2))
 
 
-def sphere_share(specimen: Specimen, sphere: Sphere) -> float:
-    """Return the force on the sphere over the body force that stands for the same drive, m^3."""
+def sphere_force_volume_m3(specimen: Specimen, sphere: Sphere) -> float:
+    """Return the force on the sphere over the body force that represents the same drive, m³."""
     return sphere.force_n / specimen.force_density_n_per_m3

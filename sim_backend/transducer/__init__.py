@@ -9,7 +9,7 @@
     p_1 ... p_N (r, z)                    the push with its harmonics, through layers             nonlinear.py
     force, p+, p-, heat over drive        the push as a table                                     push.py
 
-The theory, and its error against closed forms, is docs/theory/transducer.md.
+The theory, and its error against closed forms, is docs/explanation/transducer.md.
 """
 
 import lazy_loader

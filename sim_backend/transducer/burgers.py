@@ -5,7 +5,7 @@
 Burgers' equation without its losses, which the beam applies where it diffracts. A truncated series conserves energy, so
 what a shock would turn into heat piles up in the last harmonics: `advance` damps these in proportion to the rate at
 which the wave steepens, and says how much that took. By weak shock theory a shock's loss does not depend on what makes
-it, so this is the loss of the harmonics that are not carried. docs/theory/nonlinear.md, section 1.
+it, so this is the loss of the harmonics that are not carried. docs/explanation/nonlinear.md, section 1.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A scan names, point by point: ``x_m``, ``y_m``, ``z_m`` from the focus (z away from the transducer), ``pressure_pa``
 (amplitude) and, where known, ``phase_rad`` of exp(+jwt). Points lie in planes of equal z, each from the axis outwards.
-docs/theory/transducer.md, section 4.
+docs/explanation/transducer.md, section 4.
 """
 
 from __future__ import annotations

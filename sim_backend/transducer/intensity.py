@@ -3,7 +3,7 @@
     I(r, z) / I(0, 0) = sum_j sum_i C_ji exp(-r^2 / 2 a_i^2 - (z - z_j)^2 / 2 b^2)
 
 Stations z_j along the beam, widths a_i across it, least squares in between, weighted by area. How well the sum and the
-displacement that it causes match: docs/theory/transducer.md, section 3.
+displacement that it causes match: docs/explanation/transducer.md, section 3.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ class GaussianSum:
     """b"""
     centre_m: tuple[float, ...]
     """z_j"""
-    share: tuple[tuple[float, ...], ...]
+    amplitude: tuple[tuple[float, ...], ...]
     """C, one row a centre, one column a width"""
 
     def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         """Return the sum at places (place,) off the axis and the focal plane: (place,)."""
         across = np.exp(-0.5 * np.square(lateral_m[:, None] / np.array(self.lateral_width_m)))
         along = np.exp(-0.5 * np.square((axial_m[:, None] - np.array(self.centre_m)) / self.axial_width_m))
-        return np.asarray(np.einsum("pj,ji,pi->p", along, np.array(self.share), across))
+        return np.asarray(np.einsum("pj,ji,pi->p", along, np.array(self.amplitude), across))
 
 
 def push_intensity(settings: SimulationSettings) -> GaussianSum:

@@ -7,7 +7,7 @@
 One-way Westervelt equation, each harmonic a spectrum of plane waves: wide angles are exact, and only what steepening
 changes goes through space, from a window around the beam, weighted with k_n / k_zn as a wave at an angle has a longer
 way. Half a step of diffraction, steepening, half a step of diffraction: second order. Harmonics are taken on as they
-arise. Linear, it is the Rayleigh integral over the bowl to 1e-7. docs/theory/nonlinear.md, section 2.
+arise. Linear, it is the Rayleigh integral over the bowl to 1e-7. docs/explanation/nonlinear.md, section 2.
 """
 
 from __future__ import annotations

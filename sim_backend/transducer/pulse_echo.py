@@ -4,7 +4,7 @@
 
 Twice the same field, by reciprocity, over the echo of a scatterer in the focus and without the delay 2 z / c that a
 plane wave would have: 1 at the focus, and smooth. Its phase turns along the beam: waves that converge travel obliquely,
-so that a displacement along the axis delays the echo by a little less than 2 u / c. docs/theory/transducer.md,
+so that a displacement along the axis delays the echo by a little less than 2 u / c. docs/explanation/transducer.md,
 section 2.
 """
 

@@ -4,7 +4,7 @@
                                                          moves the focus as far as that field does at rest
 
 F replaces drive^2 in the twin's force. The surface's pressure at the reference drive follows from the specimen's
-``force_density_n_per_m3``, which holds there. docs/theory/nonlinear.md, section 3.
+``force_density_n_per_m3``, which holds there. docs/explanation/nonlinear.md, section 3.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Push:
 
         return Push(*(there(each.name) for each in fields(self)))
 
-    def share(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
+    def relative_force(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
         """Return the force over ``force_density_n_per_m3`` at ``pressure`` over that of the drive which makes it."""
         reference_pa = self.surface_for(force_density_n_per_m3)
         with np.errstate(divide="ignore"):

@@ -6,7 +6,7 @@
 The Rayleigh integral over the bowl, whose waves exp(-j k d) / d are expanded about the focus in spherical waves and
 these in plane waves: z and r separate, so that a table is one matrix product. w is the apodisation over the angle seen
 from the focus, h_n the spherical Hankel function of the second kind (time factor exp(+jwt)), k is complex where the
-medium attenuates. docs/theory/transducer.md, section 1.
+medium attenuates. docs/explanation/transducer.md, section 1.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ def rows() -> list[Measurement]:
 
 
 def test_every_evaluation_keeps_its_tolerance_and_the_exact_ones_rounding(rows: list[Measurement]) -> None:
-    assert {row.evaluation for row in rows} == {"direct", "running_sum", "interpolated", "series", CHOSEN}
+    assert {row.evaluation for row in rows} == {"direct", "running_sum", "series", CHOSEN}
     for row in rows:
         assert row.error <= (row.tolerance or 1e-12)
         assert row.time_s > 0

@@ -68,7 +68,7 @@ def test_field_off_the_axis_equals_the_double_integral_over_wave_vectors(lateral
 
 
 def test_tracked_over_peak_displacement_is_that_of_the_theory():
-    """docs/theory/medium.md: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2), T = 0.155 mm."""
+    """docs/explanation/medium.md: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2), T = 0.155 mm."""
     specimen, tracking_m = Specimen(preset="gelatin_8"), 0.155e-3
     node, weight = np.polynomial.legendre.leggauss(24)
     lateral_m = 3.5 * tracking_m * (node + 1) / 2
@@ -198,7 +198,7 @@ def test_scatterers_move_by_the_field_at_their_places():
 def test_a_single_reflector_on_a_tracking_axis_beside_the_push_moves_by_the_field_there():
     settings = SimulationSettings(specimen=Specimen())
     width_m = settings.beams.excitation_width_m
-    motion = medium_motion(settings, np.array([[1.0e-3, 0.0, 0.0]]), 70e-3 / 1540.0, beside_m=1.0e-3)
+    motion = medium_motion(settings, np.array([[1.0e-3, 0.0, 0.0]]), 70e-3 / 1540.0, lateral_offset_m=1.0e-3)
     exact = focus_field(Specimen(), width_m, 1.5e-3, 1.8e-3)
     time_ps = np.arange(1, 60) * 10**8
     pulse = ForcePulses(np.array([0]), np.array([10**8]), np.array([1e6]))
@@ -228,7 +228,7 @@ def test_a_pulse_of_force_is_over_when_its_response_is(gelatin):
 
 def test_what_is_pushed_otherwise_than_by_the_square_moves_so_beside_the_axis():
     motion = medium_motion(SimulationSettings(specimen=Specimen()), np.array([[1.0e-3, 0.0, 0.0]]), 0.0, 1.0e-3)
-    twice = replace(motion, share=lambda pressure, carrier_hz: 2 * np.square(pressure))
+    twice = replace(motion, force_scale=lambda pressure, carrier_hz: 2 * np.square(pressure))
     begin_ps, time_ps = np.array([0], np.int64), np.arange(1, 20) * 10**9
     burst = Bursts(begin_ps, begin_ps + 100_000_000, np.full(1, 3e6), np.full(1, 300.0), np.ones(1))
     plain_m = motion.displacement_m(burst, time_ps, 1.0e-3)

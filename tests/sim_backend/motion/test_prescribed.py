@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from sim_backend.motion.prescribed import motion_at, turns
+from sim_backend.motion.prescribed import cycles_at, motion_at
 from sim_backend.settings.simulation import MotionComponent
 
 
@@ -26,7 +26,7 @@ def test_phase_is_right_to_1e_12_rad_after_1e5_seconds(frequency_hz):
         exact = [mpmath.mpf(frequency_hz) * int(t) / 10**12 for t in time_ps]
         error = [
             float(2 * mpmath.pi * abs((mpmath.mpf(float(a)) - b + 0.5) % 1 - 0.5))
-            for a, b in zip(turns(frequency_hz, time_ps), exact, strict=True)
+            for a, b in zip(cycles_at(frequency_hz, time_ps), exact, strict=True)
         ]
     assert max(error) < 1e-12
 

@@ -23,7 +23,7 @@ DIGITS = 30
 
 
 def exact_transfer(specimen, width_m, s):
-    """The formula of docs/theory/medium.md, section 2: quadrature over m, digits for its cancellation and overflow."""
+    """The formula of docs/explanation/medium.md, section 2: quadrature over m, with digits for its cancellation."""
     with mpmath.workdps(DIGITS):
         mp = mpmath.mp
         s = mp.mpc(s)
@@ -102,7 +102,7 @@ def test_needles_discs_and_balls_of_force_equal_mpmath(width_m):
 
 
 def test_infinitely_long_focus_tends_to_that_of_a_cylinder():
-    """u = s^2 / (2 mu) exp(z) E1(z), docs/theory/medium.md; a focus of finite length differs by (s/sz)^2 log."""
+    """u = s^2 / (2 mu) exp(z) E1(z), docs/explanation/medium.md; a focus of finite length differs by (s/sz)^2 log."""
     specimen, s = Specimen(shear_modulus_pa=4e3), 0.34e-3
     for frequency_hz in (200.0, 1000.0):
         omega = 2 * np.pi * frequency_hz

@@ -90,7 +90,7 @@ def test_saturation_leaves_the_reference_force_and_lifts_what_is_below_it():
 
 
 def test_displacement_at_the_limit_is_that_of_the_theory():
-    """docs/theory/medium.md, 6: 1 % duty, 4 kPa, column of 0.34 mm: 72 W/cm^2, 16.1 kN/m^3, 18.7 nm at 200 Hz."""
+    """docs/explanation/medium.md, 6: 1 % duty, 4 kPa, column of 0.34 mm: 72 W/cm^2, 16.1 kN/m^3, 18.7 nm at 200 Hz."""
     column_m = (0.34e-3, 0.34e-3, 1.0)
     what = dose(Specimen(preset="gelatin_8"), column_m, 100.0, 100e-6, np.array([200.0]), 1540.0)
     assert what.limit_w_per_m2 == pytest.approx(72e4)

@@ -14,7 +14,7 @@ import pytest
 from scipy.io import savemat
 
 import hpe_rig as hpe
-from hpe_rig.bench.twin import check_declared
+from hpe_rig.bench import check_declared
 from hpe_rig.measurement.resumption import _refuse_differences
 from hpe_rig.measurement.setup import prepare_text, with_scan_in_folder
 from hpe_rig.prediction import force_of

@@ -62,7 +62,7 @@ def test_the_field_under_a_sum_is_that_of_a_plain_quadrature(place: tuple[float,
     force = GaussianSum((0.3e-3, 0.9e-3), 2.0e-3, (-3e-3, 1e-3), ((0.7, 0.1), (0.5, -0.2)))
     across, along = np.linspace(0, 18e3, 2001)[1:], np.linspace(-3e3, 3e3, 801)
     spectrum = np.zeros((len(along), len(across)), np.complex128)
-    for centre, shares in zip(force.centre_m, force.share, strict=True):
+    for centre, shares in zip(force.centre_m, force.amplitude, strict=True):
         for width, share in zip(force.lateral_width_m, shares, strict=True):
             volume = (2 * np.pi) ** 1.5 * width**2 * force.axial_width_m
             along_it = np.exp(-0.5 * (along * force.axial_width_m) ** 2 - 1j * along * centre)

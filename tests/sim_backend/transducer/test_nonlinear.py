@@ -115,7 +115,7 @@ def test_the_force_over_drive_is_the_tables_and_linear_below_it() -> None:
     push = cubic()
     assert push.surface_for(1e6) == pytest.approx(1e5, rel=1e-9)
     assert push.exponent(1e6) == pytest.approx(1.5, rel=1e-6)
-    share = push.share(np.array([0.0, 0.01, 0.5, 1.0, 20.0]), 1e6)
+    share = push.relative_force(np.array([0.0, 0.01, 0.5, 1.0, 20.0]), 1e6)
     # From 1e4 Pa down as the square, above 1e6 Pa with the last slope.
     np.testing.assert_allclose(share, [0, 1e-3 * 1e-2, 0.125, 1.0, 8000.0], rtol=1e-6)
 
@@ -156,7 +156,7 @@ def test_the_force_of_a_carrier_is_the_push_of_that_carrier_computed_once(monkey
     for each, hz, force in zip(pressure, carrier_hz, found, strict=True):
         push = push_of(settings, float(hz))
         assert push is not None
-        assert force == push.share(np.array(each), 2.345e6)
+        assert force == push.relative_force(np.array(each), 2.345e6)
     assert found[0] != share(pressure[:1], np.array([0.4e6]))[0]
     # nothing of the medium's motion, nor another draw, marches again
     before = len(marched)
