@@ -1,8 +1,8 @@
 """The Agilent 33250A and its siblings as master trigger, pulse train, toneburst or continuous sine.
 
-A task goes straight down: its registers (`programs`), spelled as the model wants them (`models`), sent and read back
-(`scpi`). Each group of settings is one message, after which the error queue is drained and the group read back. APPLy
-is never sent: it switches the output on at once.
+A task becomes registers (`programs`) with the model's headers (`models`), which are sent and read back (`scpi`). Each
+group of settings is one message; then the error queue is emptied and the group read back. APPLy is never sent, because
+it switches the output on at once.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from drivers.interfaces import Connection, ContinuousSine, GeneratorTask, Identi
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
-# The test takes some seconds (assumed: up to half a minute), a read gives up after one and a half.
-SELF_TEST_PATIENCE: Final = 20
+# The self-test takes some seconds (assumed: up to half a minute), a time-out 1.5 s.
+SELF_TEST_TIMEOUTS: Final = 20
 
 
 @final
 class Agilent33250A:
-    """One generator behind ``connection``; the state is the instrument's, here is only what was asked of it.
+    """Driver of one generator behind ``connection``.
 
-    ``role`` names it in messages. ``series`` is the model or series that must answer, one of ``MODELS``; empty accepts
-    every one of them. ``max_vpp`` is the largest swing into the declared load that what hangs on the output bears.
-    In a ``with`` statement it is identified first, and its output off, verified, and the connection closed at the end.
+    ``role`` names it in messages. ``series`` is the expected model or series of ``MODELS``; empty accepts all.
+    ``max_vpp`` is the largest swing into the declared load that the connected device tolerates. A ``with`` statement
+    first identifies the instrument, and ends with the output verified off and the connection closed.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Agilent33250A:
         try:
             self.identify()
         except BaseException:
-            # Nothing is sent to a stranger, not even to switch it off.
+            # Nothing is sent to an unknown instrument, not even to switch it off.
             self.close()
             raise
         return self
@@ -63,24 +63,24 @@ class Agilent33250A:
 
     @property
     def role(self) -> str:
-        """The part this instrument plays on the bench."""
+        """The role of this instrument on the bench."""
         return self._role
 
     @property
     def bus(self) -> str:
-        """Name of the line that leads to the instrument; empty where it is in the same process."""
+        """Name of the bus; empty for an instrument in the same process."""
         return self._session.bus
 
     def identify(self) -> Identity:
-        """Return who answers ``*IDN?``; raise ``InstrumentError`` if it is no 33250A or sibling, or the wrong one.
+        """Return the identity from ``*IDN?``; raise ``InstrumentError`` unless it is the expected model.
 
         The vendor is not compared: later instruments of the same model carry another company's name.
         """
-        reply = self._session.ask_who()
+        reply = self._session.identify()
         fields = [field.strip() for field in reply.split(",")]
         model = model_named(fields[1]) if len(fields) > 3 else None
         if model is None or self._series not in ("", model.name):
-            expected = self._series or " or ".join(known.name for known in MODELS)
+            expected = self._series or " or ".join(model.name for model in MODELS)
             raise InstrumentError(
                 self.role,
                 f"*IDN? was answered with {reply!r}, expected model {expected}",
@@ -92,21 +92,21 @@ class Agilent33250A:
         return self._identity
 
     def configure(self, task: GeneratorTask, /) -> None:
-        """Program ``task`` with the output off: what changed since the last time, else everything from the reset state.
+        """Program ``task`` with the output off: changed settings alone if possible, else all from the reset state.
 
         Raises ``InstrumentError`` with all ``mistakes`` before a setting is sent, and at the first group of settings
         that the instrument refuses or changes.
         """
-        before, self._programmed = self._programmed, ()
+        previous, self._programmed = self._programmed, ()
         self._output = OUTPUT_OFF
         self._identified()
-        found = mistakes(task, self._model, self._max_vpp)
-        if found:
-            why = f"the {self._model.name} or what it is wired to cannot take this, and no setting was sent"
-            raise InstrumentError(self.role, "; ".join(found), why, "change the value in the scene or bench file")
+        problems = mistakes(task, self._model, self._max_vpp)
+        if problems:
+            why = f"the {self._model.name} or the connected device cannot do this, and no setting was sent"
+            raise InstrumentError(self.role, "; ".join(problems), why, "change the value in the scene or bench file")
         groups = program(task, self._model)
         registers = tuple(register for _, group in groups for register in group)
-        differing = changed(before, registers)
+        differing = changed(previous, registers)
         if differing is None:
             self._from_reset(groups)
         else:
@@ -114,12 +114,12 @@ class Agilent33250A:
         self._programmed = registers
 
     def sine(self, frequency_hz: float, amplitude_vpp: float, load_ohm: float = 50.0) -> None:
-        """Put out a continuous sine about zero volts, verified; it goes on until ``make_safe``."""
+        """Switch on a continuous sine without offset, verified; it lasts until ``make_safe``."""
         self.configure(ContinuousSine(frequency_hz, amplitude_vpp, load_ohm))
         self.enable_output()
 
     def verify(self) -> Mapping[str, Setting]:
-        """Return the ``snapshot``; raise ``InstrumentError`` where it is not as programmed or an error is queued."""
+        """Return the ``snapshot``; raise ``InstrumentError`` if a setting differs or an error is queued."""
         self._require_configured("verify")
         return self._settings(self._session.verify("settings", self._spelled(self._programmed), self._readable))
 
@@ -130,12 +130,12 @@ class Agilent33250A:
         self._session.program("output", self._spelled((OUTPUT_ON,)))
 
     def fire(self) -> None:
-        """Trigger one burst by command, and let no other follow: its edge is out before the output goes off again.
+        """Trigger one burst by command, then switch the output off; the burst's first edge comes before that.
 
         Raises ``InstrumentError`` if the output was off, the trigger is ignored or the output stays on.
         """
         self._require_configured("fire")
-        # The relay opens by itself on an overload; the trigger would then be accepted and nothing emitted.
+        # After an overload the output relay is open: a trigger would be accepted without any output.
         self._session.verify("output before the trigger", self._spelled((OUTPUT_ON,)))
         (off,) = self._spelled((OUTPUT_OFF,))
         self._output = OUTPUT_OFF
@@ -144,15 +144,15 @@ class Agilent33250A:
         self._session.verify("trigger by command", (off,))
 
     def recheck(self) -> None:
-        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified.
+        """Raise ``InstrumentError`` if output or settings differ from the verified ones.
 
-        Outputs are on meanwhile, so nobody waits long for an answer, and one that got lost is asked for once more.
-        A dropped connection is opened again, once.
+        Outputs are on meanwhile, so time-outs are short, and a missing reply is queried once more. A lost connection is
+        opened again, once.
         """
         self._require_configured("recheck")
         expected = self._spelled((self._output, *self._programmed))
         try:
-            with self._session.haste():
+            with self._session.short_timeout():
                 try:
                     self._session.verify("settings after the shot", expected)
                 except RefusedError:
@@ -162,55 +162,54 @@ class Agilent33250A:
                         self._session.reopen()
                     self._session.verify("settings after the shot", expected)
         except RefusedError as error:
-            # Whatever somebody else sent, the next shot starts from the reset state.
+            # The next shot starts from the reset state, whatever was changed.
             self._programmed = ()
-            why = "another program, or somebody at the front panel, changed it after it was verified"
+            why = "another program, or a person at the front panel, changed it after it was verified"
             remedy = "end other programs that talk to the instrument, measure again"
             raise InstrumentError(self.role, error.what, why, remedy) from error
 
     def snapshot(self) -> Mapping[str, Setting]:
-        """Return every setting of ``READABLE`` as the instrument states it, and its ``*IDN?`` fields."""
+        """Return every setting of ``READABLE``, read back, and the ``*IDN?`` fields."""
         self._identified()
         replies = self._session.query_all([f"{header}?" for header in self._readable])
         return self._settings(dict(zip(self._readable, replies, strict=True)))
 
     def self_test(self) -> bool:
-        """Return whether the instrument's self-test passes; the output is off before it, and verified off after it.
+        """Return whether the instrument's self-test passes; the output is verified off before and after it.
 
-        What was programmed does not count as such any more: the test may have changed it.
+        The programmed settings are forgotten, as the test may have changed them.
         """
         self.make_safe()
         self._programmed = ()
-        reply = self._session.query("*TST?", SELF_TEST_PATIENCE)
-        # A failed test queues what failed; making safe clears it.
+        reply = self._session.query("*TST?", SELF_TEST_TIMEOUTS)
+        # A failed test queues errors, which make_safe clears.
         self.make_safe()
         return self._decoded(Readable("self-test result", "*TST", whole_number), reply) == 0
 
     def switch_off(self) -> None:
-        """Send what switches the output off, and wait for no answer."""
+        """Send the command that switches the output off, without waiting for a reply."""
         (off,) = self._spelled((OUTPUT_OFF,))
         self._output = OUTPUT_OFF
-        # The switch goes first, so that nothing before it can keep it from being carried out. Errors from before must
-        # neither hide behind nor be blamed on it; what it did itself, the read-back tells.
-        with self._session.haste():
+        # The switch comes first in the message, so that no error prevents it. Earlier errors are cleared after it.
+        with self._session.short_timeout():
             self._session.write(off.command, "*CLS")
 
     def prove_off(self) -> str:
-        """Return how the output is known to be off; raise ``InstrumentError`` where it is not."""
-        with self._session.haste():
+        """Return how the output is proven to be off; raise ``InstrumentError`` if it is not."""
+        with self._session.short_timeout():
             self._session.verify("output off", self._spelled((OUTPUT_OFF,)))
         return "read back as off"
 
     def make_safe(self) -> str:
-        """Switch the output off in whatever state the instrument is, and return how that is proven.
+        """Switch the output off in any state of the instrument, and return how that is proven.
 
-        A dropped connection is opened again, once. Raises ``InstrumentError`` where the output is not proven off.
+        A lost connection is opened again, once. Raises ``InstrumentError`` if the output is not proven off.
         """
         try:
             return self._switched_off()
         except RefusedError:
-            # Somebody may have pressed Local at an instrument on RS-232: it takes no setting until it is told to.
-            # Elsewhere the command is an error, and cleared with the others.
+            # The Local key may have been pressed on RS-232; settings are refused until SYST:REM. On other interfaces
+            # this command is an error, which the next attempt clears.
             self._session.write("SYST:REM")
             return f"{self._switched_off()}, after the instrument was taken back from local mode"
         except DroppedError:
@@ -218,7 +217,7 @@ class Agilent33250A:
                 raise
             return f"{self._switched_off()}, over the connection opened again"
         except InstrumentError:
-            # In local mode it may also be silent. Who tries again finds it in remote; a dead one costs no more time.
+            # In local mode the instrument may also be silent. A later attempt then finds it in remote mode.
             self._session.write("SYST:REM")
             raise
 
@@ -238,9 +237,9 @@ class Agilent33250A:
         return [self._model.header(item.header) for item in READABLE]
 
     def _settings(self, replies: Mapping[str, str]) -> Mapping[str, Setting]:
-        who = self._identified()
+        identity = self._identified()
         settings = {item.key: self._decoded(item, replies[self._model.header(item.header)]) for item in READABLE}
-        return {"model": who.model, "vendor": who.vendor, "firmware": who.firmware, **settings}
+        return {"model": identity.model, "vendor": identity.vendor, "firmware": identity.firmware, **settings}
 
     def _from_reset(self, groups: Sequence[Group]) -> None:
         (off,) = self._spelled((OUTPUT_OFF,))
@@ -250,7 +249,7 @@ class Agilent33250A:
             self._session.program(name, self._spelled(registers))
 
     def _spelled(self, registers: Sequence[Register]) -> tuple[Register, ...]:
-        """Return ``registers`` with the model's own headers, to be compared as finely as it holds their values."""
+        """Return ``registers`` with the model's headers, and tolerances of at least its resolution."""
         return tuple(
             replace(
                 register,
@@ -271,8 +270,8 @@ class Agilent33250A:
             raise InstrumentError(
                 self.role,
                 f"{item.header}? was answered with {reply!r}, which is no {item.key}",
-                "the connection garbles replies, or another program shares it",
-                "check the cable and the line's settings, end other programs",
+                "the connection corrupts replies, or another program shares it",
+                "check the cable and the connection's settings, end other programs",
             ) from None
 
     def _require_configured(self, action: str) -> None:

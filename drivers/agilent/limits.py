@@ -1,4 +1,4 @@
-"""Limits of the 33250A and its siblings, checked before a setting is sent; the numbers of a model are in `models`."""
+"""Limits of the 33250A and its siblings, checked before anything is sent; the numbers of a model are in `models`."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from drivers.interfaces import ContinuousSine, GeneratorTask, PulseTrain, Tonebu
 LOAD_OHM: Final = (1.0, 10_000.0)
 SOURCE_OHM: Final = 50.0
 OPEN_CIRCUIT_PEAK_V: Final = 10.0
-OPEN_CIRCUIT_LEAST_VPP: Final = 2e-3
-# A pulse's edges take 1.6 edge times off the period (docs/explanation/instruments.md, 1.4).
-EDGE_SHARE: Final = 1.6
+OPEN_CIRCUIT_MIN_VPP: Final = 2e-3
+# The edges of a pulse take 1.6 edge times of the period (docs/explanation/instruments.md, 1.4).
+EDGES_IN_PERIOD: Final = 1.6
 
 
 def mistakes(task: GeneratorTask, model: GeneratorModel = AGILENT_33250A, max_vpp: float = math.inf) -> list[str]:
-    """Return what ``model`` cannot do of ``task``, each with the value and the limits; empty where it can do it all.
+    """Return every value of ``task`` outside the limits of ``model``, as text with value and limits.
 
-    ``max_vpp`` is the largest swing into the declared load that what hangs on the output bears.
+    ``max_vpp`` is the largest swing into the declared load that the connected device tolerates.
     """
     return _beyond_model(task, model) + _beyond_wiring(task, max_vpp)
 
 
-def share_at_load(load_ohm: float) -> float:
-    """Return the part of the open-circuit voltage that a load sees behind the 50 ohm source."""
+def load_divider(load_ohm: float) -> float:
+    """Return the voltage at a load over the open-circuit voltage of the 50 ohm source."""
     return 1.0 / (1.0 + SOURCE_OHM / load_ohm)
 
 
@@ -54,7 +54,7 @@ def _beyond_wiring(task: GeneratorTask, max_vpp: float) -> list[str]:
         name, swing_v = "amplitude_vpp", task.amplitude_vpp
     if swing_v <= max_vpp:
         return []
-    return [f"{name} = {swing_v:.10g} is above max_vpp = {max_vpp:.10g}, what the bench file allows at this output"]
+    return [f"{name} = {swing_v:.10g} is above max_vpp = {max_vpp:.10g}, the limit of the bench file at this output"]
 
 
 def _pulse_timing(train: PulseTrain, model: GeneratorModel) -> list[str]:
@@ -63,9 +63,9 @@ def _pulse_timing(train: PulseTrain, model: GeneratorModel) -> list[str]:
 
 
 def _width(width_s: float, period_s: float, model: GeneratorModel) -> list[str]:
-    # The gap between two pulses must hold both edges, and is itself no narrower than a pulse.
-    gap_s = max(EDGE_SHARE * model.edge_s, model.width_s[0])
-    limits_s = model.least_width_s(period_s), min(model.width_s[1], period_s - gap_s)
+    # The gap between two pulses holds both edges, and is at least as wide as the narrowest pulse.
+    gap_s = max(EDGES_IN_PERIOD * model.edge_s, model.width_s[0])
+    limits_s = model.min_width_s(period_s), min(model.width_s[1], period_s - gap_s)
     return _outside("width_s", width_s, limits_s, f" at a period of {period_s:.6g} s")
 
 
@@ -86,13 +86,13 @@ def _into_load(name: str, volts: float, load_ohm: float, open_circuit_v: float, 
     load = [] if load_ohm == math.inf else _outside("load_ohm", load_ohm, LOAD_OHM, " (or inf)")
     if load:
         return load
-    share = share_at_load(load_ohm)
-    return _outside(name, volts, (OPEN_CIRCUIT_LEAST_VPP * share, open_circuit_v * share), where)
+    divider = load_divider(load_ohm)
+    return _outside(name, volts, (OPEN_CIRCUIT_MIN_VPP * divider, open_circuit_v * divider), where)
 
 
 def _outside(name: str, value: float, limits: Range, where: str = "") -> list[str]:
     lowest, highest = limits
-    # Written so that a nan is outside as well.
+    # Written so that NaN counts as outside.
     if lowest <= value <= highest:
         return []
     return [f"{name} = {value:.10g} is outside {lowest:.10g} .. {highest:.10g}{where}"]

@@ -1,10 +1,10 @@
-"""Models of the 33250A family, told apart by ``*IDN?``: limits, channel number, spelling of the pulse headers.
+"""Models of the 33250A family, identified by ``*IDN?``: limits, channel number, headers of the pulse.
 
-Sources: 33250A from docs/explanation/instruments.md, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
-ceiling of counted sine bursts, least width). The 33600A shares that manual's commands, its ceiling is taken to be the
-same. The 33250A's resolution is its manual's (amplitude 0.1 mV or 4 digits, frequency 1 uHz or 9 digits); that offset
-and levels resolve as the amplitude does is assumed. Assumed, from memory of the data sheets: the siblings' sine and
-pulse rates, edges, delays and resolution, and the 33220A's row; of a series with several frequency options the lowest.
+Sources. 33250A: docs/explanation/instruments.md, 1.4; its resolution: the manual (amplitude 0.1 mV or 4 digits,
+frequency 1 uHz or 9 digits). 33500 series: its manual's burst and pulse pages (count, 6 MHz limit of counted sine
+bursts, smallest width). Assumed: the 33600A has the same limit; offset and levels have the amplitude's resolution; from
+memory of the data sheets, the siblings' sine and pulse rates, edges, delays and resolution, and the 33220A's row. A
+series with several frequency options is listed with the lowest one.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TR
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """How finely an instrument holds a number: ``digits`` significant digits, but no finer than ``step``."""
+    """Resolution of a setting: ``digits`` significant digits, but no finer than ``step``."""
 
     step: float
     digits: int
 
     def at(self, value: float) -> float:
-        """Return the distance of two neighbouring settings at ``value``."""
+        """Return the difference of neighbouring settings at ``value``."""
         decade = math.floor(math.log10(abs(value))) if value else -math.inf
         return max(self.step, 10.0 ** (decade - self.digits + 1))
 
 
-# Those of a double: nothing but the step bounds the number.
+# The digits of a double: only the step limits the number.
 ALL_DIGITS: Final = 15
 LEVEL_RESOLUTION: Final = Resolution(1e-4, 4)
 
@@ -41,8 +41,8 @@ LEVEL_RESOLUTION: Final = Resolution(1e-4, 4)
 class GeneratorModel:
     """One instrument type.
 
-    ``sine_hz`` is of a continuous sine, ``burst_carrier_hz`` of counted sine bursts; ``narrowest_s`` lists (period
-    above which it holds, least width); ``edge_s`` is the fastest pulse edge.
+    ``sine_hz`` limits a continuous sine, ``burst_carrier_hz`` counted sine bursts; ``narrowest_s`` lists (period above
+    which it applies, smallest width); ``edge_s`` is the fastest pulse edge; ``pattern`` matches the name in ``*IDN?``.
     """
 
     name: str
@@ -61,28 +61,28 @@ class GeneratorModel:
     frequency_resolution: Resolution = Resolution(1e-6, ALL_DIGITS)
 
     def header(self, header: str) -> str:
-        """Return how this model spells a header of the 33250A."""
+        """Return this model's header for a header of the 33250A."""
         node = self.period_node if header == "PULS:PER" else self.pulse_node
-        own = header.replace("PULS:", f"{node}:", 1)
+        spelled = header.replace("PULS:", f"{node}:", 1)
         if not self.channel_number:
-            return own
+            return spelled
         for start, numbered in CHANNEL_HEADERS.items():
-            if own == start or own.startswith(f"{start}:"):
-                return numbered + own[len(start) :]
-        return f"SOUR1:{own}"
+            if spelled == start or spelled.startswith(f"{start}:"):
+                return numbered + spelled[len(start) :]
+        return f"SOUR1:{spelled}"
 
     def resolution(self, header: str, value: float) -> float:
-        """Return how finely a number is held under a header of the 33250A; 0 where it is held as it is sent."""
+        """Return the resolution of a number under a header of the 33250A; 0 if it is not rounded."""
         if header == "FREQ":
             return self.frequency_resolution.at(value)
         return LEVEL_RESOLUTION.at(value) if header in LEVELS else 0.0
 
     def shortest_period_s(self, rate_hz: float) -> float:
-        """Return the shortest period that a rate may be held as: rounded up to the resolution, if it lies between."""
+        """Return the shortest period of a rate: that of the rate rounded up to the resolution."""
         step_hz = self.resolution("FREQ", rate_hz)
         return 1 / max(rate_hz, step_hz * math.ceil(rate_hz / step_hz * (1 - 1e-12)))
 
-    def least_width_s(self, period_s: float) -> float:
+    def min_width_s(self, period_s: float) -> float:
         """Return the narrowest pulse at a period."""
         return next((width for above_s, width in self.narrowest_s if period_s > above_s), self.width_s[0])
 
@@ -90,10 +90,10 @@ class GeneratorModel:
 # fmt: off
 AGILENT_33250A: Final = GeneratorModel(
     name="33250A", pattern=r"33250A",
-    # Above 25 MHz the instrument does infinite bursts only, and those are never wanted here.
+    # Above 25 MHz the instrument has infinite bursts alone, which the bench does not use.
     sine_hz=(1e-6, 80e6), pulse_rate_hz=(500e-6, 50e6), burst_carrier_hz=(1e-6, 25e6),
     cycles=(1, 1_000_000), delay_s=(0.0, 85.0), width_s=(8e-9, 2000.0), edge_s=5e-9,
-    # Assumed numbers: that the least width grows with the period is known.
+    # Known: the smallest width grows with the period. Assumed: the numbers.
     narrowest_s=((200.0, 2e-6), (20.0, 200e-9)), frequency_resolution=Resolution(1e-6, 9),
 )
 MODELS: Final = (
@@ -119,5 +119,5 @@ MODELS: Final = (
 
 
 def model_named(name: str) -> GeneratorModel | None:
-    """Return the model that ``name``, the second field of ``*IDN?``, belongs to; None for a stranger."""
+    """Return the model of ``name``, the second field of ``*IDN?``; None for an unknown instrument."""
     return next((model for model in MODELS if re.fullmatch(model.pattern, name.strip().upper())), None)

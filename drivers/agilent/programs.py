@@ -1,7 +1,6 @@
-"""Programs of a 33250A: the registers of a task, in groups and in the order that avoids conflicts on the way.
+"""Programs of a 33250A: the registers of a task, in groups and in an order without intermediate conflicts.
 
-Headers are the 33250A's (docs/explanation/instruments.md, 1.4; the order is 1.6's); a sibling's spelling is put in when they
-are sent.
+Headers are the 33250A's (docs/explanation/instruments.md, 1.4; order: 1.6); the driver translates them for siblings.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from drivers.interfaces import ContinuousSine, GeneratorTask, PulseTrain, Tonebu
 
 RESET_WIDTH_S: Final = 100e-6
 RESET_PERIOD_S: Final = 1e-3
-# What rescales other settings or limits them: where it changes, the instrument is programmed from its reset state.
+# Settings that rescale or limit others: when one changes, the instrument is programmed from its reset state.
 FROM_RESET: Final = frozenset({"OUTP:LOAD", "VOLT:UNIT", "FUNC", "TRIG:SOUR", "BURS:MODE"})
 COUPLED: Final = frozenset({"FREQ", "PULS:WIDT"})
-# Levels are made of amplitude and offset, so that zero comes back as a small difference.
+# The instrument computes levels from amplitude and offset, so zero comes back as a small difference.
 LEVEL_TOLERANCE_V: Final = 1e-9
 
 READABLE: Final = (
@@ -46,17 +45,17 @@ READABLE: Final = (
 )
 
 Group = tuple[str, tuple[Register, ...]]
-"""Registers that are sent and read back together, with a name for messages."""
+"""Name for messages, and registers that are sent and read back together."""
 
 CONTINUOUS: Final[Group] = ("burst", (Register("burst_on", "BURS:STAT", False),))
-"""No burst: the output goes on by itself. Sent first, since a counted burst bounds the frequency."""
+"""No burst, so the output is continuous. Sent first, because a counted burst limits the frequency."""
 
 
 def program(task: GeneratorTask, model: GeneratorModel) -> list[Group]:
-    """Return the registers that make ``model`` do ``task``; the output itself is not among them."""
+    """Return the registers of ``task`` on ``model``, without the output switch."""
     match task:
         case TriggerPulse():
-            # One burst of one period: the period only has to hold the pulse.
+            # One burst of one period, long enough for the pulse.
             rate_hz = 1.0 / max(RESET_PERIOD_S, 2 * task.width_s)
             shape = [pulses(rate_hz, task.width_s, model.edge_s), levels(task.high_v)]
             return [load(task.load_ohm), *shape, trigger("BUS"), burst(1, 0.0)]
@@ -71,7 +70,7 @@ def program(task: GeneratorTask, model: GeneratorModel) -> list[Group]:
 
 
 def load(load_ohm: float) -> Group:
-    """Declare the load first, since it rescales all levels, and the unit, since ``VOLT?`` states none."""
+    """Return load, unit and polarity; first, because the load rescales all levels and ``VOLT?`` has no unit."""
     return "load", (
         Register("load_ohm", "OUTP:LOAD", float(load_ohm)),
         Register("amplitude_unit", "VOLT:UNIT", "VPP"),
@@ -80,17 +79,17 @@ def load(load_ohm: float) -> Group:
 
 
 def changed(before: Sequence[Register], after: Sequence[Register]) -> tuple[Register, ...] | None:
-    """Return what of ``after`` is not held already; None where it cannot be changed one by one."""
-    held = {register.header: register for register in before}
-    changed = tuple(register for register in after if held.get(register.header) != register)
-    headers = {register.header for register in changed}
-    if headers & FROM_RESET or headers >= COUPLED or not headers <= held.keys():
+    """Return the registers of ``after`` that differ from ``before``; None if they cannot be changed one by one."""
+    programmed = {register.header: register for register in before}
+    differing = tuple(register for register in after if programmed.get(register.header) != register)
+    headers = {register.header for register in differing}
+    if headers & FROM_RESET or headers >= COUPLED or not headers <= programmed.keys():
         return None
-    return changed
+    return differing
 
 
 def pulses(rate_hz: float, width_s: float, edge_s: float) -> Group:
-    """Order rate and width so that the width after a reset, 100 us, never meets a period too short for it."""
+    """Return rate and width, ordered so that the width after a reset, 100 us, always fits the period."""
     rate = Register("rate_hz", "FREQ", float(rate_hz))
     width = Register("width_s", "PULS:WIDT", float(width_s))
     order = (width, rate) if width_s <= RESET_WIDTH_S else (rate, width)
@@ -98,7 +97,7 @@ def pulses(rate_hz: float, width_s: float, edge_s: float) -> Group:
 
 
 def sine(carrier_hz: float, amplitude_vpp: float) -> Group:
-    """Return a sine about zero volts."""
+    """Return a sine without offset."""
     return "sine", (
         Register("function", "FUNC", "SIN"),
         Register("carrier_hz", "FREQ", float(carrier_hz)),
@@ -108,13 +107,13 @@ def sine(carrier_hz: float, amplitude_vpp: float) -> Group:
 
 
 def levels(high_v: float) -> Group:
-    """Return the levels of pulses from zero volts up."""
+    """Return the levels of pulses between 0 V and ``high_v``."""
     low = Register("low_v", "VOLT:LOW", 0.0, LEVEL_TOLERANCE_V)
     return "levels", (low, Register("high_v", "VOLT:HIGH", float(high_v), LEVEL_TOLERANCE_V))
 
 
 def trigger(source: Literal["BUS", "EXT"]) -> Group:
-    """Free the trigger connector, which is input and output at once, before it becomes the input."""
+    """Return the trigger source; the shared trigger connector stops being an output first."""
     return "trigger", (
         Register("trigger_output_on", "OUTP:TRIG", False),
         Register("trigger_source", "TRIG:SOUR", source),
@@ -123,7 +122,7 @@ def trigger(source: Literal["BUS", "EXT"]) -> Group:
 
 
 def burst(count: int, delay_s: float) -> Group:
-    """Return a burst of ``count`` periods, ``delay_s`` after its trigger; switched on last."""
+    """Return a burst of ``count`` periods, ``delay_s`` after its trigger; it is switched on last."""
     return "burst", (
         Register("burst_mode", "BURS:MODE", "TRIG"),
         Register("cycles", "BURS:NCYC", count),

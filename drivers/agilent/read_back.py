@@ -1,4 +1,4 @@
-"""Registers as programmed, and their comparison with what the instrument says it holds."""
+"""Programmed registers, and their comparison with the instrument's replies."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Final
 
 from drivers.interfaces import Setting
 
-# Sent numbers carry 13 digits; ten of them must come back, which is what the shortest 33250A reply still resolves.
+# Numbers are sent with 13 digits; ten must come back, the resolution of the shortest 33250A reply.
 RELATIVE_TOLERANCE: Final = 1e-10
-# A difference of a whole step is computed with rounding errors of its own.
+# The difference of one resolution step is computed with a rounding error.
 ROUNDING: Final = 1e-9
 SCPI_INFINITY: Final = 9.9e37
 SHORT_FORM_LETTERS: Final = 4
@@ -19,10 +19,9 @@ SHORT_FORM_LETTERS: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """One programmed setting: the field's name for it, its SCPI header, the value, and an absolute tolerance.
+    """One programmed setting: its key in messages, SCPI header, value, and an absolute tolerance.
 
-    ``tolerance`` is for values that the instrument holds no finer, and for those made by a difference (levels), where a
-    relative one says nothing near zero.
+    ``tolerance`` is the instrument's resolution, or, for levels near zero, the rounding of a difference.
     """
 
     key: str
@@ -35,22 +34,22 @@ class Register:
         """The command that programs the value."""
         return f"{self.header} {argument(self.value)}"
 
-    def holds(self, reply: str) -> bool:
-        """Return whether ``reply`` states the programmed value."""
+    def matches(self, reply: str) -> bool:
+        """Return whether ``reply`` is the programmed value within its tolerance."""
         if isinstance(self.value, str):
             return short_form(self.value) == short_form(reply)
         try:
-            read = number(reply)
+            value = number(reply)
         except ValueError:
             return False
         return math.isclose(
-            read, float(self.value), rel_tol=RELATIVE_TOLERANCE, abs_tol=self.tolerance * (1 + ROUNDING)
+            value, float(self.value), rel_tol=RELATIVE_TOLERANCE, abs_tol=self.tolerance * (1 + ROUNDING)
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Readable:
-    """One setting that can be asked for: the field's name for it, its SCPI header and how its reply is read."""
+    """One setting that can be queried: its key in messages, SCPI header and decoder of the reply."""
 
     key: str
     header: str
@@ -84,7 +83,7 @@ def switch(reply: str) -> bool:
 
 
 def short_form(keyword: str) -> str:
-    """Return SCPI's short form: four letters, or three where the fourth is a vowel (``EXTernal`` -> ``EXT``)."""
+    """Return SCPI's short form: four letters, or three if the fourth is a vowel (``EXTernal`` -> ``EXT``)."""
     letters = keyword.strip().upper()
     if len(letters) <= SHORT_FORM_LETTERS:
         return letters

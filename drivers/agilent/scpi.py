@@ -1,4 +1,4 @@
-"""SCPI session: joined commands, queries, the error queue and read-back, with one place where errors surface."""
+"""SCPI session: joined commands, queries, the error queue and read-back; all errors are raised here."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from drivers.agilent.read_back import Register, argument
 from drivers.interfaces import Connection, InstrumentError, RemoteConnection
 
 _LOG: Final = logging.getLogger("drivers")
-# A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
+# A 33250A queues 20 errors; a few more reads reach the final "no error".
 QUEUE_READS: Final = 25
 IDENTITY_QUERY: Final = "*IDN?"
 ERROR_QUERY: Final = "SYST:ERR?"
-# Keeps a message and its reply, of 21 characters a number, within the 256 that even the smallest RS-232 buffer takes.
-MOST_QUERIES: Final = 10
+# A message and its reply of 21 characters a number fit into 256 characters, the smallest RS-232 buffer.
+MAX_QUERIES: Final = 10
 STALE_READS: Final = 32
-HIGHEST_TOKEN: Final = 255
-# A 33250A is busy for up to 0.7 s with one setting; what is asked in haste is asked again before it counts as mute.
-HASTE_S: Final = 0.4
+MAX_TOKEN: Final = 255
+# A 33250A is busy with a setting for up to 0.7 s, so a query with this time-out is repeated before it fails.
+SHORT_TIMEOUT_S: Final = 0.4
 
 CAUSES: Final[Mapping[int, str]] = {
     -113: "the instrument does not know a command: another model or firmware answered",
     -211: "the trigger was ignored: the source is not BUS or a burst is still running",
-    -221: "two settings conflict, and the instrument changed one of them by itself",
+    -221: "two settings conflict, and the instrument changed one of them",
     -222: "a value is beyond the instrument's limit, and was clipped to it",
     -350: "more errors came than the queue holds; the first ones are listed",
     -410: "a reply was not read before the next command: another program talks to the instrument",
     514: "the command works over RS-232 only",
     550: "the instrument is in local mode (RS-232 needs SYST:REM first)",
 }
-# An output that is not as it was switched is no matter of the scene.
+# Cause and remedy for an output that is not in the switched state.
 RELAY: Final = (
-    "the relay at the output is stuck, or it opened by itself against an overload or a voltage from outside",
-    "take off what hangs on the output, then hpe-rig bench; a relay that stays stuck has to be repaired",
+    "the relay at the output is stuck, or it opened because of an overload or an external voltage",
+    "disconnect the output, then run hpe-rig bench; a relay that stays stuck must be repaired",
 )
 
 
@@ -54,7 +54,7 @@ class QueuedError:
 
 @final
 class RefusedError(InstrumentError):
-    """The instrument queued ``errors`` or holds other settings than it was sent."""
+    """The instrument queued ``errors``, or a setting differs from the programmed value."""
 
     def __init__(self, role: str, what: str, why: str, remedy: str, errors: tuple[QueuedError, ...]) -> None:
         super().__init__(role, what, why, remedy)
@@ -63,16 +63,16 @@ class RefusedError(InstrumentError):
 
 @final
 class DroppedError(InstrumentError):
-    """The connection is not there any more."""
+    """The connection is lost."""
 
 
 @final
 class ScpiSession:
-    """Commands and answers over ``connection``; every failure is an ``InstrumentError`` that names ``role``.
+    """Commands and replies over ``connection``; every failure is an ``InstrumentError`` that names ``role``.
 
-    A reply that did not come in time may still come late. The session therefore is dirty from each query until a reply
-    that fits it, and a dirty session first throws away what still arrives and proves that answers fit questions again.
-    One thread at a time holds the session, from a setting to its read-back.
+    A reply may arrive after its time-out. The session is therefore dirty from each query to its reply. A dirty session
+    first discards late replies, then proves by two test queries that replies fit. One thread at a time uses the
+    session, from a setting to its read-back.
     """
 
     def __init__(self, connection: Connection, role: str) -> None:
@@ -84,82 +84,80 @@ class ScpiSession:
 
     @property
     def bus(self) -> str:
-        """Name of the line that leads to the instrument; empty where it is in the same process."""
+        """Name of the bus; empty for an instrument in the same process."""
         return self._connection.bus if isinstance(self._connection, RemoteConnection) else ""
 
     @contextmanager
-    def haste(self) -> Iterator[None]:
-        """Wait no longer than ``HASTE_S`` for each reply in the block."""
-        line = self._connection
-        if not isinstance(line, RemoteConnection):
+    def short_timeout(self) -> Iterator[None]:
+        """Limit the wait for each reply in the block to ``SHORT_TIMEOUT_S``."""
+        connection = self._connection
+        if not isinstance(connection, RemoteConnection):
             yield
             return
         with self._lock:
-            before, line.timeout_s = line.timeout_s, min(HASTE_S, line.timeout_s)
+            timeout_s = connection.timeout_s
+            connection.timeout_s = min(SHORT_TIMEOUT_S, timeout_s)
             try:
                 yield
             finally:
-                line.timeout_s = before
+                connection.timeout_s = timeout_s
 
     def reopen(self) -> bool:
-        """Open a dropped connection again; return whether that is possible and somebody is there."""
+        """Open a lost connection again; return whether that succeeded."""
         if not isinstance(self._connection, RemoteConnection):
             return False
         try:
             self._connection.reopen()
         except OSError:
             return False
-        # Behind an adapter the instrument may still hold the reply to what was asked last.
+        # Behind an adapter the instrument may still hold the reply to the last query.
         self._dirty = True
         return True
 
     def write(self, *commands: str) -> None:
-        """Send ``commands`` as one message; works on a dirty session too, so that an output can always be cut."""
+        """Send ``commands`` as one message, on a dirty session too, so that an output can always be switched off."""
         with self._lock:
             self._send(joined(commands))
 
-    def query(self, command: str, patience: int = 1) -> str:
-        """Return the reply to ``command``, never one that belongs to an earlier query.
-
-        ``patience`` counts the time-outs after which no reply is awaited any longer.
-        """
+    def query(self, command: str, timeouts: int = 1) -> str:
+        """Return the reply to ``command``, never that of an earlier query; wait for ``timeouts`` time-outs."""
         with self._lock:
             if self._dirty:
                 self._resynchronise()
-            # An interrupt between here and the reply would leave that reply for the next query to find.
+            # An interrupt before the reply would leave it to the next query.
             self._dirty = True
             self._send(command)
-            reply = self._receive(command, patience)
+            reply = self._receive(command, timeouts)
             self._dirty = False
             return reply
 
-    def ask_who(self) -> str:
-        """Return the reply to ``*IDN?``, asked again in haste before nobody is there; a stranger is sent nothing else.
+    def identify(self) -> str:
+        """Return the reply to ``*IDN?``, asked twice before it counts as missing; nothing else is sent.
 
-        A reply is lost where another program sends something before it is read.
+        A reply is lost if another program sends a message before it is read.
         """
         with self._lock:
             try:
                 return self.query(IDENTITY_QUERY)
             except DroppedError:
                 raise
-            except InstrumentError as missing:
-                with self.haste():
+            except InstrumentError as error:
+                with self.short_timeout():
                     self._send(IDENTITY_QUERY)
                     try:
-                        # Should the first reply be late, it says the same; the session stays dirty for the other one.
+                        # A late first reply has the same text; the session stays dirty for the second one.
                         return self._receive(IDENTITY_QUERY)
                     except InstrumentError:
-                        raise missing from None
+                        raise error from None
 
     def query_all(self, commands: Sequence[str]) -> tuple[str, ...]:
-        """Return the replies to ``commands``, asked in as few messages as the buffers allow; none may hold a ``;``."""
+        """Return the replies to ``commands``, in as few messages as the buffers allow; no reply may contain ``;``."""
         with self._lock:
-            chunks = (commands[start : start + MOST_QUERIES] for start in range(0, len(commands), MOST_QUERIES))
+            chunks = (commands[start : start + MAX_QUERIES] for start in range(0, len(commands), MAX_QUERIES))
             return tuple(reply for chunk in chunks for reply in self._query_joined(chunk))
 
     def drain_errors(self) -> tuple[QueuedError, ...]:
-        """Return the errors queued since the last drain, oldest first, and leave the queue empty."""
+        """Empty the error queue and return its errors, oldest first."""
         with self._lock:
             return self._drain(self.query(ERROR_QUERY))
 
@@ -169,19 +167,19 @@ class ScpiSession:
             self.write(*(register.command for register in registers))
             self.verify(group, registers)
 
-    def verify(self, group: str, registers: Sequence[Register], others: Sequence[str] = ()) -> Mapping[str, str]:
-        """Return the replies by header, of ``registers`` and then of ``others``, which were not programmed.
+    def verify(self, group: str, registers: Sequence[Register], more_headers: Sequence[str] = ()) -> Mapping[str, str]:
+        """Return the replies by header, of ``registers`` and of ``more_headers``, which are not compared.
 
-        Raises ``RefusedError`` for queued errors and for each register that reads back other than programmed.
+        Raises ``RefusedError`` for queued errors and for registers that differ from their programmed value.
         """
-        headers = list(dict.fromkeys([*(register.header for register in registers), *others]))
+        headers = list(dict.fromkeys([*(register.header for register in registers), *more_headers]))
         with self._lock:
-            # The error queue comes last, so that it tells of the read-back as well.
-            *read, entry = self.query_all([*(f"{header}?" for header in headers), ERROR_QUERY])
+            # The error queue comes last, so that it includes errors of the read-back.
+            *values, entry = self.query_all([*(f"{header}?" for header in headers), ERROR_QUERY])
             errors = self._drain(entry)
-        replies = dict(zip(headers, read, strict=True))
-        told = [(register, replies[register.header]) for register in registers]
-        changed = [(register, reply) for register, reply in told if not register.holds(reply)]
+        replies = dict(zip(headers, values, strict=True))
+        pairs = [(register, replies[register.header]) for register in registers]
+        changed = [(register, reply) for register, reply in pairs if not register.matches(reply)]
         if errors or changed:
             raise _refused(self.role, group, errors, changed)
         return replies
@@ -191,13 +189,13 @@ class ScpiSession:
         self._connection.close()
 
     def _query_joined(self, commands: Sequence[str]) -> list[str]:
-        """Return the replies to ``commands``, asked in one message; only the last reply may hold a ``;``."""
+        """Return the replies to ``commands`` in one message; only the last reply may contain ``;``."""
         reply = self.query(joined(commands))
         replies = reply.split(";", len(commands) - 1)
         if len(replies) == len(commands):
             return replies
         errors = ", ".join(map(str, self.drain_errors())) or "nothing"
-        # Whatever answered, what it says next need not be meant for what is asked next.
+        # The next reply may belong to another query.
         self._dirty = True
         raise InstrumentError(
             self.role,
@@ -207,19 +205,19 @@ class ScpiSession:
         )
 
     def _drain(self, entry: str) -> tuple[QueuedError, ...]:
-        """Return ``entry`` and what is queued behind it."""
-        found: list[QueuedError] = []
+        """Return the error of ``entry`` and all that follow in the queue."""
+        errors: list[QueuedError] = []
         while (error := self._queued(entry)).number != 0:
-            found.append(error)
-            if len(found) == QUEUE_READS:
+            errors.append(error)
+            if len(errors) == QUEUE_READS:
                 raise InstrumentError(
                     self.role,
-                    f"the error queue is not empty after {QUEUE_READS} reads, the last one {found[-1]}",
-                    "something keeps causing errors, or the replies are not those of SYST:ERR?",
+                    f"the error queue is not empty after {QUEUE_READS} reads, the last one {errors[-1]}",
+                    "a source of errors persists, or the replies are not those of SYST:ERR?",
                     "end other programs that talk to the instrument, power it off and on",
                 )
             entry = self.query(ERROR_QUERY)
-        return tuple(found)
+        return tuple(errors)
 
     def _queued(self, entry: str) -> QueuedError:
         code, _, text = entry.partition(",")
@@ -241,14 +239,14 @@ class ScpiSession:
         except OSError as error:
             raise self._lost(f"could not send {message!r}", error) from error
 
-    def _receive(self, command: str, patience: int = 1) -> str:
+    def _receive(self, command: str, timeouts: int = 1) -> str:
         try:
             reply = self._connection.read().strip()
             _LOG.debug("%s -> %s", self.role, reply)
             return reply
         except TimeoutError as error:
-            if patience > 1:
-                return self._receive(command, patience - 1)
+            if timeouts > 1:
+                return self._receive(command, timeouts - 1)
             raise InstrumentError(
                 self.role,
                 f"no reply to {command!r}",
@@ -260,17 +258,17 @@ class ScpiSession:
 
     def _lost(self, what: str, error: OSError) -> DroppedError:
         remedy = "check power, cable and the address in the bench file, then open the bench again"
-        return DroppedError(self.role, what, f"the connection is not there: {error}", remedy)
+        return DroppedError(self.role, what, f"the connection is lost: {error}", remedy)
 
     def _resynchronise(self) -> None:
-        """Discard late replies, then see two fresh numbers, one after the other, come back as answers.
+        """Discard late replies, then verify that two test numbers, one after the other, come back.
 
-        One number alone could be met by chance: a late reply may be an integer as well.
+        A single number could equal a late reply by chance.
         """
         self._discard_late_replies()
         self._send("*CLS")
         for _ in range(2):
-            self._token = self._token % HIGHEST_TOKEN + 1
+            self._token = self._token % MAX_TOKEN + 1
             self._send(f"*ESE {self._token};*ESE?")
             if not any(self._receive("*ESE?").lstrip("+") == str(self._token) for _ in range(STALE_READS)):
                 raise InstrumentError(
@@ -294,14 +292,16 @@ class ScpiSession:
 
 def joined(commands: Sequence[str]) -> str:
     """Return one message; each header after the first starts at the root, except the common commands."""
-    rest = (";" + ("" if command.startswith("*") else ":") + command for command in commands[1:])
-    return commands[0] + "".join(rest)
+    return commands[0] + "".join(";" + ("" if text.startswith("*") else ":") + text for text in commands[1:])
 
 
 def _refused(
     role: str, group: str, errors: tuple[QueuedError, ...], changed: Sequence[tuple[Register, str]]
 ) -> RefusedError:
-    differences = [f"{r.key} ({r.header}) programmed {argument(r.value)}, read back {reply}" for r, reply in changed]
+    differences = [
+        f"{register.key} ({register.header}) programmed {argument(register.value)}, read back {reply}"
+        for register, reply in changed
+    ]
     queue = ["error queue: " + ", ".join(map(str, errors))] if errors else []
     if {register.key for register, _ in changed} == {"output_on"}:
         return RefusedError(role, f"{group}: " + "; ".join(differences + queue), *RELAY, errors)

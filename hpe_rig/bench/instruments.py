@@ -1,4 +1,4 @@
-"""Open instruments of a bench, and how each of them is made safe whatever happens to the others."""
+"""Open instruments of a bench; each is made safe, whatever happens to the others."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ AnInstrument = TypeVar("AnInstrument", bound=Instrument)
 Answer = TypeVar("Answer")
 
 SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
-"""Order of making safe: what pushes first."""
+"""Order of making safe: the generators of the push first."""
 
 
 class UnsafeBenchError(Exception):
-    """Some output could not be proven off; ``proven`` says of the others, by role, how they are known to be."""
+    """Some outputs could not be verified to be off; ``proven`` holds the proofs of the others, by role."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class UnsafeBenchError(Exception):
         tried: Sequence[Instrument] = (),
     ) -> None:
         lines = "\n".join(f"  {role}: {error}" for role, error in failures)
-        others = f"\nKnown to be off: {_in_words(proven)}." if proven else ""
+        others = f"\nKnown to be off: {_proofs_text(proven)}." if proven else ""
         super().__init__(
             f"THE BENCH MAY STILL BE DRIVING: not proven off: {', '.join(role for role, _ in failures)}\n{lines}\n"
             f"Switch these outputs off by hand, now; programmed trains are finite and end by themselves.{others}"
@@ -51,13 +51,13 @@ class UnsafeBenchError(Exception):
         self._tried = tuple(tried)
 
     def concerns(self, instruments: Sequence[Instrument]) -> bool:
-        """Return whether every one of ``instruments`` was among those that were tried."""
+        """Return whether switching off was tried on every one of ``instruments``."""
         return all(any(item is tried for tried in self._tried) for item in instruments)
 
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """The open instruments of a bench; ``burst_train`` and ``toneburst`` are None where nothing pushes."""
+    """The open instruments of a bench; ``burst_train`` and ``toneburst`` are None without tonebursts."""
 
     simulated: bool
     clock: Clock
@@ -76,103 +76,104 @@ class Bench:
 
     @property
     def generators(self) -> tuple[MasterTrigger | PulseGenerator | ToneburstGenerator, ...]:
-        """The open generators, in the order of the trigger's way."""
+        """The open generators, in the order of the triggers."""
         chain = (self.master, self.burst_train, self.toneburst, self.tracking_train, self.tracking_pulser)
         return tuple(generator for generator in chain if generator is not None)
 
     def make_safe(self) -> dict[str, str]:
-        """Switch every output off, abort the capture, and return by role how that is known; as ``make_safe``."""
+        """Switch every output off, abort the capture, and return the proofs by role; raises as ``make_safe``."""
         return make_safe(self.instruments)
 
     def verify(self) -> dict[str, Mapping[str, Setting]]:
-        """Return every instrument's settings as read back, by role; raise where one is not as programmed."""
-        told = _each(self.instruments, lambda line: [_told(item.role, item.verify) for item in line])
+        """Return every instrument's settings as read back, by role; raise if one differs from the programmed."""
+        answers = _ask_buses(self.instruments, lambda items: [_answer(item.role, item.verify) for item in items])
         settings = {}
-        for item in self.instruments:
-            found = told[item.role]
-            if isinstance(found, Exception):
-                raise found
-            settings[item.role] = found
+        for role, answer in answers.items():
+            if isinstance(answer, Exception):
+                raise answer
+            settings[role] = answer
         return settings
 
     def recheck(self) -> tuple[str, ...]:
-        """Return in words where outputs or settings are no longer as verified, or cannot be read back any more."""
-        told = _each(self.generators, lambda line: [_told(item.role, item.recheck) for item in line])
-        return tuple(str(found) for found in told.values() if found is not None)
+        """Return in words the outputs or settings that changed since ``verify``, or cannot be read back any more."""
+        answers = _ask_buses(self.generators, lambda items: [_answer(item.role, item.recheck) for item in items])
+        return tuple(str(answer) for answer in answers.values() if answer is not None)
 
 
 def proven_off(roles: Sequence[str], proven: Mapping[str, str]) -> str:
-    """Return in words which outputs of ``roles`` are known to be off, and how, once those in ``proven`` are safe.
+    """Return in words the outputs of ``roles`` that are verified to be off, with their proofs, and the other ones.
 
-    The digitizer drives nothing by itself: what it triggers is a generator of its own role.
+    The digitizer does not drive the transducer, so that it is not among the others.
     """
     unknown = [role for role in roles if role not in proven and role != "digitizer"]
     if not unknown:
-        return f"every output is off, verified: {_in_words(proven)}"
-    others = f"the others are off, verified: {_in_words(proven)}" if proven else "there are no others"
+        return f"every output is off, verified: {_proofs_text(proven)}"
+    others = f"the others are off, verified: {_proofs_text(proven)}" if proven else "there are no others"
     whether = "it is" if len(unknown) == 1 else "they are"
     return f"not identified, so not proven off: {', '.join(unknown)}: look whether {whether} on; {others}"
 
 
 def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
-    """Make each of ``instruments`` safe, whatever happens to the others; return by role how each is known to be.
+    """Make each of ``instruments`` safe, whatever happens to the others; return the proofs by role.
 
-    Every one is sent its switch before any is asked, those of different lines at the same time, so that none waits for
-    one that is mute. Raises ``UnsafeBenchError`` for those that are not proven safe.
+    All are sent the command before any is asked, those on different buses at the same time, so that no instrument
+    waits for one that does not answer. Raises ``UnsafeBenchError`` for those that cannot be verified.
     """
     with uninterrupted():
-        told = _each(instruments, _safe)
-        proven = {role: how for role, how in told.items() if isinstance(how, str)}
-        failures = [(role, how) for role, how in told.items() if not isinstance(how, str)]
-        # Inside, so that an interrupt that was held back cannot take this message's place.
+        answers = _ask_buses(instruments, _make_bus_safe)
+        proven = {role: answer for role, answer in answers.items() if isinstance(answer, str)}
+        failures = [(role, answer) for role, answer in answers.items() if not isinstance(answer, str)]
+        # Raised inside the block, so that a deferred interrupt cannot replace this message.
         if failures:
             raise UnsafeBenchError(failures, proven, instruments)
     return proven
 
 
-def _each(
+def _ask_buses(
     instruments: Sequence[AnInstrument], ask: Callable[[Sequence[AnInstrument]], list[tuple[str, Answer]]]
 ) -> dict[str, Answer]:
-    """Return by role what ``ask`` returns of each line with instruments, all lines being asked at the same time.
+    """Return by role the answers of ``ask`` for the instruments on each bus; all buses are asked at the same time.
 
-    What is reached within this process comes last, and never at the same time as anything else.
+    Instruments in this process share its memory; they are asked last, and not in a thread.
     """
-    lines: dict[str, list[AnInstrument]] = {}
+    buses: dict[str, list[AnInstrument]] = {}
     for item in instruments:
-        lines.setdefault(item.bus, []).append(item)
-    within = lines.pop("", [])
-    told = {role: answer for line in (*_at_once(ask, list(lines.values())), ask(within)) for role, answer in line}
-    return {item.role: told[item.role] for item in instruments}
+        buses.setdefault(item.bus, []).append(item)
+    in_process = buses.pop("", [])
+    answers = dict(
+        answer for answers in (*_in_threads(ask, list(buses.values())), ask(in_process)) for answer in answers
+    )
+    return {item.role: answers[item.role] for item in instruments}
 
 
-def _at_once(
-    ask: Callable[[Sequence[AnInstrument]], list[tuple[str, Answer]]], lines: Sequence[Sequence[AnInstrument]]
+def _in_threads(
+    ask: Callable[[Sequence[AnInstrument]], list[tuple[str, Answer]]], buses: Sequence[Sequence[AnInstrument]]
 ) -> list[list[tuple[str, Answer]]]:
-    if len(lines) > 1:
-        # No thread can be started any more at the end of the interpreter; one after the other will do there.
-        with suppress(RuntimeError), ThreadPoolExecutor(len(lines)) as pool:
-            return list(pool.map(ask, lines))
-    return [ask(line) for line in lines]
+    if len(buses) > 1:
+        # At the end of the interpreter no thread can be started; the buses are then asked one after the other.
+        with suppress(RuntimeError), ThreadPoolExecutor(len(buses)) as pool:
+            return list(pool.map(ask, buses))
+    return [ask(items) for items in buses]
 
 
-def _told(role: str, ask: Callable[[], Answer]) -> tuple[str, Answer | Exception]:
+def _answer(role: str, ask: Callable[[], Answer]) -> tuple[str, Answer | Exception]:
     try:
         return role, ask()
     except InstrumentError as error:
         return role, error
 
 
-def _safe(line: Sequence[Instrument]) -> list[tuple[str, str | Exception]]:
-    """Make the instruments of one line safe: every switch is sent before the first answer is awaited."""
-    for item in line:
-        # What goes wrong here is met again by the attempts that follow, which set it right where they can.
+def _make_bus_safe(items: Sequence[Instrument]) -> list[tuple[str, str | Exception]]:
+    """Make the instruments on one bus safe: all are sent the command before the first answer is awaited."""
+    for item in items:
+        # A failure here is repeated or repaired by the attempts in _proof.
         with suppress(Exception):
             item.switch_off()
-    return [(item.role, _proof(item)) for item in line]
+    return [(item.role, _proof(item)) for item in items]
 
 
 def _proof(instrument: Instrument) -> str | Exception:
-    """Return how ``instrument`` is known to be safe, or why it is not; one lost reply is no lost bench."""
+    """Return the proof that ``instrument`` is safe, or the error; after one lost reply it is made safe again."""
     for attempt in (instrument.prove_off, instrument.make_safe):
         try:
             return attempt()
@@ -181,6 +182,9 @@ def _proof(instrument: Instrument) -> str | Exception:
     return failure
 
 
-def _in_words(proven: Mapping[str, str]) -> str:
-    ways = dict.fromkeys(proven.values())
-    return "; ".join(f"{', '.join(role for role, how in proven.items() if how == way)} {way}" for way in ways)
+def _proofs_text(proven: Mapping[str, str]) -> str:
+    """Return the proofs in words, each once with all roles that it applies to."""
+    roles: dict[str, list[str]] = {}
+    for role, proof in proven.items():
+        roles.setdefault(proof, []).append(role)
+    return "; ".join(f"{', '.join(names)} {proof}" for proof, names in roles.items())

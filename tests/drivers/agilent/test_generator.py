@@ -427,7 +427,7 @@ def test_what_another_program_changed_is_found_and_the_next_task_starts_from_the
     generator.enable_output()
     generator.recheck()
     connection.replies["VOLT"] = "+2.0000000000000E+00"
-    with pytest.raises(InstrumentError, match=r"amplitude_vpp .*read back \+2\.0.*Another program, or somebody"):
+    with pytest.raises(InstrumentError, match=r"amplitude_vpp .*read back \+2\.0.*Another program, or a person"):
         generator.recheck()
     # The next task is programmed from the reset state, whatever else was changed.
     del connection.replies["VOLT"]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from drivers.agilent.generator import Agilent33250A
-from drivers.agilent.limits import mistakes, share_at_load
+from drivers.agilent.limits import load_divider, mistakes
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
 from sim_backend.generator.instrument import Generator33250A
@@ -38,7 +38,7 @@ def twin() -> Generator33250A:
 def test_every_train_that_the_limits_allow_reads_back_within_the_resolution(
     line, rate_hz: float, duty: float, count: int, delay_s: float, share: float, load_ohm: float
 ) -> None:
-    train = PulseTrain(rate_hz, count, delay_s, duty / rate_hz, 10.0 * share * share_at_load(load_ohm), load_ohm)
+    train = PulseTrain(rate_hz, count, delay_s, duty / rate_hz, 10.0 * share * load_divider(load_ohm), load_ohm)
     assert mistakes(train) == []
     generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(train)
@@ -58,7 +58,7 @@ def test_every_train_that_the_limits_allow_reads_back_within_the_resolution(
 def test_every_toneburst_that_the_limits_allow_reads_back_within_the_resolution(
     line, carrier_hz: float, cycles: int, delay_s: float, share: float, load_ohm: float
 ) -> None:
-    burst = Toneburst(carrier_hz, cycles, 20.0 * share * share_at_load(load_ohm), delay_s, load_ohm)
+    burst = Toneburst(carrier_hz, cycles, 20.0 * share * load_divider(load_ohm), delay_s, load_ohm)
     assert mistakes(burst) == []
     generator = Agilent33250A(line.connection, "toneburst")
     generator.configure(burst)

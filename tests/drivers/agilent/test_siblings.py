@@ -87,13 +87,13 @@ def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, 
     low_hz, high_hz = model.pulse_rate_hz
     rate_hz = min(max(low_hz * (high_hz / low_hz) ** rate, low_hz), high_hz)
     period_s = model.shortest_period_s(rate_hz)
-    least_s = model.least_width_s(period_s)
+    min_width_s = model.min_width_s(period_s)
     widest_s = min(model.width_s[1], period_s - max(model.width_s[0], 1.6 * model.edge_s))
     train = PulseTrain(
         rate_hz=rate_hz,
         count=round(model.cycles[0] + count * (model.cycles[1] - model.cycles[0])),
         delay_s=delay * model.delay_s[1],
-        width_s=min(max(least_s + width * (widest_s - least_s), least_s), widest_s),
+        width_s=min(max(min_width_s + width * (widest_s - min_width_s), min_width_s), widest_s),
         high_v=4.0,
         load_ohm=math.inf,
     )
