@@ -1,4 +1,4 @@
-"""Emulator of the generators behind real transports, on loopback alone; they share one world and one clock."""
+"""Emulator: the generators of one simulated world behind real transports, on loopback alone."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from sim_backend.transports.vxi11 import Vxi11Gateway
 Transport = Literal["socket", "serial", "hislip", "vxi11", "prologix"]
 TRANSPORTS: tuple[Transport, ...] = get_args(Transport)
 FIRST_GPIB_ADDRESS = 10
-"""Factory setting of the 33250A; each further instrument takes the next one."""
+"""Factory setting of the 33250A; further instruments have the following addresses."""
 
 
-Opened = TypeVar("Opened", SocketServer | SerialServer | HislipServer, Vxi11Gateway, PrologixAdapter)
-ALONE: Mapping[Transport, Callable[[Port], SocketServer | SerialServer | HislipServer]] = {
+Server = TypeVar("Server", SocketServer | SerialServer | HislipServer, Vxi11Gateway, PrologixAdapter)
+SERVERS: Mapping[Transport, Callable[[Port], SocketServer | SerialServer | HislipServer]] = {
     "socket": SocketServer,
     "serial": serial_server,
     "hislip": HislipServer,
 }
-"""Servers of a single instrument each."""
+"""Servers of transports with one instrument a connection."""
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """Where a program finds an instrument: its VISA address, and the interface to open first where there is one."""
+    """VISA address of an instrument, and of the adapter in front of it if there is one."""
 
     address: str
     interface: str | None = None
@@ -41,8 +41,8 @@ class Served:
 class Emulator:
     """Servers for the instruments of ``roles``, listening until closed.
 
-    ``instrument`` gives the instrument of a role, as its RS-232 connector sees it where the second argument is true.
-    One message at a time reaches the world that they share.
+    ``instrument(role, over_serial)`` returns the instrument of a role, at its RS-232 connector if ``over_serial``. One
+    message at a time reaches the shared world.
     """
 
     def __init__(
@@ -63,20 +63,20 @@ class Emulator:
         self.close()
 
     def close(self) -> None:
-        """Hang up on everyone; the instruments keep their state."""
+        """Close all connections; the instruments keep their state."""
         self._stack.close()
 
     def _serve(self, transport: Transport, ports: Mapping[str, Port]) -> dict[str, Served]:
-        if transport in ALONE:
-            return {role: Served(self._open(ALONE[transport](port)).address) for role, port in ports.items()}
-        on_bus = dict(enumerate(ports.values(), FIRST_GPIB_ADDRESS))
-        numbered = zip(ports, on_bus, strict=True)
+        if transport in SERVERS:
+            return {role: Served(self._open(SERVERS[transport](port)).address) for role, port in ports.items()}
+        by_gpib_address = dict(enumerate(ports.values(), FIRST_GPIB_ADDRESS))
+        addresses = zip(ports, by_gpib_address, strict=True)
         if transport == "vxi11":
-            gateway = self._open(Vxi11Gateway(on_bus))
-            return {role: Served(gateway.address(number)) for role, number in numbered}
-        adapter = self._open(PrologixAdapter(on_bus))
-        return {role: Served(adapter.address(number), adapter.interface_address) for role, number in numbered}
+            gateway = self._open(Vxi11Gateway(by_gpib_address))
+            return {role: Served(gateway.address(number)) for role, number in addresses}
+        adapter = self._open(PrologixAdapter(by_gpib_address))
+        return {role: Served(adapter.address(number), adapter.interface_address) for role, number in addresses}
 
-    def _open(self, server: Opened) -> Opened:
+    def _open(self, server: Server) -> Server:
         self._stack.callback(server.close)
         return server

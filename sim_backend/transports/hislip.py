@@ -9,11 +9,11 @@ import threading
 from enum import IntEnum
 from typing import Final, NamedTuple, final
 
-from sim_backend.transports.loopback import LOOPBACK, MOST_BYTES, Listener, Port, receive_exactly
+from sim_backend.transports.loopback import LOOPBACK, MAX_BYTES, Listener, Port, receive_exactly
 
 
 class Kind(IntEnum):
-    """Message types of IVI-6.1, table 4, as far as they occur here."""
+    """Message types of IVI-6.1, table 4; only those in use."""
 
     INITIALIZE = 0
     INITIALIZE_RESPONSE = 1
@@ -44,7 +44,7 @@ LOCK_REFUSED, LOCK_GRANTED, LOCK_ERROR = 0, 1, 3
 HEADER: Final = struct.Struct("!2sBBIQ")
 PROLOGUE: Final = b"HS"
 VERSION_1_0: Final = 0x0100
-MAXIMUM_BYTES: Final = MOST_BYTES
+MAXIMUM_BYTES: Final = MAX_BYTES
 
 
 class Message(NamedTuple):
@@ -61,7 +61,7 @@ UNRECOGNIZED: Final = Message(Kind.ERROR, UNRECOGNIZED_TYPE, 0, b"unrecognized m
 
 @final
 class HislipServer:
-    """A SCPI instrument at the sub-address ``hislip0``; a reply carries the number of the message that asked for it."""
+    """A SCPI instrument at the sub-address ``hislip0``; a reply carries the number of its query."""
 
     def __init__(self, port: Port) -> None:
         self._port = port
@@ -79,7 +79,7 @@ class HislipServer:
             send(peer, Message(Kind.INITIALIZE_RESPONSE, 0, VERSION_1_0 << 16 | session, b""))
             self._answer_synchronous(peer, session)
         elif first.kind == Kind.ASYNC_INITIALIZE:
-            # The second connection of a client, for everything asynchronous; it names the session of the first.
+            # A client's second connection carries asynchronous messages; it names the session of the first.
             send(peer, Message(Kind.ASYNC_INITIALIZE_RESPONSE, 0, int.from_bytes(b"\0\0TW"), b""))
             owner = f"session {first.parameter & 0xFFFF}"
             try:
@@ -90,29 +90,29 @@ class HislipServer:
             send(peer, Message(Kind.FATAL_ERROR, BAD_INITIALIZATION, 0, b"Initialize comes first"))
 
     def _answer_synchronous(self, peer: socket.socket, session: int) -> None:
-        begun = b""
+        incomplete = b""
         while True:
             message = receive(peer)
             # While another client holds the lock, messages wait.
-            self._port.reservation.respected(f"session {session}", float("inf"), peer)
+            self._port.reservation.wait_until_unlocked(f"session {session}", float("inf"), peer)
             match message.kind:
                 case Kind.DATA:
-                    begun += message.payload
-                    if len(begun) > MOST_BYTES:
+                    incomplete += message.payload
+                    if len(incomplete) > MAX_BYTES:
                         send(peer, Message(Kind.FATAL_ERROR, UNIDENTIFIED, 0, b"message too long"))
                         return
                 case Kind.DATA_END:
-                    # The reply repeats the number of the message that asked, by which a client tells a late one.
-                    whole, begun = begun + message.payload, b""
-                    reply = self._port.answer(whole)
+                    # The reply repeats the number of its query, so that a client recognises a late one.
+                    reply = self._port.answer(incomplete + message.payload)
+                    incomplete = b""
                     if reply:
                         send(peer, Message(Kind.DATA_END, 0, message.parameter, reply))
                 case Kind.DEVICE_CLEAR_COMPLETE:
-                    begun = b""
+                    incomplete = b""
                     self._port.reply()
                     send(peer, Message(Kind.DEVICE_CLEAR_ACKNOWLEDGE))
                 case Kind.TRIGGER:
-                    self._port.take(b"*TRG")
+                    self._port.send(b"*TRG")
                 case _:
                     send(peer, UNRECOGNIZED)
 
@@ -123,7 +123,7 @@ class HislipServer:
             return LOCK_GRANTED if reservation.release(owner) else LOCK_ERROR
         if reservation.held_by(owner):
             return LOCK_ERROR
-        granted = not message.payload and reservation.take(owner, message.parameter / 1e3, peer)
+        granted = not message.payload and reservation.acquire(owner, message.parameter / 1e3, peer)
         return LOCK_GRANTED if granted else LOCK_REFUSED
 
     def _answer_asynchronous(self, peer: socket.socket, owner: str) -> None:
@@ -152,7 +152,7 @@ def send(peer: socket.socket, message: Message) -> None:
 
 
 def receive(peer: socket.socket) -> Message:
-    """Return the next message; raise ``EOFError`` where the peer hangs up or does not speak HiSLIP."""
+    """Return the next message; raise ``EOFError`` if the peer closes or does not speak HiSLIP."""
     prologue, kind, control, parameter, size = HEADER.unpack(receive_exactly(peer, HEADER.size))
     if prologue != PROLOGUE or size > MAXIMUM_BYTES:
         raise EOFError("not a HiSLIP message")

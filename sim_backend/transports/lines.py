@@ -1,4 +1,4 @@
-"""Line servers, where a line feed ends a message: raw TCP socket and RS-232."""
+"""Line servers for raw TCP sockets and RS-232; a line feed ends a message."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ import threading
 from contextlib import suppress
 from typing import final
 
-from sim_backend.transports.loopback import CLOSING_S, LOOPBACK, MOST_BYTES, RECEIVE_BYTES, Listener, Port
+from sim_backend.transports.loopback import CLOSING_S, LOOPBACK, MAX_BYTES, RECEIVE_BYTES, Listener, Port
 
 
-class Lines:
-    """Bytes in, whole lines out."""
+class LineBuffer:
+    """Splits received bytes into lines."""
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._incomplete = b""
 
     def completed_by(self, received: bytes) -> list[bytes]:
-        """Return the lines that ``received`` completes, without their line feed; what is left over is kept.
+        """Return the lines that ``received`` completes, without their line feed.
 
-        Raises ``EOFError``, and forgets it, where a line gets too long.
+        Raises ``EOFError`` if a line gets too long, and drops it.
         """
-        *lines, self._rest = (self._rest + received).split(b"\n")
-        if len(self._rest) > MOST_BYTES:
-            self._rest = b""
-            raise EOFError("a message that is too long")
+        *lines, self._incomplete = (self._incomplete + received).split(b"\n")
+        if len(self._incomplete) > MAX_BYTES:
+            self._incomplete = b""
+            raise EOFError("the message is too long")
         return lines
 
 
 @final
 class SocketServer:
-    """A SCPI instrument on a raw TCP socket; ``address`` is its VISA resource name, with the port filled in."""
+    """A SCPI instrument on a raw TCP socket at the VISA resource name ``address``."""
 
     def __init__(self, port: Port, address: str = "TCPIP0::{host}::{port}::SOCKET") -> None:
         self._port = port
@@ -40,7 +40,7 @@ class SocketServer:
         self.address = address.format(host=LOOPBACK, port=listener.port)
 
     def _converse(self, peer: socket.socket) -> None:
-        lines = Lines()
+        lines = LineBuffer()
         while received := peer.recv(RECEIVE_BYTES):
             for line in lines.completed_by(received):
                 reply = self._port.answer(line)
@@ -50,59 +50,59 @@ class SocketServer:
 
 @final
 class SerialServer:
-    """A SCPI instrument on a pseudo terminal, which a program opens as it would open an RS-232 port."""
+    """A SCPI instrument on a pseudo terminal, which programs open like an RS-232 port."""
 
     def __init__(self, port: Port) -> None:
         import tty
 
         self._port = port
-        self._ours, self._theirs = os.openpty()
+        self._server_end, self._client_end = os.openpty()
         # Without raw mode the terminal would echo commands back as replies.
-        tty.setraw(self._theirs)
-        os.set_blocking(self._ours, False)
-        self._wake, self._woken = os.pipe()
-        self.address = f"ASRL{os.ttyname(self._theirs)}::INSTR"
+        tty.setraw(self._client_end)
+        os.set_blocking(self._server_end, False)
+        self._wake, self._wake_writer = os.pipe()
+        self.address = f"ASRL{os.ttyname(self._client_end)}::INSTR"
         self._thread = threading.Thread(target=self._converse, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering and take the terminal away."""
-        os.write(self._woken, b".")
+        """Stop the server and close the terminal."""
+        os.write(self._wake_writer, b".")
         self._thread.join(timeout=CLOSING_S)
-        for descriptor in (self._ours, self._theirs, self._wake, self._woken):
+        for descriptor in (self._server_end, self._client_end, self._wake, self._wake_writer):
             os.close(descriptor)
 
     def _converse(self) -> None:
         import select
 
-        lines = Lines()
-        # Neither a read nor a write of the terminal can be interrupted from another thread: the pipe wakes both.
+        lines = LineBuffer()
+        # Another thread cannot interrupt a read or write of the terminal; the pipe wakes this one.
         while True:
-            ready, _, _ = select.select([self._ours, self._wake], [], [])
+            ready, _, _ = select.select([self._server_end, self._wake], [], [])
             if self._wake in ready:
                 return
-            # A line that cannot be hung up: what is too long is lost, as in a buffer that runs over.
+            # RS-232 cannot be closed: a line that is too long is lost, as in a full buffer.
             with suppress(EOFError):
-                for line in lines.completed_by(os.read(self._ours, RECEIVE_BYTES)):
+                for line in lines.completed_by(os.read(self._server_end, RECEIVE_BYTES)):
                     if not self._send(self._port.answer(line)):
                         return
 
     def _send(self, reply: bytes) -> bool:
-        """Send a reply and return True, or False where the server closes while nobody reads."""
+        """Send a reply and return True, or False if the server is closed meanwhile."""
         import select
 
         while reply:
-            wake, _, _ = select.select([self._wake], [self._ours], [])
+            wake, _, _ = select.select([self._wake], [self._server_end], [])
             if wake:
                 return False
             with suppress(BlockingIOError):
-                reply = reply[os.write(self._ours, reply) :]
+                reply = reply[os.write(self._server_end, reply) :]
         return True
 
 
 def serial_server(port: Port) -> SerialServer | SocketServer:
-    """Return a serial line to the instrument: a pseudo terminal, or TCP where there are none (Windows)."""
+    """Return a serial line to the instrument: a pseudo terminal, or TCP on systems without one (Windows)."""
     if hasattr(os, "openpty"):
         return SerialServer(port)
-    # As pyvisa-py takes it, through pyserial; other VISA libraries know serial lines of this machine only.
+    # The notation of pyserial; other VISA libraries open only serial lines of this machine.
     return SocketServer(port, "ASRLsocket://{host}:{port}::INSTR")

@@ -7,12 +7,12 @@ import socket
 from collections.abc import Mapping
 from typing import final
 
-from sim_backend.transports.loopback import LOOPBACK, MOST_BYTES, RECEIVE_BYTES, Listener, Port
+from sim_backend.transports.loopback import LOOPBACK, MAX_BYTES, RECEIVE_BYTES, Listener, Port
 
 ESCAPE = 0x1B
 ADAPTER_VERSION = b"Prologix GPIB-ETHERNET Controller version 1.6.6.0\r\n"
 UNRECOGNIZED = b"Unrecognized command\r\n"
-# A primary address, and a secondary one that no instrument here has.
+# A primary address, and an optional secondary one, which is ignored.
 _ADDRESS = re.compile(rb"\+\+addr +([0-9]|[12][0-9]|30)( +[0-9]{1,3})? *")
 _ESCAPED = re.compile(rb"\x1b(.)", re.DOTALL)
 _MARK = re.compile(rb"\x1b.|[\r\n]", re.DOTALL)
@@ -20,13 +20,13 @@ _MARK = re.compile(rb"\x1b.|[\r\n]", re.DOTALL)
 
 @final
 class PrologixAdapter:
-    """The adapter with the instruments of ``ports`` by GPIB address; it speaks to the one last named by ``++addr``."""
+    """The adapter with the instruments of ``ports`` by GPIB address; ``++addr`` selects one."""
 
     def __init__(self, ports: Mapping[int, Port]) -> None:
         self._ports = ports
         listener = Listener(self._converse)
         self.close = listener.close
-        # To be opened before its instruments.
+        # Programs open the adapter before its instruments.
         self.interface_address = f"PRLGX-TCPIP0::{LOOPBACK}::{listener.port}::INTFC"
 
     def address(self, gpib_address: int) -> str:
@@ -34,25 +34,25 @@ class PrologixAdapter:
         return f"GPIB0::{gpib_address}::INSTR"
 
     def _converse(self, peer: socket.socket) -> None:
-        rest, addressed = b"", next(iter(self._ports))
+        incomplete, addressed = b"", next(iter(self._ports))
         while received := peer.recv(RECEIVE_BYTES):
-            lines, rest = unescaped_lines(rest + received)
-            if len(rest) > MOST_BYTES:
+            lines, incomplete = unescaped_lines(incomplete + received)
+            if len(incomplete) > MAX_BYTES:
                 return
             for line in lines:
                 if not line.startswith(b"++"):
-                    # Nobody listens at an address without an instrument; GPIB data sent there is lost.
+                    # Data to an address without an instrument are lost.
                     if addressed in self._ports:
-                        self._ports[addressed].take(_ESCAPED.sub(rb"\1", line))
+                        self._ports[addressed].send(_ESCAPED.sub(rb"\1", line))
                 elif line.startswith(b"++addr "):
-                    named = _ADDRESS.fullmatch(line)
-                    addressed = int(named[1]) if named else addressed
-                    peer.sendall(b"" if named else UNRECOGNIZED)
+                    match = _ADDRESS.fullmatch(line)
+                    addressed = int(match[1]) if match else addressed
+                    peer.sendall(b"" if match else UNRECOGNIZED)
                 else:
                     peer.sendall(self._adapter(addressed, line))
 
     def _adapter(self, addressed: int, line: bytes) -> bytes:
-        """Return the adapter's answer to one of its own commands; settings have none."""
+        """Return the adapter's reply to a ``++`` command; settings have none."""
         if line.startswith(b"++ver"):
             return ADAPTER_VERSION
         port = self._ports.get(addressed)
@@ -62,16 +62,16 @@ class PrologixAdapter:
             if line.startswith(b"++spoll"):
                 return f"{port.status_byte()}\r\n".encode()
             if line.startswith(b"++trg"):
-                port.take(b"*TRG")
+                port.send(b"*TRG")
             elif line.startswith(b"++clr"):
                 port.reply()
         return b""
 
 
 def unescaped_lines(data: bytes) -> tuple[list[bytes], bytes]:
-    """Return the lines of ``data`` that an unescaped line feed or carriage return ends, and what is left over."""
+    """Return the lines of ``data``, which end at unescaped line ends, and the incomplete last one."""
     lines, start = [], 0
-    # ESC takes its meaning from whatever follows, a line feed in the data of a message included.
+    # ESC escapes any following byte, including a line feed.
     for mark in _MARK.finditer(data):
         if mark[0][0] != ESCAPE:
             if mark.start() > start:

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from sim_backend.transports.loopback import (
-    LOOK_S,
     LOOPBACK,
-    MOST_BYTES,
+    MAX_BYTES,
+    POLL_S,
     Listener,
     Port,
-    raise_if_gone,
+    raise_if_closed,
     receive_exactly,
 )
 
@@ -28,13 +28,13 @@ DEVICE_REMOTE, DEVICE_LOCAL, DEVICE_LOCK, DEVICE_UNLOCK, DESTROY_LINK = 16, 17, 
 NO_ERROR, NOT_ACCESSIBLE, INVALID_LINK, NOT_SUPPORTED, OUT_OF_RESOURCES = 0, 3, 4, 8, 9
 LOCKED_BY_ANOTHER, NOT_LOCKED, IO_TIMEOUT = 11, 12, 15
 WAIT_FOR_LOCK: Final = 1
-MOST_LINKS: Final = 64
-"""How many links one connection may hold."""
+MAX_LINKS: Final = 64
+"""Links of one connection."""
 END_FLAG, END_REASON, COUNT_REASON = 8, 4, 1
 LAST_FRAGMENT: Final = 1 << 31
 MAXIMUM_BYTES: Final = 1 << 16
-# Where flags and lock time-out stand among the arguments (VXI-11, B.6).
-_PLACES: Final = {
+# Offsets of flags and lock time-out in the arguments (VXI-11, B.6).
+_FLAG_OFFSETS: Final = {
     DEVICE_WRITE: (12, 8),
     DEVICE_READ: (16, 12),
     DEVICE_LOCK: (4, 8),
@@ -44,10 +44,10 @@ _NUMBER = re.compile(r"[0-9]{1,2}", re.ASCII)
 PROGRAM_UNAVAILABLE, GARBAGE_ARGUMENTS = 1, 4
 
 
-# Identity is what tells two links apart, equal or not.
+# Links are compared by identity.
 @dataclass(eq=False)
 class Link:
-    """One open link: its instrument, the message that is coming in, the reply that is going out."""
+    """One open link: its instrument, the incomplete message, and the unread part of the reply."""
 
     port: Port
     incoming: bytes = b""
@@ -58,7 +58,7 @@ class Link:
 class Vxi11Gateway:
     """A LAN/GPIB gateway with the instruments of ``ports`` by GPIB address.
 
-    Programs name it as ``host,port``, which needs no portmapper.
+    Its address ``host,port`` needs no portmapper.
     """
 
     def __init__(self, ports: Mapping[int, Port]) -> None:
@@ -90,26 +90,26 @@ class Vxi11Gateway:
                     continue
                 _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, 0) + result)
         finally:
-            # A client that leaves takes its locks with it.
+            # The locks of a client end with its connection.
             for link in links.values():
                 link.port.reservation.release(link)
 
     def _create(self, links: dict[int, Link], arguments: bytes, peer: socket.socket) -> bytes:
         _, exclusive, lock_timeout_ms = struct.unpack_from("!iII", arguments)
         name, _ = _opaque(arguments, 12)
-        link = self._named(name)
+        link = self._link_to(name)
         if link is None:
             return struct.pack("!iiII", NOT_ACCESSIBLE, 0, 0, 0)
-        if len(links) >= MOST_LINKS:
+        if len(links) >= MAX_LINKS:
             return struct.pack("!iiII", OUT_OF_RESOURCES, 0, 0, 0)
-        if exclusive and not link.port.reservation.take(link, lock_timeout_ms / 1e3, peer):
+        if exclusive and not link.port.reservation.acquire(link, lock_timeout_ms / 1e3, peer):
             return struct.pack("!iiII", LOCKED_BY_ANOTHER, 0, 0, 0)
         with self._lock:
             number = next(self._numbers)
         links[number] = link
         return struct.pack("!iiII", NO_ERROR, number, 0, MAXIMUM_BYTES)
 
-    def _named(self, name: bytes) -> Link | None:
+    def _link_to(self, name: bytes) -> Link | None:
         prefix, _, gpib_address = name.decode("latin-1").partition(",")
         if prefix.lower() != "gpib0" or not _NUMBER.fullmatch(gpib_address):
             return None
@@ -118,7 +118,7 @@ class Vxi11Gateway:
 
 
 def _on_link(links: dict[int, Link], procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
-    """Return the result of a core procedure, XDR-encoded; raise ``struct.error`` where arguments are missing."""
+    """Return the result of a core procedure, XDR-encoded; raise ``struct.error`` if arguments are missing."""
     (number,) = struct.unpack_from("!i", arguments)
     link = links.get(number)
     if link is None:
@@ -130,19 +130,19 @@ def _on_link(links: dict[int, Link], procedure: int, arguments: bytes, peer: soc
         reservation.release(link)
         del links[number]
         return struct.pack("!i", NO_ERROR)
-    if procedure not in _PLACES:
+    if procedure not in _FLAG_OFFSETS:
         return _failed(procedure, NOT_SUPPORTED)
-    flags, lock_timeout_ms = (struct.unpack_from("!I", arguments, place)[0] for place in _PLACES[procedure])
-    patience_s = lock_timeout_ms / 1e3 if flags & WAIT_FOR_LOCK else 0.0
+    flags, lock_timeout_ms = (struct.unpack_from("!I", arguments, offset)[0] for offset in _FLAG_OFFSETS[procedure])
+    lock_timeout_s = lock_timeout_ms / 1e3 if flags & WAIT_FOR_LOCK else 0.0
     if procedure == DEVICE_LOCK:
-        taken = not reservation.held_by(link) and reservation.take(link, patience_s, peer)
-        return struct.pack("!i", NO_ERROR if taken else LOCKED_BY_ANOTHER)
-    if not reservation.respected(link, patience_s, peer):
+        acquired = not reservation.held_by(link) and reservation.acquire(link, lock_timeout_s, peer)
+        return struct.pack("!i", NO_ERROR if acquired else LOCKED_BY_ANOTHER)
+    if not reservation.wait_until_unlocked(link, lock_timeout_s, peer):
         return _failed(procedure, LOCKED_BY_ANOTHER)
-    return _carried_out(link, procedure, arguments, peer)
+    return _execute(link, procedure, arguments, peer)
 
 
-def _carried_out(link: Link, procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
+def _execute(link: Link, procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
     if procedure == DEVICE_WRITE:
         return _write(link, arguments)
     if procedure == DEVICE_READ:
@@ -150,7 +150,7 @@ def _carried_out(link: Link, procedure: int, arguments: bytes, peer: socket.sock
     if procedure == DEVICE_READ_STB:
         return struct.pack("!iI", NO_ERROR, link.port.status_byte())
     if procedure == DEVICE_TRIGGER:
-        link.port.take(b"*TRG")
+        link.port.send(b"*TRG")
     elif procedure == DEVICE_CLEAR:
         link.port.reply()
         link.incoming = link.outgoing = b""
@@ -161,15 +161,15 @@ def _write(link: Link, arguments: bytes) -> bytes:
     # Link, time-out and lock time-out come first.
     (flags,) = struct.unpack_from("!i", arguments, 12)
     data, _ = _opaque(arguments, 16)
-    if len(link.incoming) + len(data) > MOST_BYTES:
+    if len(link.incoming) + len(data) > MAX_BYTES:
         link.incoming = b""
         return _failed(DEVICE_WRITE, OUT_OF_RESOURCES)
     link.incoming += data
     if flags & END_FLAG:
-        # What was asked before and never fetched is gone, as on the instrument's own bus.
+        # An unread reply is lost, as on GPIB.
         link.outgoing = b""
         message, link.incoming = link.incoming, b""
-        link.port.take(message)
+        link.port.send(message)
     return struct.pack("!iI", NO_ERROR, len(data))
 
 
@@ -185,50 +185,50 @@ def _read(link: Link, arguments: bytes, peer: socket.socket) -> bytes:
 
 
 def _wait(duration_s: float, peer: socket.socket) -> None:
-    """Let time pass; raise ``EOFError`` where the peer does not wait for it: a time-out may be 25 days."""
+    """Sleep; raise ``EOFError`` if the peer closes meanwhile, since a time-out may be 25 days."""
     deadline_s = time.monotonic() + duration_s
-    while (left_s := deadline_s - time.monotonic()) > 0:
-        time.sleep(min(left_s, LOOK_S))
-        raise_if_gone(peer)
+    while (remaining_s := deadline_s - time.monotonic()) > 0:
+        time.sleep(min(remaining_s, POLL_S))
+        raise_if_closed(peer)
 
 
 def _failed(procedure: int, error: int) -> bytes:
-    """Return the result of ``procedure`` that carries nothing but ``error``."""
-    rest = {DEVICE_WRITE: 1, DEVICE_READ: 2, DEVICE_READ_STB: 1}.get(procedure, 0)
-    return struct.pack(f"!i{rest}I", error, *[0] * rest)
+    """Return the result of ``procedure`` with ``error`` and zeros."""
+    zeros = {DEVICE_WRITE: 1, DEVICE_READ: 2, DEVICE_READ_STB: 1}.get(procedure, 0)
+    return struct.pack(f"!i{zeros}I", error, *[0] * zeros)
 
 
 def _call(record: bytes) -> tuple[int, int, int, bytes]:
     """Return transaction, program, procedure and arguments of an RPC call; raise ``EOFError`` for anything else."""
     try:
         transaction, kind, rpc_version, program, _, procedure = struct.unpack_from("!6I", record)
-        # Two authenticators follow, a flavour and an opaque body each, which nobody here looks at.
-        _, behind_credential = _opaque(record, 28)
-        _, behind_verifier = _opaque(record, behind_credential + 4)
+        # Two authenticators follow, a flavour and an opaque body each; they are ignored.
+        _, credential_end = _opaque(record, 28)
+        _, verifier_end = _opaque(record, credential_end + 4)
     except struct.error as error:
-        raise EOFError("an RPC call that is too short") from error
+        raise EOFError("the RPC call is too short") from error
     if (kind, rpc_version) != (0, 2):
         raise EOFError("not an RPC call")
-    return transaction, program, procedure, record[behind_verifier:]
+    return transaction, program, procedure, record[verifier_end:]
 
 
 def _opaque(data: bytes, start: int) -> tuple[bytes, int]:
-    """Return the XDR variable-length field at ``start``, and where the next one begins."""
+    """Return the XDR variable-length field at ``start``, and the start of the next one."""
     (size,) = struct.unpack_from("!I", data, start)
     if start + 4 + size > len(data):
-        raise struct.error("a field that is cut off")
+        raise struct.error("the field is cut off")
     return data[start + 4 : start + 4 + size], start + 4 + -(-size // 4) * 4
 
 
 def _record(peer: socket.socket) -> bytes:
-    # A record comes in fragments; the top bit of a fragment's length marks the last.
+    # A record consists of fragments; the top bit of a fragment's length marks the last one.
     record, last = b"", False
     while not last:
         (mark,) = struct.unpack("!I", receive_exactly(peer, 4))
         last = bool(mark & LAST_FRAGMENT)
         record += receive_exactly(peer, mark & ~LAST_FRAGMENT)
-        if len(record) > MOST_BYTES:
-            raise EOFError("a call that is too long")
+        if len(record) > MAX_BYTES:
+            raise EOFError("the call is too long")
     return record
 
 

@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from sim_backend.settings.simulation import SimulationSettings
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
-from sim_backend.transports.loopback import MOST_BYTES, MOST_PEERS
+from sim_backend.transports.loopback import MAX_BYTES, MAX_PEERS
 from sim_backend.world import GENERATORS, World
 
 IDENTITY = b"Agilent Technologies,33250A,0,2.01-1.01-2.00-03-2\n"
@@ -251,7 +251,7 @@ def test_60_megabytes_without_an_end_take_bounded_memory_and_end_the_connection(
         try:
             if transport == "serial":
                 with opened_terminal(emulator) as descriptor:
-                    for _ in range(4 * MOST_BYTES // 4096):
+                    for _ in range(4 * MAX_BYTES // 4096):
                         select.select([], [descriptor], [], 1.0)
                         with suppress(BlockingIOError):
                             os.write(descriptor, b"A" * 4096)
@@ -275,7 +275,7 @@ def test_60_megabytes_without_an_end_take_bounded_memory_and_end_the_connection(
 def test_vxi11_writes_without_an_end_are_out_of_resources() -> None:
     with served("vxi11") as emulator, connected(emulator) as peer:
         number, errors = link(peer), []
-        for _ in range(MOST_BYTES // 60_000 + 2):
+        for _ in range(MAX_BYTES // 60_000 + 2):
             result = call(peer, 11, struct.pack("!iIIi", number, 100, 100, 0) + xdr(b"A" * 60_000))
             errors.append(struct.unpack_from("!i", result)[0])
         assert 9 in errors
@@ -293,9 +293,9 @@ def test_links_without_end_are_out_of_resources() -> None:
 def test_connections_without_end_take_no_more_threads_than_there_may_be(transport: str) -> None:
     with served(transport) as emulator:
         before = threading.active_count()
-        peers = [socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=5) for _ in range(MOST_PEERS + 20)]
+        peers = [socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=5) for _ in range(MAX_PEERS + 20)]
         assert hung_up(peers[-1])
-        assert threading.active_count() <= before + MOST_PEERS
+        assert threading.active_count() <= before + MAX_PEERS
         for peer in peers:
             peer.close()
         deadline_s = time.monotonic() + 10
