@@ -1,17 +1,20 @@
-"""Bench: who carries a plan out, on metal or on the twin; opened for what a scene needs and always left safe.
+"""Bench: the instruments that carry a plan out, real or simulated; opened for a scene and always left safe.
 
 In the order of the flow:
-    bench_file    instruments, cables, limits and calibration of one bench, as its TOML file says
-    twin          what a scene declares of its simulation, as one typed value
-    opening       drivers on VISA and the vendor's library, or on the twin
-    instruments   the open instruments, and how they are made safe
-    interrupts    Ctrl-C, SIGTERM and closed terminals while outputs may be on
-    lock          one program at a time on a real bench
-    inventory     every instrument identified, its settings read
-    comparison    how two benches differ
-    emulation     the simulated generators for any VISA program
+    bench_file      sections of a bench file: instruments, cables, limits, calibration
+    bench_loading   bench files from a path or text, their wiring checked
+    twin            the simulation that a scene declares, as one typed value
+    push_scan       hydrophone scan of the push
+    twin_checks     mistakes in [simulation], and settings that differ from the scene's
+    interrupts      Ctrl-C, SIGTERM and closed terminals while outputs may be on
+    lock            one program at a time on a real bench
+    instruments     the open instruments, made safe independently of each other
+    opening         drivers connected to VISA and the vendor's library, or to the twin
+    inventory       every instrument identified, its settings read
+    comparison      differences between two benches
+    emulation       the simulated generators for any VISA program
 
-Others read a bench file, open a bench, and ask what was found on it; drivers and twin are chosen here alone.
+Other packages read a bench file, open a bench, and use its instruments; only this one connects drivers.
 """
 
 import lazy_loader

@@ -3,15 +3,17 @@ from .bench_file import (
     GENERATOR_ROLES as GENERATOR_ROLES,
     TRANSPORTS as TRANSPORTS,
     BenchFile as BenchFile,
-    BenchText as BenchText,
+    BoardName as BoardName,
     Calibration as Calibration,
     DigitizerBoard as DigitizerBoard,
     DriveCalibration as DriveCalibration,
-    ForeignRecording as ForeignRecording,
     OutputLimits as OutputLimits,
+)
+from .bench_loading import (
+    BenchText as BenchText,
     parse_bench as parse_bench,
     read_bench as read_bench,
-    titled as titled,
+    with_title as with_title,
     with_transducers as with_transducers,
 )
 from .comparison import (
@@ -29,21 +31,16 @@ from .interrupts import (
 )
 from .inventory import (
     BenchReport as BenchReport,
-    Found as Found,
+    InstrumentReport as InstrumentReport,
     Settings as Settings,
-    Switched as Switched,
     survey as survey,
     switch_off as switch_off,
 )
 from .lock import BenchInUseError as BenchInUseError, hold as hold, resources as resources
 from .opening import open_bench as open_bench
+from .push_scan import scanned_push as scanned_push
 from .twin import (
     TwinDeclaration as TwinDeclaration,
-    check_declared as check_declared,
-    check_simulation as check_simulation,
-    contradictions as contradictions,
-    declares_twin as declares_twin,
-    scanned_push as scanned_push,
     simulation_schema as simulation_schema,
     twin_dose as twin_dose,
     twin_of as twin_of,
@@ -51,4 +48,9 @@ from .twin import (
     twin_settings as twin_settings,
     twin_tables as twin_tables,
     twin_water_output as twin_water_output,
+)
+from .twin_checks import (
+    check_declared as check_declared,
+    check_simulation as check_simulation,
+    contradictions as contradictions,
 )

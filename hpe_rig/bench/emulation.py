@@ -1,4 +1,4 @@
-"""Emulation of a whole bench for any VISA program on this machine, and the bench file that describes it."""
+"""Emulation of a whole bench for any VISA program on this computer, and the bench file that describes it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import re
 import time
 from collections.abc import Callable, Mapping
 
-from hpe_rig.bench.bench_file import TRANSPORTS, BenchText, Transport, parse_bench
+from hpe_rig.bench.bench_file import TRANSPORTS, Transport
+from hpe_rig.bench.bench_loading import BenchText, parse_bench
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_emulator
 from hpe_rig.scene import Mistake, Scene, SettingsError
@@ -14,49 +15,48 @@ from hpe_rig.scene import Mistake, Scene, SettingsError
 ADDRESSING = re.compile(r"^\s*(address|interface|transport)\s*=.*\n", re.MULTILINE)
 HEAD = """\
 # Served on loopback over {transport} until this program ends: a generator an address, one world, one clock.
-# The digitizer has no address. hpe-rig run --bench THIS.toml serves such a bench anew, with the digitizer, in its own
-# process and at addresses of its own.
+# The digitizer has no address. hpe-rig run --bench THIS.toml serves such a bench again, with the digitizer, in its
+# process and at other addresses.
 """
 
 
 def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[str], None]) -> None:
-    """Serve the simulated generators of ``bench``, announce the bench file that reaches them, return on Ctrl-C.
+    """Serve the simulated generators of ``bench`` until Ctrl-C; announce the bench file that reaches them.
 
-    Raises ``SettingsError`` for a real bench and an unknown transport, ``InstrumentError`` where the platform lacks it.
+    Raises ``SettingsError`` for a real bench and an unknown transport, ``InstrumentError`` if the platform lacks it.
     """
-    chosen = next((name for name in TRANSPORTS if name == transport), None)
-    if chosen is None:
+    known_transport = next((name for name in TRANSPORTS if name == transport), None)
+    if known_transport is None:
         mistake = Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))
         raise SettingsError("command line", [mistake])
     if not bench.bench.simulated:
         remedy = "simulated = true, or leave --bench out"
         raise SettingsError(f"bench {bench.name}", [Mistake("simulated", "a real bench is not emulated", remedy)])
     try:
-        with open_emulator(scene, bench.bench, chosen) as addresses:
-            announce(addressed(bench, chosen, addresses))
+        with open_emulator(scene, bench.bench, known_transport) as addresses:
+            announce(addressed(bench, known_transport, addresses))
             while True:
-                # In short pieces, since on Windows a long wait would not end for Ctrl-C.
+                # In short pieces, because on Windows a long wait would not end for Ctrl-C.
                 time.sleep(0.2)
     except (KeyboardInterrupt, Terminated):
         return
 
 
 def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tuple[str, str | None]]) -> str:
-    """Return the text of ``bench`` with its transport and each generator's VISA address."""
+    """Return the text of ``bench`` with its transport and each generator's VISA address.
+
+    Raises ``SettingsError`` if the generators of its file are not tables with headers.
+    """
     text = ADDRESSING.sub("", bench.text)
-    over = f'simulated = true\ntransport = "{transport}"'
-    text = re.sub(r"^simulated\s*=.*$", over, text, count=1, flags=re.MULTILINE)
+    lines = f'simulated = true\ntransport = "{transport}"'
+    text = re.sub(r"^simulated\s*=.*$", lines, text, count=1, flags=re.MULTILINE)
     for role, (address, interface) in addresses.items():
-        lines = [f"[generators.{role}]", f'address = "{address}"']
-        lines += [f'interface = "{interface}"'] if interface else []
-        text = text.replace(f"[generators.{role}]", "\n".join(lines), 1)
-    return HEAD.format(transport=transport) + _checked(bench.name, text, addresses)
-
-
-def _checked(name: str, text: str, addresses: Mapping[str, tuple[str, str | None]]) -> str:
-    """Return ``text``; raise ``SettingsError`` if the addresses have not found their places in it."""
-    placed = {role: item.address for role, item in parse_bench(name, text).bench.generators.by_role.items()}
-    if placed != {role: address for role, (address, _) in addresses.items()}:
+        lines = f'[generators.{role}]\naddress = "{address}"'
+        lines += f'\ninterface = "{interface}"' if interface else ""
+        text = text.replace(f"[generators.{role}]", lines, 1)
+    # An inline table would not have got its address.
+    parsed = {role: item.address for role, item in parse_bench(bench.name, text).bench.generators.by_role.items()}
+    if parsed != {role: address for role, (address, _) in addresses.items()}:
         what = "the generators do not stand in tables of their own"
-        raise SettingsError(f"bench {name}", [Mistake("generators", what, "write [generators.master] and so on")])
-    return text
+        raise SettingsError(f"bench {bench.name}", [Mistake("generators", what, "write [generators.master] and so on")])
+    return HEAD.format(transport=transport) + text

@@ -1,7 +1,7 @@
-"""Interrupts around an open bench: Ctrl-C, SIGTERM, a closed terminal, Ctrl-Break; the first unwinds, none cuts in.
+"""Interrupts while a bench is open: Ctrl-C, SIGTERM, a closed terminal, Ctrl-Break.
 
-What unwinds may itself be interrupted before it has begun to switch off, so the interrupts that follow the first one
-within ``REPEAT_S`` are held back: they ask for what is under way already.
+The first one raises an exception, so that the bench is left and switched off. Repetitions within ``REPEAT_S`` are
+deferred: otherwise they could interrupt the program before it has begun to switch off.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from types import FrameType
 from typing import Any, Final, final
 
 REPEAT_S: Final = 1.0
-"""How long after an interrupt the next one is taken for a repetition; later it unwinds anew, should one get lost."""
-AGAIN_S: Final = 0.01
-"""How long after a signal that nothing could be raised for it is given again."""
-CONSOLE_PATIENCE_S: Final = 4.5
-"""How long a closing Windows console is kept waiting; the system itself ends the process after five seconds."""
-CONSOLE_GOES: Final = frozenset({2, 5, 6})
+"""Time after an interrupt during which the next one counts as a repetition."""
+RETRY_S: Final = 0.01
+"""Time until a signal is sent again that arrived where no exception can be raised."""
+CONSOLE_WAIT_S: Final = 4.5
+"""Time that a closing Windows console is kept waiting; the system ends the process after five seconds."""
+CONSOLE_CLOSING: Final = frozenset({2, 5, 6})
 """Windows' events for a closed console, a log-off and a shutdown."""
 
-# What a system does not have is left out: SIGHUP and SIGQUIT are POSIX's, SIGBREAK is Windows' Ctrl-Break.
+# SIGHUP and SIGQUIT exist on POSIX systems only, SIGBREAK (Ctrl-Break) on Windows only.
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 _SIGNALS: Final = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 
 
 class Terminated(BaseException):
-    """The program was asked to end, ``name`` says how; like KeyboardInterrupt no ``except Exception`` swallows it."""
+    """The program was asked to end by the signal ``name``; like KeyboardInterrupt it is no ``Exception``."""
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
         super().__init__(signal.Signals(number).name)
@@ -45,78 +45,78 @@ INTERRUPTS: Final = (KeyboardInterrupt, Terminated)
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let the signals that end a program raise in the block: KeyboardInterrupt for Ctrl-C, else ``Terminated``."""
-    with _interrupts.region(open_to=True):
+    """Let the signals that end a program raise in the block: KeyboardInterrupt for Ctrl-C, otherwise ``Terminated``."""
+    with _interrupts.region(interruptible=True):
         yield
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold these signals back until the block is done, then let the first of them through.
+    """Defer these signals to the end of the block, then raise the first of them.
 
-    Where the block raises nothing is let through: what it raised ends the program as well.
+    If the block raises an exception, the signals are dropped, because that exception ends the program too.
     """
-    with _interrupts.region(open_to=False):
+    with _interrupts.region(interruptible=False):
         yield
 
 
 @final
 class _Interrupts:
-    """Nested blocks, each open to signals or not, and the signals that wait for the innermost to be open again."""
+    """Nested blocks, interruptible or not, and the signals deferred until the innermost is interruptible."""
 
     def __init__(self) -> None:
         self._blocks: list[bool] = []
-        self._held: list[int] = []
+        self._deferred: list[int] = []
         self._raised_s = -REPEAT_S
-        self._quiet = threading.Event()
-        self._quiet.set()
+        self._finished = threading.Event()
+        self._finished.set()
 
     @contextmanager
-    def region(self, open_to: bool) -> Iterator[None]:
-        """Be open to signals, or not, in the block; the outermost one installs the handlers."""
+    def region(self, interruptible: bool) -> Iterator[None]:
+        """Raise signals in the block, or defer them; the outermost block installs the handlers."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
         depth = len(self._blocks)
         before = {} if depth else self._install()
-        self._blocks.append(open_to)
+        self._blocks.append(interruptible)
         try:
-            self._let_through()
+            self._raise_deferred()
             yield
-            # Still inside, so that one which comes in between is met by those who guard this block.
+            # Inside the try block, so that an exception raised here still reaches its finally clause.
             del self._blocks[depth:]
-            self._let_through()
+            self._raise_deferred()
         finally:
-            # By depth: a signal that raised right here before has kept an inner block from being taken off.
+            # By depth, because a signal raised at this point may have left an inner block on the stack.
             del self._blocks[depth:]
             if not depth:
                 self._restore(before)
 
     def arrive(self, number: int, frame: FrameType | None) -> None:
-        """Raise what signal ``number`` stands for, or hold it back."""
+        """Raise the exception of signal ``number``, or defer it."""
         repeated = time.monotonic() - self._raised_s < REPEAT_S
         if repeated or (self._blocks and not self._blocks[-1]):
-            self._held.append(number)
-        elif _swallows(frame):
-            again = threading.Timer(AGAIN_S, _give_again, (number,))
-            again.daemon = True
-            again.start()
+            self._deferred.append(number)
+        elif _discards_exceptions(frame):
+            retry = threading.Timer(RETRY_S, _send_again, (number,))
+            retry.daemon = True
+            retry.start()
         else:
             self._raise(number)
 
-    def console_goes(self, event: int, interrupt: Callable[[], None]) -> bool:
-        """Answer Windows' console ``event`` from its own thread: interrupt the program and wait until it is done."""
-        if event not in CONSOLE_GOES:
+    def console_closing(self, event: int, interrupt: Callable[[], None]) -> bool:
+        """Handle Windows' console ``event``, in a thread of the system: interrupt the program and wait for its end."""
+        if event not in CONSOLE_CLOSING:
             return False
         interrupt()
-        self._quiet.wait(CONSOLE_PATIENCE_S)
+        self._finished.wait(CONSOLE_WAIT_S)
         return True
 
-    def _let_through(self) -> None:
-        if self._held and (not self._blocks or self._blocks[-1]):
+    def _raise_deferred(self) -> None:
+        if self._deferred and (not self._blocks or self._blocks[-1]):
             repeated = time.monotonic() - self._raised_s < REPEAT_S
-            number = self._held[0]
-            self._held.clear()
+            number = self._deferred[0]
+            self._deferred.clear()
             if not repeated:
                 self._raise(number)
 
@@ -125,21 +125,21 @@ class _Interrupts:
         raise KeyboardInterrupt if number == signal.SIGINT else Terminated(number)
 
     def _install(self) -> dict[int, Any]:
-        self._held.clear()
+        self._deferred.clear()
         self._raised_s = -REPEAT_S
-        self._quiet.clear()
-        # What somebody has chosen to ignore, as nohup does with SIGHUP, stays ignored; None is no handler of Python's.
-        heard = [number for number in _SIGNALS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
-        return {number: signal.signal(number, self.arrive) for number in heard}
+        self._finished.clear()
+        # Ignored signals stay ignored, such as SIGHUP under nohup; None means a handler outside Python.
+        handled = [number for number in _SIGNALS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+        return {number: signal.signal(number, self.arrive) for number in handled}
 
     def _restore(self, before: dict[int, Any]) -> None:
         for number, handler in before.items():
             signal.signal(number, handler)
-        self._quiet.set()
+        self._finished.set()
 
 
-def _swallows(frame: FrameType | None) -> bool:
-    """Return whether Python only prints what is raised in ``frame``: a destructor or a weak reference's callback."""
+def _discards_exceptions(frame: FrameType | None) -> bool:
+    """Return whether Python only prints exceptions in ``frame``: a destructor or a weak reference's callback."""
     while frame is not None:
         if frame.f_code.co_name == "__del__" or frame.f_code.co_filename == weakref.__file__:
             return True
@@ -147,11 +147,11 @@ def _swallows(frame: FrameType | None) -> bool:
     return False
 
 
-def _give_again(number: int) -> None:
-    """Give the main thread signal ``number``, from another one."""
+def _send_again(number: int) -> None:
+    """Send signal ``number`` to the main thread, from another one."""
     main = threading.main_thread().ident
     if sys.platform != "win32" and main is not None:
-        # also out of a call that waits
+        # Unlike interrupt_main this also ends a blocking call.
         signal.pthread_kill(main, number)
     else:
         _thread.interrupt_main(signal.Signals(number))
@@ -165,6 +165,6 @@ if sys.platform == "win32":
     @ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)
     def _console_event(event: int) -> int:
         # The process ends as soon as this returns, so an ordinary signal handler would come too late.
-        return int(_interrupts.console_goes(event, lambda: _thread.interrupt_main(signal.SIGBREAK)))
+        return int(_interrupts.console_closing(event, lambda: _thread.interrupt_main(signal.SIGBREAK)))
 
     ctypes.windll.kernel32.SetConsoleCtrlHandler(_console_event, 1)

@@ -1,7 +1,7 @@
-"""Lock of a bench's instruments between the programs of one machine: a file named after each resource.
+"""Lock of a bench's instruments between the programs of one computer: a file named after each resource.
 
-The system lets go of the lock when its process ends, however that was; who it was stands in a second file beside it,
-for the one who is refused or who takes over after a crash.
+The system releases the lock when its process ends, for any reason. A second file names the process, for a program that
+is refused or that takes over after a crash.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from hpe_rig.bench.bench_file import BenchFile
 if TYPE_CHECKING:
     from filelock import FileLock
 
-MOST_WORDS: Final = 300
+MAX_HOLDER_CHARACTERS: Final = 300
+"""Length of the text about another program that a message shows."""
 
 
 class BenchInUseError(InstrumentError):
-    """Another program holds an instrument of the bench; ``holder`` says who, and since when."""
+    """Another program uses an instrument of the bench; ``holder`` names it and the start time."""
 
     def __init__(self, resource: str, holder: str) -> None:
         why = "two programs on one bench would measure each other's settings"
@@ -39,49 +40,49 @@ class BenchInUseError(InstrumentError):
 
 
 def resources(bench: BenchFile) -> list[str]:
-    """Return the names of what a real bench takes for itself; none on a simulated one, which is nobody else's."""
+    """Return the names of the instruments that a real bench locks; none for a simulated one."""
     if bench.simulated:
         return []
-    places = (
+    generators = (
         " behind ".join(filter(None, (item.address, item.interface))) for item in bench.generators.by_role.values()
     )
     board = f"Alazar system {bench.digitizer.system_id} board {bench.digitizer.board_id}"
-    # In one order for everybody, and each once.
-    return sorted({*places, board})
+    # Every program locks in the same order, so that two cannot block each other.
+    return sorted({*generators, board})
 
 
-_held_here: set[str] = set()
-"""Resources that this program holds for several runs, one after another."""
+_held_for_several_runs: set[str] = set()
+"""Resources that this process has locked for several runs in sequence."""
 
 
 @contextmanager
 def hold(names: Iterable[str], announce: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Hold every resource in ``names`` for all that is opened in the block; raises as ``locked``."""
-    wanted = [name for name in names if name not in _held_here]
-    with locked(wanted, announce):
-        _held_here.update(wanted)
+    """Lock every resource in ``names`` for all benches that are opened in the block; raises as ``locked``."""
+    new_names = [name for name in names if name not in _held_for_several_runs]
+    with locked(new_names, announce):
+        _held_for_several_runs.update(new_names)
         try:
             yield
         finally:
-            _held_here.difference_update(wanted)
+            _held_for_several_runs.difference_update(new_names)
 
 
 @contextmanager
 def locked(names: Iterable[str], announce: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Hold the lock of every resource in ``names``; raise ``BenchInUseError`` at once where another process does.
+    """Lock every resource in ``names``; raise ``BenchInUseError`` at once if another process has locked one.
 
-    What a process that died has left behind is taken over, and ``announce`` told (standard error where it is None).
+    The lock of a process that died is taken over, and ``announce`` is called about it (default: standard error).
     """
     with ExitStack() as stack:
-        names = [name for name in names if name not in _held_here]
-        left = {holder for name in names if (holder := stack.enter_context(_held(name)))}
-        for holder in sorted(left):
+        names = [name for name in names if name not in _held_for_several_runs]
+        crashed = {holder for name in names if (holder := stack.enter_context(_lock(name)))}
+        for holder in sorted(crashed):
             (announce or _to_standard_error)(f"the bench was left locked by {holder}, which has ended: taken over")
         yield
 
 
 def holder_of(name: str) -> str | None:
-    """Return in words who holds the resource ``name``; None where nobody does any more."""
+    """Return a description of the program that has locked ``name``; None if it is free."""
     from filelock import Timeout
 
     lock, holder = _files(name)
@@ -89,27 +90,27 @@ def holder_of(name: str) -> str | None:
         with lock:
             return None
     except Timeout:
-        return _words(holder) or "another program"
+        return _holder_text(holder) or "another program"
 
 
 @contextmanager
-def _held(name: str) -> Iterator[str]:
-    """Hold the lock of one resource and yield who left it locked, empty where it was free."""
+def _lock(name: str) -> Iterator[str]:
+    """Lock one resource and yield the description of the crashed program that had locked it; empty if none."""
     from filelock import Timeout
 
     lock, holder = _files(name)
     try:
         lock.acquire()
     except Timeout:
-        raise BenchInUseError(name, _words(holder) or "another program") from None
+        raise BenchInUseError(name, _holder_text(holder) or "another program") from None
     except OSError as error:
         why = f"{lock.lock_file} cannot be opened ({error.strerror})"
         raise InstrumentError("bench", f"{name} cannot be locked", why, "remove that file as its owner") from None
     try:
-        left = _words(holder)
+        crashed = _holder_text(holder)
         with suppress(OSError):
             holder.write_text(_this_program(), encoding="utf-8")
-        yield left
+        yield crashed
     finally:
         with suppress(OSError):
             holder.unlink(missing_ok=True)
@@ -117,7 +118,7 @@ def _held(name: str) -> Iterator[str]:
 
 
 def _files(name: str) -> tuple[FileLock, Path]:
-    """Return the lock of a resource, and the file that says who holds it."""
+    """Return the lock of a resource, and the path of the file that names its holder."""
     from filelock import FileLock
 
     path = _folder() / re.sub(r"[^A-Z0-9.]+", "-", name.upper())
@@ -125,7 +126,7 @@ def _files(name: str) -> tuple[FileLock, Path]:
 
 
 def _folder() -> Path:
-    """Return where the locks of this machine are, which everybody may write to."""
+    """Return the folder of this computer's locks, which all users may write to."""
     folder = Path(tempfile.gettempdir()) / "hpe_rig-locks"
     with suppress(OSError):
         folder.mkdir(exist_ok=True)
@@ -133,9 +134,9 @@ def _folder() -> Path:
     return folder
 
 
-def _words(holder: Path) -> str:
+def _holder_text(holder: Path) -> str:
     with suppress(OSError, UnicodeDecodeError):
-        return " ".join(holder.read_text(encoding="utf-8")[:MOST_WORDS].split())
+        return " ".join(holder.read_text(encoding="utf-8")[:MAX_HOLDER_CHARACTERS].split())
     return ""
 
 

@@ -1,6 +1,6 @@
-"""Opening of the instruments a scene needs, and no others; every output is off, and verified off, on every way out.
+"""Opening the instruments that a scene needs; on exit every output is switched off and verified, whatever happens.
 
-The one place that chooses what drivers stand on: VISA and the vendor's library, or the twin.
+Only this module connects the drivers: to VISA and the vendor's library, or to the twin.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
-from hpe_rig.bench.bench_file import GENERATOR_ROLES, BenchFile
+from hpe_rig.bench.bench_file import BenchFile
 from hpe_rig.bench.instruments import SAFE_ORDER, Bench, UnsafeBenchError, make_safe, proven_off
 from hpe_rig.bench.interrupts import interruptible, uninterrupted
 from hpe_rig.bench.lock import locked, resources
@@ -37,88 +37,88 @@ class WallClock:
 
 @contextmanager
 def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot: int = 0) -> Iterator[Bench]:
-    """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out.
+    """Yield the bench with the instruments of ``roles`` open; on exit make it safe and verify that.
 
-    ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
-    Raises ``BenchInUseError`` where another program holds an instrument of a real bench, before anything is opened.
+    ``first_shot`` is the index of the next shot, from which the random numbers of a resumed twin continue. Raises
+    ``BenchInUseError`` before anything is opened if another program uses an instrument of a real bench.
     """
-    # Nothing is sent to a stranger at a wrong address, not even to switch it off.
-    known: list[Instrument] = []
-    # Interrupts end what is in the inner block, and are held back from where it ends until every output is off.
+    # Only identified instruments are sent commands; an unknown one at a wrong address is left alone.
+    identified: list[Instrument] = []
+    # Interrupts end the inner block; after it they are deferred until every output is off.
     with uninterrupted(), ExitStack() as stack:
         stack.enter_context(locked(resources(bench)))
         try:
             with interruptible():
-                reached = _reach(twin_tables(scene) if bench.simulated else {}, bench, first_shot, stack, lock=True)
-                drivers = _all_identified(reached, roles, bench, known, stack)
-                opened = Bench(bench.simulated, reached.clock, reached.world, **drivers)
-                opened.make_safe()
-                yield opened
+                simulation = twin_tables(scene) if bench.simulated else {}
+                connections = _connect(simulation, bench, first_shot, stack, lock=True)
+                drivers = _identify_all(connections, roles, bench, identified, stack)
+                instruments = Bench(bench.simulated, connections.clock, connections.world, **drivers)
+                instruments.make_safe()
+                yield instruments
         except BaseException as error:
-            if not (isinstance(error, UnsafeBenchError) and error.concerns(known)):
-                proven = make_safe(known)
-                # Of a simulated bench that nobody reached yet nothing is on, and nobody can go and look.
-                if known or not bench.simulated:
-                    error.add_note(proven_off(roles, proven))
-            # Else just tried, as stubbornly as it is worth.
+            # An UnsafeBenchError about all of these instruments means that switching them off has just been tried.
+            if not (isinstance(error, UnsafeBenchError) and error.concerns(identified)):
+                proofs = make_safe(identified)
+                # An unidentified real instrument may be on, and the operator must look.
+                if identified or not bench.simulated:
+                    error.add_note(proven_off(roles, proofs))
             raise
-        make_safe(known)
+        make_safe(identified)
 
 
 @contextmanager
 def open_each(bench: BenchFile, lock: bool = True) -> Iterator[Mapping[str, Instrument | Exception]]:
-    """Yield every instrument of the bench file by role, identified, or why it is not there; nothing is changed.
+    """Yield every instrument of the bench file by role, identified, or the error instead; no setting is changed.
 
-    On the way out those that are there are made safe, verified. Without ``lock`` another program may be at them.
+    On exit the identified ones are made safe and verified. Without ``lock`` another program may be using them.
     """
-    roles = [role for role in GENERATOR_ROLES if getattr(bench.generators, role) is not None]
-    found: dict[str, Instrument | Exception] = {}
+    instruments: dict[str, Instrument | Exception] = {}
     with uninterrupted(), ExitStack() as stack:
         stack.enter_context(locked(resources(bench) if lock else []))
         try:
             with interruptible():
-                reached = _reach({}, bench, 0, stack, lock)
-                for role in (*roles, "digitizer"):
+                connections = _connect({}, bench, 0, stack, lock)
+                for role in (*bench.generators.by_role, "digitizer"):
                     try:
-                        found[role] = _identified(reached, role, bench, stack)
+                        instruments[role] = _identify(connections, role, bench, stack)
                     except (InstrumentError, OSError) as error:
-                        found[role] = error
-                yield found
+                        instruments[role] = error
+                yield instruments
         finally:
-            make_safe([item for item in found.values() if not isinstance(item, Exception)])
+            make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
 
 
-def _identified(reached: Reach, role: str, bench: BenchFile, stack: ExitStack) -> Instrument:
-    """Return the driver of ``role``, who has said who it is; ``stack`` closes it."""
-    instrument: Instrument = reached.instrument(role, bench)
+def _identify(connections: Connections, role: str, bench: BenchFile, stack: ExitStack) -> Instrument:
+    """Return the driver of ``role`` after its instrument has identified itself; ``stack`` closes it."""
+    instrument: Instrument = connections.instrument(role, bench)
     stack.callback(_close_quietly, instrument)
     instrument.identify()
     return instrument
 
 
-def _all_identified(
-    reached: Reach, roles: Sequence[str], bench: BenchFile, known: list[Instrument], stack: ExitStack
+def _identify_all(
+    connections: Connections, roles: Sequence[str], bench: BenchFile, identified: list[Instrument], stack: ExitStack
 ) -> dict[str, Any]:
-    """Return the drivers of ``roles``, and add to ``known`` each one that is who it should be.
+    """Return the drivers of ``roles`` by role, and add each to ``identified`` as soon as its instrument answers.
 
-    All are asked whatever the others answer, so that each one that is there can be made safe. Raises the first failure,
-    the others as its notes.
+    All instruments are asked even if one fails, so that each that answers can be made safe. Raises the first failure
+    with the others as notes.
     """
     failures: list[Exception] = []
     for role in sorted(roles, key=SAFE_ORDER.index):
         try:
-            known.append(_identified(reached, role, bench, stack))
+            identified.append(_identify(connections, role, bench, stack))
         except Exception as error:
             failures.append(error)
     if failures:
         for other in failures[1:]:
             failures[0].add_note(str(other))
         raise failures[0]
-    return {instrument.role: instrument for instrument in known}
+    return {instrument.role: instrument for instrument in identified}
 
 
 def visa_addresses() -> tuple[str, ...]:
-    """Return the addresses of the VISA instruments that can be found; empty where none or no VISA is there."""
+    """Return the addresses of all VISA instruments; empty without instruments or without VISA."""
     import warnings
 
     import pyvisa
@@ -126,7 +126,7 @@ def visa_addresses() -> tuple[str, ...]:
     for backend in ("", "@py"):
         try:
             with warnings.catch_warnings():
-                # Which of its optional parts pyvisa-py lacks is no concern of who looks for instruments.
+                # pyvisa-py warns about optional parts that are not installed.
                 warnings.simplefilter("ignore")
                 return tuple(pyvisa.ResourceManager(backend).list_resources())
         except (pyvisa.Error, ValueError, OSError):
@@ -135,8 +135,8 @@ def visa_addresses() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
-    """How the instruments of one bench are reached: a connection a generator, one library, one clock."""
+class Connections:
+    """Connections to the instruments of one bench: one for each generator, one digitizer library, one clock."""
 
     connect: Callable[[str], Connection]
     library: Callable[[], Any]
@@ -154,25 +154,27 @@ class Reach:
             board = AlazarBoard(self.library(), role, settings.board_model, **ids)
             return AlazarDigitizer(board, self.clock, settings.acquisition_mode)
         generator = getattr(bench.generators, role)
-        most_vpp = generator.max_vpp or math.inf
+        max_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):
-            most_vpp = min(most_vpp, bench.limits.max_drive_vpp or math.inf)
-        return Agilent33250A(self.connect(role), role, generator.model, most_vpp)
+            max_vpp = min(max_vpp, bench.limits.max_drive_vpp or math.inf)
+        return Agilent33250A(self.connect(role), role, generator.model, max_vpp)
 
 
-def _reach(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, lock: bool) -> Reach:
+def _connect(
+    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, lock: bool
+) -> Connections:
+    """Return the connections to the real instruments, or to a twin with the settings ``simulation``."""
     if not bench.simulated:
         from drivers.alazar import load_library
 
         addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
         connect = _visa_connections(addresses, "", stack, lock)
-        return Reach(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None)
+        return Connections(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None)
     world = _world(simulation, bench, first_shot)
     if bench.transport is None:
-        return Reach(lambda role: cast(Connection, world.connect(role)), world.alazar_library, world.clock, world)
-    served = stack.enter_context(_emulator(world, bench, bench.transport)).served
-    addresses = {role: (there.address, there.interface) for role, there in served.items()}
-    return Reach(_visa_connections(addresses, "@py", stack), world.alazar_library, world.clock, world)
+        return Connections(lambda role: cast(Connection, world.connect(role)), world.alazar_library, world.clock, world)
+    addresses = _addresses(stack.enter_context(_emulator(world, bench, bench.transport)))
+    return Connections(_visa_connections(addresses, "@py", stack), world.alazar_library, world.clock, world)
 
 
 def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0) -> World:
@@ -195,47 +197,52 @@ def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:
         raise InstrumentError("simulated bench", what, str(error), "take another transport") from error
 
 
+def _addresses(emulator: Emulator) -> dict[str, tuple[str, str | None]]:
+    """Return by role the VISA address of each simulated generator, and of the interface before it."""
+    return {role: (server.address, server.interface) for role, server in emulator.served.items()}
+
+
 @contextmanager
 def open_emulator(
     scene: Scene, bench: BenchFile, transport: Transport
 ) -> Iterator[Mapping[str, tuple[str, str | None]]]:
-    """Yield the VISA address, and the interface before it if any, of each simulated generator by role.
+    """Yield by role the VISA address of each simulated generator, and the interface before it if there is one.
 
-    They listen on loopback alone, share one world and one clock, and are gone on the way out.
+    They listen on loopback only, share one world and one clock, and end on exit.
     """
     with interruptible(), _emulator(_world(twin_tables(scene), bench), bench, transport) as emulator:
-        yield {role: (there.address, there.interface) for role, there in emulator.served.items()}
+        yield _addresses(emulator)
 
 
 def _visa_connections(
     addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack, lock: bool = False
 ) -> Callable[[str], Connection]:
-    """Return what opens the connection of a role; an adapter that several share is opened once."""
+    """Return the function that opens the connection of a role; an adapter that several share is opened once."""
     from drivers.visa import NoVisaError, PrologixAdapter, VisaConnection
 
-    interfaces: dict[str, PrologixAdapter] = {}
+    adapters: dict[str, PrologixAdapter] = {}
 
     def connect(role: str) -> Connection:
-        address, before = addresses[role]
+        address, interface = addresses[role]
         try:
-            if before and before not in interfaces:
-                interfaces[before] = PrologixAdapter(before, backend=backend)
-                stack.callback(interfaces[before].close)
-            interface = interfaces[before] if before else None
-            opened = VisaConnection(address, backend=backend, adapter=interface, lock=lock)
+            if interface and interface not in adapters:
+                adapters[interface] = PrologixAdapter(interface, backend=backend)
+                stack.callback(adapters[interface].close)
+            adapter = adapters[interface] if interface else None
+            connection = VisaConnection(address, backend=backend, adapter=adapter, lock=lock)
         except NoVisaError as error:
-            why = "this computer lacks the driver for such an address, which may be right"
+            why = "this computer has no driver for such an address, which may be right"
             raise InstrumentError(role, str(error), why, error.remedy) from error
         except ConnectionError as error:
             remedy = f"correct generators.{role}.address, or see what hpe-rig bench finds"
             raise InstrumentError(role, str(error), "the address, the cable or the power is wrong", remedy) from error
-        stack.callback(opened.close)
-        return opened
+        stack.callback(connection.close)
+        return connection
 
     return connect
 
 
 def _close_quietly(instrument: Instrument) -> None:
-    # The output is proven off by then; a transport that fails to close changes nothing about that.
+    # The output is verified to be off before; a failure to close the connection does not change that.
     with suppress(InstrumentError, OSError):
         instrument.close()

@@ -10,7 +10,7 @@ from typing import Any
 from hpe_rig.bench import (
     BenchReport,
     Difference,
-    Found,
+    InstrumentReport,
     Settings,
     file_differences,
     open_bench,
@@ -21,7 +21,7 @@ from hpe_rig.bench import (
 )
 from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
 from hpe_rig.cli.tables import Page, wide_console
-from hpe_rig.measurement import prepare_text, programmed
+from hpe_rig.measurement import prepare_text, program_shot
 from hpe_rig.result import rich_table
 from hpe_rig.runs import open_run
 from hpe_rig.scene import parse_toml
@@ -58,7 +58,7 @@ def all_off(path: Path | None) -> int:
     console = wide_console()
     console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")
     rows = [
-        (item.role, item.address, "off" if item.proven else "NOT PROVEN", item.how.removeprefix(f"{item.role}: "))
+        (item.role, item.address, "off" if item.proven else "NOT PROVEN", item.reason.removeprefix(f"{item.role}: "))
         for item in switched
     ]
     console.print(rich_table(("role", "address", "output", "known because"), rows, words=4))
@@ -99,7 +99,7 @@ def _programmed_as(path: Path, state: BenchState) -> Mapping[str, Settings]:
     shot = setup.plan.shots[shots - 1]
     point = setup.scene.scene.points[shot.point]
     with open_bench(point.scene, setup.bench.bench.with_(point.bench), setup.plan.roles) as bench:
-        return programmed(shot, bench)
+        return program_shot(shot, bench)
 
 
 def _state_of_run(path: Path) -> BenchState:
@@ -116,13 +116,13 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
     console, page = wide_console(), Page(wide)
     console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
     headers = ("role", "address", "model", "serial", "firmware", "found", "self-test", "round trip\nms")
-    rows = [_row(found) for found in report.found]
+    rows = [_row(item) for item in report.instruments]
     tested = any(row[6] != "-" for row in rows)
     kept = [0, 1, 2, 5, *([6] if tested else []), 7] if page.narrow else range(len(headers))
     page.show(rich_table([headers[at] for at in kept], [[row[at] for at in kept] for row in rows], words=len(kept) - 1))
-    for found in report.found:
-        for problem in found.problems:
-            console.print(f"{found.role}: {problem.removeprefix(f'{found.role}: ')}", style="bold")
+    for item in report.instruments:
+        for problem in item.problems:
+            console.print(f"{item.role}: {problem.removeprefix(f'{item.role}: ')}", style="bold")
     if not report.simulated:
         console.print(
             f"VISA addresses found: {', '.join(report.addresses) or 'none (LAN instruments may not be listed)'}"
@@ -131,7 +131,7 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
         console.print("every instrument that answered is safe: outputs off, digitizer idle, verified")
 
 
-def _row(found: Found) -> tuple[str, ...]:
+def _row(found: InstrumentReport) -> tuple[str, ...]:
     state = "on" if found.settings.get("output_on") else "off" if "output_on" in found.settings else "idle"
     if found.identity is None or found.latency_s is None:
         return found.role, found.address, "-", "-", "-", "problem", "-", "-"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from hpe_rig.bench import BenchFile, TwinDeclaration, declares_twin, twin_of
+from hpe_rig.bench import BenchFile, TwinDeclaration, twin_of
 from hpe_rig.scene import Scene, properties_of
 
 
@@ -34,7 +34,7 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
         return [*out, *_omitted_of_twin(twin_of(scene))]
     if bench.recording is not None:
         return [*out, Omission("instruments", "the records were imported")]
-    unread = ", [simulation] is not read" if declares_twin(scene) else ""
+    unread = ", [simulation] is not read" if scene.simulation is not None else ""
     return [*out, Omission("the twin", "the bench is real" + unread)]
 
 

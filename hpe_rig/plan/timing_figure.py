@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.plan.shots import Shot
 
 if TYPE_CHECKING:
@@ -31,19 +32,19 @@ def timing(shot: Shot) -> tuple[Picture, ...]:
 def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: str) -> Picture:
     """Draw every instrument's intervals in one row each, from ``start_s`` on."""
     # Plans are made where nothing is drawn.
-    from hpe_rig.result import BLUE, GREEN, ORANGE, SKY, panel, picture
+    from hpe_rig.result import Colour, panel, picture
 
     line = shot.timeline
     bursts, pulses = line.burst_onset_s, line.pulse_onset_s
-    rows = [
-        ("gate", pulses, line.gate_offset_s, BLUE),
-        ("record", pulses, line.record_offset_s, SKY),
-        ("tracking pulse", pulses, (0.0, line.pulse_length_s), GREEN),
+    rows: list[tuple[str, FloatArray, tuple[float, float], str]] = [
+        ("gate", pulses, line.gate_offset_s, Colour.BLUE),
+        ("record", pulses, line.record_offset_s, Colour.SKY),
+        ("tracking pulse", pulses, (0.0, line.pulse_length_s), Colour.GREEN),
     ]
     if bursts.size:
         rows += [
             ("its echoes", bursts, (0.0, line.burst_length_s + line.gate_offset_s[1]), ECHO),
-            ("toneburst", bursts, (0.0, line.burst_length_s), ORANGE),
+            ("toneburst", bursts, (0.0, line.burst_length_s), Colour.ORANGE),
         ]
     unit, factor = ("ms", 1e3) if span_s > 2e-3 else ("us", 1e6)
     figure, axes = panel(left=0.22)

@@ -10,7 +10,7 @@ import pytest
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import Setup, prepare
-from hpe_rig.result.values import Result
+from hpe_rig.result import Result
 from hpe_rig.runs.run import process
 from hpe_rig.scene import shipped_scenes
 

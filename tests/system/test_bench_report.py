@@ -13,9 +13,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.bench import inventory as bench_report
-from hpe_rig.bench.bench_file import BenchFile, read_bench
-from hpe_rig.bench.comparison import file_differences, prefixed, settings_differences
+from hpe_rig.bench import BenchFile, file_differences, inventory as bench_report, read_bench, settings_differences
 from hpe_rig.bench.inventory import survey
 from hpe_rig.cli.app import app
 from hpe_rig.cli.bench import bench_state, compare_with
@@ -66,7 +64,7 @@ def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.
     )
     ticks = count()
     report = survey(read_bench().bench, lambda: float(next(ticks)))
-    assert [found.role for found in report.found] == [
+    assert [found.role for found in report.instruments] == [
         "master",
         "burst_train",
         "toneburst",
@@ -74,8 +72,8 @@ def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.
         "tracking_pulser",
         "digitizer",
     ]
-    assert [found.identity.model for found in report.found if found.identity] == ["33250A"] * 5 + ["ATS460"]
-    assert all(found.latency_s == 1.0 for found in report.found)
+    assert [found.identity.model for found in report.instruments if found.identity] == ["33250A"] * 5 + ["ATS460"]
+    assert all(found.latency_s == 1.0 for found in report.instruments)
     assert report.complete
     assert not any(made[0].outputs_on().values())
 
@@ -84,7 +82,7 @@ def test_a_simulated_bench_behind_sockets_is_surveyed_through_them(tmp_path: Pat
     served = edited(tmp_path, ("simulated = true", 'simulated = true\ntransport = "socket"'))
     report = survey(read_bench(served).bench)
     assert report.complete
-    assert [found.address for found in report.found[:-1]] == ["socket loopback"] * 5
+    assert [found.address for found in report.instruments[:-1]] == ["socket loopback"] * 5
 
 
 def test_generators_test_themselves_where_that_is_asked_for_with_every_output_off(
@@ -111,13 +109,13 @@ def test_generators_test_themselves_where_that_is_asked_for_with_every_output_of
             self.inner.close()
 
     monkeypatch.setattr(World, "connect", lambda world, role: Failing(world, role))
-    assert [found.self_test for found in survey(read_bench().bench).found] == [None] * 6
+    assert [found.self_test for found in survey(read_bench().bench).instruments] == [None] * 6
     assert tested == []
     report = survey(read_bench().bench, self_test=True)
-    assert [found.self_test for found in report.found] == [True, True, False, True, True, None]
-    assert [role for role, _ in tested] == [found.role for found in report.found[:-1]]
+    assert [found.self_test for found in report.instruments] == [True, True, False, True, True, None]
+    assert [role for role, _ in tested] == [found.role for found in report.instruments[:-1]]
     assert not any(on for _, on in tested)
-    assert {found.role for found in report.found if found.problems} == {"toneburst"}
+    assert {found.role for found in report.instruments if found.problems} == {"toneburst"}
     assert not report.complete
 
 
@@ -134,7 +132,7 @@ def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(World, "connect", left_on)
     report = survey(read_bench().bench)
-    problems = {found.role: found.problems for found in report.found if found.problems}
+    problems = {found.role: found.problems for found in report.instruments if found.problems}
     assert list(problems) == ["toneburst"]
     assert "its output was on; it is off now" in problems["toneburst"][0]
     assert not worlds[0].outputs_on()["toneburst"]
@@ -156,8 +154,8 @@ def test_an_instrument_whose_settings_cannot_be_read_is_one_row_of_the_table(mon
         World, "connect", lambda world, role: Garbled(wire(world, role)) if role == "toneburst" else wire(world, role)
     )
     report = survey(read_bench().bench)
-    assert [found.role for found in report.found if found.identity is None] == ["toneburst"]
-    assert "queries had" in report.found[2].problems[0]
+    assert [found.role for found in report.instruments if found.identity is None] == ["toneburst"]
+    assert "queries had" in report.instruments[2].problems[0]
     assert len(report.settings) == 5
 
 
@@ -178,10 +176,10 @@ def test_a_bench_where_nobody_answers_is_a_table_of_errors_with_suggestions(
     monkeypatch.setattr(bench_report, "visa_addresses", lambda: (near, "ASRL/dev/ttyS0::INSTR"))
     report = survey(bench)
     assert not report.complete
-    assert all(found.identity is None for found in report.found)
-    for found in report.found[:-1]:
+    assert all(found.identity is None for found in report.instruments)
+    for found in report.instruments[:-1]:
         assert f"generators.{found.role}.address: did you mean {near}" in found.problems[1]
-    assert "install the AlazarTech driver" in report.found[-1].problems[0]
+    assert "install the AlazarTech driver" in report.instruments[-1].problems[0]
 
 
 def test_an_address_that_is_none_is_an_error_of_that_role(tmp_path: Path) -> None:
@@ -279,10 +277,3 @@ def test_cables_are_compared_by_their_ends() -> None:
     assert difference.text("a", "b") == (
         "bench file: wiring.master.output to burst_train.trigger delay 5 ns in a, 7 ns in b"
     )
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(1e3, "1 kHz"), (999.0, "999 Hz"), (0.0, "0 Hz"), (3e-13, "0.3 pHz"), (8e10, "80 GHz")]
-)
-def test_numbers_are_printed_with_the_prefix_people_use(value: float, text: str) -> None:
-    assert prefixed(value, "Hz") == text

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.alazar import model_named
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.plan.checks.check_result import PlanError

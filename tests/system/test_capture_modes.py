@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.plan.checks.check_result import PlanError

@@ -24,9 +24,8 @@ import numpy as np
 import pytest
 
 from drivers.alazar.api import SIGNATURES, load_library
-from hpe_rig.bench.bench_file import parse_bench, read_bench
+from hpe_rig.bench import parse_bench, read_bench, twin_tables
 from hpe_rig.bench.emulation import addressed
-from hpe_rig.bench.twin import twin_tables
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.runs.run import open_run, process

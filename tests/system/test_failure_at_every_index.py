@@ -23,8 +23,7 @@ import pytest
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import instruments, opening
-from hpe_rig.bench.bench_file import TRANSPORTS, read_bench
+from hpe_rig.bench import TRANSPORTS, instruments, opening, read_bench
 from hpe_rig.bench.instruments import UnsafeBenchError
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.measurement.run import record_run

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import GeneratorTask, PulseTrain
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.cli.app import app
 from hpe_rig.measurement.run import record_run
@@ -27,7 +27,7 @@ from hpe_rig.measurement.sequencer import Progress, ShotBlock, acquire
 from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.prediction.beam_averaging import predicted_averaging
 from hpe_rig.prediction.theory import force_spectrum
-from hpe_rig.result.values import Result
+from hpe_rig.result import Result
 from hpe_rig.runs.run import process
 from hpe_rig.scene import Scene, shipped_scenes
 from hpe_rig.store import StoreError, read_run, result_path

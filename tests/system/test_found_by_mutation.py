@@ -17,8 +17,7 @@ import tomlkit
 import typer
 from typer.testing import CliRunner
 
-from hpe_rig.bench import read_bench
-from hpe_rig.bench.twin import check_declared
+from hpe_rig.bench import check_declared, read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.cli.console import guarded, refuse_undecodable
 from hpe_rig.measurement import prepare, prepare_text, record_run

@@ -82,7 +82,7 @@ def test_simulated_channel_data_give_the_motion_of_their_scatterers(
     words = "import rf.npz --scene scene.toml -o run.h5 --lines mean --set axes=pulse,sample,line"
     made = CliRunner().invoke(app, words.split())
     assert made.exit_code == 0, made.output
-    assert "sample_rate_hz = 2e+07, by 'fs' of the file" in made.output
+    assert "sample_rate_hz = 2e+07, from 'fs' of the file" in made.output
     done = CliRunner().invoke(app, ["process", "run.h5", "--json"])
     (found,) = json.loads(done.output)["shots"][0]["estimates"]
     u_m = np.sqrt(sum(part["amplitude_m"] ** 2 for part in found["components"]))

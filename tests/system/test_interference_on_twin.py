@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene import parse_scene, shipped_scenes

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench.bench_file import BenchFile, parse_bench
+from hpe_rig.bench import BenchFile, parse_bench
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import read_run
 

@@ -16,7 +16,7 @@ from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress, Step
 from hpe_rig.measurement.setup import Setup, prepare_text
 from hpe_rig.report.page import render
-from hpe_rig.result.values import Result
+from hpe_rig.result import Result
 from hpe_rig.runs.run import process
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, read_run

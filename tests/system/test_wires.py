@@ -17,7 +17,7 @@ import pytest
 import pyvisa
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
+from hpe_rig.bench import TRANSPORTS, BenchFile, parse_bench, read_bench
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.opening import open_bench, open_each
 from hpe_rig.measurement.run import record_run

@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 
 from drivers.interfaces import InstrumentError
 from drivers.visa import NoVisaError, VisaConnection
-from hpe_rig.bench import opening
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import opening, read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare

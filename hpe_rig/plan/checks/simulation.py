@@ -39,7 +39,7 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
         text = f"digitizer.system_id = {bench.digitizer.system_id}, board_id = {bench.digitizer.board_id}"
         yield CheckResult("simulated board", "refused", f"{text}: the simulated board is 1 of system 1", "1 for both")
     capture = plan.shots[0].capture
-    held = twin.most_records(bench, capture.record_samples)
+    held = twin.max_records(bench, capture.record_samples)
     if capture.record_count > held:
         text = f"the twin's board holds {held:g} of {capture.record_count} records of {capture.record_samples} samples"
         remedy = "more simulation.instruments.samples_per_channel, as the bench file says of the board"
@@ -77,7 +77,7 @@ def gate_in_twin_m(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: 
     The gate is a time after the pulse: another sound speed moves it in depth, other latencies do too.
     """
     acquisition, capture = scene.acquisition, plan.shots[0].capture
-    later_m = twin.later_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
+    later_m = twin.depth_shift_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
     return scene.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m, later_m
 
 

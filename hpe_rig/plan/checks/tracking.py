@@ -38,7 +38,7 @@ def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResul
 
 def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration, off_m: float) -> Iterator[CheckResult]:
     """Yield whether the resting echo, ``off_m`` from the focus, ends in time and is above digitizer step and noise."""
-    if not twin.echoes:
+    if not twin.has_echoes:
         text = "simulation.scatterers has neither scatterers (per_cell = 0) nor reflectors: nothing echoes"
         yield CheckResult("echo level", "refused", text, "per_cell above 0, such as 11")
         return
@@ -91,7 +91,7 @@ def _steps(scene: Scene, plan: Plan, twin: TwinDeclaration) -> Iterator[CheckRes
     bursts = shot.toneburst
     drive = None if bursts is None else (bursts.carrier_hz, bursts.amplitude_vpp)
     time_s = shot.timeline.sensing_s[:MOST_PULSES]
-    moved_m = twin.moved_m(time_s, shot.timeline.burst_onset_s, shot.timeline.burst_length_s, drive)
+    moved_m = twin.displacement_m(time_s, shot.timeline.burst_onset_s, shot.timeline.burst_length_s, drive)
     step_m = float(np.abs(np.diff(moved_m)).max(initial=0.0))
     if not step_m < quarter_m:
         text = f"the twin moves by up to {step_m * 1e6:.3g} um from a pulse to the next, a quarter wavelength is "

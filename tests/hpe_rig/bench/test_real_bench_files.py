@@ -8,7 +8,7 @@ import pytest
 import pyvisa
 from typer.testing import CliRunner
 
-from hpe_rig.bench.bench_file import parse_bench, read_bench
+from hpe_rig.bench import parse_bench, read_bench
 from hpe_rig.bench.opening import visa_addresses
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.bench.twin import check_declared, twin_of
-from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from hpe_rig.bench import check_declared, twin_of
+from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 from sim_backend.settings import SimulationSettings
 
 SCENES = shipped_scenes()

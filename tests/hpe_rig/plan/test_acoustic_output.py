@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench.bench_file import DriveCalibration, OutputLimits, read_bench
+from hpe_rig.bench import DriveCalibration, OutputLimits, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.plan.checks.acoustic_output import (

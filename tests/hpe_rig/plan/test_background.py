@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.plan.checks.digitizer import background
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene import Scene, load_scene

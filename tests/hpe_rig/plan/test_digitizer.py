@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench.bench_file import BenchFile, read_bench
+from hpe_rig.bench import BenchFile, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.sequencer import ShotBlock, acquire
 from hpe_rig.plan.checks.checklist import check_plan

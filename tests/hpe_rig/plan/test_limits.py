@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpe_rig.bench.bench_file import BenchFile, read_bench
+from hpe_rig.bench import BenchFile, read_bench
 from hpe_rig.plan.checks.acoustic_output import AcousticOutput
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.checks.digitizer import board, gate_in_record, memory

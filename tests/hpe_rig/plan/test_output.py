@@ -10,7 +10,8 @@ import pytest
 from drivers.agilent.models import MODELS as GENERATOR_MODELS
 from drivers.alazar.models import MODELS as BOARD_MODELS
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench.bench_file import DigitizerBoard, Generator, read_bench
+from hpe_rig.bench import DigitizerBoard, read_bench
+from hpe_rig.bench.bench_file import Generator
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.sequencer import acquire
 from hpe_rig.measurement.setup import prepare_text

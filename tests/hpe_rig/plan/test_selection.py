@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.selection import driven_frequencies_hz, select, window_pulse_count
 from hpe_rig.plan.shots import make_plan

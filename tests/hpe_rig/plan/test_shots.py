@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz

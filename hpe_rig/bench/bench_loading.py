@@ -1,0 +1,172 @@
+"""Bench files from a path or text, their wiring checked, and the beams that a bench adds to a scene."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+from hpe_rig.bench.bench_file import BenchFile
+from hpe_rig.scene import (
+    Mistake,
+    Scene,
+    SettingsError,
+    mistakes_of,
+    parse_toml,
+    read_settings_text,
+    unreadable,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class BenchText:
+    """A bench with the text it was read from, which run files store unchanged."""
+
+    name: str
+    text: str
+    bench: BenchFile
+
+
+def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
+    """Return the bench in the TOML file ``path``, by default the shipped simulated bench.
+
+    Raises ``SettingsError`` with every mistake. A real bench with the title of the simulated one is refused, because
+    reports would show it; ``any_title`` accepts it, so that existing runs can be opened.
+    """
+    if path is None:
+        shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
+        return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
+    try:
+        text = read_settings_text(path)
+    except (OSError, ValueError) as error:
+        mistake = unreadable(error)
+        if isinstance(error, FileNotFoundError):
+            remedy = "its path; hpe-rig new my-bench --like bench writes one"
+            mistake = Mistake("", "there is no file of that name", remedy)
+        raise SettingsError(f"bench {path}", [mistake]) from None
+    bench_text = parse_bench(path.stem, text)
+    bench = bench_text.bench
+    if not any_title and not bench.simulated and bench.title == read_bench().bench.title:
+        what = "this is the title of the simulated bench, and every report of this real bench would show it"
+        raise SettingsError(f"bench {path.stem}", [Mistake("title", what, 'a title such as "HPE bench, room 12"')])
+    return bench_text
+
+
+def parse_bench(name: str, text: str) -> BenchText:
+    """Return the bench in ``text``; raise ``SettingsError`` with every mistake."""
+    tables = parse_toml(text, f"bench {name}")
+    if {"tracking", "acquisition"} <= tables.keys():
+        what, remedy = "this is a scene, not a bench file", "run the same command without --bench"
+        remedy += "; hpe-rig new my-bench --like bench writes a bench file"
+        raise SettingsError(f"bench {name}", [Mistake("", what, remedy)])
+    mistakes = mistakes_of(BenchFile, tables)
+    if not mistakes:
+        bench = BenchFile.model_validate(tables)
+        mistakes = _missing_addresses(bench) + _missing_cables(bench) + _crossed_cables(bench)
+        mistakes += _wrong_transducer(bench)
+    if mistakes:
+        raise SettingsError(f"bench {name}", mistakes)
+    return BenchText(name, text, bench)
+
+
+def with_title(text: str, title: str) -> str:
+    """Return the text of a bench file with another title."""
+    return re.sub(r"^title\s*=.*$", lambda _: f"title = {json.dumps(title)}", text, count=1, flags=re.MULTILINE)
+
+
+def _missing_addresses(bench: BenchFile) -> list[Mistake]:
+    if bench.simulated or bench.recording is not None:
+        return []
+    mistakes = []
+    if bench.transport:
+        mistakes.append(Mistake("transport", "only the simulated bench has one", "remove it; the address is enough"))
+    what, remedy = "this key is required on a real bench", 'a VISA name such as "GPIB0::10::INSTR"'
+    for role, generator in bench.generators.by_role.items():
+        if not generator.address:
+            mistakes.append(Mistake(f"generators.{role}.address", what, remedy))
+    return mistakes
+
+
+def _missing_cables(bench: BenchFile) -> list[Mistake]:
+    required = [
+        ("master.output", "tracking_train.trigger"),
+        ("tracking_train.output", "digitizer.trigger"),
+        ("digitizer.aux", "tracking_pulser.trigger"),
+        ("tracking_pulser.output", bench.tracked_by),
+    ]
+    if bench.generators.burst_train is not None and bench.generators.toneburst is not None:
+        required += [
+            ("master.output", "burst_train.trigger"),
+            ("burst_train.output", "toneburst.trigger"),
+            ("toneburst.output", "transducer.drive"),
+        ]
+    remedy = '[[wiring]] with source = "{}" and target = "{}"'
+    return [
+        Mistake("wiring", f"no cable from {source} to {target}", remedy.format(source, target))
+        for source, target in required
+        if math.isnan(bench.path_delay_s(source, target))
+    ]
+
+
+def _crossed_cables(bench: BenchFile) -> list[Mistake]:
+    """Return the inputs with several sources; only a transducer can add two signals.
+
+    Together with the required cables this excludes loops of triggers.
+    """
+    sources: dict[str, list[str]] = {}
+    for cable in bench.wiring:
+        sources.setdefault(cable.target, []).append(cable.source)
+    return [
+        Mistake("wiring", f"{target} has {len(outputs)} sources, {' and '.join(outputs)}", "one cable an input")
+        for target, outputs in sources.items()
+        if len(outputs) > 1 and target != "transducer.drive"
+    ]
+
+
+def _wrong_transducer(bench: BenchFile) -> list[Mistake]:
+    """Return the cables to an absent transducer, from the pulser to the pushing one, from the toneburst to the other.
+
+    A bench without [transducers] has one transducer for both.
+    """
+    ends = {(cable.source, cable.target) for cable in bench.wiring}
+    if bench.transducers is None:
+        if not any(target == "tracking_transducer.drive" for _, target in ends):
+            return []
+        what, remedy = "a cable goes to tracking_transducer.drive, and there is no [transducers]", "[transducers]"
+        return [Mistake("wiring", what, remedy)]
+    mistakes = []
+    if ("tracking_pulser.output", "transducer.drive") in ends:
+        what = "tracking_pulser.output drives the transducer that pushes, and [transducers] has another one that tracks"
+        mistakes.append(Mistake("wiring", what, "its cable to tracking_transducer.drive alone, or no [transducers]"))
+    if ("toneburst.output", "tracking_transducer.drive") in ends:
+        what = "toneburst.output drives the transducer that tracks"
+        mistakes.append(Mistake("wiring", what, "its cable to transducer.drive alone"))
+    return mistakes
+
+
+def with_transducers(scene: Scene, bench: BenchFile) -> Scene:
+    """Return ``scene`` with the beams of the bench's transducers added to its own.
+
+    Raises ``SettingsError`` if the two differ, or if the scene has two transducers and the bench one.
+    """
+    beams = scene.beams
+    if bench.transducers is None:
+        # The bench of an imported recording is unknown, so that the scene's two transducers apply.
+        if beams is None or beams.push_focus_depth_m is None or bench.recording is not None:
+            return scene
+        what = "the bench has one transducer that pushes and tracks"
+        remedy = "no beams.push_focus_depth_m, or a bench file with [transducers]"
+        raise SettingsError("the scene", [Mistake("beams.push_focus_depth_m", what, remedy)])
+    scene_beams = {} if beams is None else beams.model_dump(exclude_none=True)
+    bench_beams = bench.transducers.beams
+    differences = [
+        Mistake(f"beams.{key}", f"{scene_beams[key]} here and {value} in the bench file's [transducers]", "one of them")
+        for key, value in bench_beams.items()
+        if scene_beams.get(key, value) != value
+    ]
+    if differences:
+        raise SettingsError("the scene", differences)
+    return scene.with_({f"beams.{key}": value for key, value in bench_beams.items() if key not in scene_beams})
