@@ -17,11 +17,13 @@ import numpy as np
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.extensions import ESTIMATORS as ENTRY_POINTS, ExtensionError, load, origin
 from hpe_rig.processing.echo.band import Band
-from hpe_rig.processing.echo.echoes import EchoGate, Motion, velocity_between_pulses
+from hpe_rig.processing.echo.gate import EchoGate
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, least_squares
 from hpe_rig.processing.harmonics.kalman_filter import kalman
-from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_fit, medium_kalman
+from hpe_rig.processing.harmonics.medium_fit import medium_fit, medium_kalman
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.velocity_chain import velocity_to_harmonics
+from hpe_rig.processing.motion.displacement import Motion, velocity_between_pulses
 from hpe_rig.scene import (
     BUILT_IN_ESTIMATORS,
     Estimator as Estimator,

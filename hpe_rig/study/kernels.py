@@ -26,7 +26,7 @@ from hpe_rig.processing import (
     Estimator,
     Motion,
     Options,
-    band_grid,
+    band_frequencies_hz,
     band_of,
     fit_motion,
     fourier_columns,
@@ -34,12 +34,9 @@ from hpe_rig.processing import (
     motion_of,
     noisy_peak_steps,
     orthonormal_rows,
+    padded_bins,
     spec_of,
 )
-
-PADDING = 8
-"""Zero padding of the paper's spectrum, the default of `processing.cross_spectrum`."""
-
 
 @dataclass(frozen=True, slots=True)
 class Train:
@@ -108,7 +105,7 @@ def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) ->
     gate = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
     band = band_of(gate)
     grid_hz: dict[Form, FloatArray] = {
-        "peak": band_grid(gate, 1 << (PADDING * samples - 1).bit_length()),
+        "peak": band_frequencies_hz(gate, padded_bins(samples)),
         "plain": band.frequency_hz,
     }
     of_volts = {form: fourier_columns(samples, sample_rate_hz, hz) for form, hz in grid_hz.items()}

@@ -1,7 +1,7 @@
 """Codes to volts to gated spectra.
 
-echoes.py          the echoes in a range gate; displacement and velocity of each pulse
-conditioning.py    codes -> volts; pulses with deviating energy are flagged
-band.py            spectra in the band of the pulse
-gate_tracking.py   a gate that follows large motion
+gate.py            echoes of one pulse train in a range gate
+conditioning.py    codes -> volts; statistics of each record; pulses with deviating energy
+band.py            transmitted band: bins, taper, noise covariance and the projection onto the gate
+spectrum.py        spectra in the band, and inner products of aligned spectra
 """

@@ -1,7 +1,11 @@
-"""Displacement from the phase of echoes, against their mean or from pulse to pulse: one function an estimator.
+"""Displacement from the phase of echoes: `coherent` against the mean of the others, `kasai` and `loupas` by steps.
 
-Positive displacement is away from the transducer: the echo's delay tau = 2 u / c grows, its phase at frequency f
-changes by -2 pi f tau. Derivations and sources: docs/explanation/estimation.md.
+    phi_k = arg <sum of the other aligned echoes, r_k>       coherent
+    phi_k = sum over n < k of arg <r_n, r_n+1>               kasai, loupas
+    u_k = -c phi_k / (4 pi f)                                f: carrier or mean frequency
+
+An echo from farther away is delayed by tau = 2 u / c and changes phase at frequency f by -2 pi f tau. Derivations and
+sources: docs/explanation/estimation.md.
 """
 
 from __future__ import annotations
@@ -10,162 +14,158 @@ import functools
 import math
 import sys
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
-from hpe_rig.processing.echo.band import (
-    Band,
-    band_spectrum,
-    compiled,
-    energy_of,
-    inner,
-    let_go,
-    products_with,
-    real_product,
-    turned,
-)
-from hpe_rig.processing.echo.echoes import EchoGate, Motion, scatter
+from hpe_rig.processing.compilation import numba_installed
+from hpe_rig.processing.echo.band import Band, real_inner_product, real_matmul
+from hpe_rig.processing.echo.gate import EchoGate, expand_to_pulses
+from hpe_rig.processing.echo.spectrum import advanced, band_spectrum, inner_products, release_pages
+from hpe_rig.processing.motion.displacement import Motion
 
-DivideBy = Literal["centre", "carrier"]
-
-STEPS_AT_ONCE = 512
-"""Pulses whose steps are found together: few enough that all of their products stay in the cache."""
+STEP_CHUNK = 512
+"""Pulses per chunk of consecutive products: few enough that they stay in the cache."""
+ALIGNED_CHUNK = 1 << 13
+"""Pulses aligned together: a longer train is never aligned in memory as a whole."""
 NOISE_DEVIATIONS = 3.1
-"""Normal deviations that a train of noise exceeds once in a thousand."""
-LEAST_INDEPENDENT = 3.0
-
-LOOP_WORTH = 10_000
-"""Echoes of several trains from which on the compiled loop is taken, if Numba is loaded already."""
-ALIGNED_AT_ONCE = 1 << 13
-"""Pulses that are aligned together: a longer train never lies aligned in memory as a whole."""
+"""Standard deviations of a normal variable that are exceeded once in a thousand."""
+COMPILED_ECHOES = 10_000
+"""Echoes of several trains from which the compiled loop is faster, if Numba is loaded already."""
 
 
 def coherent(echoes: EchoGate) -> Motion:
     """Return the displacement of every pulse from its phase against the mean of all other, aligned echoes.
 
     The phase is that of the inner product over the gate and the whole transmitted band, without a gate window, divided
-    by the energy-weighted mean frequency. A first guess from accumulated consecutive phases aligns the echoes, so
-    motion of many wavelengths is followed as long as one step stays below a quarter wavelength; the gate cuts them
-    after that. Raises ``ValueError`` for fewer than two valid pulses and where no train has an echo in the band; a
-    train that has none is NaN. Source: maximum likelihood for a known echo in white noise.
+    by the energy-weighted mean frequency. The accumulated phases of consecutive pulses align the echoes first, so that
+    motion of many wavelengths is followed if each step is below a quarter wavelength. The gate cuts the aligned echoes.
+    Raises ``ValueError`` for fewer than two valid pulses and if no train has an echo in the band; a single train
+    without an echo is NaN. Source: maximum likelihood for a known echo in white noise.
     """
     spectrum, band = band_spectrum(echoes, 2)
     phase, variance, mean_hz = coherent_phase(spectrum, band)
-    return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
+    return _motion_of_phase(echoes, phase, variance, mean_hz[..., None])
 
 
 def coherent_phase(
-    spectrum: ComplexArray, band: Band, fast: bool | None = None
+    spectrum: ComplexArray, band: Band, use_compiled: bool | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...).
+    """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...), Hz.
 
-    ``fast``: in a compiled loop where there is one; by default for many trains, once Numba is loaded. Both differ by
-    rounding. Raises ``ValueError`` where no train has an echo.
+    ``use_compiled``: by the compiled loop if Numba is installed; by default for many trains, if Numba is loaded
+    already. Both forms differ by rounding. Raises ``ValueError`` if no train has an echo.
     """
     trains, pulses = math.prod(spectrum.shape[:-2]), spectrum.shape[-2]
-    if fast is None:
-        fast = trains > 1 and trains * pulses >= LOOP_WORTH and "numba" in sys.modules
-    if fast and compiled() and pulses <= ALIGNED_AT_ONCE:
-        made = _compiled_phase(spectrum, band)
-        if np.isfinite(made[2]).any():
-            return made
-        # what is missing, the other way says
-    # of a long train only what is asked for is held: the steps' own products are not
+    if use_compiled is None:
+        use_compiled = trains > 1 and trains * pulses >= COMPILED_ECHOES and "numba" in sys.modules
+    if use_compiled and numba_installed() and pulses <= ALIGNED_CHUNK:
+        result = _compiled_phase(spectrum, band)
+        if np.isfinite(result[2]).any():
+            return result
+        # The form below raises the error that says what is missing.
+    # The products of a long train are not needed any more: their memory is released.
     steps = replace(pulse_steps(spectrum, band), product=np.empty(0, np.complex128))
-    # the first pass aligns with single-echo noise, the second with the noise of the mean echo
-    found = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
-    phase = steps.phase + np.angle(found.product)
-    delay_s = -phase / (2 * np.pi * found.mean_hz[..., None])
-    # the first pass' arrays make room for the second's
+    # The first pass aligns with the noise of single echoes, the second with that of the mean echo.
+    first = compare_with_others(spectrum, band, steps, steps.delay_s, steps.energy)
+    phase = steps.phase + np.angle(first.product)
+    delay_s = -phase / (2 * np.pi * first.mean_hz[..., None])
+    # Arrays of the first pass are released before the second allocates its own.
     steps = replace(steps, phase=np.empty(0), energy=np.empty(0))
-    del found
-    found = against_others(spectrum, band, steps, delay_s)
-    phase += np.angle(found.product)
-    return phase, found.variance, found.mean_hz
+    del first
+    second = compare_with_others(spectrum, band, steps, delay_s)
+    phase += np.angle(second.product)
+    return phase, second.variance, second.mean_hz
 
 
 def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what `coherent_phase` does, NaN where there is no echo."""
-    from hpe_rig.processing.motion.phase_shift_numba import coherent_phase as loop
+    """Return the results of `coherent_phase` by the compiled loop, NaN for trains without an echo."""
+    from hpe_rig.processing.motion.phase_shift_numba import coherent_phase as compiled_loop
 
     pulses, bins = spectrum.shape[-2:]
-    every = np.ascontiguousarray(spectrum, dtype=np.complex128).reshape(-1, pulses, bins)
-    phase, variance, mean_hz = np.empty((len(every), pulses)), np.empty((len(every), pulses)), np.empty(len(every))
-    least = least_alike(pulses - 1, band.independent)
-    loop(every, band.root, band.noise, band.noise_energy, band.frequency_hz, least, phase, variance, mean_hz)
+    trains = np.ascontiguousarray(spectrum, dtype=np.complex128).reshape(-1, pulses, bins)
+    phase, variance, mean_hz = np.empty((len(trains), pulses)), np.empty((len(trains), pulses)), np.empty(len(trains))
+    threshold = min_correlation(pulses - 1, band.independent)
+    band_values = band.margin_root, band.noise, band.noise_energy, band.frequency_hz
+    compiled_loop(trains, *band_values, threshold, phase, variance, mean_hz)
     shape = spectrum.shape[:-1]
     return phase.reshape(shape), variance.reshape(shape), mean_hz.reshape(shape[:-1])
 
 
-def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
-    """Return the displacement as the sum of steps from consecutive echoes' phase, averaged over the gate.
+def kasai(echoes: EchoGate) -> Motion:
+    """Return the displacement as a sum of steps, from the phase between consecutive echoes averaged over the gate.
 
-    The phase is that of the complex echoes' lag-one correlation, divided by the carrier, as published, or by the
-    train's mean frequency. Raises ``ValueError`` as ``coherent``. Source: Kasai et al. (1985).
+    The phase is that of the complex echoes' lag-one correlation, divided by the carrier as published. Raises
+    ``ValueError`` as ``coherent``. Source: Kasai et al. (1985).
     """
     spectrum, band = band_spectrum(echoes, 2)
     steps = pulse_steps(spectrum, band)
-    divisor_hz = steps.mean_hz if divide_by == "centre" else np.full_like(steps.mean_hz, echoes.carrier_hz)
-    variance, walk = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
-    return motion_of_phase(echoes, steps.phase, variance, divisor_hz[..., None], walk)
+    carrier_hz = np.full_like(steps.mean_hz, echoes.carrier_hz)
+    variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    return _motion_of_phase(echoes, steps.phase, variance, carrier_hz[..., None], step_noise_ratio)
 
 
 def loupas(echoes: EchoGate) -> Motion:
-    """Return the displacement as the sum of steps, each phase divided by the centre frequency of its own two echoes.
+    """Return the displacement as a sum of steps, each phase divided by the centre frequency of its two echoes.
 
     The centre frequency is that of the correlation over one sample in depth. Raises ``ValueError`` as ``coherent``.
     Source: Loupas et al. (1995), two-dimensional autocorrelation with two pulses.
     """
     spectrum, band = band_spectrum(echoes, 2)
-    turn = _sample_turn(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
-    centre_hz = np.angle(turn[..., :-1] + turn[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
+    lag_one = _depth_correlation(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
+    centre_hz = np.angle(lag_one[..., :-1] + lag_one[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
     steps = pulse_steps(spectrum, band)
     noise = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
     return motion_of_steps(echoes, np.angle(steps.product), centre_hz, *noise)
 
 
-def motion_of_phase(
-    echoes: EchoGate, phase: FloatArray, variance: FloatArray, frequency_hz: FloatArray, walk: FloatArray | None = None
+def _motion_of_phase(
+    echoes: EchoGate,
+    phase: FloatArray,
+    variance: FloatArray,
+    frequency_hz: FloatArray,
+    step_noise_ratio: FloatArray | None = None,
 ) -> Motion:
-    """Return the motion of phases (..., valid pulse) and their variance, at a frequency (..., 1) of the train."""
-    metres = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
+    """Return the motion of phases (..., valid pulse) with their variance, at a frequency (..., 1) of the train."""
+    metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
     return Motion(
         echoes.pulse_time_s,
-        scatter(phase * metres, echoes.valid),
-        scatter(variance * metres**2, echoes.valid),
+        expand_to_pulses(phase * metres_per_radian, echoes.valid),
+        expand_to_pulses(variance * metres_per_radian**2, echoes.valid),
         echoes.valid,
         np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
-        walk,
+        step_noise_ratio,
     )
 
 
 def motion_of_steps(
-    echoes: EchoGate, step: FloatArray, frequency_hz: FloatArray, pulse_variance: FloatArray, walk: FloatArray
+    echoes: EchoGate, step: FloatArray, frequency_hz: FloatArray, variance: FloatArray, step_noise_ratio: FloatArray
 ) -> Motion:
-    """Return the motion whose phase changes by ``step`` (..., valid pulse - 1), each at its own frequency."""
-    metres = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
+    """Return the motion of phase steps (..., valid pulse - 1), each divided by its own frequency.
+
+    ``variance`` (..., valid pulse): of a pulse's phase.
+    """
+    metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
     start = np.zeros((*step.shape[:-1], 1))
-    displacement_m = np.concatenate([start, np.cumsum(step * metres, axis=-1)], axis=-1)
-    scale = np.concatenate([metres[..., :1], metres], axis=-1) ** 2
+    displacement_m = np.concatenate([start, np.cumsum(step * metres_per_radian, axis=-1)], axis=-1)
+    square_metres = np.concatenate([metres_per_radian[..., :1], metres_per_radian], axis=-1) ** 2
     return Motion(
         echoes.pulse_time_s,
-        scatter(displacement_m, echoes.valid),
-        scatter(pulse_variance * scale, echoes.valid),
+        expand_to_pulses(displacement_m, echoes.valid),
+        expand_to_pulses(variance * square_metres, echoes.valid),
         echoes.valid,
         np.abs(step).max(axis=-1) / np.pi,
-        walk,
+        step_noise_ratio,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class PulseSteps:
-    """Echoes of every train from pulse to pulse, over the gate, none of them aligned.
+    """Products of consecutive echoes over the gate, before alignment.
 
-    ``product`` (..., pulse - 1) of each with the next; ``phase`` (..., pulse) against the first by adding theirs;
-    ``mean_hz`` (...) of what neighbours have in common. ``energy`` (..., pulse) and ``moment`` (...), energy times
-    frequency of all; ``whole`` (..., pulse): energy with the margins.
+    ``product`` (..., pulse - 1): of each echo with the next. ``phase`` (..., pulse): accumulated against the first
+    pulse. ``mean_hz`` (...): mean frequency of the part common to neighbours. ``energy`` (..., pulse) in the gate;
+    ``energy_with_margins`` (..., pulse). ``moment`` (...): energy times frequency, summed over pulses.
     """
 
     product: ComplexArray
@@ -173,167 +173,184 @@ class PulseSteps:
     mean_hz: FloatArray
     energy: FloatArray
     moment: FloatArray
-    whole: FloatArray
+    energy_with_margins: FloatArray
 
     @property
     def delay_s(self) -> FloatArray:
-        """By how much each echo (..., pulse) is late."""
+        """Delay of each echo (..., pulse) against the first."""
         return np.asarray(-self.phase / (2 * np.pi * self.mean_hz[..., None]))
 
 
 def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
-    """Return how echoes (..., pulse, bin) step from pulse to pulse."""
+    """Return the products of consecutive echoes (..., pulse, bin); raise ``ValueError`` if no train has an echo."""
     trains, pulses = spectrum.shape[:-2], spectrum.shape[-2]
-    # of bins and of columns in the margins: sums, and sums weighted by frequency
+    # Row 0 sums over bins, row 1 sums weighted by frequency; the margins' columns likewise.
     weights = np.stack([np.ones(band.frequency_hz.size), band.frequency_hz])
-    columns = np.vstack([band.root.T, band.root.T * band.frequency_hz])
-    cross, moment = (np.empty((*trains, pulses - 1), dtype=np.complex128) for _ in range(2))
-    power, whole = (np.empty((*trains, pulses)) for _ in range(2))
-    power_moment = np.zeros(trains)
+    margin_rows = np.vstack([band.margin_root.T, band.margin_root.T * band.frequency_hz])
+    cross, cross_moment = (np.empty((*trains, pulses - 1), dtype=np.complex128) for _ in range(2))
+    energy, energy_with_margins = (np.empty((*trains, pulses)) for _ in range(2))
+    moment = np.zeros(trains)
     by_bin = np.swapaxes(spectrum, -1, -2)
-    # a few pulses at a time, and the one before: what is made of them stays in the cache
-    for first in range(0, pulses, STEPS_AT_ONCE):
-        here = slice(first, first + STEPS_AT_ONCE)
-        echo = np.ascontiguousarray(by_bin[..., max(first - 1, 0) : here.stop], dtype=np.complex128)
-        outside, weighted = np.split(real_product(columns, echo), 2, axis=-2)
-        product = real_product(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
-        product[..., 0, :] -= _neighbours(outside, outside)
-        product[..., 1, :] -= (_neighbours(outside, weighted) + _neighbours(weighted, outside)) / 2
-        both = slice(max(first - 1, 0), here.stop - 1)
-        cross[..., both], moment[..., both] = product[..., 0, :], product[..., 1, :]
+    # Each chunk starts with the last pulse of the chunk before.
+    for first in range(0, pulses, STEP_CHUNK):
+        chunk = slice(first, first + STEP_CHUNK)
+        echo = np.ascontiguousarray(by_bin[..., max(first - 1, 0) : chunk.stop], dtype=np.complex128)
+        margin, weighted_margin = np.split(real_matmul(margin_rows, echo), 2, axis=-2)
+
+        # Products with the next pulse: over all samples, minus the part in the margins.
+        product = real_matmul(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
+        product[..., 0, :] -= _product_with_next(margin, margin)
+        product[..., 1, :] -= (
+            _product_with_next(margin, weighted_margin) + _product_with_next(weighted_margin, margin)
+        ) / 2
+        intervals = slice(max(first - 1, 0), chunk.stop - 1)
+        cross[..., intervals], cross_moment[..., intervals] = product[..., 0, :], product[..., 1, :]
+
+        # Energies of the pulses that no chunk before has counted, likewise.
         new = slice(min(first, 1), None)
         squares = weights @ np.square(echo.view(np.float64))
-        energy = (squares[..., ::2] + squares[..., 1::2])[..., new]
-        whole[..., here] = energy[..., 0, :]
-        energy[..., 0, :] -= _overlap(outside, outside)[..., new]
-        energy[..., 1, :] -= _overlap(outside, weighted)[..., new]
-        power[..., here] = energy[..., 0, :]
-        power_moment += energy[..., 1, :].sum(axis=-1)
-        if here.stop % ALIGNED_AT_ONCE == 0:
-            let_go(spectrum)
-    size = np.abs(cross)
-    cross[~alike(size, power, band.independent)] = np.nan
-    # what neighbours have in common is in phase once their step is undone
-    common = np.einsum("...i,...i->...", np.conj(cross) / np.where(size > 0, size, 1.0), moment).real
-    del moment
-    mean_hz = mean_frequency(common, np.abs(cross).sum(axis=-1), band)
+        energies = (squares[..., ::2] + squares[..., 1::2])[..., new]
+        energy_with_margins[..., chunk] = energies[..., 0, :]
+        energies[..., 0, :] -= _real_product(margin, margin)[..., new]
+        energies[..., 1, :] -= _real_product(margin, weighted_margin)[..., new]
+        energy[..., chunk] = energies[..., 0, :]
+        moment += energies[..., 1, :].sum(axis=-1)
+        if chunk.stop % ALIGNED_CHUNK == 0:
+            release_pages(spectrum)
+    magnitude = np.abs(cross)
+    cross[~are_correlated(magnitude, energy, band.independent)] = np.nan
+    # The part common to neighbours is in phase once their step is removed.
+    unit = np.conj(cross) / np.where(magnitude > 0, magnitude, 1.0)
+    common_moment = np.einsum("...i,...i->...", unit, cross_moment).real
+    del cross_moment
+    mean_hz = mean_frequency(common_moment, np.abs(cross).sum(axis=-1), band)
     phase = np.zeros((*trains, pulses))
     np.cumsum(np.angle(cross), axis=-1, out=phase[..., 1:])
-    return PulseSteps(cross, phase, mean_hz, power, power_moment, whole)
+    return PulseSteps(cross, phase, mean_hz, energy, moment, energy_with_margins)
 
 
-def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
-    """Return which trains (...) correlate from pulse to pulse by more than noise alone would, once in a thousand.
+def are_correlated(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
+    """Return which trains (...) correlate from pulse to pulse more than noise alone does once in a thousand trains.
 
-    ``cross`` (..., pulse - 1) is the magnitude of every echo's product with the next, ``energy`` (..., pulse) theirs.
-    Two echoes of noise, of M independent numbers each, correlate by rho, of which rho^2 follows a beta distribution
-    (1, M - 1); the mean over the train, every pair alike so that one spike does not count for all, is nearly normal.
-    What correlates no more has no phase to follow. Raises ``ValueError`` where no train does.
+    ``cross`` (..., pulse - 1): magnitude of each echo's product with the next; ``energy`` (..., pulse). The correlation
+    rho is averaged over the train with equal weights, so that one spike does not dominate. Raises ``ValueError`` if no
+    train correlates.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         rho = cross / np.sqrt(energy[..., :-1] * energy[..., 1:])
-    found = np.asarray(rho.mean(axis=-1) > least_alike(rho.shape[-1], independent))
-    if not found.any():
-        whose = "the echoes" if found.size == 1 else f"echoes of all {found.size} trains"
+    correlated = np.asarray(rho.mean(axis=-1) > min_correlation(rho.shape[-1], independent))
+    if not correlated.any():
+        subject = "the echoes" if correlated.size == 1 else f"echoes of all {correlated.size} trains"
         raise ValueError(
-            f"{whose} have no more in common from pulse to pulse than noise alone: noise without echo, or the wrong "
+            f"{subject} have no more in common from pulse to pulse than noise alone: noise without echo, or the wrong "
             "gate or carrier; check gate, tracking pulser and input range"
         )
-    return found
+    return correlated
 
 
-def least_alike(pairs: int, independent: float) -> float:
-    """Return the mean correlation of so many ``pairs`` of echoes that noise alone exceeds once in a thousand trains."""
-    # a gate of hardly more than one independent number cannot tell: there all is taken that is not clearly noise
-    many = max(independent, LEAST_INDEPENDENT)
-    mean = math.exp(math.lgamma(1.5) + math.lgamma(many) - math.lgamma(many + 0.5))
-    return mean + NOISE_DEVIATIONS * math.sqrt(max(1 / many - mean**2, 0.0) / pairs)
+def min_correlation(pairs: int, independent: float) -> float:
+    """Return the mean correlation of ``pairs`` of echoes that noise alone exceeds once in a thousand trains.
+
+    For two echoes of noise with M independent samples each, rho² has a beta distribution (1, M - 1), hence
+    E rho = Gamma(3/2) Gamma(M) / Gamma(M + 1/2) and E rho² = 1 / M. The mean over a train is nearly normal.
+    """
+    # Near M = 1 noise cannot be distinguished from an echo: the threshold stays that of M = 3.
+    m = max(independent, 3.0)
+    mean = math.exp(math.lgamma(1.5) + math.lgamma(m) - math.lgamma(m + 0.5))
+    return mean + NOISE_DEVIATIONS * math.sqrt(max(1 / m - mean**2, 0.0) / pairs)
 
 
-def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
-    """Return the product (..., pulse - 1) of every echo (..., column, pulse) with the next of the others."""
+def _product_with_next(before: ComplexArray, after: ComplexArray) -> ComplexArray:
+    """Return the inner product (..., pulse - 1) of ``before`` (..., column, pulse) with ``after`` one pulse later."""
     return np.asarray(np.einsum("...ij,...ij->...j", np.conj(before[..., :-1]), after[..., 1:]))
 
 
-def _overlap(one: ComplexArray, other: ComplexArray) -> FloatArray:
-    """Return the real part of the product (..., pulse) of every echo (..., column, pulse) with its other."""
+def _real_product(one: ComplexArray, other: ComplexArray) -> FloatArray:
+    """Return the real part of the inner product (..., pulse) of two arrays (..., column, pulse)."""
     return np.asarray(
         np.einsum("...ij,...ij->...j", one.real, other.real) + np.einsum("...ij,...ij->...j", one.imag, other.imag)
     )
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
-    """Aligned echoes of every train against the sum of its other echoes, over the gate.
+class Comparison:
+    """Each aligned echo against the sum of all others, over the gate.
 
-    The ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with each; ``variance`` (..., pulse) of
-    its phase; ``mean_hz`` (...) of what they have in common.
+    ``gated_sum`` (..., bin): of all echoes. ``product`` (..., pulse): of the others with each echo; ``variance``
+    (..., pulse) of its phase. ``mean_hz`` (...): mean frequency of the common part.
     """
 
-    gated: ComplexArray
+    gated_sum: ComplexArray
     product: ComplexArray
     variance: FloatArray
     mean_hz: FloatArray
 
 
-def against_others(
+def compare_with_others(
     spectrum: ComplexArray, band: Band, steps: PulseSteps, delay_s: FloatArray, energy: FloatArray | None = None
-) -> Compared:
-    """Return how echoes (..., pulse, bin) compare with their others once advanced by ``delay_s`` (..., pulse).
+) -> Comparison:
+    """Return the comparison of each echo (..., pulse, bin) with the others, advanced by ``delay_s`` (..., pulse).
 
-    ``energy`` (..., pulse), that of each echo in the gate once it is aligned, is found where not given.
+    ``energy`` (..., pulse): of each aligned echo in the gate; computed if absent.
     """
-    # echoes meet in the middle of their motion: what the gate cuts is then nearest to what all of them hold
+    # Echoes are aligned at the mean of their motion, where the gate cuts off least that they have in common.
     delay_s = delay_s - delay_s.mean(axis=-1, keepdims=True)
-    blocks = [slice(first, first + ALIGNED_AT_ONCE) for first in range(0, spectrum.shape[-2], ALIGNED_AT_ONCE)]
+    chunks = [slice(first, first + ALIGNED_CHUNK) for first in range(0, spectrum.shape[-2], ALIGNED_CHUNK)]
 
     @functools.lru_cache(maxsize=1)
-    def aligned(block: int) -> ComplexArray:
-        """Return some of the pulses; a long train is aligned twice and never as a whole."""
-        pulses = blocks[block]
-        let_go(spectrum)
-        return turned(spectrum[..., pulses, :], delay_s[..., pulses], band.frequency_hz)
+    def aligned(index: int) -> ComplexArray:
+        """Return one chunk of aligned echoes; a long train is aligned twice instead of being held."""
+        release_pages(spectrum)
+        return advanced(spectrum[..., chunks[index], :], delay_s[..., chunks[index]], band.frequency_hz)
 
-    total = np.sum([aligned(block).sum(axis=-2) for block in range(len(blocks))], axis=0)
-    gated = band.gated(total)
-    total_energy = inner(gated, total)
+    total = np.sum([aligned(index).sum(axis=-2) for index in range(len(chunks))], axis=0)
+    gated_sum = band.gated(total)
+    total_energy = real_inner_product(gated_sum, total)
     others, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
-    # of the noise in the gate, what lies along the echo turns its phase, the rest is misfit
-    along = band.noise_along(gated, total_energy)[..., None]
-    own_energy = np.zeros(spectrum.shape[:-2])
+    # Noise along the echo changes its phase; the other noise in the gate is the misfit, from which it is estimated.
+    along = band.noise_along(gated_sum, total_energy)[..., None]
+    energy_sum = np.zeros(spectrum.shape[:-2])
     product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
-    # block by block also what is made of each pulse: of a long train two arrays are held, not ten
-    for block, here in enumerate(blocks):
-        with_total = products_with(gated, aligned(block))
-        own = steps.whole[..., here] - energy_of(band.outside(aligned(block))) if energy is None else energy[..., here]
-        # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
-        product[..., here] = with_others = with_total - own
-        reference = np.maximum(total_energy[..., None] - 2 * with_total.real + own, tiny)
-        misfit = np.maximum(own - np.abs(with_others) ** 2 / reference, 0.0)
-        variance[..., here] = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
-        own_energy += own.sum(axis=-1)
-    # the moment of single echoes changes in second order only as they move about their middle
-    moment = inner(gated, total * band.frequency_hz) - steps.moment
-    mean_hz = mean_frequency(moment, total_energy - own_energy, band)
-    return Compared(gated, product, variance, mean_hz)
+    # In chunks, so that a long train needs two arrays of its length, not ten.
+    for index, chunk in enumerate(chunks):
+        with_total = inner_products(gated_sum, aligned(index))
+        if energy is None:
+            margins = band.in_margins(aligned(index))
+            echo_energy = steps.energy_with_margins[..., chunk] - real_inner_product(margins, margins)
+        else:
+            echo_energy = energy[..., chunk]
+        # A pulse's own noise in its reference would bias its phase to zero: the reference is the sum of the others.
+        product[..., chunk] = with_others = with_total - echo_energy
+        reference = np.maximum(total_energy[..., None] - 2 * with_total.real + echo_energy, tiny)
+        misfit = np.maximum(echo_energy - np.abs(with_others) ** 2 / reference, 0.0)
+        variance[..., chunk] = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
+        energy_sum += echo_energy.sum(axis=-1)
+    # Energy and moment of the common part: those of the sum minus those of single echoes. The latter's moment, before
+    # alignment, differs from that of aligned echoes in second order only.
+    moment = real_inner_product(gated_sum, total * band.frequency_hz) - steps.moment
+    mean_hz = mean_frequency(moment, total_energy - energy_sum, band)
+    return Comparison(gated_sum, product, variance, mean_hz)
 
 
-def _sample_turn(spectrum: ComplexArray, band: Band, angle: FloatArray) -> ComplexArray:
-    """Return the correlation (..., pulse) of every echo over one sample, with ``angle`` (bin,) a sample."""
-    turn = np.exp(1j * angle)
-    # half of it with the next sample and half with the one before: the gate's two ends then count alike
+def _depth_correlation(spectrum: ComplexArray, band: Band, phase_per_sample: FloatArray) -> ComplexArray:
+    """Return the correlation (..., pulse) of each echo with itself one sample deeper.
+
+    ``phase_per_sample`` (bin,), rad.
+    """
+    phasor = np.exp(1j * phase_per_sample)
+    # Half with the next sample and half with the one before, so that both ends of the gate have the same weight.
     spectrum = spectrum.astype(np.complex128, copy=False)
-    outside, next_, last = (band.outside(spectrum * each) for each in (1.0, turn, np.conj(turn)))
-    margins = np.conj(outside) * next_ + np.conj(last) * outside
-    return np.asarray((spectrum.real**2 + spectrum.imag**2) @ turn - margins.sum(axis=-1) / 2)
+    margin, next_sample, last_sample = (band.in_margins(spectrum * factor) for factor in (1.0, phasor, np.conj(phasor)))
+    margins = np.conj(margin) * next_sample + np.conj(last_sample) * margin
+    return np.asarray((spectrum.real**2 + spectrum.imag**2) @ phasor - margins.sum(axis=-1) / 2)
 
 
 def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatArray:
-    """Return the mean frequency (...) of the ``energy`` (...) that aligned echoes have in common, from its ``moment``.
+    """Return the mean frequency (...) of the part common to aligned echoes, from its ``energy`` and ``moment`` (...).
 
-    Real parts of inner products between pulses, not magnitudes: noise then averages to zero instead of pulling the mean
-    to the middle of the band. NaN for trains that have nothing in common in the band; raises ``ValueError`` where no
-    train has.
+    Both are real parts of inner products between pulses, not magnitudes: noise averages to zero instead of shifting the
+    mean to the middle of the band. NaN for trains without a common part in the band; raises ``ValueError`` if no train
+    has one.
     """
     low_hz, high_hz = band.frequency_hz[[0, -1]]
     mean_hz = moment / np.where(energy > 0, energy, 1.0)
@@ -347,16 +364,16 @@ def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatA
 
 
 def noise_of_steps(cross: FloatArray, energy: FloatArray, independent: float) -> tuple[FloatArray, FloatArray]:
-    """Return the phase variance (..., pulse) that the correlation of consecutive echoes implies, and its walk (...).
+    """Return the phase variance (..., pulse) and the step noise ratio (...) from correlations of consecutive echoes.
 
-    Two echoes that correlate by rho over M independent numbers differ in phase by (1/rho^2 - 1) / (2 M); half of that
-    is one pulse's. A pulse takes the better of its two neighbours. The walk is the variance of a step's own noise over
-    that of a pulse: noise times noise of two pulses does not return with the other sign in the next step; it is noise
-    over signal power, and rho is signal over signal plus noise.
+    Two echoes with correlation rho over M independent samples differ in phase by a variance of (1/rho² - 1) / (2 M);
+    half of it belongs to each pulse, which takes the smaller value of its two neighbours. The noise of a pulse changes
+    sign between the steps before and after it and cancels. The product of the noises of two pulses does not: relative
+    to the noise of a pulse its variance is noise over signal power, 1/rho - 1.
     """
     tiny = np.finfo(np.float64).tiny
-    both = energy[..., :-1] * energy[..., 1:]
-    step = np.maximum(np.maximum(both, tiny) / np.maximum(cross**2, tiny) - 1, 0.0) / (4 * independent)
+    energy_product = energy[..., :-1] * energy[..., 1:]
+    step = np.maximum(np.maximum(energy_product, tiny) / np.maximum(cross**2, tiny) - 1, 0.0) / (4 * independent)
     variance = np.minimum(np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1))
-    walk = np.sqrt(both).sum(axis=-1) / np.maximum(cross.sum(axis=-1), tiny) - 1
-    return np.asarray(variance), np.asarray(np.maximum(walk, 0.0))
+    step_noise_ratio = np.sqrt(energy_product).sum(axis=-1) / np.maximum(cross.sum(axis=-1), tiny) - 1
+    return np.asarray(variance), np.asarray(np.maximum(step_noise_ratio, 0.0))

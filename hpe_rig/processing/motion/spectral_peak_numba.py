@@ -1,26 +1,19 @@
-"""Cross-spectrum peak search of the paper in one loop, compiled; `spectral_peak` imports it where Numba is."""
+"""Compiled peak search of consecutive cross-spectra; imported by `spectral_peak` only if Numba is installed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
-import numba
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
+from hpe_rig.processing.compilation import compiler
 
-Loop = TypeVar("Loop", bound=Callable[..., object])
-
-# No spectrum is NaN, and sums may be taken in any order: only so are many bins worked on at a time.
-_compiled: Callable[[Loop], Loop] = numba.njit(
-    nogil=True, cache=True, error_model="numpy", fastmath={"nnan", "nsz", "contract", "reassoc"}
-)
+# Spectra hold no NaN, and sums may be reordered: the compiler can then process several bins at once.
+_compile = compiler("nnan", "nsz", "contract", "reassoc")
 
 
-@_compiled
+@_compile
 def _largest(first: FloatArray, second: FloatArray) -> int:
-    """Return the first place of the largest product."""
+    """Return the first index of the largest product."""
     largest = 0.0
     for i in range(len(first)):
         largest = max(largest, first[i] * second[i])
@@ -30,9 +23,9 @@ def _largest(first: FloatArray, second: FloatArray) -> int:
     return 0
 
 
-@_compiled
+@_compile
 def _energies(parts: FloatArray, power: FloatArray) -> float:
-    """Write the energy of every bin, and return their sum."""
+    """Write the energy of every bin into ``power``, and return their sum."""
     bins, total = len(power), 0.0
     for i in range(bins):
         power[i] = parts[i] * parts[i] + parts[bins + i] * parts[bins + i]
@@ -40,7 +33,7 @@ def _energies(parts: FloatArray, power: FloatArray) -> float:
     return total
 
 
-@_compiled
+@_compile
 def _product(before: FloatArray, after: FloatArray) -> complex:
     """Return the inner product of two spectra."""
     bins, real, imag = len(before) // 2, 0.0, 0.0
@@ -51,11 +44,11 @@ def _product(before: FloatArray, after: FloatArray) -> complex:
     return complex(real, imag)
 
 
-@_compiled
+@_compile
 def peak_steps(
     parts: FloatArray, step: FloatArray, peak: IndexArray, product: ComplexArray, energy: FloatArray
 ) -> None:
-    """Write what `spectral_peak.Steps` holds of trains (train, pulse, 2 * bin): real parts, then imaginary parts."""
+    """Write the fields of `spectral_peak.PeakSteps` for spectra (train, pulse, 2 * bin)."""
     bins = parts.shape[2] // 2
     power = np.empty((2, bins))
     for train in range(len(parts)):
@@ -70,24 +63,24 @@ def peak_steps(
             product[train, k - 1] = _product(before, after)
 
 
-@_compiled
+@_compile
 def noisy_peak_steps(
-    clean: FloatArray, which: IndexArray, level: FloatArray, noise: FloatArray, step: FloatArray, peak: IndexArray
+    clean: FloatArray, echo_index: IndexArray, level: FloatArray, noise: FloatArray, step: FloatArray, peak: IndexArray
 ) -> None:
-    """Write what `spectral_peak.noisy_peak_steps` returns; no noisy spectrum is there but those of two pulses."""
+    """Write the results of `spectral_peak.noisy_peak_steps`; only the noisy spectra of two pulses are in memory."""
     columns = clean.shape[2]
     bins = columns // 2
     parts, power = np.empty((2, columns)), np.empty((2, bins))
     for draw in range(noise.shape[0]):
-        for each in range(noise.shape[1]):
+        for realisation in range(noise.shape[1]):
             for k in range(noise.shape[2]):
-                echo, added, here = clean[draw, which[k]], noise[draw, each, k], parts[k % 2]
+                echo, echo_noise, noisy = clean[draw, echo_index[k]], noise[draw, realisation, k], parts[k % 2]
                 for i in range(columns):
-                    here[i] = echo[i] + level[draw] * added[i]
-                _energies(here, power[k % 2])
+                    noisy[i] = echo[i] + level[draw] * echo_noise[i]
+                _energies(noisy, power[k % 2])
                 if k > 0:
                     before = parts[1 - k % 2]
                     i = _largest(power[1 - k % 2], power[k % 2])
-                    a, b, c, d = before[i], before[bins + i], here[i], here[bins + i]
-                    step[draw, each, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)
-                    peak[draw, each, k - 1] = i
+                    a, b, c, d = before[i], before[bins + i], noisy[i], noisy[bins + i]
+                    step[draw, realisation, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)
+                    peak[draw, realisation, k - 1] = i

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate, noisy_peak_steps, orthonormal_rows, peak_steps
+from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate, noisy_peak_steps, orthonormal_rows
+from hpe_rig.processing.motion.spectral_peak import peak_steps
 from hpe_rig.study.kernels import Train, form_of, spectral_kernels, states
 
 TRAIN = Train(4000.0, 40, 0.0, 9e6, 1540.0, 100e6, 130, (200.0,), Options())
@@ -70,13 +71,13 @@ def test_the_compiled_peak_search_is_that_of_the_paper_s_chain() -> None:
     noise = rng.standard_normal((3, 4, TRAIN.pulses, len(kernels.basis["peak"]))) @ kernels.of_coefficients["peak"]
     which, level = rng.integers(0, TRAIN.pulses, TRAIN.pulses), np.array([0.0, 0.3, 3.0])
     spectra = clean[:, None, which] + level[:, None, None, None] * noise
-    fast, plain = peak_steps(spectra, fast=True), peak_steps(spectra, fast=False)
+    fast, plain = peak_steps(spectra, use_compiled=True), peak_steps(spectra, use_compiled=False)
     np.testing.assert_array_equal(fast.peak, plain.peak)
     np.testing.assert_allclose(fast.step, plain.step, rtol=0, atol=1e-13)
     np.testing.assert_allclose(fast.product, plain.product, rtol=0, atol=1e-13 * np.abs(plain.product).max())
     np.testing.assert_allclose(fast.energy, plain.energy, rtol=1e-13)
     for way in (True, False):
-        step, peak = noisy_peak_steps(clean, which, level, noise, fast=way)
+        step, peak = noisy_peak_steps(clean, which, level, noise, use_compiled=way)
         np.testing.assert_array_equal(peak, plain.peak)
         np.testing.assert_allclose(step, plain.step, rtol=0, atol=1e-13)
 
@@ -85,7 +86,7 @@ def test_the_compiled_peak_search_is_that_of_the_paper_s_chain() -> None:
 def test_the_compiled_peak_search_finds_weak_and_strong_echoes_alike(volts: float) -> None:
     pytest.importorskip("numba")
     spectra = _echoes(TRAIN, 3) @ spectral_kernels(TRAIN).of_volts["peak"]
-    estimated, wanted = peak_steps(volts * spectra, fast=True), peak_steps(spectra, fast=False)
+    estimated, wanted = peak_steps(volts * spectra, use_compiled=True), peak_steps(spectra, use_compiled=False)
     np.testing.assert_array_equal(estimated.peak, wanted.peak)
     np.testing.assert_allclose(estimated.step, wanted.step, rtol=0, atol=1e-13)
 

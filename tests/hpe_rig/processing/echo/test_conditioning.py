@@ -12,11 +12,11 @@ import pytest
 
 from hpe_rig import measure
 from hpe_rig.plan import select
-from hpe_rig.processing.echo import band, conditioning, echoes
-from hpe_rig.processing.echo.conditioning import _median, centred_volts, codes_to_volts, hann
+from hpe_rig.processing.echo import conditioning, gate as gate_module, spectrum
+from hpe_rig.processing.echo.conditioning import centred_volts, codes_to_volts, hann
 from hpe_rig.processing.motion import phase_shift
 from hpe_rig.processing.motion.phase_shift import coherent
-from hpe_rig.processing.shots import margin_needed, shot_echoes
+from hpe_rig.processing.shot_motion import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
 from hpe_rig.store import StoreError, reader
 
@@ -43,12 +43,6 @@ def test_missing_and_full_scale_records_move_no_other_records_offset() -> None:
     assert centred_volts(codes, 1e-4, np.zeros(5, dtype=bool))[0, 0] == np.float32(120e-4)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 100, 101])
-def test_the_median_is_that_of_numpy(count: int) -> None:
-    values = np.random.default_rng(count).standard_normal((3, count))
-    assert np.array_equal(_median(values), np.median(values, axis=-1, keepdims=True))
-
-
 @pytest.mark.parametrize("count", [2, 3, 99, 130])
 def test_hann_window_is_symmetric_with_mean_one_half(count: int) -> None:
     window = hann(count)
@@ -65,16 +59,16 @@ def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monk
     left = records.in_blocks(0, gate, margin, most_held=0, look=lambda codes: looked.append(codes.copy()))
     whole = records.gated(0, gate)
     np.testing.assert_array_equal(np.concatenate(looked), whole.codes)
-    seen, direct = (conditioning.statistics_of(whole.codes), conditioning.gate_statistics(left))
-    for name in ("lowest", "highest", "mean", "square"):
+    seen, direct = (conditioning.code_statistics(whole.codes), conditioning.gate_statistics(left))
+    for name in ("lowest", "highest", "mean", "mean_square"):
         np.testing.assert_allclose(getattr(seen, name), getattr(direct, name), rtol=1e-6)
     assert not hasattr(left, "codes")
     chosen = select(run.scene, shot)
     expected = coherent(shot_echoes(run.scene, shot, held, chosen))
-    for module in (conditioning, echoes):
+    for module in (conditioning, gate_module):
         monkeypatch.setattr(module, "BLOCK_SAMPLES", 7 * held.shape[1])
-    monkeypatch.setattr(phase_shift, "STEPS_AT_ONCE", 5)
-    monkeypatch.setattr(phase_shift, "ALIGNED_AT_ONCE", 6)
+    monkeypatch.setattr(phase_shift, "STEP_CHUNK", 5)
+    monkeypatch.setattr(phase_shift, "ALIGNED_CHUNK", 6)
     found = shot_echoes(run.scene, shot, left, chosen)
     assert len(list(found.blocks(found.gate))) == -(-found.valid.size // 7)
     np.testing.assert_allclose(found.energy, shot_echoes(run.scene, shot, held, chosen).energy, rtol=1e-5)
@@ -83,7 +77,7 @@ def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monk
     # single precision of the spectra: 6e-8 of an echo's phase
     np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
     np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
-    assert band.band_spectrum(found, 2)[0].dtype == np.complex64
+    assert spectrum.band_spectrum(found, 2)[0].dtype == np.complex64
 
 
 def test_codes_of_a_long_shot_are_the_same_from_the_copy_and_from_the_run_file(
@@ -124,16 +118,16 @@ def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
     # some pulses that do not count, in every block of volts
     found = found.without(np.arange(found.valid.size) % 7 == 3)
     at_once = coherent(found)
-    for module in (conditioning, echoes):
+    for module in (conditioning, gate_module):
         monkeypatch.setattr(module, "BLOCK_SAMPLES", 50 * records.shape[1])
     expected = coherent(found)
     # volts and products are of single precision: how many pulses are multiplied at once decides their rounding
     rounding = np.sqrt(records.shape[1]) * np.finfo(np.float32).eps
     one_radian_m = run.scene.acquisition.sound_speed_m_per_s / (4 * np.pi * found.carrier_hz)
     np.testing.assert_allclose(expected.displacement_m, at_once.displacement_m, rtol=0, atol=rounding * one_radian_m)
-    monkeypatch.setattr(phase_shift, "ALIGNED_AT_ONCE", 64)
-    monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
-    assert isinstance(band.band_spectrum(found, 2)[0], np.memmap)
+    monkeypatch.setattr(phase_shift, "ALIGNED_CHUNK", 64)
+    monkeypatch.setattr(spectrum, "MAX_MEMORY_BYTES", 0)
+    assert isinstance(spectrum.band_spectrum(found, 2)[0], np.memmap)
     in_file = coherent(found)
     np.testing.assert_allclose(in_file.displacement_m, expected.displacement_m, rtol=0, atol=1e-15)
     np.testing.assert_allclose(in_file.variance_m2, expected.variance_m2, rtol=1e-9)
@@ -142,8 +136,8 @@ def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file on which there is never room")
 def test_a_full_temporary_disk_costs_memory_and_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
+    monkeypatch.setattr(spectrum, "MAX_MEMORY_BYTES", 0)
     monkeypatch.setattr(tempfile, "TemporaryFile", partial(Path("/dev/full").open, "r+b", buffering=0))
-    made = band.spectra((3, 5), np.dtype(np.complex64))
+    made = spectrum.spectrum_buffer((3, 5), np.dtype(np.complex64))
     assert type(made) is np.ndarray
     assert made.shape == (3, 5)

@@ -16,11 +16,11 @@ from hpe_rig.processing import (
     Estimator,
     coherent,
     estimate,
-    gate_edge_relative,
-    kasai,
+    gate_edge_uncertainty,
     least_squares,
 )
-from hpe_rig.processing.motion.phase_shift import alike
+from hpe_rig.processing.echo.spectrum import band_spectrum
+from hpe_rig.processing.motion.phase_shift import are_correlated, kasai, pulse_steps
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -91,7 +91,7 @@ def test_a_rigid_motion_loses_nothing_at_the_edges_over_1000_draws(
 def test_the_stated_edge_error_is_what_a_rigid_motion_shows(wide: TableOne, margin: int, estimator: Estimator) -> None:
     table = replace(_one_cycle(wide, 130), margin=margin)
     found = np.sqrt(np.mean(_errors(table, 40, estimator) ** 2))
-    stated = gate_edge_relative(table.gate(np.zeros((20, 130 + 2 * margin))))
+    stated = gate_edge_uncertainty(table.gate(np.zeros((20, 130 + 2 * margin))))
     assert stated / 4 < found < 1.5 * stated
 
 
@@ -107,9 +107,9 @@ def test_a_rigid_motion_at_60_db_is_within_its_uncertainty(wide: TableOne) -> No
 
 def test_kasai_divided_by_the_centre_loses_nothing_either(wide: TableOne) -> None:
     table = _one_cycle(wide, 130)
-    errors = (
-        least_squares(kasai(table.gate(_draws(table, 40)), divide_by="centre"), [200.0]).amplitude_m[:, 0] / 1e-6 - 1
-    )
+    echoes = table.gate(_draws(table, 40))
+    mean_hz = pulse_steps(*band_spectrum(echoes, 2)).mean_hz
+    errors = least_squares(kasai(echoes), [200.0]).amplitude_m[:, 0] * echoes.carrier_hz / mean_hz / 1e-6 - 1
     assert np.sqrt(np.mean(errors**2)) < 2e-4
 
 
@@ -152,7 +152,7 @@ def test_trains_of_noise_pass_for_echoes_once_in_a_thousand(pulses: int, indepen
         cross = np.abs(np.einsum("...i,...i->...", np.conj(echo[:, :-1]), echo[:, 1:]))
         energy = np.einsum("...i,...i->...", echo, np.conj(echo)).real
         try:
-            passed += int(alike(cross, energy, independent).sum())
+            passed += int(are_correlated(cross, energy, independent).sum())
         except ValueError:
             continue
     # the mean of few pairs is not yet normal: up to three in a thousand, and three deviations of the trials

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 import hpe_rig as hpe
-from hpe_rig.processing import MapSettings, map_pixels, motion_map
+from hpe_rig.processing import MapSettings, map_pixels
+from hpe_rig.processing.maps import kernels, motion_map
 from hpe_rig.result import BadPixel
 from hpe_rig.scene import SettingsError
 
@@ -113,9 +115,9 @@ def frame() -> NDArray[Any]:
 def test_the_compiled_passes_differ_from_numpy_by_rounding_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
     settings = MapSettings(RATE_HZ / 4, CARRIER_HZ, 1, SPEED)
-    monkeypatch.setattr(motion_map, "COMPILED_WORTH", 0)
+    monkeypatch.setattr(motion_map, "COMPILED_SAMPLES", 0)
     compiled = map_pixels(frame(), TIME_S, [200.0, 400.0], settings)
-    monkeypatch.setattr(motion_map, "COMPILED_WORTH", np.inf)
+    monkeypatch.setattr(motion_map, "COMPILED_SAMPLES", np.inf)
     monkeypatch.delitem(sys.modules, "numba")
     plain = map_pixels(frame(), TIME_S, [200.0, 400.0], settings)
     assert (compiled.bad == plain.bad).all()
@@ -137,7 +139,7 @@ def test_phases_are_those_of_double_precision(compiled: bool, scale: float) -> N
     echo = np.ascontiguousarray(frame()[:2].transpose(0, 2, 1)) * np.float32(scale)
     exact = np.unwrap(np.angle(echo.astype(complex)), axis=-1)
     exact -= exact[..., :1]
-    found = motion_map._choice(compiled, "followed")(echo)
+    found = (importlib.import_module("hpe_rig.processing.maps.kernels_numba") if compiled else kernels).unwrapped(echo)
     sound = np.abs(np.diff(exact, axis=-1)).max(axis=-1) < 3
     # Two roundings of up to 2 turns, 6e-8 of 12.6 each, and those of the product and the arctangent.
     assert np.abs(found - exact)[sound].max() < 3e-6
@@ -184,7 +186,7 @@ def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
     ("settings", "said"),
     [
         ({"carrier_hz": 30e6}, "carrier"),
-        ({"axes": "shot,pulse,sample"}, "a map is of one shot"),
+        ({"axes": "shot,pulse,sample"}, "a map needs one shot"),
         ({"lines": "9"}, "3 lines"),
     ],
 )

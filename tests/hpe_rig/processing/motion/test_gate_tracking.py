@@ -8,7 +8,8 @@ import pytest
 import hpe_rig as hpe
 from hpe_rig.bench import read_bench
 from hpe_rig.plan import check_plan, make_plan
-from hpe_rig.processing import EchoGate, follow
+from hpe_rig.processing import EchoGate
+from hpe_rig.processing.motion.gate_tracking import track_gate
 from hpe_rig.scene import Scene, SettingsError, load_scene
 
 HEART = {"frequency_hz": 1.2, "amplitude_m": 5e-3, "harmonics": [0.3, 0.15]}
@@ -52,7 +53,7 @@ def test_what_is_farther_away_is_sensed_later() -> None:
     delay_s = 2e-8 * np.arange(-512, 512)[None] / 2 - 2 * moved_m[:, None] / 1540.0
     volts = np.exp(-((delay_s / 0.3e-6) ** 2)) * np.cos(2 * np.pi * 9e6 * delay_s)
     echoes = EchoGate(volts, 100e6, time_s, 9e6, 1540.0, np.ones(200, dtype=bool))
-    cut, cuts = follow(echoes, slice(447, 577))
+    cut, cuts = track_gate(echoes, slice(447, 577))
     # The echo is of one frequency but for its envelope: the mean frequency is right to 1e-3.
     assert np.abs(cuts.displacement_m - moved_m).max() < 2e-3 * 1e-3
     assert np.abs(cut.pulse_time_s - time_s - cuts.displacement_m / 1540.0).max() < 1e-15

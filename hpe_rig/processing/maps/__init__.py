@@ -1,0 +1,5 @@
+"""Motion of many lines and depths at once, one pixel per gate.
+
+motion_map.py      samples, or I and Q -> amplitude, phase and velocity of every pixel
+kernels.py         phases, residuals and estimates of pixels; kernels_numba.py is the compiled form
+"""

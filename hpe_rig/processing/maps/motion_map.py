@@ -1,0 +1,342 @@
+"""Motion of many lines and depths at once: per pixel amplitude, phase and velocity, from I and Q or from samples.
+
+    z_k: baseband of pulse k in a gate,   p_k = sum over the gate of conj(z_k) z_k+1          Kasai's step
+    D_k = -c / (4 pi f) (arg p_0 + ... + arg p_k-1),   f: mean frequency of the gate's energy
+    D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + v t + constant                                 least squares
+
+With one sample per gate the steps add up to the phase of that sample, and the noise is white. With several samples
+the phase is measured again against the mean of all aligned echoes. The uncertainty of a pixel combines its residual
+with the uncertainties of f, which grows where speckle interferes destructively, and of the sound speed c.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.arrays import BoolArray, ByteArray, ComplexSingleArray, FloatArray, SingleArray
+from hpe_rig.processing.compilation import use_numba
+from hpe_rig.processing.echo.band import BAND
+from hpe_rig.processing.harmonics.model import LinearModel, linear_model
+from hpe_rig.processing.maps import kernels
+from hpe_rig.result import BadPixel, MotionMap
+
+RESULTS: Final = (
+    "amplitude_m",
+    "amplitude_uncertainty_m",
+    "phase_rad",
+    "phase_uncertainty_rad",
+    "velocity_m_per_s",
+    "velocity_uncertainty_m_per_s",
+    "residual_m",
+    "power",
+)
+"""Results of every pixel; the first four have a value for every frequency."""
+BATCH_BYTES: Final = 6_400_000
+"""Baseband per batch of lines: large enough that threads hardly wait for the interpreter lock."""
+COMPILED_SAMPLES: Final = 150_000_000
+"""Samples from which the compiled kernels save more time than Numba takes to load."""
+SERIAL_PRODUCTS: Final = 200_000
+"""Products in one matrix multiplication; OpenBLAS starts its own threads from 262 144."""
+MIN_POWER: Final = 1e-41
+"""Power of a pixel, in units of the samples squared, that single precision (steps of 1e-45) resolves to 1e-4."""
+MAX_RESIDUAL_RAD: Final = 0.5
+"""Root-mean-square residual phase above which a pixel is noise, or moves more than its steps can follow."""
+STRIDE: Final = 12
+"""Every so many pulses contribute to the echo frequency, which is nearly the same in all."""
+BAND_FADE: Final = 0.2
+"""Fraction of the band tapered at each end, so that the impulse response of the filter decays within few periods."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapSettings:
+    """Rates and carrier of the records, Hz; a pixel has ``gate_samples`` of the input.
+
+    ``demodulation_hz``: mixing frequency of I and Q, None for real samples.
+    """
+
+    sample_rate_hz: float
+    carrier_hz: float
+    gate_samples: int
+    sound_speed_m_per_s: float = 1540.0
+    sound_speed_uncertainty: float = 0.005
+    first_sample_s: float = 0.0
+    demodulation_hz: float | None = None
+
+
+def map_pixels(
+    samples: NDArray[Any],
+    time_s: FloatArray,
+    frequencies_hz: Sequence[float],
+    settings: MapSettings,
+    line_position_m: FloatArray | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> MotionMap:
+    """Return the motion in every gate of every line.
+
+    ``samples`` (line, pulse, sample): real, or complex for I and Q. ``time_s`` (pulse,). Gates are contiguous from the
+    first sample on. ``progress`` is called with the numbers of finished and of all lines. A pixel without an estimate
+    is NaN and marked as bad. Raises ``ValueError`` if the settings or the pulses do not allow a map.
+    """
+    lines, pulses, count = samples.shape
+    frequency_hz = np.asarray(frequencies_hz, float)
+    is_iq = np.iscomplexobj(samples)
+    gates = count // settings.gate_samples
+    _refuse(settings, gates, is_iq)
+    decimation = 1 if is_iq else _decimation(settings)
+    pixels = _Pixels(
+        settings,
+        linear_model(time_s, np.ones(pulses, bool), frequency_hz, background_order=1),
+        time_s,
+        decimation,
+        mixing_hz=settings.demodulation_hz or settings.carrier_hz if is_iq else settings.carrier_hz,
+        kernels=_kernels(samples.size),
+    )
+    per_frequency, per_pixel = (lines, gates, frequency_hz.size), (lines, gates)
+    results = [np.empty(shape, np.float32) for shape in (per_frequency,) * 4 + (per_pixel,) * 4]
+    bad = np.zeros(per_pixel, np.uint8)
+    batch_lines = max(1, BATCH_BYTES // max(1, 8 * pulses * count // decimation))
+    batches = [slice(first, min(first + batch_lines, lines)) for first in range(0, lines, batch_lines)]
+
+    def estimate(batch: slice) -> int:
+        """Write the results of some lines; return how many."""
+        batch_results, bad[batch] = pixels.estimate(samples[batch], gates)
+        for whole, part in zip(results, batch_results, strict=True):
+            whole[batch] = part
+        return int(batch.stop - batch.start)
+
+    done = 0
+    with ThreadPoolExecutor(max_workers=_workers()) as pool:
+        for finished in pool.map(estimate, batches):
+            done += finished
+            if progress is not None:
+                progress(done, lines)
+    middle_s = settings.first_sample_s + (np.arange(gates) + 0.5) * settings.gate_samples / settings.sample_rate_hz
+    return MotionMap(
+        frequency_hz=frequency_hz,
+        line_m=np.arange(lines, dtype=float) if line_position_m is None else line_position_m,
+        depth_m=middle_s * settings.sound_speed_m_per_s / 2,
+        bad=bad,
+        lines_are_placed=line_position_m is not None,
+        **dict[str, Any](zip(RESULTS, results, strict=True)),
+    )
+
+
+def _workers() -> int:
+    """Return the number of cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def _kernels(samples: int) -> ModuleType:
+    """Return the module of kernels for so many samples: compiled, or NumPy's."""
+    if not use_numba(samples, COMPILED_SAMPLES):
+        return kernels
+    from hpe_rig.processing.maps import kernels_numba
+
+    return kernels_numba
+
+
+def _refuse(settings: MapSettings, gates: int, is_iq: bool) -> None:
+    """Raise ``ValueError`` for a gate longer than a record, or settings with which samples carry no phase."""
+    if gates < 1:
+        raise ValueError(f"a gate of {settings.gate_samples} samples is longer than a record: a shorter gate")
+    if is_iq:
+        return
+    if settings.carrier_hz >= settings.sample_rate_hz / 2:
+        raise ValueError(
+            f"a carrier of {settings.carrier_hz:g} Hz does not lie below half the sampling rate of "
+            f"{settings.sample_rate_hz:g} Hz: one of them is wrong"
+        )
+    periods = settings.gate_samples / settings.sample_rate_hz * settings.carrier_hz
+    if periods < 1:
+        raise ValueError(f"a gate of {periods:.2g} carrier periods holds no phase: a longer gate")
+
+
+def _decimation(settings: MapSettings) -> int:
+    """Return the largest divisor of the gate's samples by which the baseband can be decimated without aliasing."""
+    limit = settings.sample_rate_hz / ((BAND[1] - BAND[0]) * settings.carrier_hz)
+    factors = (factor for factor in range(1, settings.gate_samples + 1) if settings.gate_samples % factor == 0)
+    return max((factor for factor in factors if factor <= limit), default=1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pixels:
+    """Estimation of the pixels of some lines; everything here is shared by all batches."""
+
+    settings: MapSettings
+    model: LinearModel
+    time_s: FloatArray
+    decimation: int
+    mixing_hz: float
+    kernels: ModuleType
+
+    def estimate(self, samples: NDArray[Any], gates: int) -> tuple[list[SingleArray], ByteArray]:
+        """Return `RESULTS` of some lines (line, pulse, sample), each (line, gate, ...), and the marks of bad pixels."""
+        length = self.settings.gate_samples // self.decimation
+        not_finite = None
+        if samples.dtype.kind != "i" and not _all_finite(samples):
+            finite = np.isfinite(samples)
+            in_gates = finite[..., : gates * self.settings.gate_samples]
+            not_finite = ~in_gates.reshape(*in_gates.shape[:2], gates, -1).all(axis=(1, 3))
+            samples = np.where(finite, samples, 0)
+        baseband = self._baseband(samples, gates * length)
+        # Pulses become the last axis, contiguous in memory, since all later operations run along them.
+        z = np.ascontiguousarray(baseband.transpose(0, 2, 1)).reshape(samples.shape[0], gates, length, -1)
+        phase, power = self._phases(z)
+        return self._fit(phase, power, np.float32(self.mixing_hz) + self._frequency_offset_hz(z, power), not_finite)
+
+    def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingleArray:
+        """Return ``count`` samples of the decimated baseband (line, pulse, sample)."""
+        if np.iscomplexobj(samples):
+            return np.asarray(samples[..., :count], np.complex64)
+        from scipy.fft import ifft, rfft
+
+        length = samples.shape[-1] - samples.shape[-1] % self.decimation
+        spectrum = rfft(np.asarray(samples[..., :length], np.float32), axis=-1)
+        bins = length // self.decimation
+        carrier = round(self.settings.carrier_hz * length / self.settings.sample_rate_hz)
+        half = min(round((BAND[1] - 1) * carrier), (bins - 1) // 2)
+        # Window over the bins carrier - half to carrier + half.
+        window = np.ones(2 * half + 1, np.float32)
+        fade = max(1, round(BAND_FADE * half))
+        ramp = np.sin(np.pi / 2 * (np.arange(fade) + 0.5) / fade).astype(np.float32) ** 2
+        window[:fade], window[-fade:] = ramp, ramp[::-1]
+        low, high = max(carrier - half, 0), min(carrier + half, spectrum.shape[-1] - 1)
+        in_band = window[low - carrier + half : high - carrier + half + 1] * (2 / self.decimation)
+        part = spectrum[..., low : high + 1] * in_band
+        # The carrier moves to bin 0 of the decimated spectrum.
+        shifted = np.zeros((*samples.shape[:-1], bins), np.complex64)
+        below = carrier - low
+        shifted[..., : part.shape[-1] - below] = part[..., below:]
+        if below:
+            shifted[..., -below:] = part[..., :below]
+        return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
+
+    def _phases(self, z: ComplexSingleArray) -> tuple[SingleArray, SingleArray]:
+        """Return the unwrapped phase of every pulse (line, gate, pulse) and the power (line, gate).
+
+        ``z`` (line, gate, sample, pulse).
+        """
+        subset = np.ascontiguousarray(z[..., ::STRIDE])
+        parts = subset.view(np.float32)
+        power = np.einsum("lgsp,lgsp->lg", parts, parts) / np.float32(subset.shape[2] * subset.shape[3])
+        if z.shape[2] == 1:
+            return self.kernels.unwrapped(z[:, :, 0]), power
+        product = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
+        for sample in range(z.shape[2]):
+            product += z[:, :, sample, :-1].conj() * z[:, :, sample, 1:]
+        accumulated = np.zeros((*z.shape[:2], z.shape[-1]), np.float32)
+        np.cumsum(np.angle(product), axis=-1, out=accumulated[..., 1:])
+        phasor = np.empty(accumulated.shape, np.complex64)
+        np.cos(accumulated, out=phasor.real)
+        np.sin(accumulated, out=phasor.imag)
+        # Sum of all aligned echoes, and its product with each aligned echo.
+        total = (z @ phasor.conj()[..., None])[..., 0]
+        with_others = (total.conj()[:, :, None] @ z)[:, :, 0] * phasor.conj()
+        # A pulse's own noise in the sum would bias its phase to zero: its energy is subtracted.
+        with_others -= (z.real**2 + z.imag**2).sum(axis=2)
+        return np.asarray(accumulated + np.angle(with_others), np.float32), power
+
+    def _frequency_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> SingleArray:
+        """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
+
+        Im sum conj(z) dz/dt / (2 pi sum |z|²) over the gate and every ``STRIDE``-th pulse, with the derivative taken
+        along the whole line. ``power`` as from `_phases`.
+        """
+        from scipy.fft import fft, ifft
+
+        lines, gates, length, _ = z.shape
+        echo = np.ascontiguousarray(z[..., ::STRIDE].transpose(0, 3, 1, 2)).reshape(lines, -1, gates * length)
+        frequency_hz = np.fft.fftfreq(gates * length, self.decimation / self.settings.sample_rate_hz).astype(np.float32)
+        spectrum = fft(echo, axis=-1)
+        spectrum *= frequency_hz
+        derivative = ifft(spectrum, axis=-1, overwrite_x=True)
+        shape = (lines, -1, gates, length)
+        echo, derivative = echo.reshape(shape), derivative.reshape(shape)
+        pairs = ((echo.real, derivative.real), (echo.imag, derivative.imag))
+        moment = np.asarray(sum(np.einsum("lpgs,lpgs->lg", one, other) for one, other in pairs))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
+
+    def _fit(
+        self, phase: SingleArray, power: SingleArray, frequency_hz: SingleArray, not_finite: BoolArray | None
+    ) -> tuple[list[SingleArray], ByteArray]:
+        """Return `RESULTS` from the phases (line, gate, pulse) by least squares, and the marks of bad pixels."""
+        shape, (pulses, states) = phase.shape[:-1], self.model.matrix.shape
+        columns = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
+        solver = (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
+        data, power = phase.reshape(-1, pulses), power.reshape(-1)
+        state = _serial_matmul(data, solver)
+        residual = self.kernels.squared_distance(_serial_matmul(state, columns), data)
+        variance = residual / np.float32(pulses - states)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
+            # Relative variance of that factor: echo frequency and sound speed.
+            relative = variance * self._frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
+        noise_m2 = variance * metres_per_radian**2
+        results = [*self._estimates(state, noise_m2, metres_per_radian, relative), np.sqrt(noise_m2), power]
+        bad = np.zeros(len(data), np.uint8)
+        bad[~(variance < MAX_RESIDUAL_RAD**2) | ~(metres_per_radian < 0)] = BadPixel.NOISE
+        bad[~(power >= MIN_POWER)] = BadPixel.NO_ECHO
+        if not_finite is not None:
+            bad[not_finite.reshape(-1)] = BadPixel.NOT_FINITE
+        if bad.any():
+            for values in results[:-1]:
+                values[bad > 0] = np.nan
+        return [values.reshape(*shape, *values.shape[1:]) for values in results], bad.reshape(shape)
+
+    @property
+    def _frequency_noise(self) -> np.float32:
+        """Relative variance of the echo frequency over the phase variance of a pulse."""
+        phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
+        return np.float32(2 * STRIDE / self.time_s.size / phase_per_sample**2)
+
+    def _estimates(
+        self, state: SingleArray, noise_m2: SingleArray, metres_per_radian: SingleArray, relative: SingleArray
+    ) -> list[SingleArray]:
+        """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each with u, from ``state`` in rad."""
+        covariance = (self.model.root @ self.model.root.T).astype(np.float32)
+        # The states are in-phase and quadrature of each frequency, constant and slope.
+        slope = covariance.shape[0] - 1
+        in_phase = np.arange(0, slope - 1, 2)
+        variances = covariance[in_phase, in_phase], covariance[in_phase + 1, in_phase + 1]
+        mean, half_difference = (variances[0] + variances[1]) / 2, (variances[0] - variances[1]) / 2
+        quadratures = np.stack([mean, half_difference, covariance[in_phase, in_phase + 1]])
+        results = tuple(np.empty((len(state), in_phase.size), np.float32) for _ in range(4))
+        self.kernels.estimates(state, noise_m2, metres_per_radian, relative, quadratures, results)
+        # The column of the slope runs from -1 to 1 over the train.
+        per_second = np.float32(2 / (self.time_s[-1] - self.time_s[0]))
+        velocity = state[:, slope] * metres_per_radian * per_second
+        slope_variance = covariance[slope, slope] * per_second**2
+        velocity_u = np.sqrt(noise_m2 * slope_variance + relative * velocity**2)
+        return [*results, velocity, velocity_u]
+
+
+def _serial_matmul(left: SingleArray, right: SingleArray) -> SingleArray:
+    """Return ``left @ right`` in blocks of rows so small that BLAS starts no threads.
+
+    Otherwise each thread of the pool would start as many BLAS threads, all on the same cores.
+    """
+    rows = max(1, SERIAL_PRODUCTS // right.size)
+    whole = len(left) // rows * rows
+    product = np.empty((len(left), right.shape[1]), np.float32)
+    blocks = left[:whole].reshape(-1, rows, left.shape[1])
+    np.matmul(blocks, right, out=product[:whole].reshape(-1, rows, right.shape[1]))
+    np.matmul(left[whole:], right, out=product[whole:])
+    return product
+
+
+def _all_finite(samples: NDArray[Any]) -> bool:
+    """Return whether all samples are finite, from their sum of squares; False also if that overflows."""
+    memory_order = np.argsort(samples.strides)[::-1]
+    flat = samples.transpose(memory_order).reshape(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.vdot(flat, flat)))
