@@ -119,10 +119,10 @@ class TwinDeclaration:
     @property
     def foreign_medium(self) -> str | None:
         """Material law of another package that the specimen has; None for a law of the twin."""
-        from sim_backend.settings import OWN_MEDIA
+        from sim_backend.settings import BUILT_IN_MEDIA
 
         medium = None if self.settings.specimen is None else self.settings.specimen.medium
-        return None if medium in OWN_MEDIA else medium
+        return None if medium in BUILT_IN_MEDIA else medium
 
     @property
     def prescribed(self) -> tuple[tuple[float, float], ...]:

@@ -29,7 +29,7 @@ from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.inverse_laplace import AXIS_CONTOUR, Panels, panels_of
 from sim_backend.motion.sphere import SPHERE_CONTOUR, SPHERE_DEGREES, sphere_force_volume_m3, sphere_response
-from sim_backend.settings import OWN_MEDIA, Specimen, creeps, modulus_of
+from sim_backend.settings import BUILT_IN_MEDIA, Specimen, creeps, modulus_of
 from sim_backend.wiring import PS_PER_S
 
 Triple = tuple[float, float, float]
@@ -71,7 +71,7 @@ def _maxwell_modulus(modulus_pa: float, viscosity_pa_s: float, s_per_s: ComplexA
 
 def creeps_for_ever(specimen: Specimen) -> bool:
     """Return whether a constant force moves the medium without end, so that it has no static displacement."""
-    if specimen.medium not in OWN_MEDIA:
+    if specimen.medium not in BUILT_IN_MEDIA:
         return creeps(specimen.medium)
     return specimen.medium == "maxwell" or (specimen.medium == "power_law" and specimen.power > 0)
 

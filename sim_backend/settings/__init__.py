@@ -1,8 +1,9 @@
-"""Settings of the twin: what ``[simulation]`` may say, and the specimens and receive chains it may name.
+"""Settings of the twin: the section ``[simulation]`` of a scene.
 
-simulation.py (the tables), quantities.py (types of their numbers, with bounds),
-presets.py (specimens and chains by name, with the source of every value), installed_media.py (media of other
-packages, by entry points).
+quantities        types of the numbers, with bounds
+presets           specimens and receive chains by name, with the source of every value
+installed_media   media of other packages, by entry points
+simulation        the tables
 """
 
 import lazy_loader

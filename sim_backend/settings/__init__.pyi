@@ -1,4 +1,4 @@
-from .installed_media import OWN_MEDIA as OWN_MEDIA, creeps as creeps, modulus_of as modulus_of
+from .installed_media import BUILT_IN_MEDIA as BUILT_IN_MEDIA, creeps as creeps, modulus_of as modulus_of
 from .simulation import (
     BackgroundMotion as BackgroundMotion,
     BandFilter as BandFilter,

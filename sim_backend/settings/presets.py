@@ -1,4 +1,4 @@
-"""Specimens and receive chains by name: what each sets where the scene is silent, with the source of every value."""
+"""Specimens and receive chains by name: settings that the scene omits, with the source of every value."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ Preset = Literal["gelatin_8", "gelatin_12", "gelatin_15", "bovine_muscle"]
 
 def _gelatin(shear_modulus_pa: float) -> dict[str, Any]:
     return {
-        # Paper, Sec. IV.B, by its stainless steel sphere; a Voigt medium is what that method fits.
+        # Paper, Sec. IV.B, by its stainless steel sphere, a method that fits a Voigt medium.
         "medium": "voigt",
         "shear_modulus_pa": shear_modulus_pa,
         "shear_viscosity_pa_s": 1.0,
         "density_kg_per_m3": 1000.0,  # assumed
-        # Assumed; the paper says only that graphite, not gelatin, makes the attenuation.
+        # Assumed; the paper states only that the graphite, not the gelatin, attenuates.
         "attenuation_db_per_cm_mhz": 0.5,
-        "depth_m": 12.5e-3,  # assumed, as of the muscle: the paper does not say how deep its gelatins were measured
+        "depth_m": 12.5e-3,  # assumed, as for the muscle: the paper does not state the depth in its gelatins
     }
 
 
@@ -55,34 +55,35 @@ CHAIN_PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 
 
-def filled(given: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return settings with what their ``preset`` names filled in; anything that is no table unchanged."""
-    if not isinstance(given, Mapping):
-        return given
-    return {**presets.get(str(given.get("preset")), {}), **given}
+def with_preset(settings: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Return ``settings`` with missing values from their ``preset``; anything but a table unchanged."""
+    if not isinstance(settings, Mapping):
+        return settings
+    return {**presets.get(str(settings.get("preset")), {}), **settings}
 
 
-def with_depth_as_stated(given: Any) -> Any:
-    """Return the twin's settings with ``specimen.depth_m`` of a preset only where they do not say otherwise themselves.
+def with_preset_depth(settings: Any) -> Any:
+    """Return the twin's settings with the preset's ``specimen.depth_m`` adapted to other settings.
 
-    Another depth of ``propagation`` counts, and an attenuation of ``scatterers`` stands in place of the specimen's; a
-    way to the focus that is shorter lies all in the specimen. Whatever has another form is returned unchanged.
+    An attenuation of ``scatterers`` replaces the specimen's, so the depth is omitted. A depth in ``propagation``
+    overrides the preset's. A focus nearer than the preset's depth lies in the specimen entirely. Settings of another
+    form are returned unchanged.
     """
-    sections = given if isinstance(given, Mapping) else {}
+    sections = settings if isinstance(settings, Mapping) else {}
     specimen, scatterers, propagation, beams = (
         section if isinstance(section := sections.get(name), Mapping) else {}
         for name in ("specimen", "scatterers", "propagation", "beams")
     )
     depth_m = PRESETS.get(str(specimen.get("preset")), {}).get("depth_m")
     if depth_m is None or "depth_m" in specimen:
-        return given
-    way_m = beams.get("tracking_focus_depth_m", beams.get("focus_depth_m"))
+        return settings
+    focus_m = beams.get("tracking_focus_depth_m", beams.get("focus_depth_m"))
     if scatterers.get("attenuation_db_per_cm_mhz"):
         depth_m = None
     elif "specimen_depth_m" in propagation:
         depth_m = propagation["specimen_depth_m"]
-    elif isinstance(way_m, float) and 0 < way_m < depth_m:
-        depth_m = way_m
+    elif isinstance(focus_m, float) and 0 < focus_m < depth_m:
+        depth_m = focus_m
     else:
-        return given
-    return {**given, "specimen": {**specimen, "depth_m": depth_m}}
+        return settings
+    return {**settings, "specimen": {**specimen, "depth_m": depth_m}}

@@ -1,7 +1,7 @@
 """Settings of the twin, the ``[simulation]`` section of a scene: medium, scatterers, receiver, instruments.
 
-Provenance of every default is in its description: *paper* (Table I or Sec. III of the source paper), *manual*
-(docs/theory/instruments.md), *assumed* (no source; set it in the scene where it matters).
+Each description states the source of the default: *paper* (Table I or Sec. III of the source paper), *manual*
+(docs/explanation/instruments.md), *assumed* (no source; set it in the scene if it matters).
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from sim_backend.settings.installed_media import OWN_MEDIA, known_medium, refuse_parameters
-from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled, with_depth_as_stated
+from sim_backend.settings.installed_media import BUILT_IN_MEDIA, check_parameters, known_medium
+from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, with_preset, with_preset_depth
 from sim_backend.settings.quantities import (
     AmplitudeM,
     AttenuationDbPerCmMHz,
@@ -22,7 +22,7 @@ from sim_backend.settings.quantities import (
     JitterS,
     LengthM,
     ModulusPa,
-    PartOfVoltageV,
+    NonNegativeVoltageV,
     PhaseRad,
     PositionM,
     RatioDb,
@@ -38,39 +38,39 @@ from sim_backend.settings.quantities import (
 Widths = tuple[LengthM, LengthM, LengthM]
 
 
-def _as_pairs(given: Any) -> Any:
-    return tuple(given.items()) if isinstance(given, dict) else given
+def _as_pairs(table: Any) -> Any:
+    return tuple(table.items()) if isinstance(table, dict) else table
 
 
 MediumParameters = Annotated[
     tuple[tuple[str, Annotated[float, Field(strict=True)]], ...],
     BeforeValidator(_as_pairs, json_schema_input_type=dict[str, float]),
 ]
-"""A table of numbers by name, kept as pairs since settings are compared and remembered by their values."""
+"""A table of numbers by name, stored as pairs so that settings are hashable."""
 
 
-MOST_SCATTERERS = 10_000_000
-"""What a machine's memory holds, at some 100 bytes each; far more are told apart by no echo."""
+MAX_SCATTERERS = 10_000_000
+"""Limit of memory, at some 100 bytes each; echoes cannot resolve that many."""
 
 
-MOST_LOSS_DB = 400.0
-"""Twice what separates the strongest pulse from the weakest noise."""
-LARGEST_HALF_APERTURE = 0.95
-"""Of a bowl: an f-number of 0.53."""
-MOST_GATES = 1000.0
-"""Reference gates in an echo's length, beyond which ``snr_db`` is off by 30 dB for a pulse that fits the gate."""
-MOST_WIDTHS = 8.0
-"""Sigmas between the axes of two beams beyond which one sees 1e-14 of what it would on the other's."""
+MAX_LOSS_DB = 400.0
+"""Twice the ratio of the strongest pulse and the weakest noise."""
+MAX_HALF_APERTURE = 0.95
+"""Sine of a bowl's largest half aperture angle: an f-number of 0.53."""
+MAX_ECHO_GATES = 1000.0
+"""Largest echo length in reference gates; beyond it ``snr_db`` is wrong by 30 dB for a pulse within the gate."""
+MAX_OFFSET_WIDTHS = 8.0
+"""Largest distance of the beams' axes in sigmas; the tracking beam then has 1e-14 of its intensity on the push."""
 
 
 class Section(BaseModel):
-    """A frozen table of settings that refuses keys it does not know."""
+    """A frozen table of settings; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Sphere(Section):
-    """A rigid sphere with its front at the focus, which the toneburst pushes instead of the medium."""
+    """A rigid sphere with its front at the focus; the toneburst pushes it instead of the medium."""
 
     radius_m: LengthM = 0.795e-3
     """Radius (paper: steel 440-C, diameter 1.59 mm)."""
@@ -84,9 +84,9 @@ class Specimen(Section):
     """A viscoelastic medium driven by the radiation force of the excitation beam."""
 
     preset: Preset | None = None
-    """A specimen by name, which fills in every medium setting that is absent."""
+    """A specimen by name, which sets every omitted medium setting."""
     medium: Annotated[str, Field(strict=True), AfterValidator(known_medium)] = "voigt"
-    """Law of the complex shear modulus: voigt, maxwell, zener, power_law, or that of an installed package."""
+    """Law of the complex shear modulus: voigt, maxwell, zener, power_law, or a medium of an installed package."""
     parameters: MediumParameters = ()
     """Parameters of an installed package's medium by their names; not used by the others."""
     shear_modulus_pa: ModulusPa = 7.25e3
@@ -100,20 +100,20 @@ class Specimen(Section):
     reference_frequency_hz: VibrationHz = 100.0
     """Frequency at which a power law has ``shear_modulus_pa``."""
     attenuation_db_per_cm_mhz: Annotated[AttenuationDbPerCmMHz, Field(ge=1e-4)] = 0.5
-    """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
+    """Attenuation of the medium (assumed); with the force it determines the intensity at the focus."""
     depth_m: LengthM | None = None
-    """How much of the way to the focus lies in the specimen, water before it: what both take of tracking pulses and
-    tonebursts on the way there and back, high frequencies first; absent: nothing but what ``scatterers`` say."""
+    """Depth of the focus in the specimen, with water in front of it. Both attenuate tracking pulses and tonebursts,
+    high frequencies most; absent: only the attenuation in ``scatterers``."""
     density_kg_per_m3: DensityKgPerM3 = 1000.0
     """Mass density (assumed)."""
     field: Literal["medium", "gaussian"] = "medium"
-    """Motion around the focus: the medium's own field, broader and later farther out, or the Gaussian of eq. (12)."""
+    """Motion around the focus: the medium's shear field, or the Gaussian of eq. (12)."""
     force_density_n_per_m3: ForceDensityNPerM3 = 4.0e6
     """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
     reference_drive_vpp: VoltageV = 1.0
-    """Toneburst amplitude at the generator that gives ``force_density_n_per_m3``; force goes with its square."""
+    """Toneburst amplitude at the generator for ``force_density_n_per_m3``; the force is proportional to its square."""
     sphere: Sphere | None = None
-    """A rigid sphere at the focus whose motion calibrates the moduli; absent: none."""
+    """A rigid sphere at the focus, to calibrate moduli by its motion; absent: none."""
     resonance_hz: FrequencyHz = 3.0e6
     """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
     resonance_quality: Annotated[float, Field(ge=1e-3, le=1e6, strict=True)] = 2.34
@@ -121,13 +121,13 @@ class Specimen(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_in_preset(cls, given: Any) -> Any:
-        return filled(given, PRESETS)
+    def _apply_preset(cls, settings: Any) -> Any:
+        return with_preset(settings, PRESETS)
 
     @model_validator(mode="after")
-    def _parameters_of_the_medium(self) -> Specimen:
-        if self.medium not in OWN_MEDIA:
-            refuse_parameters(self.medium, dict(self.parameters))
+    def _check_parameters(self) -> Specimen:
+        if self.medium not in BUILT_IN_MEDIA:
+            check_parameters(self.medium, dict(self.parameters))
         elif self.parameters:
             raise ValueError(
                 f"parameters are those of an installed package's medium, medium is {self.medium}: remove them"
@@ -135,7 +135,7 @@ class Specimen(Section):
         return self
 
     @model_validator(mode="after")
-    def _maxwell_needs_viscosity(self) -> Specimen:
+    def _check_maxwell(self) -> Specimen:
         if self.medium == "maxwell" and self.shear_viscosity_pa_s == 0:
             raise ValueError("a maxwell medium without viscosity resists nothing: raise shear_viscosity_pa_s above 0")
         return self
@@ -149,19 +149,19 @@ class Transmitter(Section):
     hybrid_loss_db: Annotated[RatioDb, Field(ge=0)] = 3.0
     """Loss of the hybrid junction from either generator: half the power goes to its other port (assumed)."""
     hybrid_saturation_v: VoltageV | None = None
-    """Amplitude at the hybrid's input at which its core saturates, by the law below; absent: it is linear."""
+    """Saturation amplitude at the hybrid's input, by the law below; absent: it is linear."""
     matching_gain_db: RatioDb = 0.0
     """Voltage gain of diode bridge and matching transformer (assumed)."""
     saturation_v: VoltageV | None = None
     """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
     saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
     """Exponent p of both ceilings, the Rapp law (assumed)."""
-    diode_threshold_v: PartOfVoltageV = 0.0
-    """Forward voltage of the diode bridge behind the amplifier, which every burst loses (assumed: none)."""
+    diode_threshold_v: NonNegativeVoltageV = 0.0
+    """Forward voltage of the diode bridge behind the amplifier, by which every burst is reduced (assumed: none)."""
 
     @property
     def linear(self) -> bool:
-        """Whether what leaves it goes with the drive and has no harmonics."""
+        """Whether its output is proportional to the drive, without harmonics."""
         return self.saturation_v is None and self.hybrid_saturation_v is None and self.diode_threshold_v == 0
 
     @property
@@ -174,7 +174,7 @@ class Propagation(Section):
     """Nonlinear propagation of the tonebursts through water into the specimen; absent: force as drive squared."""
 
     specimen_depth_m: LengthM = 12.5e-3
-    """How deep the focus lies in the specimen, water before it (paper: a section of 2.5 cm; its middle assumed)."""
+    """Depth of the focus in the specimen, behind water (paper: a section of 2.5 cm; assumed: its middle)."""
     nonlinearity: Annotated[float, Field(gt=0, le=20, strict=True)] = 4.7
     """beta = 1 + B/2A of the specimen (assumed: muscle, B/A 7.4)."""
     attenuation_power: Annotated[float, Field(ge=1, le=2, strict=True)] = 1.1
@@ -184,9 +184,9 @@ class Propagation(Section):
     water_density_kg_per_m3: Annotated[float, Field(ge=500, le=2000, strict=True)] = 995.0
     """Density of the water, or of another coupling liquid (assumed: 30 degrees C)."""
     water_attenuation_db_per_cm_mhz2: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.0018
-    """Attenuation of the water at 1 MHz, which grows as frequency squared (assumed: 30 degrees C)."""
+    """Attenuation of the water at 1 MHz, proportional to frequency squared (assumed: 30 degrees C)."""
     harmonics: Annotated[int, Field(ge=4, le=128, strict=True)] = 24
-    """Harmonics carried; a shock's loss beyond them is taken from the last ones."""
+    """Number of computed harmonics; a shock's loss beyond them is applied to the last ones."""
 
 
 class MotionComponent(Section):
@@ -204,7 +204,7 @@ class BackgroundMotion(Section):
     """A periodic motion of the whole specimen along the beam, such as that of a heart beat or of breathing.
 
     ``b(t) = amplitude (sin a + sum_n h_n sin n a)``, ``a = 2 pi f t + phase``, t from the master trigger's edge. All
-    scatterers move alike, by any number of wavelengths, and foci and beam widths with them (assumed: the motion stays
+    scatterers move equally, by any number of wavelengths, with foci and beam widths (assumed: the motion stays
     within the depth of field). Not part of the true displacement.
     """
 
@@ -222,23 +222,23 @@ Ratio = Annotated[float, Field(ge=1e-3, allow_inf_nan=True, strict=True)]
 
 
 class Transducer(Section):
-    """A circular transducer with the shape of a spherical bowl: what radiates both beams and hears the echoes."""
+    """A circular transducer with the shape of a spherical bowl; it radiates both beams and receives the echoes."""
 
     diameter_m: LengthM = 45.0e-3
     """Diameter of the aperture (paper: 45 mm)."""
     focal_length_m: LengthM = 70.0e-3
     """Radius of curvature of the bowl, from its middle to the geometric focus (paper: 70 mm)."""
     apodisation: Literal["uniform", "parabolic", "hann"] = "uniform"
-    """Velocity over the aperture, of its radius share s: 1, 1 - s^2, or cos^2(pi s / 2) (assumed: uniform)."""
+    """Velocity at the relative radius s of the aperture: 1, 1 - s^2, or cos^2(pi s / 2) (assumed: uniform)."""
 
     @property
     def half_aperture(self) -> float:
-        """Sine of the angle between the axis and the rim, seen from the focus."""
+        """Sine of the angle between the axis and the rim, at the focus."""
         return self.diameter_m / 2 / self.focal_length_m
 
     @model_validator(mode="after")
-    def _is_a_bowl(self) -> Transducer:
-        if self.half_aperture > LARGEST_HALF_APERTURE:
+    def _check_bowl(self) -> Transducer:
+        if self.half_aperture > MAX_HALF_APERTURE:
             raise ValueError(
                 f"a bowl of diameter_m {self.diameter_m:g} and focal_length_m {self.focal_length_m:g} is deeper than "
                 "half a sphere or nearly so: a smaller diameter, or a longer focal length"
@@ -250,11 +250,11 @@ class Beams(Section):
     """Excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
 
     field: Literal["gaussian", "aperture", "measured"] = "gaussian"
-    """Shape of both beams: Gaussians of the widths below, what ``transducer`` radiates, or hydrophone scans of them."""
+    """Shape of both beams: Gaussians of the widths below, the field of ``transducer``, or hydrophone scans."""
     transducer: Transducer = Transducer()
-    """The transducer, of ``field = "aperture"``."""
+    """The transducer, for ``field = "aperture"``."""
     excitation_scan: Annotated[str, Field(min_length=1)] | None = None
-    """File of the push's scan at ``specimen.resonance_hz``, of ``field = "measured"``: HDF5, CSV or MAT."""
+    """File of the push's scan at ``specimen.resonance_hz``, for ``field = "measured"``: HDF5, CSV or MAT."""
     tracking_scan: Annotated[str, Field(min_length=1)] | None = None
     """File of the tracking beam's scan, one way, at ``receiver.reference_carrier_hz``."""
     excitation_width_m: Widths = (0.17e-3, 0.17e-3, 1.80e-3)
@@ -262,27 +262,27 @@ class Beams(Section):
     tracking_width_m: Widths = (0.078e-3, 0.078e-3, 0.83e-3)
     """T_x, T_y, T_z (paper, Table I)."""
     width_ratio: tuple[Ratio, Ratio, Ratio] | None = None
-    """W_x, W_y, W_z: the motion is W times T wide instead of E; inf: it is the same everywhere."""
+    """W_x, W_y, W_z: the width of the motion is W times T instead of E; inf: it is uniform."""
     lateral_offset_m: tuple[PositionM, PositionM] = (0.0, 0.0)
-    """Where the tracking axis lies, x and y from the excitation axis (assumed: on it)."""
+    """Lateral offset of the tracking axis, x and y, from the excitation axis (assumed: 0)."""
     focus_depth_m: LengthM = 70.0e-3
     """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
     tracking_focus_depth_m: LengthM | None = None
-    """The same of a tracking transducer of its own; absent: one transducer pushes and tracks."""
+    """Distance from a separate tracking transducer to the focus; absent: one transducer pushes and tracks."""
 
     @model_validator(mode="after")
-    def _ratio_is_a_number(self) -> Beams:
+    def _check_ratio(self) -> Beams:
         if any(ratio != ratio for ratio in self.width_ratio or ()):
             raise ValueError("width_ratio holds nan: give numbers above 0, or inf for the same motion everywhere")
         return self
 
     @property
     def tracked_from_m(self) -> float:
-        """Distance from the transducer that tracks to the common focus."""
+        """Distance from the tracking transducer to the common focus."""
         return self.focus_depth_m if self.tracking_focus_depth_m is None else self.tracking_focus_depth_m
 
     def motion_width_m(self) -> tuple[float, float, float]:
-        """Return the sigmas of the displacement, E, or W times T where W is given."""
+        """Return the sigmas of the displacement: W times T if W is set, else E."""
         if self.width_ratio is None:
             return self.excitation_width_m
         (wx, wy, wz), (tx, ty, tz) = self.width_ratio, self.tracking_width_m
@@ -293,13 +293,13 @@ class Reflector(Section):
     """A strong reflector among the scatterers."""
 
     kind: Literal["point", "plane"] = "point"
-    """A point, or a plane across the beam that reflects everywhere alike."""
+    """A point, or a uniform plane across the beam."""
     position_m: tuple[PositionM, PositionM, PositionM] = (0.0, 0.0, 0.0)
-    """x, y, z from the focus; of a plane z alone counts."""
+    """x, y, z from the focus; for a plane only z."""
     strength: Strength = 10.0
-    """Reflectivity, that of a scatterer being 1; of a plane, of its whole beam-weighted area at the focus."""
+    """Reflectivity relative to a scatterer; for a plane, of its whole beam-weighted area at the focus."""
     moves: Annotated[bool, Field(strict=True)] = True
-    """Whether it takes part in the motion."""
+    """Whether it moves with the specimen."""
 
 
 class Scatterers(Section):
@@ -310,7 +310,7 @@ class Scatterers(Section):
     per_cell: Annotated[float, Field(ge=0, le=1e20, strict=True)] = 11.0
     """Scatterers per resolution cell, the volume where the tracking beam is above -6 dB (paper, Table I)."""
     axial_delay: Literal["two_way", "none"] = "two_way"
-    """Whether the echo of a scatterer carries the delay of its depth; "none" is eq. (11) read literally."""
+    """Whether a scatterer's echo is delayed by its depth; "none" is eq. (11) taken literally."""
     bandwidth: Annotated[float, Field(ge=1e-4, le=2, strict=True)] = 0.065
     """Fractional bandwidth BW of the echo pulse relative to the tracking carrier: eq. (9)'s, or -6 dB width."""
     pulse: Literal["hann", "gaussian", "burst"] = "hann"
@@ -318,33 +318,33 @@ class Scatterers(Section):
     band_centre_hz: FrequencyHz = 9.0e6
     """Centre of the receive band of ``pulse = "burst"`` (paper: band-pass filter at 9.0 MHz)."""
     measured_pulse: Annotated[tuple[Strength, ...], Field(min_length=1, max_length=100_000)] | None = None
-    """Samples of a measured echo pulse, centred on its arrival; replaces ``pulse`` whatever the carrier."""
+    """Samples of a measured echo pulse, centred on its arrival; replaces ``pulse`` at any carrier."""
     measured_pulse_rate_hz: FrequencyHz = 100.0e6
     """Sample rate of ``measured_pulse``."""
     reflectivity: Literal["unit", "sign", "normal"] = "unit"
     """Reflectivity of each scatterer: 1 (paper), +1 or -1, or standard normal."""
     reflectors: tuple[Reflector, ...] = ()
-    """Point and plane reflectors besides the scatterers."""
+    """Point and plane reflectors in addition to the scatterers."""
     echo_tolerance: Annotated[float, Field(ge=1e-14, lt=1, strict=True)] | None = None
-    """Relative rms error allowed in the echoes; absent: 1e-8, or 2e-7 where the medium's own field moves them."""
+    """Allowed relative rms error of the echoes; absent: 1e-8, or 2e-7 with ``specimen.field = "medium"``."""
     attenuation_db_per_cm_mhz: AttenuationDbPerCmMHz = 0.0
-    """Loss one way; echoes from the focus lose their high frequencies (assumed: none; soft tissue 0.5)."""
+    """One-way loss, which attenuates the high frequencies of echoes most (assumed: none; soft tissue 0.5)."""
 
 
 class Receiver(Section):
     """Receive chain between transducer and digitizer."""
 
     snr_db: RatioDb | None = None
-    """Echo power at rest in the reference gate over noise power; absent: no noise is drawn."""
+    """Echo power at rest in the reference gate over noise power; absent: no noise."""
     reference_gate_m: LengthM = 1.0e-3
-    """Length of the reference gate around the focus in which ``snr_db`` and ``echo_rms_v`` hold."""
+    """Length of the gate around the focus for which ``snr_db`` and ``echo_rms_v`` are defined."""
     echo_rms_v: VoltageV = 0.1
     """Root mean square of the resting echo in the reference gate for a 3-cycle pulse of ``reference_pulse_vpp``."""
     reference_pulse_vpp: VoltageV = 1.0
-    """Tracking pulse amplitude at the generator that gives ``echo_rms_v``."""
+    """Tracking pulse amplitude at the generator for ``echo_rms_v``."""
     reference_carrier_hz: FrequencyHz = 9.0e6
-    """Carrier of the pulse that gives ``echo_rms_v`` (paper: 9.0 MHz)."""
-    toneburst_leak_v: PartOfVoltageV = 2.0
+    """Carrier of the tracking pulse for ``echo_rms_v`` (paper: 9.0 MHz)."""
+    toneburst_leak_v: NonNegativeVoltageV = 2.0
     """Amplitude at the digitizer while a toneburst of the specimen's reference drive is transmitted (assumed)."""
     toneburst_echo_gain: Annotated[Strength, Field(ge=0)] = 1.0
     """Echo of the toneburst relative to a tracking echo of the same drive, after the 3 MHz notch (assumed)."""
@@ -367,23 +367,23 @@ class LogAmplifier(Section):
     slope_v_per_decade: VoltageV = 0.25
     """Output a decade of input (assumed)."""
     knee_v: VoltageV = 1.0e-4
-    """Input amplitude around which it turns from linear to logarithmic (assumed)."""
+    """Input amplitude of the transition from linear to logarithmic (assumed)."""
     saturation_v: VoltageV | None = 0.75
     """Largest output (assumed)."""
 
 
 class ReceiveChain(Section):
-    """What stands between transducer and digitizer; an element that is absent is not simulated.
+    """Elements between transducer and digitizer; an absent element is not simulated.
 
     With this section the receiver's volts are those at the transducer, and the noise is the preamplifier's.
     """
 
     preset: Literal["paper"] | None = None
-    """The paper's chain by name, which fills in every element that is absent (values below assumed where not paper)."""
+    """The paper's chain by name, which sets every omitted element (values that are not from the paper: assumed)."""
     notch: BandFilter | None = None
     """Notch for the toneburst's carrier (paper: 3.0 MHz, 50 %)."""
     recovery_time_s: TimeS | None = None
-    """Time constant with which the T/R switch opens after a transmission; absent: no switch."""
+    """Time constant of the T/R switch after a transmission; absent: no switch."""
     noise_v_per_sqrt_hz: Annotated[float, Field(ge=1e-15, le=1.0, strict=True)] | None = None
     """Noise density of the preamplifier, at its input."""
     band_pass: BandFilter | None = None
@@ -393,20 +393,20 @@ class ReceiveChain(Section):
     second_band_pass: BandFilter | None = None
     """Second band-pass (paper: 9.0 MHz; its width is assumed to be the first's)."""
     third_harmonic: Annotated[Strength, Field(ge=0)] = 0.0
-    """Third harmonic of a toneburst over its carrier at the transducer, added to that of the amplifier's ceiling."""
+    """Third harmonic of a toneburst over its carrier at the transducer, in addition to the amplifier's saturation."""
     oversampling: Literal[1, 2, 5, 10] = 1
-    """Samples the chain computes for one of the digitizer."""
+    """Computed samples for one sample of the digitizer."""
     tail_tolerance: Annotated[float, Field(ge=1e-14, lt=1, strict=True)] = 1e-6
-    """How far the filters must have rung down before a record begins."""
+    """Relative decay of the filters before a record begins."""
 
     @model_validator(mode="before")
     @classmethod
-    def _fill_in_preset(cls, given: Any) -> Any:
-        return filled(given, CHAIN_PRESETS)
+    def _apply_preset(cls, settings: Any) -> Any:
+        return with_preset(settings, CHAIN_PRESETS)
 
 
 class Instruments(Section):
-    """The simulated instruments' own properties."""
+    """Properties of the simulated instruments."""
 
     dual_port_memory: Annotated[bool, Field(strict=True)] = True
     """Whether the digitizer has the optional dual-port memory that AutoDMA needs."""
@@ -421,15 +421,15 @@ class Instruments(Section):
     aux_latency_s: TimeS = 0.0
     """Trigger input to rising edge of the AUX trigger output (assumed)."""
     aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
-    """Whether that edge comes only after the digitizer's trigger delay (assumed: not, whatever the delay)."""
+    """Whether that edge waits for the digitizer's trigger delay (assumed: no)."""
     message_time_s: Annotated[TimeS, Field(ge=1e-6)] = 1.0e-3
-    """Time one SCPI message takes (assumed)."""
+    """Duration of one SCPI message (assumed)."""
     trigger_jitter_s: JitterS = 0.0
-    """Jitter of each 33250A from trigger to output, root mean square; 0 where it does not matter."""
+    """Root-mean-square jitter of each 33250A from trigger to output."""
     sample_clock_jitter_s: JitterS = 0.0
-    """Aperture jitter of the digitizer, root mean square."""
+    """Root-mean-square aperture jitter of the digitizer."""
     sample_clock_offset: Annotated[float, Field(gt=-1e-2, lt=1e-2, strict=True)] = 0.0
-    """How much longer than nominal the digitizer's sample period is, relative."""
+    """Relative error of the digitizer's sample period, positive if it is too long."""
 
 
 def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:
@@ -444,37 +444,37 @@ def scatterer_count(scatterers: Scatterers, beams: Beams) -> int:
 
 
 class SimulationSettings(Section):
-    """Everything the twin is told apart from what the drivers program."""
+    """All settings of the twin, apart from the drivers' commands."""
 
     seed: Seed = 1
-    """Seed of every random number drawn."""
+    """Seed of all random numbers."""
     sound_speed_m_per_s: SpeedMPerS = 1540.0
     """Longitudinal sound speed c (paper, Table I)."""
     specimen: Specimen | None = None
-    """A medium moved by the tonebursts; exclusive with ``motion``."""
+    """A medium moved by the tonebursts; excludes ``motion``."""
     transmitter: Transmitter = Transmitter()
-    """What stands between the generators and the transducer."""
+    """Elements between the generators and the transducer."""
     propagation: Propagation | None = None
-    """How the tonebursts steepen on their way; absent: not at all."""
+    """Nonlinear propagation of the tonebursts; absent: linear."""
     motion: tuple[MotionComponent, ...] | None = None
-    """Prescribed motion (eq. 13); exclusive with ``specimen``."""
+    """Prescribed motion (eq. 13); excludes ``specimen``."""
     background: tuple[BackgroundMotion, ...] = ()
-    """Motion of the whole specimen besides, which a gate must follow."""
+    """Additional motion of the whole specimen, which a gate must track."""
     beams: Beams = Beams()
     """Excitation and tracking beams."""
     scatterers: Scatterers = Scatterers()
-    """What echoes."""
+    """Sources of echoes."""
     receiver: Receiver = Receiver()
-    """What happens to the echo before the digitizer."""
+    """Level and noise of the echoes at the digitizer."""
     receive_chain: ReceiveChain | None = None
-    """The receive chain element by element; absent: an ideal one."""
+    """Elements of the receive chain; absent: an ideal one."""
     instruments: Instruments = Instruments()
-    """What the simulated instruments are."""
+    """Properties of the simulated instruments."""
 
     @model_validator(mode="before")
     @classmethod
-    def _preset_depth_gives_way(cls, given: Any) -> Any:
-        return with_depth_as_stated(given)
+    def _adapt_preset_depth(cls, settings: Any) -> Any:
+        return with_preset_depth(settings)
 
     @property
     def _in_specimen(self) -> bool:
@@ -488,115 +488,119 @@ class SimulationSettings(Section):
         return self.scatterers.attenuation_db_per_cm_mhz
 
     def loss_to_focus_db(self, frequency_hz: float) -> float:
-        """Return what the way to the focus and back takes: specimen as frequency, water before it as its square."""
+        """Return the loss to the focus and back: proportional to frequency in the specimen, to its square in water."""
         mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.tracked_from_m
         if self.specimen is None or self.specimen.depth_m is None:
             return 2 * focus_cm * self.scatterers.attenuation_db_per_cm_mhz * mhz
         specimen_cm = 100 * self.specimen.depth_m
         water = (self.propagation or Propagation()).water_attenuation_db_per_cm_mhz2
-        lost_db = specimen_cm * self.specimen.attenuation_db_per_cm_mhz * mhz
-        return 2 * (lost_db + (focus_cm - specimen_cm) * water * mhz**2)
+        specimen_db = specimen_cm * self.specimen.attenuation_db_per_cm_mhz * mhz
+        return 2 * (specimen_db + (focus_cm - specimen_cm) * water * mhz**2)
 
     @model_validator(mode="after")
-    def _sphere_echoes_alone(self) -> SimulationSettings:
+    def _check_sphere(self) -> SimulationSettings:
         if self.specimen is None or self.specimen.sphere is None:
             return self
-        wrong = []
+        mistakes = []
         if self.scatterers.per_cell:
-            wrong.append(
-                "specimen.sphere's front is all that may echo, how the medium moves around it is not known here: "
+            mistakes.append(
+                "specimen.sphere's front alone may echo, as the motion of the medium around it is not simulated: "
                 "scatterers.per_cell = 0, and a point among scatterers.reflectors"
             )
         if self.specimen.field != "gaussian":
-            wrong.append('specimen.sphere moves as a whole, not as the medium does around it: field = "gaussian"')
+            mistakes.append('specimen.sphere moves as a whole, not as the medium does around it: field = "gaussian"')
         if self.propagation is not None or self.beams.field != "gaussian":
-            wrong.append('specimen.sphere has force_n as its force: no propagation, and beams.field = "gaussian"')
-        if wrong:
-            raise ValueError("; ".join(wrong))
+            mistakes.append('specimen.sphere has force_n as its force: no propagation, and beams.field = "gaussian"')
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
         return self
 
     @model_validator(mode="after")
-    def _one_way_through_the_specimen(self) -> SimulationSettings:
+    def _check_depths(self) -> SimulationSettings:
         depth_m = None if self.specimen is None else self.specimen.depth_m
         if depth_m is None:
             return self
-        wrong = []
+        mistakes = []
         if depth_m > self.beams.tracked_from_m:
-            way_m = self.beams.tracked_from_m
-            wrong.append(
-                f"specimen.depth_m is {depth_m:g} m and the way to the focus, beams.focus_depth_m, {way_m:g} m"
+            focus_m = self.beams.tracked_from_m
+            mistakes.append(
+                f"specimen.depth_m is {depth_m:g} m and the way to the focus, beams.focus_depth_m, {focus_m:g} m"
             )
         if self.propagation is not None and self.propagation.specimen_depth_m != depth_m:
             other_m = self.propagation.specimen_depth_m
-            wrong.append(f"specimen.depth_m is {depth_m:g} m and propagation.specimen_depth_m {other_m:g} m")
+            mistakes.append(f"specimen.depth_m is {depth_m:g} m and propagation.specimen_depth_m {other_m:g} m")
         if self.scatterers.attenuation_db_per_cm_mhz:
-            wrong.append("specimen.depth_m and scatterers.attenuation_db_per_cm_mhz attenuate the same echoes twice")
-        if wrong:
-            raise ValueError(f"{'; '.join(wrong)}: the focus lies in one specimen, at one depth: change one of the two")
+            mistakes.append("specimen.depth_m and scatterers.attenuation_db_per_cm_mhz attenuate the same echoes twice")
+        if mistakes:
+            raise ValueError(
+                f"{'; '.join(mistakes)}: the focus lies in one specimen, at one depth: change one of the two"
+            )
         return self
 
     @model_validator(mode="after")
-    def _something_comes_back(self) -> SimulationSettings:
+    def _check_echo_level(self) -> SimulationSettings:
         loss_db = self.loss_to_focus_db(self.receiver.reference_carrier_hz)
-        if loss_db > MOST_LOSS_DB:
-            of = "specimen" if self._in_specimen else "scatterers"
+        if loss_db > MAX_LOSS_DB:
+            section = "specimen" if self._in_specimen else "scatterers"
             raise ValueError(
-                f"{of}.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
-                f"way to beams.focus_depth_m and back, {MOST_LOSS_DB:g} dB leave no echo: less of one of the three"
+                f"{section}.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
+                f"way to beams.focus_depth_m and back, {MAX_LOSS_DB:g} dB leave no echo: less of one of the three"
             )
         receiver = self.receiver
-        # The reference pulse fills its gate, or echo_rms_v says little of what another pulse's echo is.
+        # echo_rms_v scales to other pulses only if the reference pulse fits its gate.
         pulse_m = self.sound_speed_m_per_s / (2 * self.scatterers.bandwidth * receiver.reference_carrier_hz)
-        if pulse_m > MOST_GATES * receiver.reference_gate_m:
+        if pulse_m > MAX_ECHO_GATES * receiver.reference_gate_m:
             raise ValueError(
                 f"an echo at receiver.reference_carrier_hz with scatterers.bandwidth is {pulse_m:.3g} m long, more "
-                f"than {MOST_GATES:g} times receiver.reference_gate_m: a higher carrier, a larger bandwidth or gate"
+                f"than {MAX_ECHO_GATES:g} times receiver.reference_gate_m: a higher carrier, a larger bandwidth or gate"
             )
         offset, width = self.beams.lateral_offset_m, self.beams.tracking_width_m
-        if any(abs(offset[axis]) > MOST_WIDTHS * width[axis] for axis in (0, 1)):
+        if any(abs(offset[axis]) > MAX_OFFSET_WIDTHS * width[axis] for axis in (0, 1)):
             raise ValueError(
-                f"beams.lateral_offset_m is more than {MOST_WIDTHS:g} times beams.tracking_width_m, so that the beams "
-                "do not meet: a smaller offset"
+                f"beams.lateral_offset_m is more than {MAX_OFFSET_WIDTHS:g} times beams.tracking_width_m, so that the "
+                "beams do not meet: a smaller offset"
             )
         return self
 
     @model_validator(mode="after")
-    def _fits_memory(self) -> SimulationSettings:
-        if (count := scatterer_count(self.scatterers, self.beams)) > MOST_SCATTERERS:
+    def _check_memory(self) -> SimulationSettings:
+        if (count := scatterer_count(self.scatterers, self.beams)) > MAX_SCATTERERS:
             raise ValueError(
                 f"scatterers.per_cell and volume_m with beams.tracking_width_m make {count:.3g} scatterers, memory "
-                f"holds {MOST_SCATTERERS:.0e}: fewer per cell, or a smaller box"
+                f"holds {MAX_SCATTERERS:.0e}: fewer per cell, or a smaller box"
             )
         return self
 
     @model_validator(mode="after")
-    def _aperture_fits(self) -> SimulationSettings:
+    def _check_aperture(self) -> SimulationSettings:
         if self.beams.field == "gaussian":
             return self
-        wrong = []
+        mistakes = []
         if self.beams.tracking_focus_depth_m is not None:
-            wrong.append(f'beams.tracking_focus_depth_m needs beams.field = "gaussian", not "{self.beams.field}"')
+            mistakes.append(f'beams.tracking_focus_depth_m needs beams.field = "gaussian", not "{self.beams.field}"')
         if self.beams.field == "measured":
             scans = {name: getattr(self.beams, name) for name in ("excitation_scan", "tracking_scan")}
-            wrong += [f'beams.field = "measured" needs beams.{name}' for name, path in scans.items() if path is None]
+            mistakes += [f'beams.field = "measured" needs beams.{name}' for name, path in scans.items() if path is None]
         focus_m, focal_m = self.beams.focus_depth_m, self.beams.transducer.focal_length_m
         if abs(focus_m - focal_m) > 1e-9 * focal_m:
-            wrong.append(
+            mistakes.append(
                 f"beams.focus_depth_m is {focus_m:g} m and beams.transducer.focal_length_m {focal_m:g} m: the focus of "
                 "a bowl is its centre of curvature; make both equal"
             )
         if any(reflector.kind == "plane" for reflector in self.scatterers.reflectors):
-            wrong.append("a plane among scatterers.reflectors is summed over a Gaussian beam: points, or no aperture")
+            mistakes.append(
+                "a plane among scatterers.reflectors is summed over a Gaussian beam: points, or no aperture"
+            )
         if self.scatterers.axial_delay == "none":
-            wrong.append(
+            mistakes.append(
                 'scatterers.axial_delay = "none" has no depths, an aperture\'s beam has: "two_way" or Gaussians'
             )
-        if wrong:
-            raise ValueError("; ".join(wrong))
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
         return self
 
     @model_validator(mode="after")
-    def _without_contradictions(self) -> SimulationSettings:
+    def _check_exclusive_settings(self) -> SimulationSettings:
         if self.receive_chain is not None and self.receiver.snr_db is not None:
             raise ValueError(
                 "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
