@@ -68,7 +68,7 @@ class FitMotion(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class EstimatorSpec(EstimatorProperties):
-    """An estimator: its functions, and the properties from which its noise is predicted.
+    """An estimator: its functions, and the properties that determine its predicted noise.
 
     ``motion``: echoes to displacement per pulse.
     ``band_phase``: phase, its variance and the mean frequency from spectra in the band; the last argument asks for the

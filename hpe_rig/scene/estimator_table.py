@@ -15,7 +15,7 @@ from hpe_rig.extensions import ESTIMATORS as ENTRY_POINTS, installed
 Window = Literal["none", "hann"]
 
 WINDOW_NOISE: Final[dict[Window, float]] = {"none": 1.0, "hann": 1.5}
-"""N sum w² / (sum w)²: the factor by which a window raises the variance of a weighted mean."""
+"""Increase of the variance of a mean by a window w over N samples, N sum w² / (sum w)²."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +51,12 @@ class EstimatorProperties:
 
     @property
     def gate_noise(self) -> float:
-        """Factor by which the taper over the gate raises the variance of a pulse."""
+        """Increase of a pulse's variance by the taper over the gate, as a factor."""
         return WINDOW_NOISE[self.gate_window]
 
     @property
     def slow_time_noise(self) -> float:
-        """Factor by which the taper over the pulses raises the variance of a quadrature."""
+        """Increase of a quadrature's variance by the taper over the pulses, as a factor."""
         return WINDOW_NOISE[self.slow_time_window]
 
     @property

@@ -1,9 +1,9 @@
 """The transmitted band of a gate: its frequencies, the taper of its records, and the projection onto the gate.
 
-A gate that cuts echoes before they are aligned loses at one edge what it gains at the other. The spectrum S_k(f) is
-therefore that of the record around the gate, tapered at its ends. Echoes are aligned first, and the gate cuts them
-afterwards: the analytic signal at sample t is E S_k, E[t, f] = exp(2 pi j f t) / sqrt(bins), and the inner product over
-the gate
+Echoes move across the edges of a gate, so a gate that cuts them before alignment changes their shape. The spectrum
+S_k(f) is therefore that of the record around the gate, tapered at its ends. Echoes are aligned first, and the gate
+cuts them afterwards. The analytic signal at sample t is E S_k, E[t, f] = exp(2 pi j f t) / sqrt(bins), and the inner
+product over the gate
 
     <S_k, S_l> = S_k^H G S_l,    G = E^H W E = 1 - B B^H,
 

@@ -71,10 +71,10 @@ def code_statistics(codes: Int16Array) -> GateStatistics:
     return GateStatistics(codes.min(axis=1), codes.max(axis=1), mean, mean_square)
 
 
-def concatenate_statistics(parts: Sequence[GateStatistics]) -> GateStatistics:
+def concatenate_statistics(blocks: Sequence[GateStatistics]) -> GateStatistics:
     """Return the statistics of all pulses from those of consecutive blocks."""
     names = ("lowest", "highest", "mean", "mean_square")
-    return GateStatistics(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return GateStatistics(*(np.concatenate([getattr(block, name) for block in blocks]) for name in names))
 
 
 @final
@@ -105,7 +105,7 @@ class CodedVolts:
         return volts
 
     def __getitem__(self, index: Any) -> SingleArray:
-        """Return the same as an array of all volts."""
+        """Return volts at an index of the whole array (pulse, sample)."""
         return np.asarray(self.block(slice(None))[index])
 
 

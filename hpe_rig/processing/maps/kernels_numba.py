@@ -1,6 +1,6 @@
 """Compiled form of `kernels`, one pass per pixel; imported by `motion_map` only if Numba is used.
 
-In single precision as with NumPy, from which the results differ by rounding.
+In single precision as with NumPy; the results differ by rounding.
 """
 
 from __future__ import annotations

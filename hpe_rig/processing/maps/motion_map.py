@@ -42,7 +42,7 @@ RESULTS: Final = (
 BATCH_BYTES: Final = 6_400_000
 """Baseband per batch of lines: large enough that threads hardly wait for the interpreter lock."""
 COMPILED_SAMPLES: Final = 150_000_000
-"""Samples from which the compiled kernels save more time than Numba takes to load."""
+"""Minimum number of samples for which the compiled kernels save more time than Numba takes to load."""
 SERIAL_PRODUCTS: Final = 200_000
 """Products in one matrix multiplication; OpenBLAS starts its own threads from 262 144."""
 MIN_POWER: Final = 1e-41
@@ -108,8 +108,8 @@ def map_pixels(
     def estimate(batch: slice) -> int:
         """Write the results of some lines; return how many."""
         batch_results, bad[batch] = pixels.estimate(samples[batch], gates)
-        for whole, part in zip(results, batch_results, strict=True):
-            whole[batch] = part
+        for result, batch_result in zip(results, batch_results, strict=True):
+            result[batch] = batch_result
         return int(batch.stop - batch.start)
 
     done = 0
@@ -145,7 +145,7 @@ def _kernels(samples: int) -> ModuleType:
 
 
 def _refuse(settings: MapSettings, gates: int, is_iq: bool) -> None:
-    """Raise ``ValueError`` for a gate longer than a record, or settings with which samples carry no phase."""
+    """Raise ``ValueError`` for a gate longer than a record, an aliased carrier, or a gate shorter than its period."""
     if gates < 1:
         raise ValueError(f"a gate of {settings.gate_samples} samples is longer than a record: a shorter gate")
     if is_iq:
@@ -161,7 +161,7 @@ def _refuse(settings: MapSettings, gates: int, is_iq: bool) -> None:
 
 
 def _decimation(settings: MapSettings) -> int:
-    """Return the largest divisor of the gate's samples by which the baseband can be decimated without aliasing."""
+    """Return the largest decimation of the baseband that divides the gate's samples and does not alias."""
     limit = settings.sample_rate_hz / ((BAND[1] - BAND[0]) * settings.carrier_hz)
     factors = (factor for factor in range(1, settings.gate_samples + 1) if settings.gate_samples % factor == 0)
     return max((factor for factor in factors if factor <= limit), default=1)
@@ -211,13 +211,13 @@ class _Pixels:
         window[:fade], window[-fade:] = ramp, ramp[::-1]
         low, high = max(carrier - half, 0), min(carrier + half, spectrum.shape[-1] - 1)
         in_band = window[low - carrier + half : high - carrier + half + 1] * (2 / self.decimation)
-        part = spectrum[..., low : high + 1] * in_band
+        transmitted = spectrum[..., low : high + 1] * in_band
         # The carrier moves to bin 0 of the decimated spectrum.
         shifted = np.zeros((*samples.shape[:-1], bins), np.complex64)
         below = carrier - low
-        shifted[..., : part.shape[-1] - below] = part[..., below:]
+        shifted[..., : transmitted.shape[-1] - below] = transmitted[..., below:]
         if below:
-            shifted[..., -below:] = part[..., :below]
+            shifted[..., -below:] = transmitted[..., :below]
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
     def _phases(self, z: ComplexSingleArray) -> tuple[SingleArray, SingleArray]:
@@ -226,8 +226,8 @@ class _Pixels:
         ``z`` (line, gate, sample, pulse).
         """
         subset = np.ascontiguousarray(z[..., ::STRIDE])
-        parts = subset.view(np.float32)
-        power = np.einsum("lgsp,lgsp->lg", parts, parts) / np.float32(subset.shape[2] * subset.shape[3])
+        real_and_imag = subset.view(np.float32)
+        power = np.einsum("lgsp,lgsp->lg", real_and_imag, real_and_imag) / np.float32(subset.shape[2] * subset.shape[3])
         if z.shape[2] == 1:
             return self.kernels.unwrapped(z[:, :, 0]), power
         product = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)

@@ -1,4 +1,4 @@
-"""Displacement from the delay at which each echo correlates best with the others.
+"""Displacement from the delay of maximum correlation between each echo and the others.
 
     u_k = c/2 argmax over tau of <sum of the other echoes delayed by tau, r_k>
 
@@ -41,11 +41,11 @@ def cross_correlation(echoes: EchoGate) -> Motion:
 
     # Cross-spectrum with the other echoes aligned at their first guess; each pulse is shifted by whole fine samples.
     rate_hz = echoes.sample_rate_hz * UPSAMPLING
-    whole = np.round(guess_s * rate_hz)
-    others = comparison.gated_sum[..., None, :] - band.gated(advanced(spectrum, guess_s, band.frequency_hz))
-    cross = np.conj(others) * advanced(spectrum, whole / rate_hz, band.frequency_hz)
+    guess_lag = np.round(guess_s * rate_hz)
+    reference = comparison.gated_sum[..., None, :] - band.gated(advanced(spectrum, guess_s, band.frequency_hz))
+    cross = np.conj(reference) * advanced(spectrum, guess_lag / rate_hz, band.frequency_hz)
     if band.tapers_gate:
-        # A peak weights phases by frequency, and what the taper cuts off a moving echo changes just those phases.
+        # A peak weights phases by frequency, and a taper over a moving echo changes phases in proportion to frequency.
         cross *= steps.mean_hz[..., None, None] / band.frequency_hz
 
     half_period = math.ceil(rate_hz / np.nanmin(steps.mean_hz) / 2)
@@ -54,7 +54,7 @@ def cross_correlation(echoes: EchoGate) -> Motion:
     variance_m2 = comparison.variance / (2 * np.pi * steps.mean_hz[..., None]) ** 2 * metres_per_second**2
     return Motion(
         echoes.pulse_time_s,
-        expand_to_pulses((whole + lag) / rate_hz * metres_per_second, echoes.valid),
+        expand_to_pulses((guess_lag + lag) / rate_hz * metres_per_second, echoes.valid),
         expand_to_pulses(variance_m2, echoes.valid),
         echoes.valid,
         np.abs(np.diff(steps.phase, axis=-1)).max(axis=-1) / np.pi,

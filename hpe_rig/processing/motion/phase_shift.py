@@ -31,7 +31,7 @@ ALIGNED_CHUNK = 1 << 13
 NOISE_DEVIATIONS = 3.1
 """Standard deviations of a normal variable that are exceeded once in a thousand."""
 COMPILED_ECHOES = 10_000
-"""Echoes of several trains from which the compiled loop is faster, if Numba is loaded already."""
+"""Minimum number of echoes for which the compiled loop is faster; used only if Numba is loaded already."""
 
 
 def coherent(echoes: EchoGate) -> Motion:
@@ -44,26 +44,23 @@ def coherent(echoes: EchoGate) -> Motion:
     without an echo is NaN. Source: maximum likelihood for a known echo in white noise.
     """
     spectrum, band = band_spectrum(echoes, 2)
-    phase, variance, mean_hz = coherent_phase(spectrum, band)
+    trains, pulses = math.prod(spectrum.shape[:-2]), spectrum.shape[-2]
+    use_compiled = trains > 1 and trains * pulses >= COMPILED_ECHOES and "numba" in sys.modules
+    phase, variance, mean_hz = coherent_phase(spectrum, band, use_compiled)
     return _motion_of_phase(echoes, phase, variance, mean_hz[..., None])
 
 
-def coherent_phase(
-    spectrum: ComplexArray, band: Band, use_compiled: bool | None = None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...), Hz.
 
-    ``use_compiled``: by the compiled loop if Numba is installed; by default for many trains, if Numba is loaded
-    already. Both forms differ by rounding. Raises ``ValueError`` if no train has an echo.
+    ``use_compiled``: by the compiled loop if Numba is installed. Both forms differ by rounding. Raises ``ValueError``
+    if no train has an echo.
     """
-    trains, pulses = math.prod(spectrum.shape[:-2]), spectrum.shape[-2]
-    if use_compiled is None:
-        use_compiled = trains > 1 and trains * pulses >= COMPILED_ECHOES and "numba" in sys.modules
-    if use_compiled and numba_installed() and pulses <= ALIGNED_CHUNK:
+    if use_compiled and numba_installed() and spectrum.shape[-2] <= ALIGNED_CHUNK:
         result = _compiled_phase(spectrum, band)
         if np.isfinite(result[2]).any():
             return result
-        # The form below raises the error that says what is missing.
+        # Without an echo in any train, the NumPy form below raises the error that names the cause.
     # The products of a long train are not needed any more: their memory is released.
     steps = replace(pulse_steps(spectrum, band), product=np.empty(0, np.complex128))
     # The first pass aligns with the noise of single echoes, the second with that of the mean echo.
@@ -184,7 +181,7 @@ class PulseSteps:
 def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     """Return the products of consecutive echoes (..., pulse, bin); raise ``ValueError`` if no train has an echo."""
     trains, pulses = spectrum.shape[:-2], spectrum.shape[-2]
-    # Row 0 sums over bins, row 1 sums weighted by frequency; the margins' columns likewise.
+    # Row 0 sums over bins, row 1 sums weighted by frequency; the rows of the margins follow the same order.
     weights = np.stack([np.ones(band.frequency_hz.size), band.frequency_hz])
     margin_rows = np.vstack([band.margin_root.T, band.margin_root.T * band.frequency_hz])
     cross, cross_moment = (np.empty((*trains, pulses - 1), dtype=np.complex128) for _ in range(2))
@@ -206,7 +203,7 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
         intervals = slice(max(first - 1, 0), chunk.stop - 1)
         cross[..., intervals], cross_moment[..., intervals] = product[..., 0, :], product[..., 1, :]
 
-        # Energies of the pulses that no chunk before has counted, likewise.
+        # Energies of the pulses that are new in this chunk: over all samples, minus the part in the margins.
         new = slice(min(first, 1), None)
         squares = weights @ np.square(echo.view(np.float64))
         energies = (squares[..., ::2] + squares[..., 1::2])[..., new]
@@ -306,8 +303,8 @@ def compare_with_others(
     total = np.sum([aligned(index).sum(axis=-2) for index in range(len(chunks))], axis=0)
     gated_sum = band.gated(total)
     total_energy = real_inner_product(gated_sum, total)
-    others, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
-    # Noise along the echo changes its phase; the other noise in the gate is the misfit, from which it is estimated.
+    reference_pulses, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
+    # Noise along the echo changes its phase. It is estimated from the misfit, the noise in all other directions.
     along = band.noise_along(gated_sum, total_energy)[..., None]
     energy_sum = np.zeros(spectrum.shape[:-2])
     product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
@@ -323,7 +320,7 @@ def compare_with_others(
         product[..., chunk] = with_others = with_total - echo_energy
         reference = np.maximum(total_energy[..., None] - 2 * with_total.real + echo_energy, tiny)
         misfit = np.maximum(echo_energy - np.abs(with_others) ** 2 / reference, 0.0)
-        variance[..., chunk] = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
+        variance[..., chunk] = misfit * along / (band.noise_energy - along) / (2 * reference) * reference_pulses**2
         energy_sum += echo_energy.sum(axis=-1)
     # Energy and moment of the common part: those of the sum minus those of single echoes. The latter's moment, before
     # alignment, differs from that of aligned echoes in second order only.

@@ -125,10 +125,10 @@ def coherent_phase(
                     _gate(aligned[k], margin_root, gated[k])
                     echo_energy[k] = _product(aligned[k], gated[k], hz)[0].real
                 with_total = _product(gated_sum, aligned[k], hz)[0]
-                others = with_total - echo_energy[k]
+                with_others = with_total - echo_energy[k]
                 reference = max(energy.real - 2 * with_total.real + echo_energy[k], tiny)
-                misfit = max(echo_energy[k] - (others.real**2 + others.imag**2) / reference, 0.0)
+                misfit = max(echo_energy[k] - (with_others.real**2 + with_others.imag**2) / reference, 0.0)
                 variance[train, k] = misfit * along / (noise_energy - along) / (2 * reference) * (pulses - 1) ** 2
-                phase[train, k] += np.arctan2(others.imag, others.real)
+                phase[train, k] += np.arctan2(with_others.imag, with_others.real)
             mean = _mean_hz(moment.real - moments, energy.real - echo_energy.sum(), hz)
         mean_hz[train] = mean

@@ -30,9 +30,9 @@ from hpe_rig.processing.motion.phase_shift import are_correlated, motion_of_step
 PADDING = 8
 """Zero-padding of the paper: to at least so many times the gate, and to a power of two."""
 CHUNK_PULSES = 256
-"""Pulses whose padded spectra are in memory together."""
+"""Pulses per chunk of padded spectra in memory."""
 COMPILED_ECHOES = 20_000
-"""Echoes from which the compiled loop saves more time than Numba takes to load."""
+"""Minimum number of echoes for which the compiled loop saves more time than Numba takes to load."""
 RANK_TOLERANCE = 1e-13
 """Pivot relative to the largest below which a column is rounding error."""
 
@@ -69,7 +69,7 @@ def cross_spectrum(echoes: EchoGate) -> Motion:
     frequency_hz = band_frequencies_hz(echoes, bins)
     window = hann(samples)
     steps = _steps(echoes, frequency_hz, window, bins)
-    # Padded bins hold no more information than unpadded ones, of which the Hann window leaves two thirds independent.
+    # Padding adds no information, and the Hann window leaves two thirds of the unpadded bins independent.
     independent = frequency_hz.size * samples / bins / 1.5
     cross = np.abs(steps.product)
     # A correlation has as many independent samples as the squared window is long.
@@ -98,12 +98,12 @@ def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins:
         chunk = slice(train, train + trains_per_chunk)
         echo = trains[chunk] if valid.all() else trains[chunk][:, valid]
         # The last pulse of a chunk is the first of the next.
-        parts, energy = transform(echo[:, first : first + CHUNK_PULSES + 1])
+        spectra, energy = transform(echo[:, first : first + CHUNK_PULSES + 1])
         band_energy[chunk] += energy[:, min(first, 1) :].sum(axis=1)
-        part = peak_steps(parts, use_compiled)
-        intervals, pulses = slice(first, first + parts.shape[1] - 1), slice(first, first + parts.shape[1])
-        steps.step[chunk, intervals], steps.peak[chunk, intervals] = part.step, part.peak
-        steps.product[chunk, intervals], steps.energy[chunk, pulses] = part.product, part.energy
+        chunk_steps = peak_steps(spectra, use_compiled)
+        intervals, pulses = slice(first, first + spectra.shape[1] - 1), slice(first, first + spectra.shape[1])
+        steps.step[chunk, intervals], steps.peak[chunk, intervals] = chunk_steps.step, chunk_steps.peak
+        steps.product[chunk, intervals], steps.energy[chunk, pulses] = chunk_steps.product, chunk_steps.energy
     product = steps.product.reshape(*shape[:-1], -1)
     product[~has_echo(band_energy.reshape(shape[:-1]) / window.size, echoes)] = np.nan
     return PeakSteps(
@@ -111,26 +111,26 @@ def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins:
     )
 
 
-def peak_steps(parts: FloatArray, use_compiled: bool | None = None) -> PeakSteps:
+def peak_steps(spectra: FloatArray, use_compiled: bool = True) -> PeakSteps:
     """Return the steps of spectra (..., pulse, 2 * bin), given as their real parts, then their imaginary parts.
 
-    ``use_compiled``: by the compiled loop; by default if Numba is installed. Both forms differ by rounding.
+    ``use_compiled``: by the compiled loop if Numba is installed. Both forms differ by rounding.
     """
-    if numba_installed() if use_compiled is None else use_compiled:
+    if use_compiled and numba_installed():
         from hpe_rig.processing.motion.spectral_peak_numba import peak_steps as compiled_loop
 
-        steps, pulses = PeakSteps.empty(parts.shape[:-1]), parts.shape[-2]
+        steps, pulses = PeakSteps.empty(spectra.shape[:-1]), spectra.shape[-2]
         between = -1, pulses - 1
         compiled_loop(
-            np.ascontiguousarray(parts).reshape(-1, pulses, parts.shape[-1]),
+            np.ascontiguousarray(spectra).reshape(-1, pulses, spectra.shape[-1]),
             steps.step.reshape(between),
             steps.peak.reshape(between),
             steps.product.reshape(between),
             steps.energy.reshape(-1, pulses),
         )
         return steps
-    bins = parts.shape[-1] // 2
-    real, imag = parts[..., :bins], parts[..., bins:]
+    bins = spectra.shape[-1] // 2
+    real, imag = spectra[..., :bins], spectra[..., bins:]
     power = real**2 + imag**2
     peak = np.argmax(power[..., :-1, :] * power[..., 1:, :], axis=-1)
     before, after = (
@@ -138,7 +138,7 @@ def peak_steps(parts: FloatArray, use_compiled: bool | None = None) -> PeakSteps
         + 1j * np.take_along_axis(imag[..., pulses, :], peak[..., None], axis=-1)[..., 0]
         for pulses in (slice(None, -1), slice(1, None))
     )
-    product = np.einsum("...i,...i->...", parts[..., :-1, :], parts[..., 1:, :]).astype(np.complex128)
+    product = np.einsum("...i,...i->...", spectra[..., :-1, :], spectra[..., 1:, :]).astype(np.complex128)
     product.imag = np.einsum("...i,...i->...", real[..., :-1, :], imag[..., 1:, :])
     product.imag -= np.einsum("...i,...i->...", imag[..., :-1, :], real[..., 1:, :])
     return PeakSteps(np.angle(np.conj(before) * after), peak, product, power.sum(axis=-1))
@@ -149,14 +149,14 @@ def noisy_peak_steps(
     echo_index: IndexArray,
     level: FloatArray,
     noise: FloatArray,
-    use_compiled: bool | None = None,
+    use_compiled: bool = True,
 ) -> tuple[FloatArray, IndexArray]:
     """Return phase and bin (draw, noise, pulse - 1) at the peaks of clean[draw, echo_index[pulse]] + level[draw] noise.
 
     ``clean`` (draw, echo, 2 * bin), ``echo_index`` (pulse,), ``level`` (draw,), ``noise`` (draw, noise, pulse,
     2 * bin), as in `peak_steps`. The compiled loop never stores the sum, which is as large as the noise.
     """
-    if not (numba_installed() if use_compiled is None else use_compiled):
+    if not (use_compiled and numba_installed()):
         steps = peak_steps(clean[:, None, echo_index] + level[:, None, None, None] * noise, use_compiled=False)
         return steps.step, steps.peak
     from hpe_rig.processing.motion.spectral_peak_numba import noisy_peak_steps as compiled_loop
@@ -180,8 +180,8 @@ def _transform(
     if fft_is_faster(samples, frequency_hz.size, bins):
 
         def by_fft(volts: Volts) -> tuple[FloatArray, FloatArray]:
-            parts = _band_fft(volts * window.astype(volts.dtype), rate_hz, frequency_hz, bins)
-            return parts, _energy(_band_fft(volts, rate_hz, plain_hz, samples))
+            spectra = _band_fft(volts * window.astype(volts.dtype), rate_hz, frequency_hz, bins)
+            return spectra, _energy(_band_fft(volts, rate_hz, plain_hz, samples))
 
         return by_fft
     basis, to_real, to_imag = _basis(samples, rate_hz, *(tuple(x.tolist()) for x in (frequency_hz, window, plain_hz)))
@@ -189,17 +189,17 @@ def _transform(
 
     def by_basis(volts: Volts) -> tuple[FloatArray, FloatArray]:
         coefficients = volts.astype(np.float64, copy=False) @ basis
-        parts = np.empty((*coefficients.shape[:-1], 2 * frequency_hz.size))
-        np.matmul(coefficients[..., :even], to_real, out=parts[..., : frequency_hz.size])
-        np.matmul(coefficients[..., even : even + odd], to_imag, out=parts[..., frequency_hz.size :])
-        return parts, _energy(coefficients[..., even + odd :])
+        spectra = np.empty((*coefficients.shape[:-1], 2 * frequency_hz.size))
+        np.matmul(coefficients[..., :even], to_real, out=spectra[..., : frequency_hz.size])
+        np.matmul(coefficients[..., even : even + odd], to_imag, out=spectra[..., frequency_hz.size :])
+        return spectra, _energy(coefficients[..., even + odd :])
 
     return by_basis
 
 
-def _energy(parts: FloatArray) -> FloatArray:
-    """Return the energy (...) of ``parts`` (..., part)."""
-    return np.asarray(np.einsum("...i,...i->...", parts, parts))
+def _energy(spectra: FloatArray) -> FloatArray:
+    """Return the energy (...) of ``spectra`` (..., 2 * bin)."""
+    return np.asarray(np.einsum("...i,...i->...", spectra, spectra))
 
 
 def _band_fft(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray, bins: int) -> FloatArray:
@@ -224,23 +224,22 @@ def _basis(
     Coefficients are those of the even half, those of the odd half, and the spectrum at ``plain_hz`` without a window.
     Phases are relative to the gate's centre, which cancels in cross-spectra.
     """
-    real, imag = _centred_fourier(samples, sample_rate_hz, frequency_hz) * np.array(window)[:, None]
+    centre = (samples - 1) / 2
+    windowed = fourier_columns(samples, sample_rate_hz, np.array(frequency_hz), centre) * np.array(window)[:, None]
+    real, imag = (np.ascontiguousarray(half) for half in np.hsplit(windowed, 2))
     even, odd = orthonormal_rows(real), orthonormal_rows(imag)
-    plain_real, plain_imag = _centred_fourier(samples, sample_rate_hz, plain_hz)
-    basis = np.vstack([even, odd, plain_real.T, plain_imag.T])
-    return np.ascontiguousarray(basis.T), even @ real, odd @ imag
+    plain = fourier_columns(samples, sample_rate_hz, np.array(plain_hz), centre)
+    return np.ascontiguousarray(np.vstack([even, odd, plain.T]).T), even @ real, odd @ imag
 
 
-def _centred_fourier(samples: int, sample_rate_hz: float, frequency_hz: tuple[float, ...]) -> FloatArray:
-    """Return the Fourier matrix with phases relative to the gate's centre, (2, sample, bin): real, then imaginary."""
-    time_s = (np.arange(samples) - (samples - 1) / 2) / sample_rate_hz
-    phase = 2 * np.pi * np.outer(time_s, np.array(frequency_hz))
-    return np.stack([np.cos(phase), -np.sin(phase)])
+def fourier_columns(
+    samples: int, sample_rate_hz: float, frequency_hz: FloatArray, origin_sample: float = 0.0
+) -> FloatArray:
+    """Return the Fourier transform as a real matrix (sample, 2 * bin): to real parts, then to imaginary parts.
 
-
-def fourier_columns(samples: int, sample_rate_hz: float, frequency_hz: FloatArray) -> FloatArray:
-    """Return the Fourier transform as a real matrix (sample, 2 * bin): to real parts, then to imaginary parts."""
-    phase = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
+    Phases are relative to ``origin_sample``.
+    """
+    phase = 2 * np.pi * np.outer((np.arange(samples) - origin_sample) / sample_rate_hz, frequency_hz)
     return np.hstack([np.cos(phase), -np.sin(phase)])
 
 

@@ -24,11 +24,11 @@ def _largest(first: FloatArray, second: FloatArray) -> int:
 
 
 @_compile
-def _energies(parts: FloatArray, power: FloatArray) -> float:
+def _energies(spectrum: FloatArray, power: FloatArray) -> float:
     """Write the energy of every bin into ``power``, and return their sum."""
     bins, total = len(power), 0.0
     for i in range(bins):
-        power[i] = parts[i] * parts[i] + parts[bins + i] * parts[bins + i]
+        power[i] = spectrum[i] * spectrum[i] + spectrum[bins + i] * spectrum[bins + i]
         total += power[i]
     return total
 
@@ -46,15 +46,15 @@ def _product(before: FloatArray, after: FloatArray) -> complex:
 
 @_compile
 def peak_steps(
-    parts: FloatArray, step: FloatArray, peak: IndexArray, product: ComplexArray, energy: FloatArray
+    spectra: FloatArray, step: FloatArray, peak: IndexArray, product: ComplexArray, energy: FloatArray
 ) -> None:
     """Write the fields of `spectral_peak.PeakSteps` for spectra (train, pulse, 2 * bin)."""
-    bins = parts.shape[2] // 2
+    bins = spectra.shape[2] // 2
     power = np.empty((2, bins))
-    for train in range(len(parts)):
-        energy[train, 0] = _energies(parts[train, 0], power[0])
-        for k in range(1, parts.shape[1]):
-            before, after = parts[train, k - 1], parts[train, k]
+    for train in range(len(spectra)):
+        energy[train, 0] = _energies(spectra[train, 0], power[0])
+        for k in range(1, spectra.shape[1]):
+            before, after = spectra[train, k - 1], spectra[train, k]
             energy[train, k] = _energies(after, power[k % 2])
             i = _largest(power[1 - k % 2], power[k % 2])
             a, b, c, d = before[i], before[bins + i], after[i], after[bins + i]
@@ -70,16 +70,16 @@ def noisy_peak_steps(
     """Write the results of `spectral_peak.noisy_peak_steps`; only the noisy spectra of two pulses are in memory."""
     columns = clean.shape[2]
     bins = columns // 2
-    parts, power = np.empty((2, columns)), np.empty((2, bins))
+    spectra, power = np.empty((2, columns)), np.empty((2, bins))
     for draw in range(noise.shape[0]):
         for realisation in range(noise.shape[1]):
             for k in range(noise.shape[2]):
-                echo, echo_noise, noisy = clean[draw, echo_index[k]], noise[draw, realisation, k], parts[k % 2]
+                echo, echo_noise, noisy = clean[draw, echo_index[k]], noise[draw, realisation, k], spectra[k % 2]
                 for i in range(columns):
                     noisy[i] = echo[i] + level[draw] * echo_noise[i]
                 _energies(noisy, power[k % 2])
                 if k > 0:
-                    before = parts[1 - k % 2]
+                    before = spectra[1 - k % 2]
                     i = _largest(power[1 - k % 2], power[k % 2])
                     a, b, c, d = before[i], before[bins + i], noisy[i], noisy[bins + i]
                     step[draw, realisation, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)

@@ -26,20 +26,20 @@ def test_full_scale_codes_become_full_scale_volts() -> None:
     np.testing.assert_allclose(volts, [[-0.79, 0.01, 0.8 * 8191 / 8192 + 0.01]], rtol=1e-15)
 
 
-def test_offset_goes_and_the_resting_echo_stays() -> None:
+def test_the_offset_is_removed_and_the_resting_echo_kept() -> None:
     echo = np.array([3000, 0, -3000, 0, 3000, 0, -3000, 0], dtype=np.int16)
     volts = centred_volts(np.tile(echo + np.int16(500), (7, 1)), 1e-4, np.ones(7, dtype=bool))
     # float32: 2^-24 of the largest number that occurs, 0.35 V, twice
     np.testing.assert_allclose(volts, np.tile(echo * 1e-4, (7, 1)), atol=2 * 0.35 * 2**-24)
 
 
-def test_missing_and_full_scale_records_move_no_other_records_offset() -> None:
+def test_missing_and_full_scale_records_do_not_affect_the_offset() -> None:
     codes = np.tile(np.array([120, -80, 120, -80], dtype=np.int16), (5, 1))
     codes[1] = -32768
     codes[3, 2:] = 8191
     volts = centred_volts(codes, 1e-4, np.array([True, False, True, False, True]))
     np.testing.assert_allclose(volts[[0, 2, 4]], np.tile([1e-2, -1e-2], (3, 2)), rtol=1e-6)
-    # without a sound record there is no offset to know
+    # without a usable record no offset is removed
     assert centred_volts(codes, 1e-4, np.zeros(5, dtype=bool))[0, 0] == np.float32(120e-4)
 
 
@@ -50,37 +50,39 @@ def test_hann_window_is_symmetric_with_mean_one_half(count: int) -> None:
     assert window.mean() == pytest.approx(0.5, abs=1e-15)
 
 
-def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = measure(load_scene("table-1").with_({"processing.window_start_s": 2e-3}), path=tmp_path / "run.h5")
     shot, records = run.plan.shots[0], run.stored.records
     gate, margin = shot.gate, margin_needed(run.scene, shot)
-    looked: list[np.ndarray] = []
+    checked: list[np.ndarray] = []
     held = records.in_blocks(0, gate, margin)
-    left = records.in_blocks(0, gate, margin, most_held=0, look=lambda codes: looked.append(codes.copy()))
-    whole = records.gated(0, gate)
-    np.testing.assert_array_equal(np.concatenate(looked), whole.codes)
-    seen, direct = (conditioning.code_statistics(whole.codes), conditioning.gate_statistics(left))
+    blocked = records.in_blocks(0, gate, margin, most_held=0, look=lambda codes: checked.append(codes.copy()))
+    gated = records.gated(0, gate)
+    np.testing.assert_array_equal(np.concatenate(checked), gated.codes)
+    of_codes, of_blocks = (conditioning.code_statistics(gated.codes), conditioning.gate_statistics(blocked))
     for name in ("lowest", "highest", "mean", "mean_square"):
-        np.testing.assert_allclose(getattr(seen, name), getattr(direct, name), rtol=1e-6)
-    assert not hasattr(left, "codes")
-    chosen = select(run.scene, shot)
-    expected = coherent(shot_echoes(run.scene, shot, held, chosen))
+        np.testing.assert_allclose(getattr(of_codes, name), getattr(of_blocks, name), rtol=1e-6)
+    assert not hasattr(blocked, "codes")
+    selection = select(run.scene, shot)
+    expected = coherent(shot_echoes(run.scene, shot, held, selection))
     for module in (conditioning, gate_module):
         monkeypatch.setattr(module, "BLOCK_SAMPLES", 7 * held.shape[1])
     monkeypatch.setattr(phase_shift, "STEP_CHUNK", 5)
     monkeypatch.setattr(phase_shift, "ALIGNED_CHUNK", 6)
-    found = shot_echoes(run.scene, shot, left, chosen)
-    assert len(list(found.blocks(found.gate))) == -(-found.valid.size // 7)
-    np.testing.assert_allclose(found.energy, shot_echoes(run.scene, shot, held, chosen).energy, rtol=1e-5)
-    np.testing.assert_allclose(found.gate_volts, shot_echoes(run.scene, shot, held, chosen).gate_volts, atol=1e-7)
-    in_blocks = coherent(found)
+    echoes = shot_echoes(run.scene, shot, blocked, selection)
+    assert len(list(echoes.blocks(echoes.gate))) == -(-echoes.valid.size // 7)
+    np.testing.assert_allclose(echoes.energy, shot_echoes(run.scene, shot, held, selection).energy, rtol=1e-5)
+    np.testing.assert_allclose(echoes.gate_volts, shot_echoes(run.scene, shot, held, selection).gate_volts, atol=1e-7)
+    in_blocks = coherent(echoes)
     # single precision of the spectra: 6e-8 of an echo's phase
     np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
     np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
-    assert spectrum.band_spectrum(found, 2)[0].dtype == np.complex64
+    assert spectrum.band_spectrum(echoes, 2)[0].dtype == np.complex64
 
 
-def test_codes_of_a_long_shot_are_the_same_from_the_copy_and_from_the_run_file(
+def test_codes_of_a_long_shot_are_equal_from_the_copy_and_from_the_run_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = measure(load_scene("table-1").with_({"tracking.pulse_count": 300}), path=tmp_path / "run.h5")
@@ -98,7 +100,7 @@ def test_codes_of_a_long_shot_are_the_same_from_the_copy_and_from_the_run_file(
             np.testing.assert_array_equal(records.block(pulses), expected[pulses])
 
 
-def test_a_copy_that_was_cut_is_a_message() -> None:
+def test_a_truncated_copy_raises_a_store_error() -> None:
     copy = reader.CodesCopy(4)
     copy.add(np.ones((3, 4), np.int16))
     assert copy.block(1, 3).sum() == 8
@@ -107,37 +109,35 @@ def test_a_copy_that_was_cut_is_a_message() -> None:
         copy.block(1, 3)
 
 
-def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lost = {"tracking.pulse_count": 400, "processing.window_start_s": 2e-3}
-    run = measure(load_scene("table-1").with_(lost), path=tmp_path / "run.h5")
+def test_spectra_in_a_temporary_file_give_the_same_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = {"tracking.pulse_count": 400, "processing.window_start_s": 2e-3}
+    run = measure(load_scene("table-1").with_(settings), path=tmp_path / "run.h5")
     shot = run.plan.shots[0]
     records = run.stored.records.in_blocks(0, shot.gate, margin_needed(run.scene, shot), most_held=0)
-    found = shot_echoes(run.scene, shot, records, select(run.scene, shot))
-    # some pulses that do not count, in every block of volts
-    found = found.without(np.arange(found.valid.size) % 7 == 3)
-    at_once = coherent(found)
+    echoes = shot_echoes(run.scene, shot, records, select(run.scene, shot))
+    # invalid pulses in every block of volts
+    echoes = echoes.without(np.arange(echoes.valid.size) % 7 == 3)
+    at_once = coherent(echoes)
     for module in (conditioning, gate_module):
         monkeypatch.setattr(module, "BLOCK_SAMPLES", 50 * records.shape[1])
-    expected = coherent(found)
-    # volts and products are of single precision: how many pulses are multiplied at once decides their rounding
+    expected = coherent(echoes)
+    # volts and products have single precision: rounding depends on the number of pulses multiplied together
     rounding = np.sqrt(records.shape[1]) * np.finfo(np.float32).eps
-    one_radian_m = run.scene.acquisition.sound_speed_m_per_s / (4 * np.pi * found.carrier_hz)
+    one_radian_m = run.scene.acquisition.sound_speed_m_per_s / (4 * np.pi * echoes.carrier_hz)
     np.testing.assert_allclose(expected.displacement_m, at_once.displacement_m, rtol=0, atol=rounding * one_radian_m)
     monkeypatch.setattr(phase_shift, "ALIGNED_CHUNK", 64)
     monkeypatch.setattr(spectrum, "MAX_MEMORY_BYTES", 0)
-    assert isinstance(spectrum.band_spectrum(found, 2)[0], np.memmap)
-    in_file = coherent(found)
+    assert isinstance(spectrum.band_spectrum(echoes, 2)[0], np.memmap)
+    in_file = coherent(echoes)
     np.testing.assert_allclose(in_file.displacement_m, expected.displacement_m, rtol=0, atol=1e-15)
     np.testing.assert_allclose(in_file.variance_m2, expected.variance_m2, rtol=1e-9)
     assert float(in_file.largest_step) == pytest.approx(float(expected.largest_step), rel=1e-12)
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file on which there is never room")
-def test_a_full_temporary_disk_costs_memory_and_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file that is always full")
+def test_a_full_temporary_disk_falls_back_to_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spectrum, "MAX_MEMORY_BYTES", 0)
     monkeypatch.setattr(tempfile, "TemporaryFile", partial(Path("/dev/full").open, "r+b", buffering=0))
-    made = spectrum.spectrum_buffer((3, 5), np.dtype(np.complex64))
-    assert type(made) is np.ndarray
-    assert made.shape == (3, 5)
+    buffer = spectrum.spectrum_buffer((3, 5), np.dtype(np.complex64))
+    assert type(buffer) is np.ndarray
+    assert buffer.shape == (3, 5)

@@ -1,4 +1,4 @@
-"""The gate's edge: what a rigid motion loses where echoes are cut, for every estimator, and white noise alone."""
+"""The gate's edge: bias of a rigid motion by cut echoes, for every estimator; white noise alone; refused echoes."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ OVER_THE_GATE: list[Estimator] = ["coherent", "cross_correlation", "loupas"]
 
 
 def _rigid(table: TableOne, generator: np.random.Generator) -> FloatArray:
-    """Echoes (pulse, sample) of scatterers on the axis that move by 1 um, as one."""
+    """Return echoes (pulse, sample) of scatterers on the axis that move together by 1 um."""
     gate_s = table.gate_time_s()
     length_s = 1 / (table.bandwidth * table.carrier_hz)
     span_s = gate_s[-1] - gate_s[0] + 2 * length_s
     count = round(40 * span_s * table.sound_speed_m_per_s / 2 / 1e-3)
-    place_s = generator.uniform(-span_s / 2, span_s / 2, count)
+    position_s = generator.uniform(-span_s / 2, span_s / 2, count)
     echo = generator.standard_normal(count)
-    moved_m = table.amplitude_m * np.sin(2 * np.pi * table.frequency_hz * table.pulse_time_s + table.phase_rad)
-    late_s = 2 * moved_m / table.sound_speed_m_per_s
-    return np.stack([table.pulse(gate_s[:, None] - place_s - late, table.bandwidth) @ echo for late in late_s])
+    displacement_m = table.amplitude_m * np.sin(2 * np.pi * table.frequency_hz * table.pulse_time_s + table.phase_rad)
+    delay_s = 2 * displacement_m / table.sound_speed_m_per_s
+    return np.stack([table.pulse(gate_s[:, None] - position_s - delay, table.bandwidth) @ echo for delay in delay_s])
 
 
 @lru_cache(maxsize=4)
 def _draws(table: TableOne, draws: int) -> FloatArray:
-    """The same echoes for every estimator: (draw, pulse, sample)."""
+    """Return the echoes shared by all estimators, (draw, pulse, sample)."""
     generator = np.random.default_rng(41)
     volts = np.stack([_rigid(table, generator) for _ in range(draws)])
     volts.flags.writeable = False
@@ -69,7 +69,7 @@ def _one_cycle(wide: TableOne, samples: int) -> TableOne:
 
 @pytest.mark.parametrize(("samples", "limit"), [(130, 2e-4), (65, 5e-4)])
 @pytest.mark.parametrize("estimator", OVER_THE_GATE)
-def test_a_rigid_motion_loses_nothing_at_the_edges(
+def test_the_gates_edges_do_not_bias_a_rigid_motion(
     wide: TableOne, estimator: Estimator, samples: int, limit: float
 ) -> None:
     errors = _errors(_one_cycle(wide, samples), 40, estimator)
@@ -79,7 +79,7 @@ def test_a_rigid_motion_loses_nothing_at_the_edges(
 @pytest.mark.slow
 @pytest.mark.parametrize(("samples", "limit"), [(130, 2e-4), (65, 5e-4)])
 @pytest.mark.parametrize("estimator", OVER_THE_GATE)
-def test_a_rigid_motion_loses_nothing_at_the_edges_over_1000_draws(
+def test_the_gates_edges_do_not_bias_a_rigid_motion_over_1000_draws(
     wide: TableOne, estimator: Estimator, samples: int, limit: float
 ) -> None:
     errors = _errors(_one_cycle(wide, samples), 1000, estimator)
@@ -88,11 +88,13 @@ def test_a_rigid_motion_loses_nothing_at_the_edges_over_1000_draws(
 
 @pytest.mark.parametrize("estimator", OVER_THE_GATE)
 @pytest.mark.parametrize("margin", [0, 67])
-def test_the_stated_edge_error_is_what_a_rigid_motion_shows(wide: TableOne, margin: int, estimator: Estimator) -> None:
+def test_the_stated_edge_uncertainty_is_the_error_of_a_rigid_motion(
+    wide: TableOne, margin: int, estimator: Estimator
+) -> None:
     table = replace(_one_cycle(wide, 130), margin=margin)
-    found = np.sqrt(np.mean(_errors(table, 40, estimator) ** 2))
+    error = np.sqrt(np.mean(_errors(table, 40, estimator) ** 2))
     stated = gate_edge_uncertainty(table.gate(np.zeros((20, 130 + 2 * margin))))
-    assert stated / 4 < found < 1.5 * stated
+    assert stated / 4 < error < 1.5 * stated
 
 
 def test_a_rigid_motion_at_60_db_is_within_its_uncertainty(wide: TableOne) -> None:
@@ -100,12 +102,12 @@ def test_a_rigid_motion_at_60_db_is_within_its_uncertainty(wide: TableOne) -> No
     echoes = _rigid(wide, generator)
     volts = echoes + 1e-3 * echoes.std() * generator.standard_normal((40, *echoes.shape))
     fit = estimate(wide.gate(volts), [200.0])
-    # 40 draws: their mean square is known to sqrt(2 / 40) = 0.22, three of these; u is 0.2 nm of 1000
+    # 40 draws: the standard deviation of their mean square is sqrt(2 / 40) = 0.22; three of these; u is 0.2 nm of 1000
     error = (fit.amplitude_m - 1e-6) / np.sqrt(fit.covariance[:, :, 0, 0])
     assert np.mean(error**2) == pytest.approx(1.0, abs=0.7)
 
 
-def test_kasai_divided_by_the_centre_loses_nothing_either(wide: TableOne) -> None:
+def test_the_gates_edges_do_not_bias_kasai_divided_by_the_mean_frequency(wide: TableOne) -> None:
     table = _one_cycle(wide, 130)
     echoes = table.gate(_draws(table, 40))
     mean_hz = pulse_steps(*band_spectrum(echoes, 2)).mean_hz
@@ -115,7 +117,7 @@ def test_kasai_divided_by_the_centre_loses_nothing_either(wide: TableOne) -> Non
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("margin", [0, 67])
-def test_white_noise_alone_is_no_motion(wide: TableOne, estimator: Estimator, margin: int) -> None:
+def test_white_noise_alone_is_not_significant_motion(wide: TableOne, estimator: Estimator, margin: int) -> None:
     trials, table = 600, replace(wide, margin=margin)
     try:
         fit = estimate(table.gate(_noise(trials, 130 + 2 * margin)), [200.0], estimator)
@@ -123,7 +125,7 @@ def test_white_noise_alone_is_no_motion(wide: TableOne, estimator: Estimator, ma
         return
     with np.errstate(invalid="ignore"):
         alarms = np.sum(fit.amplitude_m[:, 0] > 3 * np.sqrt(fit.covariance[:, 0, 0, 0]))
-    # beyond three u by chance in exp(-9/2) = 1.1 %, of trains that are refused never; three deviations of the trials
+    # exceeds three u by chance in exp(-9/2) = 1.1 %, never in refused trains; three deviations of the trials
     expected = np.exp(-4.5) * trials
     assert alarms <= expected + 3 * np.sqrt(expected)
     # one train in a thousand passes for echoes by chance
@@ -132,7 +134,7 @@ def test_white_noise_alone_is_no_motion(wide: TableOne, estimator: Estimator, ma
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 @pytest.mark.parametrize("snr_db", [0.0, 10.0, 20.0])
-def test_no_echo_above_its_noise_is_refused(
+def test_echoes_above_their_noise_are_not_refused(
     wide: TableOne, wide_draws: FloatArray, estimator: Estimator, snr_db: float
 ) -> None:
     noise = np.random.default_rng(45).standard_normal((len(wide_draws), 100, wide_draws.shape[-1]))
@@ -146,9 +148,9 @@ def test_no_echo_above_its_noise_is_refused(
 def test_trains_of_noise_pass_for_echoes_once_in_a_thousand(pulses: int, independent: int) -> None:
     generator = np.random.default_rng(46)
     passed, trials = 0, 20_000 if pulses < 100 else 3000
-    for some in np.array_split(np.arange(trials), max(1, trials * pulses // 100_000)):
-        parts = generator.standard_normal((2, some.size, pulses, independent))
-        echo = parts[0] + 1j * parts[1]
+    for batch in np.array_split(np.arange(trials), max(1, trials * pulses // 100_000)):
+        normal = generator.standard_normal((2, batch.size, pulses, independent))
+        echo = normal[0] + 1j * normal[1]
         cross = np.abs(np.einsum("...i,...i->...", np.conj(echo[:, :-1]), echo[:, 1:]))
         energy = np.einsum("...i,...i->...", echo, np.conj(echo)).real
         try:
@@ -159,18 +161,18 @@ def test_trains_of_noise_pass_for_echoes_once_in_a_thousand(pulses: int, indepen
     assert passed <= 0.003 * trials + 3 * np.sqrt(0.003 * trials)
 
 
-def test_one_bad_train_of_a_batch_is_marked_and_the_others_stay(wide: TableOne, wide_draws: FloatArray) -> None:
+def test_bad_trains_of_a_batch_are_nan_and_do_not_affect_the_others(wide: TableOne, wide_draws: FloatArray) -> None:
     good = wide_draws[:4]
     bad = good.copy()
     bad[1], bad[2, 5, 70] = 0.0, np.nan
     for estimator in ESTIMATORS:
-        whole, some = (estimate(wide.gate(each), [200.0], estimator) for each in (good, bad))
-        assert np.isnan(some.amplitude_m[1:3]).all()
-        np.testing.assert_allclose(some.amplitude_m[[0, 3]], whole.amplitude_m[[0, 3]], rtol=1e-9)
+        expected, fit = (estimate(wide.gate(volts), [200.0], estimator) for volts in (good, bad))
+        assert np.isnan(fit.amplitude_m[1:3]).all()
+        np.testing.assert_allclose(fit.amplitude_m[[0, 3]], expected.amplitude_m[[0, 3]], rtol=1e-9)
 
 
 @pytest.mark.parametrize("dtype", [">f8", ">f4", "<f2", "f16", "<i2", ">i4", "u1"])
-def test_volts_and_times_of_any_real_type_and_byte_order_are_taken(
+def test_volts_and_times_may_have_any_real_type_and_byte_order(
     wide: TableOne, wide_draws: FloatArray, dtype: str
 ) -> None:
     kind = np.dtype("f16" if dtype == "f16" and hasattr(np, "float128") else dtype if dtype != "f16" else "f8")
@@ -178,13 +180,12 @@ def test_volts_and_times_of_any_real_type_and_byte_order_are_taken(
     plain = wide.gate(volts)
     times = np.arange(100)
     typed = replace(plain, volts=volts.astype(kind), pulse_time_s=times.astype(kind), margin=plain.margin)
-    found = coherent(typed).displacement_m
-    np.testing.assert_allclose(found, coherent(plain).displacement_m, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(coherent(typed).displacement_m, coherent(plain).displacement_m, rtol=0, atol=1e-11)
     assert typed.volts.dtype.isnative
 
 
 @pytest.mark.parametrize("kind", [bool, complex, object, str])
-def test_what_is_no_real_number_is_refused(wide: TableOne, wide_draws: FloatArray, kind: type) -> None:
+def test_volts_that_are_not_real_numbers_are_refused(wide: TableOne, wide_draws: FloatArray, kind: type) -> None:
     plain = wide.gate(wide_draws[0])
     with pytest.raises(TypeError, match="volts of type"):
         replace(plain, volts=plain.volts.astype(kind))
@@ -200,7 +201,7 @@ def test_what_is_no_real_number_is_refused(wide: TableOne, wide_draws: FloatArra
         ({"margin": (200, 64)}, "leave no gate"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(
+def test_impossible_settings_are_refused(
     wide: TableOne, wide_draws: FloatArray, settings: dict[str, float], words: str
 ) -> None:
     gate: EchoGate = wide.gate(wide_draws[0])

@@ -1,4 +1,4 @@
-"""Maps: the motion that made the echoes, with u that holds, in every pixel; bad pixels marked and nothing else lost."""
+"""Maps: true motion within its uncertainty in every pixel; bad pixels are marked and do not affect others."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIME_S = np.arange(60) / 4000.0
 AMPLITUDE_M, PHASE_RAD, VELOCITY_M_PER_S = 1e-6, 0.7, 20e-6
 
 
-def moved() -> NDArray[np.float64]:
+def displacement_m() -> NDArray[np.float64]:
     return np.asarray(AMPLITUDE_M * np.sin(2 * np.pi * 200.0 * TIME_S + PHASE_RAD) + VELOCITY_M_PER_S * TIME_S)
 
 
@@ -32,7 +32,7 @@ def lines(count: int, snr_db: float, seed: int, demodulated: bool = False) -> ND
     rate_hz = np.fft.fftfreq(samples, 1 / RATE_HZ)
     weight = np.where(rate_hz > 0, np.exp(-(((rate_hz - CARRIER_HZ) / (0.3 * CARRIER_HZ)) ** 2)), 0.0)
     spectrum = weight * (rng.normal(size=(count, 1, samples)) + 1j * rng.normal(size=(count, 1, samples)))
-    echo = np.fft.ifft(spectrum * np.exp(-4j * np.pi * rate_hz * moved()[:, None] / SPEED))
+    echo = np.fft.ifft(spectrum * np.exp(-4j * np.pi * rate_hz * displacement_m()[:, None] / SPEED))
     echo /= np.sqrt(np.mean(echo.real**2))
     echo = echo + 10 ** (-snr_db / 20) * (rng.normal(size=echo.shape) + 1j * rng.normal(size=echo.shape))
     if demodulated:
@@ -43,19 +43,19 @@ def lines(count: int, snr_db: float, seed: int, demodulated: bool = False) -> ND
 @pytest.mark.parametrize(
     ("demodulated", "gate", "snr_db"), [(False, 16, 30.0), (False, 32, 70.0), (True, 1, 40.0), (True, 4, 30.0)]
 )
-def test_pixels_hold_the_motion_within_their_uncertainty(demodulated: bool, gate: int, snr_db: float) -> None:
+def test_the_true_motion_is_within_the_uncertainty_of_pixels(demodulated: bool, gate: int, snr_db: float) -> None:
     samples = lines(4, snr_db, 11, demodulated)
     settings = MapSettings(RATE_HZ / 4 if demodulated else RATE_HZ, CARRIER_HZ, gate, SPEED, 0.0)
-    found = map_pixels(samples, TIME_S, [200.0, 400.0], settings)
-    good = found.bad == 0
+    result = map_pixels(samples, TIME_S, [200.0, 400.0], settings)
+    good = result.bad == 0
     assert good.mean() > 0.97
     errors = {
-        "amplitude": (found.amplitude_m[..., 0] - AMPLITUDE_M) / found.amplitude_uncertainty_m[..., 0],
-        "phase": (found.phase_rad[..., 0] - PHASE_RAD) / found.phase_uncertainty_rad[..., 0],
-        "velocity": (found.velocity_m_per_s - VELOCITY_M_PER_S) / found.velocity_uncertainty_m_per_s,
+        "amplitude": (result.amplitude_m[..., 0] - AMPLITUDE_M) / result.amplitude_uncertainty_m[..., 0],
+        "phase": (result.phase_rad[..., 0] - PHASE_RAD) / result.phase_uncertainty_rad[..., 0],
+        "velocity": (result.velocity_m_per_s - VELOCITY_M_PER_S) / result.velocity_uncertainty_m_per_s,
     }
     for name, error in errors.items():
-        # 68.3 % of 400 independent pixels or more, give or take four standard deviations of that count.
+        # 68.3 % of 400 independent pixels or more, ± four standard deviations of that count.
         within = np.abs(error[good]) < 1
         assert within.mean() == pytest.approx(0.683, abs=4 * np.sqrt(0.683 * 0.317 / 400)), name
 
@@ -66,41 +66,41 @@ def test_a_gate_longer_than_a_record_is_refused() -> None:
         map_pixels(np.ones((1, 60, 400)), TIME_S, [200.0], settings)
 
 
-def test_bad_pixels_are_marked_and_the_others_as_without_them() -> None:
+def test_bad_pixels_are_marked_and_do_not_affect_the_others() -> None:
     samples, settings = lines(3, 30.0, 12), MapSettings(RATE_HZ, CARRIER_HZ, 16, SPEED)
-    whole = map_pixels(samples, TIME_S, [200.0], settings)
+    complete = map_pixels(samples, TIME_S, [200.0], settings)
     samples[1] = 0.0
     samples[2] = np.random.default_rng(1).normal(size=samples.shape[1:])
     samples[0, 7, 1600] = np.nan
-    told: list[tuple[int, int]] = []
-    found = map_pixels(samples, TIME_S, [200.0], settings, progress=lambda done, of: told.append((done, of)))
-    assert (found.bad[1] == BadPixel.NO_ECHO).all()
-    assert (found.bad[2] == BadPixel.NOISE).mean() > 0.99
-    assert np.flatnonzero(found.bad[0]).tolist() == [100]
-    assert found.bad[0, 100] == BadPixel.NOT_FINITE
-    assert np.isnan(found.amplitude_m[found.bad > 0]).all()
-    # Far from the sample that is not there, which one pulse lacks, nothing changes but by the filter's tails.
+    calls: list[tuple[int, int]] = []
+    result = map_pixels(samples, TIME_S, [200.0], settings, progress=lambda done, of: calls.append((done, of)))
+    assert (result.bad[1] == BadPixel.NO_ECHO).all()
+    assert (result.bad[2] == BadPixel.NOISE).mean() > 0.99
+    assert np.flatnonzero(result.bad[0]).tolist() == [100]
+    assert result.bad[0, 100] == BadPixel.NOT_FINITE
+    assert np.isnan(result.amplitude_m[result.bad > 0]).all()
+    # Far from the missing sample of one pulse, only the tails of the filter change the pixels.
     far = np.abs(np.arange(200) - 100) > 20
-    error = found.amplitude_m[0, far, 0] - whole.amplitude_m[0, far, 0]
-    assert np.abs(error).max() < 0.1 * float(np.median(whole.amplitude_uncertainty_m[0, :, 0]))
-    assert told[-1] == (3, 3)
+    error = result.amplitude_m[0, far, 0] - complete.amplitude_m[0, far, 0]
+    assert np.abs(error).max() < 0.1 * float(np.median(complete.amplitude_uncertainty_m[0, :, 0]))
+    assert calls[-1] == (3, 3)
 
 
-def test_progress_counts_the_lines_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_counts_finished_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_map, "BATCH_BYTES", 1)
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
     settings = MapSettings(RATE_HZ, CARRIER_HZ, 16, SPEED)
-    map_pixels(lines(3, 30.0, 12), TIME_S, [200.0], settings, progress=lambda done, of: told.append((done, of)))
-    assert told == [(1, 3), (2, 3), (3, 3)]
+    map_pixels(lines(3, 30.0, 12), TIME_S, [200.0], settings, progress=lambda done, of: calls.append((done, of)))
+    assert calls == [(1, 3), (2, 3), (3, 3)]
 
 
 def test_motion_of_wavelengths_is_followed() -> None:
     # 0.4 mm/s along with the vibration: half a wavelength over the train, as in a dragging hand.
-    samples = np.exp(-4j * np.pi * CARRIER_HZ * (moved() + 0.4e-2 * TIME_S) / SPEED)[None, :, None]
+    samples = np.exp(-4j * np.pi * CARRIER_HZ * (displacement_m() + 0.4e-2 * TIME_S) / SPEED)[None, :, None]
     depths = samples * np.ones((1, 1, 8)) * np.exp(0j)
-    found = map_pixels(depths, TIME_S, [200.0], MapSettings(10e6, CARRIER_HZ, 1, SPEED, 0.0, 0.0, CARRIER_HZ))
-    assert found.velocity_m_per_s[0] == pytest.approx(np.full(8, VELOCITY_M_PER_S + 0.4e-2), rel=1e-4)
-    assert found.amplitude_m[0, :, 0] == pytest.approx(np.full(8, AMPLITUDE_M), rel=1e-3)
+    result = map_pixels(depths, TIME_S, [200.0], MapSettings(10e6, CARRIER_HZ, 1, SPEED, 0.0, 0.0, CARRIER_HZ))
+    assert result.velocity_m_per_s[0] == pytest.approx(np.full(8, VELOCITY_M_PER_S + 0.4e-2), rel=1e-4)
+    assert result.amplitude_m[0, :, 0] == pytest.approx(np.full(8, AMPLITUDE_M), rel=1e-3)
 
 
 def frame() -> NDArray[Any]:
@@ -112,7 +112,7 @@ def frame() -> NDArray[Any]:
     return samples.astype(np.complex64)
 
 
-def test_the_compiled_passes_differ_from_numpy_by_rounding_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiled_kernels_differ_from_numpy_by_rounding_only(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
     settings = MapSettings(RATE_HZ / 4, CARRIER_HZ, 1, SPEED)
     monkeypatch.setattr(motion_map, "COMPILED_SAMPLES", 0)
@@ -134,23 +134,23 @@ def test_the_compiled_passes_differ_from_numpy_by_rounding_alone(monkeypatch: py
 
 @pytest.mark.parametrize("scale", [1.0, 1e-24, 1e24])
 @pytest.mark.parametrize("compiled", [False, True])
-def test_phases_are_those_of_double_precision(compiled: bool, scale: float) -> None:
+def test_phases_equal_those_in_double_precision(compiled: bool, scale: float) -> None:
     pytest.importorskip("numba")
     echo = np.ascontiguousarray(frame()[:2].transpose(0, 2, 1)) * np.float32(scale)
     exact = np.unwrap(np.angle(echo.astype(complex)), axis=-1)
     exact -= exact[..., :1]
-    found = (importlib.import_module("hpe_rig.processing.maps.kernels_numba") if compiled else kernels).unwrapped(echo)
-    sound = np.abs(np.diff(exact, axis=-1)).max(axis=-1) < 3
+    phase = (importlib.import_module("hpe_rig.processing.maps.kernels_numba") if compiled else kernels).unwrapped(echo)
+    unambiguous = np.abs(np.diff(exact, axis=-1)).max(axis=-1) < 3
     # Two roundings of up to 2 turns, 6e-8 of 12.6 each, and those of the product and the arctangent.
-    assert np.abs(found - exact)[sound].max() < 3e-6
+    assert np.abs(phase - exact)[unambiguous].max() < 3e-6
 
 
-def test_echoes_too_small_for_single_precision_are_no_echoes() -> None:
+def test_echoes_too_small_for_single_precision_count_as_no_echo() -> None:
     settings = MapSettings(RATE_HZ / 4, CARRIER_HZ, 1, SPEED)
-    found = map_pixels(frame()[:2, :, :100] * np.float32(1e-22), TIME_S, [200.0], settings)
-    # squares of 1e-44, of which there are numbers 1e-45 apart
-    assert (found.bad == BadPixel.NO_ECHO).all()
-    assert np.isnan(found.amplitude_m).all()
+    result = map_pixels(frame()[:2, :, :100] * np.float32(1e-22), TIME_S, [200.0], settings)
+    # squares of 1e-44, which single precision resolves to 1e-45
+    assert (result.bad == BadPixel.NO_ECHO).all()
+    assert np.isnan(result.amplitude_m).all()
 
 
 SCENE = """
@@ -168,8 +168,8 @@ def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE, encoding="utf-8")
     np.savez(tmp_path / "scan.npz", rf=lines(3, 30.0, 13).astype(np.float32), fs=RATE_HZ, prf=4e3, fc=CARRIER_HZ)
-    found = hpe.map_motion(tmp_path / "scan.npz", scene, axes="line,pulse,sample", line_pitch_m=0.3e-3)
-    dataset = found.to_xarray()
+    result = hpe.map_motion(tmp_path / "scan.npz", scene, axes="line,pulse,sample", line_pitch_m=0.3e-3)
+    dataset = result.to_xarray()
     assert dataset.sizes == {"line": 3, "depth": 200, "frequency": 1}
     assert float(dataset.amplitude_m.sel(frequency=200.0).median()) == pytest.approx(AMPLITUDE_M, rel=0.05)
     assert dataset.amplitude_m.attrs["units"] == "m"
@@ -177,22 +177,22 @@ def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
     gate_m = SPEED / 2 * 16 / RATE_HZ
     np.testing.assert_allclose(dataset.depth, (np.arange(200) + 0.5) * gate_m, rtol=1e-12)
     assert "SHA-256" in dataset.attrs["source"]
-    assert "600 of 600 pixels estimated" in str(found)
-    found.figure().savefig(tmp_path / "map.png")
+    assert "600 of 600 pixels estimated" in str(result)
+    result.figure().savefig(tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "words"),
     [
         ({"carrier_hz": 30e6}, "carrier"),
         ({"axes": "shot,pulse,sample"}, "a map needs one shot"),
         ({"lines": "9"}, "3 lines"),
     ],
 )
-def test_a_map_that_cannot_be_is_refused(settings: dict[str, Any], said: str, tmp_path: Path) -> None:
+def test_an_impossible_map_is_refused(settings: dict[str, Any], words: str, tmp_path: Path) -> None:
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE, encoding="utf-8")
-    known = {"axes": "line,pulse,sample", "sample_rate_hz": RATE_HZ, "pulse_rate_hz": 4e3, "carrier_hz": CARRIER_HZ}
-    with pytest.raises(SettingsError, match=said):
-        hpe.map_motion(np.ones((3, 60, 400)), scene, **(known | settings))
+    stated = {"axes": "line,pulse,sample", "sample_rate_hz": RATE_HZ, "pulse_rate_hz": 4e3, "carrier_hz": CARRIER_HZ}
+    with pytest.raises(SettingsError, match=words):
+        hpe.map_motion(np.ones((3, 60, 400)), scene, **(stated | settings))

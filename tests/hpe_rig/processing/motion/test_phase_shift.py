@@ -1,4 +1,4 @@
-"""Echoes to motion: both estimators on targets whose motion is known exactly."""
+"""Echoes to motion: `coherent` and `cross_spectrum` on targets with exactly known motion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def cross_spectrum(echoes: EchoGate) -> Velocity:
     return velocity_between_pulses(cross_spectrum_motion(echoes))
 
 
-# cross_spectrum reads one bin, which may lie half a bin (100 MHz / 2048 / 2) beside the centre of the echo
+# cross_spectrum reads one bin, which may be half a bin (100 MHz / 2048 / 2) off the centre of the echo
 BIN = 100e6 / 2048 / 2 / 9e6
 
 
@@ -55,17 +55,17 @@ def test_a_rigid_target_without_noise_is_recovered(
 
 
 @pytest.mark.parametrize(("precision", "rounding"), [(np.float64, 1e-14), (np.float32, 5e-6)])
-def test_a_train_that_two_threads_transform_has_the_same_spectrum(
+def test_two_threads_give_the_same_spectrum_as_one(
     table_one: TableOne, precision: type[Any], rounding: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # 1000 samples, so that a transform is taken, and more pulses than threads take at once; some 40 roundings
+    # 1000 samples, so that the FFT is used, and more pulses than one block; some 40 roundings
     volts = np.random.default_rng(3).standard_normal((1000, 1000)).astype(precision)
     train = EchoGate(volts, 100e6, np.arange(1000) / 4000, 9e6, 1540.0, np.ones(1000, bool))
-    alone, band = band_spectrum(train, 2)
+    serial, band = band_spectrum(train, 2)
     assert fft_is_faster(*band.analysis.shape, round(train.sample_rate_hz / np.diff(band.frequency_hz)[0]))
     monkeypatch.setattr(spectrum_module, "TWO_THREADS_POINTS", 0)
     shared, _ = band_spectrum(train, 2)
-    np.testing.assert_allclose(shared, alone, rtol=0, atol=rounding * np.abs(alone).max())
+    np.testing.assert_allclose(shared, serial, rtol=0, atol=rounding * np.abs(serial).max())
 
 
 def test_motion_away_from_the_transducer_is_positive(table_one: TableOne) -> None:
@@ -79,8 +79,8 @@ def test_motion_away_from_the_transducer_is_positive(table_one: TableOne) -> Non
 def test_motion_of_many_wavelengths_is_followed(table_one: TableOne, estimator: Callable[[EchoGate], Motion]) -> None:
     # 100 um is 2.3 wavelengths of phase; the largest step, 31 um, stays below the quarter wavelength of 42.8 um
     truth = _sine(table_one, 100e-6)
-    found = estimator(table_one.gate(table_one.rigid(truth))).displacement_m
-    np.testing.assert_allclose(found - found[0], truth - truth[0], atol=1e-3 * 100e-6)
+    displacement_m = estimator(table_one.gate(table_one.rigid(truth))).displacement_m
+    np.testing.assert_allclose(displacement_m - displacement_m[0], truth - truth[0], atol=1e-3 * 100e-6)
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
@@ -93,37 +93,40 @@ def test_leading_axes_equal_a_loop_and_a_gain_changes_nothing(
         np.testing.assert_allclose(together.amplitude_m.reshape(4, 1)[index], alone.amplitude_m, rtol=1e-9)
 
 
-def test_missing_pulses_leave_coherent_as_if_they_had_never_been_there(
-    table_one: TableOne, speckle_draws: FloatArray
-) -> None:
+def test_missing_pulses_do_not_affect_coherent_at_the_others(table_one: TableOne, speckle_draws: FloatArray) -> None:
     valid = np.ones(100, dtype=bool)
     valid[[0, 17, 18, 60]] = False
     volts = np.where(valid[:, None], speckle_draws[0], np.nan)
     gappy = coherent(table_one.gate(volts, valid))
-    whole = table_one.gate(speckle_draws[0])
+    complete = table_one.gate(speckle_draws[0])
     short = coherent(
-        replace(whole, volts=whole.volts[valid], pulse_time_s=whole.pulse_time_s[valid], valid=np.ones(96, dtype=bool))
+        replace(
+            complete,
+            volts=complete.volts[valid],
+            pulse_time_s=complete.pulse_time_s[valid],
+            valid=np.ones(96, dtype=bool),
+        )
     )
     np.testing.assert_array_equal(gappy.displacement_m[valid], short.displacement_m)
     assert np.isnan(gappy.displacement_m[~valid]).all()
 
 
-def test_a_missing_pulse_costs_cross_spectrum_two_intervals_and_no_other(
+def test_a_missing_pulse_invalidates_two_intervals_of_cross_spectrum(
     table_one: TableOne, speckle_draws: FloatArray
 ) -> None:
     valid = np.ones(100, dtype=bool)
     valid[40] = False
     gappy = cross_spectrum(table_one.gate(np.where(valid[:, None], speckle_draws[0], np.nan), valid))
-    whole = cross_spectrum(table_one.gate(speckle_draws[0]))
+    complete = cross_spectrum(table_one.gate(speckle_draws[0]))
     assert np.flatnonzero(~gappy.valid).tolist() == [39, 40]
-    # the same up to the rounding of the sum of steps
+    # equal up to the rounding of the sum of steps
     np.testing.assert_allclose(
-        gappy.velocity_m_per_s[gappy.valid], whole.velocity_m_per_s[gappy.valid], rtol=0, atol=1e-15
+        gappy.velocity_m_per_s[gappy.valid], complete.velocity_m_per_s[gappy.valid], rtol=0, atol=1e-15
     )
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-def test_twenty_missing_pulses_leave_the_estimate_in_place(table_one: TableOne, estimator: Estimator) -> None:
+def test_twenty_missing_pulses_do_not_bias_the_estimate(table_one: TableOne, estimator: Estimator) -> None:
     valid = np.ones(100, dtype=bool)
     valid[np.random.default_rng(3).choice(100, 20, replace=False)] = False
     echoes = table_one.gate(np.where(valid[:, None], table_one.rigid(_sine(table_one)), np.nan), valid)
@@ -152,17 +155,17 @@ def test_a_strong_offset_and_3_mhz_leak_outside_the_band_are_not_tracked(
 
 
 @pytest.mark.parametrize("leak", [5, 15, 50])
-def test_a_leak_holds_the_motion_back_by_no_more_than_its_share_of_the_energy_in_the_band(
+def test_a_stationary_leak_reduces_the_motion_by_at_most_its_fraction_of_the_band_energy(
     wide: TableOne, wide_draws: FloatArray, leak: float
 ) -> None:
-    """Beside a tone that stands still, e^2 of the echo's energy in the band, 1 / (1 + e^2) of the motion is seen."""
+    """With a stationary tone of e^2 times the echo's energy in the band, 1 / (1 + e^2) of the motion is measured."""
     tone = leak * _leak_3_mhz(wide, wide_draws)
-    echo, both = (band_spectrum(wide.gate(volts), 2)[0] for volts in (wide_draws, wide_draws + tone))
-    ratio = np.mean(np.abs(both - echo) ** 2) / np.mean(np.abs(echo) ** 2)
+    echo, with_tone = (band_spectrum(wide.gate(volts), 2)[0] for volts in (wide_draws, wide_draws + tone))
+    ratio = np.mean(np.abs(with_tone - echo) ** 2) / np.mean(np.abs(echo) ** 2)
     clean, dirty = (
         estimate(wide.gate(volts), [200.0], "coherent").amplitude_m[:, 0] for volts in (wide_draws, wide_draws + tone)
     )
-    # the part in the gate counts: it is less, for the tapers that let the tone in lie outside the gate
+    # only the energy in the gate matters: it is less, since the tapers that admit the tone are outside the gate
     lost = 1 - dirty / clean
     assert 0 < lost.mean() < ratio / (1 + ratio)
     # a draw has its own energy and overlaps with the tone by chance
@@ -175,11 +178,11 @@ def test_the_variance_of_a_pulse_is_that_of_its_noise(table_one: TableOne, speck
     volts = echo + generator.standard_normal((40, 100, 130)) * np.sqrt(np.mean(echo**2) / 100)
     motion = coherent(table_one.gate(volts))
     spread = np.var(motion.displacement_m, axis=-1, ddof=1).mean()
-    # 4000 displacements: their variance is known to sqrt(2 / 4000) = 2.2 %; three of these
+    # 4000 displacements: the standard deviation of their variance is sqrt(2 / 4000) = 2.2 %; three of these
     assert motion.variance_m2.mean() == pytest.approx(spread, rel=0.067)
 
 
-def test_echoes_that_do_not_fit_are_refused_with_the_reason(table_one: TableOne) -> None:
+def test_inconsistent_echoes_are_refused_with_the_reason(table_one: TableOne) -> None:
     volts = table_one.rigid(_sine(table_one))
     broken = volts.copy()
     broken[3, 5] = np.nan
@@ -202,17 +205,17 @@ def test_gates_without_echo_or_with_one_pulse_are_refused(table_one: TableOne, e
         estimator(lonely)
 
 
-def test_spectra_by_fft_are_those_by_projection(wide: TableOne, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_spectra_by_fft_equal_those_by_projection(wide: TableOne, monkeypatch: pytest.MonkeyPatch) -> None:
     volts = 3.0 + np.random.default_rng(1).normal(size=(2, 20, wide.samples + 2 * wide.margin))
-    both = []
+    spectra = []
     for by_fft in (True, False):
         monkeypatch.setattr(spectrum_module, "fft_is_faster", lambda *_, by_fft=by_fft: by_fft)
-        both.append(band_spectrum(wide.gate(volts), 2)[0])
-    np.testing.assert_allclose(both[0], both[1], rtol=1e-9, atol=1e-12)
+        spectra.append(band_spectrum(wide.gate(volts), 2)[0])
+    np.testing.assert_allclose(spectra[0], spectra[1], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("margins", [False, True])
-def test_the_compiled_phase_is_the_plain_one(
+def test_the_compiled_phase_equals_that_of_numpy(
     table_one: TableOne, wide: TableOne, speckle_draws: FloatArray, wide_draws: FloatArray, margins: bool
 ) -> None:
     pytest.importorskip("numba")
