@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 ECHO = "#C4804A"
 
 
-def timing(shot: Shot) -> tuple[Picture, ...]:
+def timing_pictures(shot: Shot) -> tuple[Picture, ...]:
     """Return the timing diagram of one burst period and, closer, of one tracking pulse from firing to record."""
     line = shot.timeline
     period_s = 1 / shot.tracking_train.rate_hz

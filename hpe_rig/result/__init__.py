@@ -1,25 +1,26 @@
-"""Result of a measurement: amplitude and phase with covariance, units, provenance and run time.
+"""Result of a measurement: amplitude and phase with uncertainty budget, units, provenance and run time.
 
-    estimates.py   Estimate (one frequency) -> ShotResult -> Result
-    repeats.py     mean over repeats, tested against the stated uncertainties
-    phase.py       uncertainty of a phase, also of an amplitude that may be noise
-    interval.py    half width of the 95 % interval, from u and degrees of freedom
-    sentence.py    the result in one sentence
-    rows.py        one row a shot and frequency: CSV, pandas, printed
-    motion.py      displacement of a shot, pulse by pulse, with u and model
-    grid.py        arrays over (shot, frequency) and (shot, pulse): result file, xarray
-    json_schema.py what --json prints, as a JSON schema
-    figure.py      amplitude and phase over frequency; the colours of every figure
-    spectra.py     the same as the report's two pictures, beside ground truth and repeats
-    svg.py         panels as SVG text, which every page draws
-    print_symbols.py  units and symbols of print in plain texts
-    html_repr.py   figure and tables, as a notebook shows a result
-    tables.py      any rows as CSV and as text
-    motion_map.py  amplitude, phase and velocity of every line and depth
-    page.css       the style of every page
-    provenance.py  who measured when, on which machine, and how long each stage took
+    interval.py       95 % interval from uncertainties and degrees of freedom
+    phase.py          uncertainty of a phase, and of an amplitude that may be noise
+    motion.py         displacement of a shot, pulse by pulse
+    motion_map.py     amplitude, phase and velocity of every line and depth
+    provenance.py     who measured when and where, and the time of each stage
+    values.py         estimate of a frequency, and the results of a shot and of a gate
+    repeats.py        mean over repeats, tested against the stated uncertainties
+    result_data.py    contents of a result, and their plain form for JSON
+    grid.py           arrays over (shot, frequency) and (shot, pulse): result file, xarray
+    tables.py         rows as CSV and as text
+    rows.py           one row for each shot and frequency: CSV, pandas, print
+    sentence.py       the result in one sentence
+    print_symbols.py  typographic units and symbols
+    svg.py            palette, panels and pictures of every page, with page.css
+    figure.py         amplitude and phase over frequency, for matplotlib
+    spectra.py        amplitude and phase over frequency, for pages
+    html_repr.py      display in a notebook
+    result.py         `Result`: contents with all tables and figures
+    json_schema.py    JSON schema of the output of ``--json``
 
-All rooms but ``scene`` may use it; it uses ``scene`` alone.
+It depends on ``scene`` alone. Every higher layer may use it.
 """
 
 import lazy_loader

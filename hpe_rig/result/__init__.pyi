@@ -1,12 +1,10 @@
-from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
-from .interval import coverage_factor as coverage_factor, student_widening as student_widening
+from .interval import student_widening as student_widening
 from .json_schema import (
     dataclass_schema as dataclass_schema,
     object_schema as object_schema,
     result_schema as result_schema,
     titled as titled,
-    type_schema as type_schema,
 )
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
@@ -20,6 +18,8 @@ from .phase import (
 from .print_symbols import symbols as symbols
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance, Stages as Stages
 from .repeats import RepeatMean as RepeatMean
+from .result import Result as Result
+from .result_data import json_values as json_values, shot_warnings as shot_warnings
 from .rows import result_csv as result_csv
 from .sentence import (
     estimate_at as estimate_at,
@@ -29,24 +29,20 @@ from .sentence import (
 )
 from .spectra import (
     amplitude_spectrum as amplitude_spectrum,
+    main_shot as main_shot,
     phase_spectrum as phase_spectrum,
     repeats_of as repeats_of,
-    shown_shot as shown_shot,
 )
 from .svg import (
-    BLUE as BLUE,
-    GREEN as GREEN,
-    GREY as GREY,
     MARKS as MARKS,
-    ORANGE as ORANGE,
-    SKY as SKY,
+    PALETTE as PALETTE,
     STYLE as STYLE,
+    Colour as Colour,
     Picture as Picture,
     image as image,
     inline as inline,
     label_decades as label_decades,
     legend as legend,
-    legend_above as legend_above,
     mark as mark,
     page_style as page_style,
     panel as panel,
@@ -62,8 +58,5 @@ from .values import (
     Estimate as Estimate,
     GateResult as GateResult,
     Headline as Headline,
-    Result as Result,
     ShotResult as ShotResult,
-    json_values as json_values,
-    shot_warnings as shot_warnings,
 )

@@ -1,27 +1,22 @@
-"""Figure of a result: amplitude and phase over frequency, shot by shot."""
+"""Figure of a result for matplotlib: amplitude and phase over frequency of the first shots."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
-from hpe_rig.result.values import Result
+from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from hpe_rig.result.result_data import ResultData
+from hpe_rig.result.svg import PALETTE
 
-PALETTE = ("#0072B2", "#D55E00", "#007A5A", "#8A4F7D", "#5A5A5A", "#A87400", "#2F8FC4", "#000000")
-"""Colours of every figure, after Okabe and Ito: for colour-blind readers too, each of contrast 3:1 or more on white."""
 PANELS = (
     ("amplitude_m", "amplitude_uncertainty_m", "amplitude / nm", 1e9),
     ("phase_rad", "phase_uncertainty_rad", "phase / deg", 180 / math.pi),
 )
 
 
-def result_figure(result: Result) -> Figure:
-    """Return a matplotlib figure with bars of twice the standard uncertainty, of the first shots."""
-    from matplotlib.figure import Figure
-
+def result_figure(result: ResultData) -> Figure:
+    """Return amplitude and phase of the first shots with bars of twice the standard uncertainty."""
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")
     title = result.title if result.origin == "measured" else f"{result.origin.partition(',')[0]}: {result.title}"
     figure.suptitle(title, wrap=True, fontsize="medium")

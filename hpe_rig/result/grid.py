@@ -1,4 +1,4 @@
-"""Result as arrays over (shot, frequency) and (shot, pulse): for the result file and for xarray."""
+"""Result as arrays over (shot, frequency) and (shot, pulse), for the result file and for xarray."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from hpe_rig.arrays import FloatArray, Int64Array
-from hpe_rig.result.values import Result
+from hpe_rig.result.result_data import ResultData
 
 if TYPE_CHECKING:
     import xarray
@@ -34,7 +34,7 @@ UNITS: Final = {
     "interval_95_m": "m",
     "interval_95_rad": "rad",
 }
-"""Quantities of an estimate, each (shot, frequency), with their units."""
+"""Quantities of an estimate, each (shot, frequency), and their units."""
 MOTION_UNITS: Final = {
     "time_s": "s",
     "displacement_m": "m",
@@ -42,7 +42,7 @@ MOTION_UNITS: Final = {
     "model_m": "m",
     "residual_m": "m",
 }
-"""Quantities of a pulse, each (shot, pulse), with their units."""
+"""Quantities of a pulse, each (shot, pulse), and their units."""
 SETTING_UNITS: Final = {
     "repeat": "1",
     "burst_length_s": "s",
@@ -52,17 +52,17 @@ SETTING_UNITS: Final = {
     "lateral_offset_m": "m",
     "axial_offset_m": "m",
 }
-"""What was set in each shot, (shot,), with units."""
+"""Settings of a shot, each (shot,), and their units."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """A result as arrays, NaN where a value is unknown.
+    """A result as arrays; NaN for unknown values.
 
-    ``shot`` (shot,): the shot of each row, one a window; ``frequency_hz`` (shot, frequency), ``frequency`` (frequency,)
-    the same where all shots have the same frequencies, else None; ``estimates`` by the names of `UNITS`, each (shot,
-    frequency); ``settings`` by those of `SETTING_UNITS`, each (shot,); ``motion`` by those of `MOTION_UNITS`, each
-    (shot, pulse), empty where the result holds no displacements.
+    ``shot`` (shot,): number of the shot in each row; a shot has one row for each window. ``frequency_hz``
+    (shot, frequency); ``frequency`` (frequency,) if all shots have the same frequencies, else None. ``estimates``: by
+    the names of `UNITS`, each (shot, frequency). ``settings``: by the names of `SETTING_UNITS`, each (shot,).
+    ``motion``: by the names of `MOTION_UNITS`, each (shot, pulse); empty without stored displacements.
     """
 
     shot: Int64Array
@@ -73,48 +73,48 @@ class Grid:
     motion: Mapping[str, FloatArray]
 
 
-def result_grid(result: Result) -> Grid:
+def result_grid(result: ResultData) -> Grid:
     """Return ``result`` as arrays."""
     rows = [shot.estimates for shot in result.shots]
-    most = max((len(row) for row in rows), default=0)
+    count = max((len(row) for row in rows), default=0)
 
     def table(name: str) -> FloatArray:
-        values = [[_number(getattr(each, name)) for each in row] + [math.nan] * (most - len(row)) for row in rows]
-        return np.array(values, dtype=np.float64).reshape(len(rows), most)
+        values = [[_number(getattr(item, name)) for item in row] + [math.nan] * (count - len(row)) for row in rows]
+        return np.array(values, dtype=np.float64).reshape(len(rows), count)
 
     frequency_hz = table("frequency_hz")
-    alike = bool(len(rows)) and bool((frequency_hz == frequency_hz[0]).all())
+    same_frequencies = bool(len(rows)) and bool((frequency_hz == frequency_hz[0]).all())
     return Grid(
         shot=np.array([shot.shot for shot in result.shots], dtype=np.int64),
         frequency_hz=frequency_hz,
-        frequency=frequency_hz[0] if alike else None,
+        frequency=frequency_hz[0] if same_frequencies else None,
         estimates={name: table(name) for name in UNITS},
         settings={name: np.array([_number(getattr(s, name)) for s in result.shots]) for name in SETTING_UNITS},
         motion=_motion(result),
     )
 
 
-def _motion(result: Result) -> Mapping[str, FloatArray]:
+def _motion(result: ResultData) -> Mapping[str, FloatArray]:
     motions = [shot.motion for shot in result.shots]
-    pulses = max((int(each.pulse.max()) + 1 for each in motions if each is not None and each.pulse.size), default=0)
+    pulses = max((int(item.pulse.max()) + 1 for item in motions if item is not None and item.pulse.size), default=0)
     if not pulses:
         return {}
     arrays = {name: np.full((len(motions), pulses), math.nan) for name in MOTION_UNITS}
-    for row, each in enumerate(motions):
-        if each is not None:
-            columns = (each.time_s, each.displacement_m, each.uncertainty_m, each.model_m, each.residual_m)
+    for row, item in enumerate(motions):
+        if item is not None:
+            columns = (item.time_s, item.displacement_m, item.uncertainty_m, item.model_m, item.residual_m)
             for array, values in zip(arrays.values(), columns, strict=True):
-                array[row, each.pulse] = values
+                array[row, item.pulse] = values
     return arrays
 
 
-def result_dataset(result: Result) -> xarray.Dataset:
-    """Return the arrays as an xarray Dataset with axes, units and what was set in each shot."""
+def result_dataset(result: ResultData) -> xarray.Dataset:
+    """Return the arrays as an xarray Dataset with axes, units and the settings of each shot."""
     try:
         import xarray
     except ModuleNotFoundError as error:
-        what = 'Result.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
-        raise ModuleNotFoundError(what, name=error.name) from None
+        message = 'Result.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
+        raise ModuleNotFoundError(message, name=error.name) from None
 
     grid = result_grid(result)
     number = np.arange(1, grid.frequency_hz.shape[1] + 1)
@@ -126,12 +126,16 @@ def result_dataset(result: Result) -> xarray.Dataset:
         tables["frequency_hz"] = (("shot", "frequency"), grid.frequency_hz, {"units": "Hz"})
     if grid.motion:
         coordinates["pulse"] = np.arange(grid.motion["time_s"].shape[1])
-        motion = {name: (("shot", "pulse"), of, {"units": MOTION_UNITS[name]}) for name, of in grid.motion.items()}
+        motion = {
+            name: (("shot", "pulse"), values, {"units": MOTION_UNITS[name]}) for name, values in grid.motion.items()
+        }
         coordinates["time_s"] = motion.pop("time_s")
         tables |= motion
     names = ("title", "run_file", "estimator", "phase_reference", "status")
-    about = {name: getattr(result, name) for name in names} | {"simulated": int(result.simulated)}
-    return xarray.Dataset(tables, coordinates, about | {f"note_{name}": note for name, note in result.notes.items()})
+    attributes = {name: getattr(result, name) for name in names} | {"simulated": int(result.simulated)}
+    return xarray.Dataset(
+        tables, coordinates, attributes | {f"note_{name}": note for name, note in result.notes.items()}
+    )
 
 
 def _number(value: float | None) -> float:

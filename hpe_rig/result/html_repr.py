@@ -1,4 +1,4 @@
-"""HTML of a result, as a notebook shows it: where from, figure, table, warnings."""
+"""HTML of a result for a notebook: headline, source, figures, tables and warnings."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from itertools import groupby
 
 from hpe_rig.result.print_symbols import symbols
 from hpe_rig.result.repeats import RepeatMean
+from hpe_rig.result.result_data import ResultData, shot_warnings
 from hpe_rig.result.sentence import headline_sentence
-from hpe_rig.result.spectra import amplitude_spectrum, phase_spectrum, repeats_of, shown_shot
+from hpe_rig.result.spectra import amplitude_spectrum, main_shot, phase_spectrum, repeats_of
 from hpe_rig.result.svg import image
-from hpe_rig.result.values import Headline, Result, shot_warnings
+from hpe_rig.result.values import Headline
 
-MOST_SHOTS = 6
+MAX_SHOTS = 6
 COLUMNS = (
     ("amplitude_m", "{} / nm", 1e9, ".4g"),
     ("amplitude_uncertainty_m", "u / nm", 1e9, ".2g"),
@@ -23,35 +24,35 @@ COLUMNS = (
 )
 
 
-def result_html(result: Result) -> str:
-    """Return HTML that needs nothing else: source, figure, tables of the first ``MOST_SHOTS`` shots, warnings."""
+def result_html(result: ResultData) -> str:
+    """Return self-contained HTML with the tables of the first ``MAX_SHOTS`` shots."""
     source = ", ".join(text for text in (_origin(result), result.run_file, result.estimator) if text)
     lead = "<br>".join([f"<b>{symbols(headline_sentence(result))}</b>", symbols(result.title), escape(source)])
     parts = [f"<p>{lead}</p>", _spectra(result)]
     for shots, means in groupby(result.means, key=lambda mean: mean.shots):
         rows = [(mean.frequency_hz, mean) for mean in means]
         parts.append(_table(f"mean of {len(shots)} repeats from shot {shots[0] + 1} on", rows))
-    for shot in result.shots[:MOST_SHOTS]:
+    for shot in result.shots[:MAX_SHOTS]:
         parts.append(_table(f"shot {shot.shot + 1}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
-    if len(result.shots) > MOST_SHOTS:
-        parts.append(f"<p>and {len(result.shots) - MOST_SHOTS} more shots</p>")
+    if len(result.shots) > MAX_SHOTS:
+        parts.append(f"<p>and {len(result.shots) - MAX_SHOTS} more shots</p>")
     warnings = (*result.warnings, *shot_warnings(result.shots))
     return "\n".join([*parts, *(f"<p><b>WARNING</b> {symbols(text)}</p>" for text in warnings)])
 
 
-def _origin(result: Result) -> str:
+def _origin(result: ResultData) -> str:
     return result.origin + (f", simulated specimen: {result.simulated_specimen}" if result.simulated_specimen else "")
 
 
-def _spectra(result: Result) -> str:
-    """Return the report's two pictures, of the shot that stands for the result."""
-    shown = shown_shot(result)
-    if not shown.estimates:
+def _spectra(result: ResultData) -> str:
+    """Return the report's two spectra, of the main shot."""
+    shot = main_shot(result)
+    if not shot.estimates:
         return ""
-    repeats = repeats_of(result, shown)
-    drawn = (amplitude_spectrum(shown.estimates, repeats), phase_spectrum(shown.estimates, repeats))
-    which = f"shot {shown.shot + 1}" + (", beside the other repeats of its setting" if repeats else "")
-    return "".join([*(image(each) for each in drawn), f"<p>{which}; bars: 2 u</p>"])
+    repeats = repeats_of(result, shot)
+    spectra = (amplitude_spectrum(shot.estimates, repeats), phase_spectrum(shot.estimates, repeats))
+    caption = f"shot {shot.shot + 1}" + (" and the other repeats of its setting" if repeats else "")
+    return "".join([*(image(spectrum) for spectrum in spectra), f"<p>{caption}; bars: 2 u</p>"])
 
 
 def _table(caption: str, rows: Sequence[tuple[float, Headline | RepeatMean]]) -> str:

@@ -33,7 +33,7 @@ def coverage_factor(degrees_of_freedom: float = math.inf) -> float:
 
 
 def student_widening(degrees_of_freedom: float) -> float:
-    """Return t(nu) / t(infinity): factor on a limit in standard uncertainties where u itself has few degrees of freedom."""
+    """Return t(nu) / t(infinity), the factor on a limit in standard uncertainties if u has few degrees of freedom."""
     return coverage_factor(degrees_of_freedom) / coverage_factor()
 
 

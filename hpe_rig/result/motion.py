@@ -1,4 +1,4 @@
-"""Displacement of one shot over its pulses, with its uncertainty and the model fitted to it."""
+"""Displacement of one shot over its pulses, with its uncertainty and the fitted model."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from hpe_rig.arrays import FloatArray, Int64Array
 
 MOST_PULSES = 5_000_000
-"""Pulses of all shots up to which a result keeps their displacements: about 200 MB; they can be had again any time."""
+"""Pulses of all shots up to which a result stores their displacements, about 200 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShotMotion:
-    """Displacement D(t) of the pulses in a shot's window, up to a constant, all (pulse,).
+    """Displacement D(t) of the pulses in a shot's window, up to a constant; all arrays (pulse,).
 
-    ``pulse``: number of the pulse in the shot, from 0; ``time_s`` when it senses the motion, from the phase reference
-    on; ``displacement_m``, positive away from the transducer, NaN where the record is missing or left out;
-    ``uncertainty_m``: standard uncertainty of a pulse against the others, what the scatter of its echo states, enlarged
-    to what the fit leaves where that is more: the sources that all pulses share are in the estimates' budgets;
-    ``model_m``: the result's harmonics, and the other driven harmonics and the background fitted to what they leave,
-    NaN where no model is fitted. ``tracked_by``: the motion estimator.
+    ``pulse``: number of the pulse in the shot, from 0. ``time_s``: time at which it samples the motion, after the phase
+    reference. ``displacement_m``: positive away from the transducer, NaN for missing or excluded records.
+    ``uncertainty_m``: standard uncertainty of a pulse relative to the others, the larger of the scatter of its echo and
+    the residual of the fit; the budgets of the estimates list the sources common to all pulses. ``model_m``: the
+    result's harmonics, plus the other driven harmonics and the background fitted to the remainder; NaN without a model.
+    ``tracked_by``: the motion estimator.
     """
 
     pulse: Int64Array
@@ -31,5 +31,5 @@ class ShotMotion:
 
     @property
     def residual_m(self) -> FloatArray:
-        """What the model does not explain, (pulse,)."""
+        """Displacement minus model, (pulse,)."""
         return self.displacement_m - self.model_m

@@ -1,4 +1,4 @@
-"""Map of motion: amplitude, phase and velocity with their uncertainties, over lines and depths."""
+"""Motion map: amplitude, phase and velocity with their uncertainties, over lines and depths."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class BadPixel(IntEnum):
-    """Why a pixel has no estimate; 0 where it has one."""
+    """Reason why a pixel has no estimate; 0 for a pixel with one."""
 
     GOOD = 0
     NOISE = 1
@@ -29,11 +29,11 @@ class BadPixel(IntEnum):
 class MotionMap:
     """Motion of every pixel; NaN where ``bad`` (line, depth) is not 0.
 
-    ``frequency_hz`` (frequency,), ``line_m`` (line,) beside the push, or its number where nobody said, see
-    ``lines_are_placed``; ``depth_m`` (depth,). ``amplitude_m``, ``phase_rad`` (line, depth, frequency) of
-    A sin(2 pi f t + phase), positive away from the transducer, and ``velocity_m_per_s`` (line, depth) of the motion
-    that is left, each with its standard uncertainty: noise by the residual, frequency of the echo, sound speed.
-    ``residual_m``: displacement noise of one pulse; ``power``: of the echoes, in the recording's units squared.
+    ``frequency_hz`` (frequency,); ``depth_m`` (depth,); ``line_m`` (line,): lateral offset from the push, or the line's
+    number if ``lines_are_placed`` is False. ``amplitude_m`` and ``phase_rad`` (line, depth, frequency) of
+    A sin(2 pi f t + phase), positive away from the transducer; ``velocity_m_per_s`` (line, depth) of the remaining
+    motion. Their standard uncertainties include noise from the residual, echo frequency and sound speed.
+    ``residual_m``: displacement noise of one pulse. ``power``: echo power, in the recording's units squared.
     """
 
     frequency_hz: FloatArray
@@ -60,13 +60,13 @@ class MotionMap:
         yield f"{lines} lines of {gates} gates, {int(good.sum())} of {good.size} pixels estimated"
         for kind in (BadPixel.NOISE, BadPixel.NO_ECHO, BadPixel.NOT_FINITE):
             if count := int((self.bad == kind).sum()):
-                yield f"{count} pixels left out: {_WHY[kind]}"
+                yield f"{count} pixels excluded: {_REASONS[kind]}"
         if not good.any():
             return
         for index, hz in enumerate(self.frequency_hz.tolist()):
             amplitude, u = self.amplitude_m[good, index], self.amplitude_uncertainty_m[good, index]
             yield (
-                f"{hz:g} Hz: amplitude {np.median(amplitude) * 1e9:.4g} nm in the middle of the pixels, "
+                f"{hz:g} Hz: amplitude {np.median(amplitude) * 1e9:.4g} nm in the median of the pixels, "
                 f"{np.quantile(amplitude, 0.95) * 1e9:.4g} nm at 95 %, u {np.median(u) * 1e9:.3g} nm"
             )
 
@@ -77,14 +77,16 @@ class MotionMap:
         except ModuleNotFoundError:
             what = 'MotionMap.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
             raise ModuleNotFoundError(what) from None
-        each, all_three = ("line", "depth"), ("line", "depth", "frequency")
+        pixel, pixel_and_frequency = ("line", "depth"), ("line", "depth", "frequency")
         variables: dict[str, Any] = {}
-        for name, unit in _VALUES.items():
+        for name, unit in _UNITS.items():
             value = getattr(self, name)
-            variables[name] = (all_three if value.ndim == 3 else each, value, {"units": unit})
-        kinds, words = zip(*((int(kind), kind.name.lower()) for kind in BadPixel), strict=True)
-        variables["bad"] = (each, self.bad, {"flag_values": list(kinds), "flag_meanings": " ".join(words)})
-        line_units = {"units": "m", "long_name": "beside the push"} if self.lines_are_placed else {"units": "1"}
+            variables[name] = (pixel_and_frequency if value.ndim == 3 else pixel, value, {"units": unit})
+        kinds, names = zip(*((int(kind), kind.name.lower()) for kind in BadPixel), strict=True)
+        variables["bad"] = (pixel, self.bad, {"flag_values": list(kinds), "flag_meanings": " ".join(names)})
+        line_units = (
+            {"units": "m", "long_name": "lateral offset from the push"} if self.lines_are_placed else {"units": "1"}
+        )
         coordinates = {
             "line": ("line", self.line_m, line_units),
             "depth": ("depth", self.depth_m, {"units": "m"}),
@@ -93,34 +95,35 @@ class MotionMap:
         return xarray.Dataset(variables, coordinates, {"title": "Motion map", "source": self.origin})
 
     def figure(self, frequency: int = 0) -> Figure:
-        """Return amplitude, phase, u and velocity as images, at ``frequency`` by its index; bad pixels are blank."""
+        """Return images of amplitude, phase and u at the frequency of this index, and of velocity; bad pixels blank."""
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(9.0, 6.5), layout="constrained")
         amplitude, u = self.amplitude_m[..., frequency], self.amplitude_uncertainty_m[..., frequency]
-        top = float(np.nanquantile(amplitude, 0.98)) * 1e9 if np.isfinite(amplitude).any() else 1.0
-        fast = float(np.nanquantile(np.abs(self.velocity_m_per_s), 0.98)) * 1e6 if np.isfinite(amplitude).any() else 1.0
+        has_pixels = bool(np.isfinite(amplitude).any())
+        max_nm = float(np.nanquantile(amplitude, 0.98)) * 1e9 if has_pixels else 1.0
+        max_speed = float(np.nanquantile(np.abs(self.velocity_m_per_s), 0.98)) * 1e6 if has_pixels else 1.0
         panels = (
-            (amplitude * 1e9, "amplitude / nm", "viridis", 0.0, top),
+            (amplitude * 1e9, "amplitude / nm", "viridis", 0.0, max_nm),
             (np.degrees(self.phase_rad[..., frequency]), "phase / deg", "twilight", -180.0, 180.0),
             (u * 1e9, "u of the amplitude / nm", "magma", 0.0, None),
-            (self.velocity_m_per_s * 1e6, "velocity / (µm/s)", "RdBu_r", -fast, fast),
+            (self.velocity_m_per_s * 1e6, "velocity / (µm/s)", "RdBu_r", -max_speed, max_speed),
         )
-        wide = 1e3 if self.lines_are_placed else 1.0
-        extent = (*_edges(self.line_m * wide), *_edges(self.depth_m * 1e3)[::-1])
+        line_scale = 1e3 if self.lines_are_placed else 1.0
+        extent = (*_edges(self.line_m * line_scale), *_edges(self.depth_m * 1e3)[::-1])
         for axes, (values, label, colours, low, high) in zip(figure.subplots(2, 2).ravel(), panels, strict=True):
             limit = float(np.nanquantile(values, 0.98)) if high is None and np.isfinite(values).any() else high
             image = axes.imshow(values.T, extent=extent, aspect="auto", cmap=colours, vmin=low, vmax=limit)
             axes.set_facecolor("0.85")
             figure.colorbar(image, ax=axes, label=label)
-            axes.set(xlabel="beside the push / mm" if self.lines_are_placed else "line", ylabel="depth / mm")
-        where = [self.origin.partition(", SHA")[0]] if self.origin else []
-        title = ", ".join([f"{self.frequency_hz[frequency]:g} Hz", *where])
+            axes.set(xlabel="lateral offset / mm" if self.lines_are_placed else "line", ylabel="depth / mm")
+        source = [self.origin.partition(", SHA")[0]] if self.origin else []
+        title = ", ".join([f"{self.frequency_hz[frequency]:g} Hz", *source])
         figure.suptitle(title, fontsize="medium", wrap=True)
         return figure
 
 
-_VALUES = {
+_UNITS = {
     "amplitude_m": "m",
     "amplitude_uncertainty_m": "m",
     "phase_rad": "rad",
@@ -130,13 +133,14 @@ _VALUES = {
     "residual_m": "m",
     "power": "1",
 }
-_WHY = {
+_REASONS = {
     BadPixel.NOISE: "noise, or motion of more than a quarter wavelength between pulses",
     BadPixel.NO_ECHO: "no echo",
     BadPixel.NOT_FINITE: "samples that are not finite",
 }
 
 
-def _edges(middle: FloatArray) -> tuple[float, float]:
-    half = float(np.diff(middle).mean()) / 2 if middle.size > 1 else 0.5
-    return float(middle[0]) - half, float(middle[-1]) + half
+def _edges(centre: FloatArray) -> tuple[float, float]:
+    """Return the outer edges of evenly spaced pixels."""
+    half = float(np.diff(centre).mean()) / 2 if centre.size > 1 else 0.5
+    return float(centre[0]) - half, float(centre[-1]) + half

@@ -1,4 +1,4 @@
-"""Units and symbols of plain texts as a page shows them: us as µs, +- as ±, f_r with its subscript."""
+"""Typographic units and symbols of plain texts: us as µs, +- as ±, f_r with a subscript."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ UNITS = (
     (re.compile(r"(?<=/m)3\b"), "³"),
 )
 GREEK = {"sigma": "σ", "chi": "χ"}
-# Not within a path, but in a quotient such as 1/T_b.
+# A symbol with an index; not within a path, but in a quotient such as 1/T_b.
 SUBSCRIPT = re.compile(r"(?:(?<![\w./\\-])|(?<=[\s(]\d/))([A-Za-z]|sigma|chi)_([A-Za-z0-9]{1,4})(?![\w(/\\-]|\.\w)")
 
 
 def symbols(text: object) -> Markup:
-    """Return ``text`` as HTML with the units and symbols of print."""
+    """Return ``text`` as HTML with typographic units and symbols."""
     return Markup(SUBSCRIPT.sub(lambda m: f"{_letter(m)}<sub>{m[2]}</sub>", str(escape(_units(str(text))))))  # noqa: S704
 
 
 def svg_symbols(svg: str) -> str:
-    """Return ``svg`` with the units and symbols of print in its texts; a subscript is a smaller piece, set lower."""
-    return re.sub(r"(?<=>)[^<>]+(?=</text>)", lambda found: _lowered(_units(found[0])), svg)
+    """Return ``svg`` with typographic units and symbols in its texts."""
+    return re.sub(r"(?<=>)[^<>]+(?=</text>)", lambda text: _with_subscripts(_units(text[0])), svg)
 
 
 def _units(text: str) -> str:
-    for pattern, shown in UNITS:
-        text = pattern.sub(shown, text)
+    for pattern, replacement in UNITS:
+        text = pattern.sub(replacement, text)
     return text
 
 
-def _lowered(text: str) -> str:
-    # What follows a shifted piece stays as low, unless something lifts it: a space of no width.
+def _with_subscripts(text: str) -> str:
+    # dy shifts all following text of the element: a zero-width space shifts it back.
     lift = '<tspan dy="-2">&#8203;</tspan>'
     return SUBSCRIPT.sub(lambda m: f'{_letter(m)}<tspan dy="2" font-size="75%">{m[2]}</tspan>{lift}', text)
 
 
-def _letter(found: re.Match[str]) -> str:
-    return GREEK.get(found[1], found[1])
+def _letter(match: re.Match[str]) -> str:
+    return GREEK.get(match[1], match[1])

@@ -1,7 +1,6 @@
-"""Provenance of a measurement: who, when, on which machine, and how long each stage took.
+"""Provenance of a measurement: who, when, on which machine, and the time of each stage.
 
-Outside of what a simulated run repeats bit for bit. Imports nothing heavy, so that loading heavy packages can be a
-stage itself.
+A simulated run does not repeat these values. The module imports no large package, so that a stage can time imports.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """When a run started and ended, ISO 8601 with the offset from UTC, and where; "" is what nobody knows.
+    """Start and end of a run, ISO 8601 with the offset from UTC, host and user; "" for unknown values.
 
-    ``drivers``: the packages below the instruments' drivers with their versions. What instruments and boards say of
-    themselves, firmware and driver among it, stands with their settings.
+    ``drivers``: the packages below the instrument drivers with their versions. Firmware and driver versions reported by
+    instruments are stored with their settings.
     """
 
     started: str = ""
@@ -28,11 +27,11 @@ class Provenance:
 
 
 UNKNOWN = Provenance()
-"""Of files of earlier releases, and of what no run was made for."""
+"""Provenance of files of earlier releases, and of results without a run."""
 
 
 class Stages:
-    """Wall time by stage, in the order of entering; of nested stages the innermost one is charged.
+    """Wall time by stage, in order of entry; nested stages charge the innermost one.
 
     ``with stages("read"): ...`` adds the time of the block to ``stages.run_time_s["read"]``.
     """
@@ -41,7 +40,7 @@ class Stages:
         self.run_time_s: dict[str, float] = {}
         self._clock = clock
         self._open: list[str] = []
-        self._since_s = clock()
+        self._last_charge_s = clock()
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
@@ -54,11 +53,11 @@ class Stages:
             self._open.pop()
 
     def come_after(self, run_time_s: Mapping[str, float]) -> None:
-        """Put the stages of an earlier process before the own ones; where both have one the own counts."""
+        """Put the stages of an earlier process first; a stage of this process replaces one of the same name."""
         self.run_time_s = {**run_time_s, **self.run_time_s}
 
     def rename(self, name: str) -> None:
-        """Have the innermost stage go on as ``name``."""
+        """Continue the innermost stage as ``name``."""
         self._charge()
         self._open[-1] = name
 
@@ -66,5 +65,5 @@ class Stages:
         now_s = self._clock()
         if self._open:
             name = self._open[-1]
-            self.run_time_s[name] = self.run_time_s.get(name, 0.0) + now_s - self._since_s
-        self._since_s = now_s
+            self.run_time_s[name] = self.run_time_s.get(name, 0.0) + now_s - self._last_charge_s
+        self._last_charge_s = now_s

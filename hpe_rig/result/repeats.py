@@ -1,7 +1,14 @@
-"""Mean over repeats: shots that share every setting, taken together and tested against their stated uncertainties.
+"""Mean over repeats: shots with the same settings, averaged and tested against their stated uncertainties.
 
-Noise and trigger jitter differ from repeat to repeat; speckle, sound speed and what else a place and a bench have are
-the same in each, so that no number of repeats makes them less.
+Noise and trigger jitter are independent between repeats, so their contribution falls with the number of repeats. The
+errors from speckle, sound speed, beams and bench are common to all repeats and do not fall.
+
+    mean phasor         z = sum_k A_k exp(i phi_k) / K
+    chi-square          X = sum_k (dA_k / u(A_k))² + (dphi_k / u(phi_k))²,  2 (K - 1) degrees of freedom
+    u of the mean       u² = u_independent² / K + u_common²
+
+u(A_k), u(phi_k) are the independent sources' uncertainties. If X is improbably large, the observed scatter replaces
+the independent sources.
 """
 
 from __future__ import annotations
@@ -17,11 +24,16 @@ from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
 from hpe_rig.result.values import RECTIFIED, Estimate, Headline, ShotResult
 
 INDEPENDENT = ("noise", "trigger jitter")
-"""Components that are drawn anew in every repeat; all others are common to them, but what noise has of its own."""
-OUT_OF_NOISE = 4.0
-"""Amplitude over its u from which on no phase is that of noise."""
-DISAGREE = 0.01
-"""Probability of as large a chi-square by chance below which the repeats disagree with their uncertainties."""
+"""Sources that are independent between repeats; all others are common to them."""
+DETECTED_AMPLITUDE = 4.0
+"""Amplitude over its u above which the phase is not that of noise."""
+SIGNIFICANCE = 0.01
+"""Probability of the chi-square below which the repeats disagree with their uncertainties."""
+
+Pair = tuple[float, float]
+"""Values for amplitude, m, and phase, rad."""
+Source = tuple[float, float]
+"""Standard uncertainty and degrees of freedom."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +41,11 @@ class RepeatMean:
     """Mean of one frequency over the complete repeats of one setting.
 
     ``amplitude_m`` and ``phase_rad`` are those of the mean phasor of the headline values (``corrected`` to the peak
-    displacement where beams are known), with combined standard uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad``
-    are the standard deviations found between the repeats; ``chi_square`` compares them, both together, with what the
-    independent components state, over ``degrees_of_freedom``; as large a one comes by chance with ``probability``.
-    Where that is below 1 %, ``agrees`` is False and the uncertainties are enlarged to the scatter found.
-    ``interval_95_m`` and ``interval_95_rad`` are the half widths of the 95 % intervals.
+    displacement if beams are declared), with combined standard uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad``
+    are the standard deviations between the repeats. ``chi_square`` compares them with the independent components, over
+    ``degrees_of_freedom``; ``probability`` is that of a larger value by chance. Below 1 % ``agrees`` is False, and the
+    observed scatter replaces the uncertainties of the independent components. ``interval_95_m`` and
+    ``interval_95_rad`` are the half widths of the 95 % intervals.
     """
 
     shots: tuple[int, ...]
@@ -62,6 +74,19 @@ class RepeatMean:
     swept: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class _Agreement:
+    """Test of the deviations of the repeats against the independent uncertainties."""
+
+    chi_square: float
+    degrees_of_freedom: int
+    probability: float
+
+    @property
+    def agrees(self) -> bool:
+        return self.probability >= SIGNIFICANCE
+
+
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
     """Return the mean of every frequency over each group of complete, trusted repeats of the same settings."""
     groups: dict[tuple[float | None, ...], list[ShotResult]] = {}
@@ -69,7 +94,7 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
         if shot.complete and not shot.untrusted:
             groups.setdefault(_setting(shot), []).append(shot)
     return tuple(
-        _mean(group, index)
+        _repeat_mean(group, index)
         for group in groups.values()
         if len({shot.repeat for shot in group}) > 1
         for index in range(len(group[0].estimates))
@@ -77,41 +102,21 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
 
 
 def _setting(shot: ShotResult) -> tuple[float | None, ...]:
-    place = shot.lateral_offset_m, shot.axial_offset_m
-    own = shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
-    return *own, *place, *shot.swept.values()
+    timing = shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
+    return *timing, shot.lateral_offset_m, shot.axial_offset_m, *shot.swept.values()
 
 
-def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
-    from scipy.special import gammaincc
-
+def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
+    """Return the mean of the estimates number ``index`` of ``shots``."""
     estimates = [shot.estimates[index] for shot in shots]
-    each = [item.headline for item in estimates]
-    count, freedom = len(each), 2 * (len(each) - 1)
-    mean = sum(cmath.rect(item.amplitude_m, item.phase_rad) for item in each) / count
-    along_m, turned_rad = _deviations(each, mean)
-    independent = [_parts(item, independent=True) for item in estimates]
-    chi_square = sum(
-        _squared_ratio(deviation, stated[axis] * student_widening(item.noise_freedom))
-        for axis, deviations in enumerate((along_m, turned_rad))
-        for deviation, stated, item in zip(deviations, independent, estimates, strict=True)
-    )
-    probability = float(gammaincc(freedom / 2, chi_square / 2))
-    agrees = probability >= DISAGREE
-    common = [_parts(item, independent=False) for item in estimates]
-    stated = _of_the_mean(each, independent, abs(mean))
-    scatter = [_spread(deviations) / math.sqrt(count) for deviations in (along_m, turned_rad)]
-    # Scatter beyond the stated uncertainties has a cause that no component lists: the scatter then replaces them.
-    pooled = sum(item.noise_freedom for item in estimates)
-    independent_sources = [
-        (scatter[axis], count - 1.0) if not agrees and scatter[axis] > stated[axis] else (stated[axis], pooled)
-        for axis in (0, 1)
-    ]
-    # Common errors are fully correlated between the repeats, so that their standard uncertainties are averaged.
-    shared = [sum(part[axis] for part in common) / count for axis in (0, 1)]
-    sources_m, sources_rad = ([independent_sources[axis], (shared[axis], math.inf)] for axis in (0, 1))
-    known = all(item.true_amplitude_m is not None for item in estimates)
-    truth = sum(cmath.rect(i.true_amplitude_m or 0.0, i.true_phase_rad or 0.0) for i in estimates) / count
+    headlines = [estimate.headline for estimate in estimates]
+    phasor = _mean_phasor((headline.amplitude_m, headline.phase_rad) for headline in headlines)
+    deviations = _deviations(headlines, phasor)
+    independent = [_uncertainty(estimate, independent=True) for estimate in estimates]
+    agreement = _agreement(deviations, independent, estimates)
+    sources = _sources_of_mean(estimates, independent, deviations, agreement, abs(phasor))
+    has_truth = all(estimate.true_amplitude_m is not None for estimate in estimates)
+    truth = _mean_phasor((item.true_amplitude_m or 0.0, item.true_phase_rad or 0.0) for item in estimates)
     first = shots[0]
     return RepeatMean(
         shots=tuple(shot.shot for shot in shots),
@@ -123,54 +128,101 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         lateral_offset_m=first.lateral_offset_m,
         axial_offset_m=first.axial_offset_m,
         frequency_hz=estimates[0].frequency_hz,
-        corrected=all(item.corrected for item in each),
-        amplitude_m=abs(mean),
-        amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources_m)),
-        phase_rad=cmath.phase(mean),
-        phase_uncertainty_rad=math.hypot(*(u_rad for u_rad, _ in sources_rad)),
-        interval_95_m=interval_95(sources_m),
-        interval_95_rad=phase_interval_95_rad(sources_rad),
-        amplitude_sd_m=_spread(along_m),
-        phase_sd_rad=_spread(turned_rad),
-        chi_square=chi_square,
-        degrees_of_freedom=freedom,
-        probability=probability,
-        agrees=agrees,
-        true_amplitude_m=abs(truth) if known else None,
-        true_phase_rad=cmath.phase(truth) if known else None,
+        corrected=all(headline.corrected for headline in headlines),
+        amplitude_m=abs(phasor),
+        amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources[0])),
+        phase_rad=cmath.phase(phasor),
+        phase_uncertainty_rad=math.hypot(*(u_rad for u_rad, _ in sources[1])),
+        interval_95_m=interval_95(sources[0]),
+        interval_95_rad=phase_interval_95_rad(sources[1]),
+        amplitude_sd_m=_standard_deviation(deviations[0]),
+        phase_sd_rad=_standard_deviation(deviations[1]),
+        chi_square=agreement.chi_square,
+        degrees_of_freedom=agreement.degrees_of_freedom,
+        probability=agreement.probability,
+        agrees=agreement.agrees,
+        true_amplitude_m=abs(truth) if has_truth else None,
+        true_phase_rad=cmath.phase(truth) if has_truth else None,
     )
 
 
-def _deviations(each: Sequence[Headline], mean: complex) -> tuple[list[float], list[float]]:
-    """Return by how much each amplitude, m, and phase, rad, differs from the mean amplitude and the mean's phase."""
-    middle_m = sum(item.amplitude_m for item in each) / len(each)
-    turned = [math.remainder(item.phase_rad - cmath.phase(mean), 2 * math.pi) for item in each]
-    middle_rad = sum(turned) / len(turned)
-    return [item.amplitude_m - middle_m for item in each], [angle - middle_rad for angle in turned]
+def _mean_phasor(values: Iterable[Pair]) -> complex:
+    phasors = [cmath.rect(amplitude_m, phase_rad) for amplitude_m, phase_rad in values]
+    return sum(phasors) / len(phasors)
 
 
-def _of_the_mean(
-    each: Sequence[Headline], parts: Sequence[tuple[float, float]], amplitude_m: float
-) -> tuple[float, float]:
-    """Return what independent ``parts`` of u of amplitude and phase leave of the mean phasor's, m and rad."""
-    u_m, u_rad = (_root_mean_square(part[axis] for part in parts) / math.sqrt(len(parts)) for axis in (0, 1))
-    if all(item.amplitude_m > OUT_OF_NOISE * part[0] for item, part in zip(each, parts, strict=True)):
+def _deviations(headlines: Sequence[Headline], phasor: complex) -> tuple[list[float], list[float]]:
+    """Return the deviations (repeat,) of amplitudes, m, and of phases, rad, from their means."""
+    mean_m = sum(item.amplitude_m for item in headlines) / len(headlines)
+    # Phases relative to that of the mean phasor do not wrap.
+    relative = [math.remainder(item.phase_rad - cmath.phase(phasor), 2 * math.pi) for item in headlines]
+    mean_rad = sum(relative) / len(relative)
+    return [item.amplitude_m - mean_m for item in headlines], [angle - mean_rad for angle in relative]
+
+
+def _agreement(
+    deviations: tuple[list[float], list[float]], independent: Sequence[Pair], estimates: Sequence[Estimate]
+) -> _Agreement:
+    from scipy.special import gammaincc
+
+    degrees_of_freedom = 2 * (len(estimates) - 1)
+    chi_square = sum(
+        _squared_ratio(deviation, stated[axis] * student_widening(estimate.noise_freedom))
+        for axis, of_axis in enumerate(deviations)
+        for deviation, stated, estimate in zip(of_axis, independent, estimates, strict=True)
+    )
+    return _Agreement(chi_square, degrees_of_freedom, float(gammaincc(degrees_of_freedom / 2, chi_square / 2)))
+
+
+def _sources_of_mean(
+    estimates: Sequence[Estimate],
+    independent: Sequence[Pair],
+    deviations: tuple[list[float], list[float]],
+    agreement: _Agreement,
+    amplitude_m: float,
+) -> tuple[list[Source], list[Source]]:
+    """Return (uncertainty, degrees of freedom) of the independent and the common source, of amplitude and phase."""
+    count = len(estimates)
+    stated = _independent_uncertainty(estimates, independent, amplitude_m)
+    common = [_uncertainty(estimate, independent=False) for estimate in estimates]
+    pooled = sum(estimate.noise_freedom for estimate in estimates)
+
+    def sources(axis: int) -> list[Source]:
+        source = stated[axis], pooled
+        scatter = _standard_deviation(deviations[axis]) / math.sqrt(count)
+        # Scatter beyond the stated uncertainties has a cause that no component lists: the scatter then replaces them.
+        if not agreement.agrees and scatter > stated[axis]:
+            source = scatter, count - 1.0
+        # Common errors are fully correlated between the repeats, so that their standard uncertainties are averaged.
+        return [source, (sum(u[axis] for u in common) / count, math.inf)]
+
+    return sources(0), sources(1)
+
+
+def _independent_uncertainty(estimates: Sequence[Estimate], independent: Sequence[Pair], amplitude_m: float) -> Pair:
+    """Return the independent uncertainty of the mean amplitude, m, and phase, rad."""
+    u_m, u_rad = (_root_mean_square(u[axis] for u in independent) / math.sqrt(len(independent)) for axis in (0, 1))
+    pairs = zip(estimates, independent, strict=True)
+    if all(estimate.headline.amplitude_m > DETECTED_AMPLITUDE * u[0] for estimate, u in pairs):
         return u_m, u_rad
-    # Phases of amplitudes that may be noise say little each, and their mean nothing that the mean phasor does not.
+    # Phases of single repeats that may be noise hold little information: the mean phasor determines the phase.
     rectified_m = math.sqrt(rectified_variance_m2(amplitude_m, u_m**2, u_m**2))
     return math.hypot(u_m, rectified_m), math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
 
 
-def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
-    """Return u of amplitude, m, and phase, rad, from the components that are independent between repeats, or not."""
-    listed = [each for each in estimate.budget if each.source != RECTIFIED]
-    parts = [each for each in listed if (each.source in INDEPENDENT) is independent]
-    return math.hypot(*(each.amplitude_m for each in parts)), math.hypot(*(each.phase_rad for each in parts))
+def _uncertainty(estimate: Estimate, independent: bool) -> Pair:
+    """Return u of amplitude, m, and phase, rad, from the components that are independent between repeats, or common."""
+    components = [
+        component
+        for component in estimate.budget
+        if component.source != RECTIFIED and (component.source in INDEPENDENT) is independent
+    ]
+    return math.hypot(*(item.amplitude_m for item in components)), math.hypot(*(item.phase_rad for item in components))
 
 
-def _squared_ratio(deviation: float, stated: float) -> float:
-    if stated > 0:
-        return (deviation / stated) ** 2
+def _squared_ratio(deviation: float, uncertainty: float) -> float:
+    if uncertainty > 0:
+        return (deviation / uncertainty) ** 2
     return 0.0 if deviation == 0 else math.inf
 
 
@@ -178,5 +230,5 @@ def _root_mean_square(values: Iterable[float]) -> float:
     return math.sqrt(fmean(value**2 for value in values))
 
 
-def _spread(deviations: Sequence[float]) -> float:
+def _standard_deviation(deviations: Sequence[float]) -> float:
     return math.hypot(*deviations) / math.sqrt(len(deviations) - 1)

@@ -1,4 +1,4 @@
-"""Rows of a result, one a shot and frequency: for CSV, for pandas, for people."""
+"""Rows of a result, one for each shot and frequency: CSV, pandas frame and printed table."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.repeats import RepeatMean
+from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.tables import csv_text, text_table
-from hpe_rig.result.values import Headline, Result
+from hpe_rig.result.values import Headline
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Value = str | int | float | bool | None
-FIRST = (
+FIRST_COLUMNS = (
     "frequency_hz",
     "corrected_amplitude_m",
     "corrected_uncertainty_m",
@@ -23,22 +24,22 @@ FIRST = (
 )
 
 
-def result_rows(result: Result) -> list[dict[str, Value]]:
-    """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None.
+def result_rows(result: ResultData) -> list[dict[str, Value]]:
+    """Return one row for each shot and frequency, in SI units with the unit in every name; None for unknown values.
 
-    The headline stands first, the components of its uncertainty and the scene's notes last. Where there are gates over
-    depth, a row a gate, shot and frequency follows, with ``gate_depth_m`` and ``gate_length_m``, None in the others.
+    The headline comes first; the components of its uncertainty and the scene's notes come last. Gates over depth add a
+    row for each gate, shot and frequency with ``gate_depth_m`` and ``gate_length_m``, which are None in other rows.
     """
     notes: dict[str, Value] = {f"note_{name.replace(' ', '_')}": note for name, note in result.notes.items()}
     tables = result.as_dict()
     gates: list[dict[str, Any]] = tables.get("profile", [])
-    none: dict[str, Value] = {"gate_depth_m": None, "gate_length_m": None} if gates else {}
-    seen = [(none, shot) for shot in tables["shots"]]
-    seen += [({"gate_depth_m": gate["depth_m"], "gate_length_m": gate["length_m"]}, gate["shot"]) for gate in gates]
+    no_gate: dict[str, Value] = {"gate_depth_m": None, "gate_length_m": None} if gates else {}
+    shots = [(no_gate, shot) for shot in tables["shots"]]
+    shots += [({"gate_depth_m": gate["depth_m"], "gate_length_m": gate["length_m"]}, gate["shot"]) for gate in gates]
     rows: list[dict[str, Value]] = []
-    for gate, shot in seen:
-        of_shot = _single_values(shot) | shot["swept"] | gate
-        rows += [of_shot | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
+    for gate, shot in shots:
+        settings = _single_values(shot) | shot["swept"] | gate
+        rows += [settings | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
     if not gates:
         return rows
     names = dict.fromkeys(name for row in rows for name in row)
@@ -47,24 +48,24 @@ def result_rows(result: Result) -> list[dict[str, Value]]:
 
 def _estimate_row(estimate: dict[str, Any]) -> dict[str, Value]:
     values, row = _single_values(estimate), dict[str, Value]()
-    for each in estimate["components"]:
-        name = each["source"].replace(" ", "_")
-        row |= {f"u_{name}_m": each["amplitude_m"], f"u_{name}_rad": each["phase_rad"]}
-    return {name: values[name] for name in FIRST} | values | row
+    for component in estimate["components"]:
+        name = component["source"].replace(" ", "_")
+        row |= {f"u_{name}_m": component["amplitude_m"], f"u_{name}_rad": component["phase_rad"]}
+    return {name: values[name] for name in FIRST_COLUMNS} | values | row
 
 
-def result_csv(result: Result) -> str:
-    """Return the rows as CSV with a header; unknown is empty, numbers keep every digit."""
+def result_csv(result: ResultData) -> str:
+    """Return the rows as CSV with a header; numbers keep every digit, unknown values are empty."""
     return csv_text(result_rows(result))
 
 
-def result_frame(result: Result) -> pd.DataFrame:
-    """Return the rows as a pandas frame, title, estimator and ``simulated`` among its ``attrs``."""
+def result_frame(result: ResultData) -> pd.DataFrame:
+    """Return the rows as a pandas frame; ``attrs`` hold title, run file, estimator and ``simulated``."""
     try:
         import pandas as pd
     except ModuleNotFoundError as error:
-        what = 'Result.to_frame needs pandas, which is not installed. Try: pip install "hpe-rig[frames]".'
-        raise ModuleNotFoundError(what, name=error.name) from None
+        message = 'Result.to_frame needs pandas, which is not installed. Try: pip install "hpe-rig[frames]".'
+        raise ModuleNotFoundError(message, name=error.name) from None
 
     frame = pd.DataFrame(result_rows(result))
     frame.attrs.update({name: getattr(result, name) for name in ("title", "run_file", "estimator", "simulated")})
@@ -79,7 +80,7 @@ def _text_row(shots: str, frequency_hz: float, value: Headline | RepeatMean) -> 
     )
 
 
-def _numbers(shots: Sequence[int]) -> str:
+def _shots_text(shots: Sequence[int]) -> str:
     return f"{shots[0] + 1}" if len(shots) == 1 else f"mean of {len(shots)} from {shots[0] + 1}"
 
 
@@ -87,14 +88,11 @@ def _single_values(table: dict[str, Any]) -> dict[str, Value]:
     return {name: value for name, value in table.items() if not isinstance(value, dict | list)}
 
 
-def result_text(result: Result) -> str:
-    """Return title, source and a table for people: nm and degrees of the headline, a row a shot and frequency.
-
-    Means over repeats stand first, each with the shots that it is of.
-    """
-    means = [_text_row(_numbers(mean.shots), mean.frequency_hz, mean) for mean in result.means]
+def result_text(result: ResultData) -> str:
+    """Return title, source and a printed table: the headlines in nm and degrees, means over repeats first."""
+    means = [_text_row(_shots_text(mean.shots), mean.frequency_hz, mean) for mean in result.means]
     rows = [
-        _text_row(_numbers([shot.shot]) + (" UNTRUSTED" if shot.untrusted else ""), item.frequency_hz, item.headline)
+        _text_row(_shots_text([shot.shot]) + (" UNTRUSTED" if shot.untrusted else ""), item.frequency_hz, item.headline)
         for shot in result.shots
         for item in shot.estimates
     ]

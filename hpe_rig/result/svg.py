@@ -1,4 +1,4 @@
-"""Panels as SVG text, ready to stand in a page: styled, named for readers who do not see them, ids their own."""
+"""Figures as SVG elements of a page: style, palette, unique ids, titles and alternative texts for screen readers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import base64
 import io
 import re
 from dataclasses import dataclass
+from enum import StrEnum
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -19,26 +20,39 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result.figure import PALETTE
 from hpe_rig.result.print_symbols import svg_symbols
 
-SIZE_IN = (4.8, 3.1)
-BLUE, ORANGE, GREEN, PURPLE, GREY, _, SKY, _ = PALETTE
+
+class Colour(StrEnum):
+    """Colours of every figure, after Okabe and Ito: safe for colour-blind readers, contrast 3:1 or more on white."""
+
+    BLUE = "#0072B2"
+    ORANGE = "#D55E00"
+    GREEN = "#007A5A"
+    PURPLE = "#8A4F7D"
+    GREY = "#5A5A5A"
+    AMBER = "#A87400"
+    SKY = "#2F8FC4"
+    BLACK = "#000000"
+
+
+PALETTE = tuple(Colour)
 MARKS = tuple(zip("os^DvxP*", PALETTE, strict=True))
-"""Marker and colour of each curve of a panel: told apart without colours too."""
-MOST_POINTS = 1500
+"""Marker and colour of each curve; the markers differ without colours too."""
+SIZE_IN = (4.8, 3.1)
+MAX_POINTS = 1500
 VARIABLES = {
-    **{colour.lower(): f"c{place}" for place, colour in enumerate(PALETTE[:-1])},
+    **{colour.lower(): f"c{index}" for index, colour in enumerate(PALETTE[:-1])},
     "#000000": "ink",
     "#333333": "ink",
     "#c4804a": "echo",
     "#b0b0b0": "grid",
 }
-"""Colours that a page may set otherwise, such as on a dark screen, by the name of the variable."""
+"""CSS variable of each colour, which a page sets for light or dark screens."""
 ON_DARK = {**VARIABLES, "#ffffff": "paper", "#e6e6e6": "line", "#d9d9d9": "line"}
-"""Colours of a figure that is a file of its own, by the variable that has them on a dark screen."""
-PAPER = re.compile(r'(id="[^"]*patch_\d+">\s*<path [^>]*?fill: )#ffffff')
-"""What stands before the white of a figure's background, of a panel's and of a legend's."""
+"""CSS variable of each colour of a separate SVG file on a dark screen."""
+_BACKGROUND = re.compile(r'(id="[^"]*patch_\d+">\s*<path [^>]*?fill: )#ffffff')
+"""Prefix of the white of the background of a figure, panel or legend."""
 
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -58,7 +72,7 @@ STYLE: Any = {
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """One picture: ``svg`` carries ``title`` and ``alt`` for readers who do not see it."""
+    """One picture: ``svg`` contains ``title`` and ``alt`` for screen readers."""
 
     key: str
     title: str
@@ -67,44 +81,42 @@ class Picture:
 
 
 def page_style() -> str:
-    """Return the style sheet that all pages share: it sets the variables of `VARIABLES`, for light and dark screens."""
+    """Return the style sheet of all pages; it sets the variables of `VARIABLES` for light and dark screens."""
     return (resources.files("hpe_rig.result") / "page.css").read_text(encoding="utf-8")
 
 
-def mark(place: int) -> tuple[str, str]:
-    """Return marker and colour of the curve number ``place``; the same two come together again after 64."""
+def mark(index: int) -> tuple[str, str]:
+    """Return marker and colour of curve number ``index``; a combination repeats after 64 curves."""
     count = len(MARKS)
-    return MARKS[place % count][0], PALETTE[(place + place // count) % count]
+    return MARKS[index % count][0], PALETTE[(index + index // count) % count]
 
 
-def legend(axes: Axes, place: Any) -> None:
-    """Put a plain legend there."""
-    axes.legend(loc=place, frameon=False, fontsize=8)
-
-
-def legend_above(axes: Axes, columns: int = 2) -> None:
-    """Put a legend of one line of so many entries above the panel, where it covers nothing."""
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
+def legend(axes: Axes, position: Any, columns: int = 2) -> None:
+    """Add a legend without frame; "above" puts it in one line of ``columns`` entries above the panel."""
+    if position == "above":
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
+    else:
+        axes.legend(loc=position, frameon=False, fontsize=8)
 
 
 def thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return at most about ``MOST_POINTS`` points that keep every stretch's lowest and highest value."""
-    if x.size <= MOST_POINTS:
+    """Return at most about ``MAX_POINTS`` points: the lowest and highest value of each interval."""
+    if x.size <= MAX_POINTS:
         return x, y
-    stretches = np.array_split(np.arange(x.size), MOST_POINTS // 2)
-    kept = np.unique([[part[np.argmin(y[part])], part[np.argmax(y[part])]] for part in stretches])
-    return x[kept], y[kept]
+    intervals = np.array_split(np.arange(x.size), MAX_POINTS // 2)
+    extrema = np.unique([[span[np.argmin(y[span])], span[np.argmax(y[span])]] for span in intervals])
+    return x[extrema], y[extrema]
 
 
 def panel(left: float = 0.15) -> tuple[Figure, Axes]:
-    """Return a figure of one panel; ``left`` is the share of the width that the row names take."""
+    """Return a figure of one panel; ``left`` is the left margin relative to the width."""
     with rc_context(STYLE):
         figure = Figure(figsize=SIZE_IN)
         axes = figure.subplots()
-        # The page's own paper shows through, light or dark.
+        # Transparent: the page provides a light or dark background.
         figure.set_facecolor("none")
         axes.set_facecolor("none")
-        # Fixed margins, names of the axes at the edges: fitting them to every text takes as long as all the drawing.
+        # Fixed margins and label positions: Matplotlib's layout engine takes as long as all the drawing.
         right, bottom, top = 0.96, 0.155, 0.9
         figure.subplots_adjust(left=left, right=right, bottom=bottom, top=top)
         axes.xaxis.set_label_coords((left + right) / 2, 0.065, figure.transFigure)
@@ -113,7 +125,7 @@ def panel(left: float = 0.15) -> tuple[Figure, Axes]:
 
 
 def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:
-    """Return ``figure`` as a picture; ``key`` is its name in the page."""
+    """Return ``figure`` as a picture with the id ``key``."""
     text = io.StringIO()
     with rc_context(STYLE):
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, dpi=110)
@@ -121,9 +133,9 @@ def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:
 
 
 def write_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
-    """Write ``figure`` as the ending of ``path`` says; an SVG file is dark on a dark screen, as the pages are.
+    """Write ``figure`` in the format of the suffix of ``path``; an SVG file adapts to dark screens.
 
-    Raises OSError where nothing can be written and ValueError for an ending that Matplotlib does not know.
+    Raises ``OSError`` if it cannot be written, and ``ValueError`` for a suffix that Matplotlib does not support.
     """
     if path.suffix.lower() != ".svg":
         figure.savefig(path, dpi=dpi)
@@ -134,7 +146,7 @@ def write_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
 
 
 def _dark_rules() -> str:
-    """Return what a dark screen changes. The drawing keeps its colours: programs that know no variables read it too."""
+    """Return the CSS rules for dark screens. The drawing states plain colours, since many programs ignore variables."""
     _, _, dark = page_style().partition("(prefers-color-scheme: dark)")
     colours = dict(re.findall(r"--(\w+): (#\w+)", dark))
     rules = [
@@ -142,57 +154,57 @@ def _dark_rules() -> str:
         for light, name in ON_DARK.items()
         for kind in ("fill", "stroke")
     ]
-    # What states no colour is black: texts above all.
+    # Elements without a colour, such as texts, are black by default.
     return "\n".join(
         ["@media screen and (prefers-color-scheme: dark) {", f"svg {{ fill: {colours['ink']} }}", *rules, "}"]
     )
 
 
-def image(shown: Picture, width_em: float = 28.0) -> str:
-    """Return ``shown`` as an image of its own, on white: inline drawings of one notebook would share their ids."""
-    data = base64.b64encode(shown.svg.encode()).decode("ascii")
+def image(source: Picture, width_em: float = 28.0) -> str:
+    """Return ``source`` as an <img> element on white; inline drawings of one notebook would share ids."""
+    data = base64.b64encode(source.svg.encode()).decode("ascii")
     style = f"width:{width_em:g}em;max-width:100%;background:#fff"
-    return f'<img alt="{escape(shown.alt)}" style="{style}" src="data:image/svg+xml;base64,{data}">'
+    return f'<img alt="{escape(source.alt)}" style="{style}" src="data:image/svg+xml;base64,{data}">'
 
 
 def inline(svg: str, key: str, title: str, alt: str) -> str:
-    """Return ``svg`` as an element to stand in a page: named for readers, its ids its own, its width the page's."""
+    """Return ``svg`` as an inline element: titled, with unique ids, as wide as its container."""
     body = svg[svg.index("<svg") :].strip()
     body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{key}-', body)
     body = re.sub(r'(url\(#|xlink:href="#)', rf"\g<1>{key}-", body)
-    body = PAPER.sub(r"\g<1>var(--paper, #ffffff)", body)
+    body = _BACKGROUND.sub(r"\g<1>var(--paper, #ffffff)", body)
     body = svg_symbols(re.sub(r"((?:fill|stroke): )(#[0-9a-f]{6})", _variable, body))
-    head, _, rest = body.partition(">")
+    head, _, content = body.partition(">")
     head = re.sub(r' (?:width|height)="[^"]*"', "", head)
-    names = (
+    labels = (
         f'<title id="{key}-t">{escape(title, quote=False)}</title><desc id="{key}-d">{escape(alt, quote=False)}</desc>'
     )
-    return f'{head} role="img" aria-labelledby="{key}-t {key}-d">{names}{rest}'
+    return f'{head} role="img" aria-labelledby="{key}-t {key}-d">{labels}{content}'
 
 
-def _variable(found: re.Match[str]) -> str:
-    name = VARIABLES.get(found[2])
-    return found[0] if name is None else f"{found[1]}var(--{name}, {found[2]})"
+def _variable(match: re.Match[str]) -> str:
+    name = VARIABLES.get(match[2])
+    return match[0] if name is None else f"{match[1]}var(--{name}, {match[2]})"
 
 
 def label_decades(axis: Axis, most: int = 6) -> None:
-    """Label a logarithmic axis such that at most so many numbers stand on it, and do not meet.
+    """Label a logarithmic axis with at most ``most`` numbers that do not overlap.
 
-    1, 2, 5 within two decades (of six numbers), powers of ten beyond; what holds fewer than two of 1, 2, 5 gets round
+    Labels are 1, 2, 5 for less than ``most`` / 3 decades, else powers of ten. A range below a factor of 5 has round
     numbers.
     """
     low, high = axis.get_view_interval()
     if not low > 0:
-        return  # nothing is drawn on it
-    # Three numbers a decade.
-    within = high < 10 ** (most / 3) * low
+        return  # the axis is empty
+    # 1, 2 and 5 are three numbers a decade.
+    few_decades = high < 10 ** (most / 3) * low
     if high < 5 * low:
         axis.set_major_locator(MaxNLocator(max(2, most - 3)))
     else:
         axis.set_major_locator(
-            LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,), numticks=2 * most if within else most)
+            LogLocator(subs=(1.0, 2.0, 5.0) if few_decades else (1.0,), numticks=2 * most if few_decades else most)
         )
-    if within:
-        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    if few_decades:
+        axis.set_major_formatter(FuncFormatter(lambda value, _position: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

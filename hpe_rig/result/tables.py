@@ -1,4 +1,4 @@
-"""Tables of rows: one layout for the terminal, one CSV."""
+"""Tables of rows: the layout for the terminal, and CSV."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from rich.table import Table
 
-WIDEST = 1000
-"""Columns of a table that is returned as text: whoever prints it may scroll, but no cell is ever cut."""
+TEXT_WIDTH = 1000
+"""Width of a table as text, in characters: no cell is ever cut."""
 
 
 def mappings(rows: Iterable[Any]) -> list[Mapping[str, Any]]:
@@ -23,7 +23,7 @@ def mappings(rows: Iterable[Any]) -> list[Mapping[str, Any]]:
 def csv_text(rows: Iterable[Any]) -> str:
     """Return rows, dataclass instances or mappings, as CSV with a header.
 
-    Numbers keep every digit, None and what a row lacks are empty; no rows give no header.
+    Numbers keep every digit; None and missing values are empty; without rows there is no header.
     """
     cells = mappings(rows)
     text = io.StringIO(newline="")
@@ -34,25 +34,25 @@ def csv_text(rows: Iterable[Any]) -> str:
 
 
 def rich_table(headers: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> Table:
-    """Return a table without rules: the first ``words`` columns aligned to the left, those of numbers to the right."""
+    """Return a table without rules; the first ``words`` columns are left-aligned, all others right-aligned."""
     from rich.table import Table
 
     table, rows = Table(box=None, header_style="bold", pad_edge=False), list(rows)
     for index, header in enumerate(headers):
-        # Folded where the terminal is narrow, since an address that is cut is none; what a row is of never is.
-        least = max((len(row[0]) for row in rows), default=0) if index == 0 else None
+        # On a narrow terminal cells fold, because a cut address is useless; the row's name in the first column does not.
+        min_width = max((len(row[0]) for row in rows), default=0) if index == 0 else None
         justify: Literal["left", "right"] = "left" if index < words else "right"
-        table.add_column(header, justify=justify, overflow="fold", min_width=least)
+        table.add_column(header, justify=justify, overflow="fold", min_width=min_width)
     for row in rows:
         table.add_row(*row)
     return table
 
 
 def text_table(headers: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
-    """Return `rich_table` as plain text, however wide."""
+    """Return `rich_table` as plain text of any width."""
     from rich.console import Console
 
     text = io.StringIO()
-    console = Console(file=text, width=WIDEST, markup=False, emoji=False, highlight=False)
+    console = Console(file=text, width=TEXT_WIDTH, markup=False, emoji=False, highlight=False)
     console.print(rich_table(headers, rows, words))
     return "\n".join(line.rstrip() for line in text.getvalue().splitlines())

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hpe_rig.result import Component, Estimate, ShotResult
 from hpe_rig.result.phase import phase_variance_rad2
-from hpe_rig.result.repeats import DISAGREE, RepeatMean, repeat_means
-from hpe_rig.result.values import Component, Estimate, ShotResult
+from hpe_rig.result.repeats import SIGNIFICANCE, RepeatMean, repeat_means
 
 AMPLITUDE_M, PHASE_RAD = 1e-7, 3.1
 NOISE_M, SPECKLE_M, NOISE_RAD, SPECKLE_RAD = 2e-9, 1e-9, 0.02, 0.01
@@ -57,14 +57,14 @@ def test_means_are_off_by_as_much_as_they_state_and_chi_square_is_noticed_as_oft
     assert np.mean(np.square(ratio)) == pytest.approx(1, abs=4 * math.sqrt(2 / trials))
     assert np.mean(np.square(turned)) == pytest.approx(1, abs=4 * math.sqrt(2 / trials))
     alarms = sum(not mean.agrees for mean in means)
-    assert alarms == pytest.approx(DISAGREE * trials, abs=4 * math.sqrt(DISAGREE * trials))
+    assert alarms == pytest.approx(SIGNIFICANCE * trials, abs=4 * math.sqrt(SIGNIFICANCE * trials))
     assert np.mean([mean.chi_square for mean in means]) == pytest.approx(8, abs=4 * math.sqrt(16 / trials))
 
 
 def test_repeats_that_scatter_more_than_stated_disagree_and_state_their_scatter() -> None:
     mean = mean_of(repeats(np.random.default_rng(1), 6, scatter=8.0))
     assert not mean.agrees
-    assert mean.probability < DISAGREE
+    assert mean.probability < SIGNIFICANCE
     assert mean.amplitude_uncertainty_m == pytest.approx(math.hypot(mean.amplitude_sd_m / math.sqrt(6), SPECKLE_M))
 
 

@@ -1,0 +1,65 @@
+"""The result of a measurement with its tables and figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hpe_rig.result.result_data import ResultData
+from hpe_rig.result.rows import result_frame, result_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Result(ResultData):
+    """The result of a run, or of other echoes (``hpe_rig.estimate``).
+
+    ``run_file`` is "" without one. ``omitted``: stages that the scene does not need, and the reason. ``run_time_s``:
+    wall time by stage. ``simulated_specimen`` names the default specimen, None if the scene describes one or needs
+    none. ``shots_without_result``: shots without an estimate, counted from 0, and the reason. ``notes`` are those of
+    the scene. ``provenance``: who measured, when and where. ``imported``: file and hash of imported records, else None.
+
+    >>> print(result)
+    >>> result.shots[0].estimates[0].amplitude_m
+    >>> result.to_frame().to_csv("result.csv")
+    >>> result.to_xarray().displacement_m.sel(shot=0)
+    >>> result.figure().savefig("result.pdf")
+    """
+
+    def __str__(self) -> str:
+        """Return amplitude and phase with standard uncertainties as a table, a row for each shot and frequency."""
+        return result_text(self)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a pandas frame, a row for each shot and frequency; SI units in the column names, None for unknown.
+
+        Gates over depth have additional rows with ``gate_depth_m``. Raises ``ModuleNotFoundError`` that names the extra
+        if pandas is not installed.
+        """
+        return result_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return an xarray Dataset: estimates over (shot, frequency), displacement, model and residual over pulses.
+
+        Units are attributes, the settings of each shot are coordinates, notes are attributes of the dataset. Raises
+        ``ModuleNotFoundError`` that names the extra if xarray is not installed.
+        """
+        from hpe_rig.result.grid import result_dataset
+
+        return result_dataset(self)
+
+    def figure(self) -> Figure:
+        """Return a matplotlib figure of amplitude and phase over frequency, with bars of 2 u."""
+        from hpe_rig.result.figure import result_figure
+
+        return result_figure(self)
+
+    def _repr_html_(self) -> str:
+        """Return figure and tables for a notebook."""
+        from hpe_rig.result.html_repr import result_html
+
+        return result_html(self)

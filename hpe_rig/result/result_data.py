@@ -1,0 +1,106 @@
+"""Contents of a result, and their plain form for JSON."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from hpe_rig.result.provenance import UNKNOWN, Provenance
+from hpe_rig.result.repeats import RepeatMean, repeat_means
+from hpe_rig.result.values import DERIVED, GateResult, ShotResult
+from hpe_rig.scene import Estimator
+
+MAX_LISTED_SHOTS = 12
+"""Shots that a warning lists; beyond this it states their number."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResultData:
+    """Contents of a ``Result``, which adds the tables and figures."""
+
+    title: str
+    run_file: str
+    simulated: bool
+    status: str
+    estimator: Estimator
+    phase_reference: str
+    shots: tuple[ShotResult, ...]
+    warnings: tuple[str, ...]
+    omitted: tuple[tuple[str, str], ...]
+    versions: Mapping[str, str]
+    run_time_s: Mapping[str, float]
+    simulated_specimen: str | None = None
+    shots_without_result: tuple[tuple[int, str], ...] = ()
+    profile: tuple[GateResult, ...] = ()
+    notes: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+    provenance: Provenance = UNKNOWN
+    imported: str | None = None
+
+    @property
+    def origin(self) -> str:
+        """Whether the records were measured, simulated or imported, and from where; stated in every output."""
+        if self.imported is not None:
+            return f"IMPORTED from {self.imported}"
+        return "SIMULATED" if self.simulated else "measured"
+
+    @property
+    def means(self) -> tuple[RepeatMean, ...]:
+        """Mean over repeats of each setting and frequency; empty without repeats."""
+        return repeat_means(self.shots)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; numbers that JSON cannot hold become None.
+
+        ``left_out`` repeats ``omitted``, which had that name in earlier versions.
+        """
+        # JSON omits the displacements, which are arrays of the result file.
+        without_motion = replace(self, shots=tuple(replace(shot, motion=None) for shot in self.shots))
+        tables = {**asdict(without_motion), "left_out": self.omitted}
+        for name in ("simulated_specimen", "imported"):
+            if tables[name] is None:
+                del tables[name]
+        if not self.profile:
+            del tables["profile"]
+        if means := [asdict(mean) for mean in self.means]:
+            # The means come first, since they are the main result of a run with repeats.
+            tables = {"means": means, **tables}
+        shots = [*self.shots, *(gate.shot for gate in self.profile)]
+        shot_tables = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
+        for shot, table in zip(shots, shot_tables, strict=True):
+            del table["motion"]
+            for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
+                row.update({name: getattr(estimate, name) for name in DERIVED})
+        plain: dict[str, Any] = json_values(tables)
+        return plain
+
+
+def shot_warnings(shots: Sequence[ShotResult]) -> list[str]:
+    """Return the warnings of ``shots``; warnings that differ in numbers only are merged and list their shots."""
+    if len(shots) == 1:
+        return list(shots[0].warnings)
+    groups: dict[str, dict[int, str]] = {}
+    for shot in shots:
+        for text in shot.warnings:
+            groups.setdefault(re.sub(r"\d[\d., ]*", "#", text), {}).setdefault(shot.shot + 1, text)
+    return [_merged_warning(by_shot, len(shots)) for by_shot in groups.values()]
+
+
+def _merged_warning(by_shot: dict[int, str], shots: int) -> str:
+    numbers = ", ".join(map(str, list(by_shot)[:MAX_LISTED_SHOTS]))
+    if len(by_shot) > MAX_LISTED_SHOTS:
+        numbers += f" ... ({len(by_shot)} of {shots} shots)"
+    first, text = next(iter(by_shot.items()))
+    example = "" if len(set(by_shot.values())) == 1 else f"such as in shot {first}, "
+    return f"shot {numbers}: {example}{text}"
+
+
+def json_values(value: Any) -> Any:
+    """Return nested tables and lists with None for infinite numbers and NaN, which JSON cannot hold."""
+    if isinstance(value, Mapping):
+        return {key: json_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
