@@ -1,116 +1,120 @@
-"""Page of a design, ``hpe-rig design SCENE --report``: before and after, the goal over each number that may change."""
+"""Page of a design, ``hpe-rig design SCENE --report``: before and after, and the goal over each varied number."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hpe_rig.design.problem import OUTSIDE, Goal
+from hpe_rig.arrays import FloatArray
+from hpe_rig.design.comparison import Comparison, Row
+from hpe_rig.design.problem import INFEASIBLE_COST, Goal
 from hpe_rig.design.search import DesignResult
 from hpe_rig.design.variables import Variable
 from hpe_rig.report import PageSection, page_table, render_sections, write_text
-from hpe_rig.result import BLUE, GREY, ORANGE, Picture, label_decades, legend_above, panel, picture
+from hpe_rig.result import Colour, Picture, label_decades, legend, panel, picture
 from hpe_rig.store import versions
 
-if TYPE_CHECKING:
-    from hpe_rig.design.command import Comparison
+CURVE_POINTS = 33
+"""Values of a number at which the goal is computed."""
 
-POINTS = 33
-"""Places along a number at which the goal is computed, the other numbers being those of the best scene."""
-SHOWN: dict[Goal, tuple[str, str, float, str]] = {
-    "jitter": ("jitter over amplitude", "jitter over amplitude", 100.0, "%"),
-    "bias": ("bias, predicted", "bias over amplitude", 100.0, "%"),
-    "phase-jitter": ("phase jitter, predicted", "phase jitter", math.degrees(1), "deg"),
-    "time": ("time", "time", 1.0, "s"),
-    "modulus-uncertainty": ("u of mu1", "u of mu1 over mu1", 100.0, "%"),
+
+@dataclass(frozen=True, slots=True)
+class _GoalLabel:
+    row: str
+    """Row of the comparison that states the goal."""
+    quantity: str
+    unit: str
+    scale: float
+    """Displayed value over exp(cost)."""
+
+
+GOAL_LABELS: dict[Goal, _GoalLabel] = {
+    "jitter": _GoalLabel("jitter over amplitude", "jitter over amplitude", "%", 100.0),
+    "bias": _GoalLabel("bias, predicted", "bias over amplitude", "%", 100.0),
+    "phase-jitter": _GoalLabel("phase jitter, predicted", "phase jitter", "deg", math.degrees(1)),
+    "time": _GoalLabel("time", "time", "s", 1.0),
+    "modulus-uncertainty": _GoalLabel("u of mu1", "u of mu1 over mu1", "%", 100.0),
 }
-"""What each goal minimises: its row before and after; in the figures its name, factor from the cost, and unit."""
 
-
-def write_page(found: DesignResult, comparison: Comparison, name: str, command: str) -> Path:
-    """Write SCENE-design.html into this folder and return its path; raise ``SettingsError`` where that is impossible.
-
-    ``name`` is the scene's, or its file; ``command`` is what made the page.
-    """
-    scene = found.best.scene
-    assert scene is not None  # noqa: S101
-    path = Path(f"{Path(name).name.removesuffix('.toml')}-design.html")
-    parts = (
-        _before_and_after(comparison),
-        PageSection("over-part", "Over each number", _WORDS, tuple(_pictures(found))),
-    )
-    page = render_sections(
-        f"A better scene: {scene.title}", _lead(found, comparison), parts, {"made by": command, **versions()}
-    )
-    write_text(path, page)
-    return path
-
-
-_WORDS = (
-    "The goal over one number, the others as in the best scene. Where the curve has a gap, hpe-rig check refuses the "
-    "scene, or it exceeds a limit of time or target. The search counts few draws of scatterers and a Gaussian motion, "
-    "the same for all scenes: its figures compare scenes with one another, the table above has the better ones.",
+CURVES_TEXT = (
+    "The goal over one number; the others are those of the best scene. At a gap in the curve hpe-rig check refuses the "
+    "scene, or it exceeds the limit on time or jitter. The search uses few draws of scatterers and a Gaussian motion, "
+    "the same for all scenes. Its values serve to compare scenes; those of the table above are more accurate.",
 )
 
 
-def _lead(found: DesignResult, comparison: Comparison) -> tuple[str, ...]:
-    row = SHOWN[found.problem.goal][0]
+def write_page(design: DesignResult, comparison: Comparison, scene_name: str, command: str) -> Path:
+    """Write SCENE-design.html into the current folder and return its path; raise ``SettingsError`` if impossible.
+
+    ``scene_name`` is the scene's name or file; the page states ``command``.
+    """
+    scene = design.best.scene
+    assert scene is not None  # noqa: S101
+    path = Path(f"{Path(scene_name).name.removesuffix('.toml')}-design.html")
+    curves = PageSection("over-section", "Goal over each number", CURVES_TEXT, tuple(_pictures(design)))
+    sections = (_before_and_after(comparison), curves)
+    facts = {"command": command, **versions()}
+    title = f"A better scene: {scene.title}"
+    write_text(path, render_sections(title, _introduction(design, comparison), sections, facts))
+    return path
+
+
+def _introduction(design: DesignResult, comparison: Comparison) -> tuple[str, ...]:
+    row = GOAL_LABELS[design.problem.goal].row
     before, after = next((before, after) for name, before, after in comparison.outcome if name == row)
-    first = f"{row[0].upper()}{row[1:]}: {after} instead of {before}."
-    return first, f"{comparison.asked}.", *(f"{remark[0].upper()}{remark[1:]}." for remark in comparison.remarks)
+    headline = f"{_capitalised(row)}: {after} instead of {before}."
+    return headline, f"{comparison.request}.", *(f"{_capitalised(remark)}." for remark in comparison.remarks)
+
+
+def _capitalised(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def _before_and_after(comparison: Comparison) -> PageSection:
+    outcome_caption = "Outcome: predicted, and simulated with standard errors."
     tables = (
-        page_table("varied", "Numbers that may change.", _rows(comparison.varied), folded=False),
-        page_table(
-            "outcome",
-            "What comes of it: predicted, and simulated with standard errors.",
-            _rows(comparison.outcome),
-            folded=False,
-        ),
+        page_table("varied", "Varied numbers.", _rows(comparison.varied), folded=False),
+        page_table("outcome", outcome_caption, _rows(comparison.outcome), folded=False),
     )
-    return PageSection("before-part", "Before and after", (), (), tables)
+    return PageSection("before-section", "Before and after", tables=tables)
 
 
-def _rows(rows: Sequence[tuple[str, str, str]]) -> list[dict[str, str]]:
+def _rows(rows: Sequence[Row]) -> list[dict[str, str]]:
     return [{"": name, "before": before, "after": after} for name, before, after in rows]
 
 
-def _pictures(found: DesignResult) -> Iterator[Picture]:
-    """Yield the goal over each number that the search may change."""
-    problem, (_, name, scale, unit) = found.problem, SHOWN[found.problem.goal]
-    for place, variable in enumerate(problem.space):
-        x, cost = _curve(found, variable)
-        shown = np.where(cost < OUTSIDE, scale * np.exp(np.minimum(cost, OUTSIDE)), np.nan)
+def _pictures(design: DesignResult) -> Iterator[Picture]:
+    """Yield the goal over each varied number."""
+    problem, label = design.problem, GOAL_LABELS[design.problem.goal]
+    for index, variable in enumerate(problem.space):
+        x, cost = _curve(design, variable)
+        goal = np.where(cost < INFEASIBLE_COST, label.scale * np.exp(np.minimum(cost, INFEASIBLE_COST)), np.nan)
         figure, axes = panel()
-        axes.plot(x, shown, ".-", color=BLUE, ms=4)
-        now = found.best.values.get(variable.key.path, variable.key.value)
-        if now is not None:
-            axes.plot(
-                [now], [scale * math.exp(problem.cost(found.best.values))], "*", color=ORANGE, ms=12, label="best"
-            )
+        axes.plot(x, goal, ".-", color=Colour.BLUE, ms=4)
+        best = design.best.values.get(variable.key.path, variable.key.value)
+        if best is not None:
+            best_goal = label.scale * math.exp(problem.cost(design.best.values))
+            axes.plot([best], [best_goal], "*", color=Colour.ORANGE, ms=12, label="best")
         if variable.key.value is not None:
-            axes.axvline(variable.key.value, color=GREY, ls="--", lw=1, label="before")
-        axes.set(xlabel=str(variable.key), ylabel=f"{name} ({unit})")
+            axes.axvline(variable.key.value, color=Colour.GREY, ls="--", lw=1, label="before")
+        axes.set(xlabel=str(variable.key), ylabel=f"{label.quantity} ({label.unit})")
         if variable.low > 0 and variable.high > 20 * variable.low:
             axes.set_xscale("log")
             label_decades(axes.xaxis)
-        legend_above(axes)
-        known = shown[np.isfinite(shown)]
-        ends = f"{known.min():.3g} to {known.max():.3g} {unit}" if known.size else "no scene that keeps the limits"
-        alt = f"{name} over {variable.key} from {variable.low:g} to {variable.high:g}: {ends}."
-        yield picture(figure, f"over-{place}", f"{variable.key}", alt)
+        legend(axes, "above")
+        finite = goal[np.isfinite(goal)]
+        span = f"{finite.min():.3g} to {finite.max():.3g} {label.unit}" if finite.size else "no scene within the limits"
+        alt = f"{label.quantity} over {variable.key} from {variable.low:g} to {variable.high:g}: {span}."
+        yield picture(figure, f"over-{index}", f"{variable.key}", alt)
 
 
-def _curve(found: DesignResult, variable: Variable) -> tuple[np.ndarray, np.ndarray]:
-    """Return values along ``variable`` and the cost of each, (point,)."""
-    places = np.linspace(0.0, variable.last, POINTS)
-    values = sorted({variable.value(round(place) if variable.discrete else place) for place in places})
-    best = found.best.values
-    costs = [found.problem.cost({**best, variable.key.path: value}) for value in values]
-    return np.array(values, dtype=np.float64), np.array(costs)
+def _curve(design: DesignResult, variable: Variable) -> tuple[FloatArray, FloatArray]:
+    """Return values of ``variable`` and the cost of the best scene with each, (point,)."""
+    axis = variable.axis(CURVE_POINTS)
+    best = design.best.values
+    costs = [design.problem.cost({**best, variable.key.path: value}) for value in axis.labels]
+    return np.array(axis.labels, dtype=np.float64), np.array(costs)

@@ -18,7 +18,7 @@ from hpe_rig.design.variables import Variable
 from hpe_rig.measurement import Setup, plan_and_check
 from hpe_rig.moduli import ModuliForecast, moduli_forecast
 from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
-from hpe_rig.prediction import Conditions, Expected
+from hpe_rig.prediction import Conditions, EstimatorErrors
 from hpe_rig.scene import (
     KeyPath,
     Mistake,
@@ -65,7 +65,7 @@ class Candidate:
     setting: Conditions | None = None
 
     @cached_property
-    def expected(self) -> Expected:
+    def expected(self) -> EstimatorErrors:
         """Bias and jitter from the draws of the search."""
         return self.predict(SEARCH_DRAWS, 0)
 
@@ -82,7 +82,7 @@ class Candidate:
         processing = self.scene.processing.model_copy(update=expected)
         return moduli_forecast(self.scene.model_copy(update={"processing": processing}), self.plan)
 
-    def predict(self, draws: int, seed: int) -> Expected:
+    def predict(self, draws: int, seed: int) -> EstimatorErrors:
         """Return bias and jitter of the scene's estimator."""
         assert self.scene is not None  # noqa: S101
         assert self.setting is not None  # noqa: S101

@@ -1,4 +1,4 @@
-"""Search for the best scene within limits: differential evolution over some of its numbers, then a pattern search."""
+"""Search for the best scene within limits: differential evolution over its variables, then a pattern search."""
 
 from __future__ import annotations
 
@@ -9,167 +9,177 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.design.problem import OUTSIDE, Candidate, Problem
+from hpe_rig.design.problem import INFEASIBLE_COST, Candidate, Problem
 from hpe_rig.design.variables import Variable
 from hpe_rig.scene import Mistake, SettingsError
 
-NEEDLESS = 1e-4
-"""Loss in the logarithm of what is minimised below which a number is left as it was."""
+IRRELEVANT_COST = 1e-4
+"""Loss in the logarithm of the goal below which a number keeps its starting value."""
 POPULATION, GENERATIONS = 10, 30
-FINEST = 1e-4
-"""Last step of the pattern search, of the whole range."""
-OTHERWISE = "other bounds with --bound, or more keys in --over"
+MIN_STEP = 1e-4
+"""Last step of the pattern search relative to the range."""
+NEIGHBOUR_STEP = 0.01
+"""Step relative to the range at which the limits of the best scene are tested."""
+OTHER_SPACE = "other bounds with --bound, or more keys in --over"
 
 
 @dataclass(frozen=True)
 class DesignResult:
-    """The scene at the start and the best one, what holds the latter back, and how many were tried."""
+    """The starting scene, the best one, and the limits that prevent a further improvement, in words."""
 
     problem: Problem
     start: Candidate
     best: Candidate
-    held: tuple[str, ...]
+    limits: tuple[str, ...]
 
 
 def find_design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> DesignResult:
-    """Return the best scene of ``problem`` after at most so many generations; the same seed gives the same.
+    """Return the best scene of ``problem`` after at most ``generations``; repeatable from ``seed``.
 
-    Raises ``SettingsError`` where no candidate keeps all limits, with what refuses the one that comes closest.
+    Raises ``SettingsError`` if no candidate satisfies all limits, with the conflicts of the closest one.
     """
-    best = _without_the_needless(problem, _pattern_search(problem, _evolution(problem, seed, generations)))
-    if problem.cost(best.values) >= OUTSIDE:
-        raise SettingsError("design", list(_why_none(problem, best)))
-    return DesignResult(problem, problem.start, best, tuple(_held(problem, best)))
+    position = _pattern_search(problem, _evolution(problem, seed, generations))
+    best = _without_irrelevant_changes(problem, position)
+    if problem.cost(best.values) >= INFEASIBLE_COST:
+        raise SettingsError("design", list(_infeasibility(problem, best)))
+    return DesignResult(problem, problem.start, best, tuple(_limits(problem, best)))
 
 
-def _place(problem: Problem, candidate: Candidate) -> FloatArray:
-    """Return where ``candidate`` is in the space, or is nearest to it; in the middle for what has no value."""
-    places = []
+def _position(problem: Problem, candidate: Candidate) -> FloatArray:
+    """Return the position in the space nearest to ``candidate``; the middle for a number without a value."""
+    positions = []
     for variable in problem.space:
         value = candidate.values.get(variable.key.path, variable.key.value)
         if value is None and variable.key.path == ("tracking", "pulse_count") and candidate.plan is not None:
             value = candidate.plan.shots[0].capture.record_count
-        places.append(variable.last / 2 if value is None else variable.place(value))
-    return np.array(places)
+        positions.append(variable.last / 2 if value is None else variable.position(value))
+    return np.array(positions)
+
+
+def _last_positions(problem: Problem) -> FloatArray:
+    return np.array([variable.last for variable in problem.space])
 
 
 def _evolution(problem: Problem, seed: int, generations: int) -> FloatArray:
     from scipy.optimize import Bounds, differential_evolution
 
-    def cost(place: FloatArray) -> float:
-        return problem.cost(problem.values_at(place))
+    def cost(position: FloatArray) -> float:
+        return problem.cost(problem.values_at(position))
 
-    found = differential_evolution(
+    optimum = differential_evolution(
         cost,
-        Bounds(np.zeros(len(problem.space)), np.array([variable.last for variable in problem.space])),
+        Bounds(np.zeros(len(problem.space)), _last_positions(problem)),
         integrality=[variable.discrete for variable in problem.space],
-        x0=_place(problem, problem.start),
+        x0=_position(problem, problem.start),
         popsize=POPULATION,
         maxiter=generations,
         tol=1e-4,
         polish=False,
         seed=seed,
     )
-    return np.asarray(found.x, dtype=np.float64)
+    return np.asarray(optimum.x, dtype=np.float64)
 
 
-def _pattern_search(problem: Problem, place: FloatArray) -> FloatArray:
-    """Return the best place by steps along single variables and pairs of them, halved whenever none is better.
+def _pattern_search(problem: Problem, position: FloatArray) -> FloatArray:
+    """Return the best position by steps along variables and pairs of them; the step halves without improvement.
 
-    A limit that two variables share, such as pulse rate and number of pulses in a given time, lets neither move alone.
+    Pairs are needed where two variables share a limit, such as pulse rate and number of pulses in a given time.
     """
-    last = np.array([variable.last for variable in problem.space])
+    last = _last_positions(problem)
     discrete = np.array([variable.discrete for variable in problem.space])
-    cost, share = problem.cost(problem.values_at(place)), 0.1
-    while share >= FINEST:
-        better = False
-        step = np.where(discrete, np.maximum(1.0, np.round(share * last)), share)
-        for direction in _directions(len(place)):
-            moved = np.clip(place + direction * step, 0.0, last)
-            trial = problem.cost(problem.values_at(moved))
-            if trial < cost:
-                place, cost, better = moved, trial, True
-        share = share if better else share / 2
-    return place
+    cost, relative_step = problem.cost(problem.values_at(position)), 0.1
+    while relative_step >= MIN_STEP:
+        improved = False
+        step = np.where(discrete, np.maximum(1.0, np.round(relative_step * last)), relative_step)
+        for direction in _directions(len(position)):
+            trial = np.clip(position + direction * step, 0.0, last)
+            trial_cost = problem.cost(problem.values_at(trial))
+            if trial_cost < cost:
+                position, cost, improved = trial, trial_cost, True
+        relative_step = relative_step if improved else relative_step / 2
+    return position
 
 
 def _directions(variables: int) -> list[FloatArray]:
-    """Return both ways along every variable, then those of every pair in which both grow, or shrink, or trade."""
+    """Return the directions along every variable, and those in which a pair changes in equal or opposite sense."""
     axes = np.eye(variables)
     pairs = [one + sign * other for one, other in itertools.combinations(axes, 2) for sign in (1, -1)]
     return [sign * axis for axis in (*axes, *pairs) for sign in (1, -1)]
 
 
-def _without_the_needless(problem: Problem, place: FloatArray) -> Candidate:
-    """Return the candidate with every number that does not matter left as the starting scene has it."""
-    best = problem.values_at(place)
+def _without_irrelevant_changes(problem: Problem, position: FloatArray) -> Candidate:
+    """Return the candidate at ``position``; numbers without influence on the goal keep their starting value."""
+    best = problem.values_at(position)
     for variable in problem.space:
-        own = variable.key.value
-        if own is not None and not variable.low <= own <= variable.high:
+        initial = variable.key.value
+        if initial is not None and not variable.low <= initial <= variable.high:
             continue
-        less = {path: value for path, value in best.items() if path != variable.key.path}
-        if problem.cost(less) <= problem.cost(best) + NEEDLESS:
-            best = less
+        reduced = {path: value for path, value in best.items() if path != variable.key.path}
+        if problem.cost(reduced) <= problem.cost(best) + IRRELEVANT_COST:
+            best = reduced
     return problem.candidate(best)
 
 
-def _held(problem: Problem, best: Candidate) -> Iterator[str]:
-    """Yield what keeps each number of the best scene from going further to where it would be better."""
-    place = _place(problem, best)
+def _limits(problem: Problem, best: Candidate) -> Iterator[str]:
+    """Yield the limit that prevents each number of the best scene from a further improvement."""
+    position = _position(problem, best)
     for index, variable in enumerate(problem.space):
         if variable.key.path not in best.values:
             continue
         for sign, word in ((1, "more"), (-1, "less")):
-            if place[index] == (variable.last if sign > 0 else 0.0):
+            if position[index] == (variable.last if sign > 0 else 0.0):
                 yield f"{variable.key} = {best.values[variable.key.path]:.6g}: its bound"
                 continue
-            reasons = next(filter(None, (_refused(problem, best, m) for m in _moves(problem, place, index, sign))), ())
-            if reasons:
-                yield f"{word} {variable.key}: {', '.join(reasons)}"
+            conflicts = (_conflicts(problem, best, trial) for trial in _neighbours(problem, position, index, sign))
+            if names := next(filter(None, conflicts), ()):
+                yield f"{word} {variable.key}: {', '.join(names)}"
 
 
-def _moves(problem: Problem, place: FloatArray, index: int, sign: int) -> Iterator[FloatArray]:
-    """Yield places a step further along one variable, alone, then with every other along: some gain only together."""
-    alone = place.copy()
-    alone[index] = min(max(place[index] + sign * _step(problem.space[index]), 0.0), problem.space[index].last)
-    yield alone
-    for other, variable in enumerate(problem.space):
-        step = max(1.0, round(0.01 * variable.last)) if variable.discrete else 0.01
-        if other != index and place[other] + step <= variable.last:
-            along = alone.copy()
-            along[other] += step
-            yield along
+def _neighbours(problem: Problem, position: FloatArray, index: int, sign: int) -> Iterator[FloatArray]:
+    """Yield positions one step along variable ``index``: alone, then together with an increase of each other one."""
+    variable = problem.space[index]
+    step = 1.0 if variable.discrete else NEIGHBOUR_STEP
+    single = position.copy()
+    single[index] = min(max(position[index] + sign * step, 0.0), variable.last)
+    yield single
+    for second, companion in enumerate(problem.space):
+        step = _companion_step(companion)
+        if second != index and position[second] + step <= companion.last:
+            pair = single.copy()
+            pair[second] += step
+            yield pair
 
 
-def _refused(problem: Problem, best: Candidate, place: FloatArray) -> list[str]:
-    """Return what refuses the scene at ``place``; empty where nothing does, or it would be no better."""
-    values = {path: value for path, value in problem.values_at(place).items() if path in best.values}
+def _companion_step(variable: Variable) -> float:
+    return max(1.0, round(NEIGHBOUR_STEP * variable.last)) if variable.discrete else NEIGHBOUR_STEP
+
+
+def _conflicts(problem: Problem, best: Candidate, position: FloatArray) -> list[str]:
+    """Return the checks and limits that refuse the scene at ``position``; empty if none does or it is no better."""
+    values = {path: value for path, value in problem.values_at(position).items() if path in best.values}
     trial = problem.judged(problem.candidate(values))
-    if trial.setting is None or problem.cost(values) < OUTSIDE or problem.measure(trial) >= problem.measure(best):
+    feasible = problem.cost(values) < INFEASIBLE_COST
+    if trial.setting is None or feasible or problem.measure(trial) >= problem.measure(best):
         return []
-    return [finding.check for finding in trial.conflicts] or list(problem.excess(trial))
+    return [conflict.check for conflict in trial.conflicts] or list(problem.excess(trial))
 
 
-def _step(variable: Variable) -> float:
-    return 1.0 if variable.discrete else 0.01
-
-
-def _why_none(problem: Problem, closest: Candidate) -> Iterator[Mistake]:
-    for finding in closest.conflicts:
-        yield Mistake(
-            finding.check, f"no candidate passes, the closest has: {finding.text}", finding.remedy or OTHERWISE
-        )
+def _infeasibility(problem: Problem, closest: Candidate) -> Iterator[Mistake]:
+    """Yield the reasons why even the closest candidate violates a limit."""
+    for conflict in closest.conflicts:
+        what = f"no candidate passes, the closest has: {conflict.text}"
+        yield Mistake(conflict.check, what, conflict.remedy or OTHER_SPACE)
     if closest.conflicts:
         return
     assert closest.plan is not None  # noqa: S101
-    excess, found = problem.excess(closest), closest.expected
+    excess, prediction = problem.excess(closest), closest.expected
     if "time" in excess:
         allowed_s = problem.constraints.longest_s
         what = f"the closest scene takes {closest.plan.duration_s:.4g} s, {allowed_s:.4g} s are allowed"
         yield Mistake("--longest-s", what, "more time, or a key in --over that shortens the scene")
     if "target" in excess and problem.constraints.target_m is not None:
         what = (
-            f"the jitter comes down to {found.jitter_m * 1e9:.3g} nm (noise {found.noise_jitter_m * 1e9:.3g}, speckle "
-            f"{found.speckle_jitter_m * 1e9:.3g}), {problem.constraints.target_m * 1e9:.3g} nm are wanted"
+            f"the smallest jitter is {prediction.jitter_m * 1e9:.3g} nm (noise {prediction.noise_jitter_m * 1e9:.3g}, "
+            f"speckle {prediction.speckle_jitter_m * 1e9:.3g}), above the {problem.constraints.target_m * 1e9:.3g} nm"
         )
         yield Mistake("--target", what, "a larger target, more keys in --over, or more time with --longest-s")

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 
 from hpe_rig.live.state import State, harmonic_state
-from hpe_rig.plan import Shot, scene_of
+from hpe_rig.plan import Shot, scene_of_shot
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import estimates_of, shot_fit
 from hpe_rig.runs import Run
@@ -40,7 +40,7 @@ class ShotHistory:
         return False
 
     def _put(self, run: Run, shot: Shot) -> None:
-        scene = scene_of(run.scene, shot)
+        scene = scene_of_shot(run.scene, shot)
         estimator = scene.processing.estimator
         try:
             fit = shot_fit(scene, shot, run.stored, estimator, beam_widths(scene, estimator))

@@ -9,8 +9,8 @@ import numpy as np
 
 from hpe_rig.live.history import ShotHistory, TimeLeft, setting_of, warnings_of
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
-from hpe_rig.measurement import awaited_place_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
-from hpe_rig.plan import scene_of
+from hpe_rig.measurement import awaited_offset_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
+from hpe_rig.plan import scene_of_shot
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
     coherent,
@@ -21,7 +21,7 @@ from hpe_rig.processing import (
     shot_motion,
     shot_prior,
 )
-from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
+from hpe_rig.report import echo_view, gate_records, motion_view, selected_pulses
 from hpe_rig.runs import Run, open_run
 from hpe_rig.store import ShotRecords, StoredRun, StoreError, is_taken, read_run
 
@@ -139,7 +139,7 @@ class RunSource:
 
     def _measured(self, run: Run, here: int) -> State:
         shot, records = run.plan.shots[self._shot], run.records[self._shot]
-        scene = scene_of(run.scene, shot)
+        scene = scene_of_shot(run.scene, shot)
         echoes = echo_view(scene, shot, records, line=-1)
         if echoes is None:
             return {}
@@ -150,8 +150,8 @@ class RunSource:
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:
-            gated = gate_alone(scene, shot, records)
-            shown = shown_pulses(scene, shot)
+            gated = gate_records(scene, shot, records)
+            shown = selected_pulses(scene, shot)
             motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)
             options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))
             fit = fit_motion(motion, shown.wanted_hz, "coherent", shown.driven_hz, options)
@@ -168,7 +168,7 @@ class RunSource:
 
 
 def _place_mm(run_file: Path, run_id: str = "") -> float | None:
-    place_m = awaited_place_m(run_file, run_id)
+    place_m = awaited_offset_m(run_file, run_id)
     return None if place_m is None else place_m * 1e3
 
 

@@ -1,19 +1,20 @@
-"""Report of a run: one HTML page with figures, tests of the residual, predictions and provenance.
+"""HTML pages, and the page of a run: figures, residual tests, predictions and provenance.
 
-page.py             run file -> page: ``write_report``
-views.py            one shot as people look at it: echoes, displacement, fit; the live page's too
-badges.py           verdicts of the checks, for the first screen
-residual_tests.py   whether the fit leaves nothing but noise
-foreseen.py         what the error model predicts for the amplitudes found
-sweep.py            many shots as curves, means over repeats, straight lines
-comparison.py       two runs side by side, with the significance of each difference
-provenance.py       attributes, settings read back, fingerprint of the file
-depth_profile.py    pictures over depth, of gates in the same records
-moduli.py           the medium's moduli, of a run at several places
-figures.py          pictures of one shot and of many; spectra are the result's, timing the plan's
-report.html         the page's template
+    page_writer.py     writer of every HTML page: templates page.html, macros.html, sections.html, report.html
+    views.py           one shot for pictures: echoes, displacement, fit
+    residual_tests.py  tests of the residual of the fit
+    prediction.py      errors predicted for the estimates
+    sweep.py           curves over the varied quantity, means over repeats, straight lines
+    figures.py         pictures of one shot and of a sweep
+    depth_profile.py   pictures over depth, from gates of the same records
+    moduli.py          moduli of the medium
+    provenance.py      attributes, settings read back, fingerprint of the file
+    badges.py          verdicts of the checks for the first screen
+    page_tables.py     tables with formatted cells
+    page.py            run file -> page: `write_report`
+    comparison.py      two runs side by side, with the significance of each difference
 
-Others use ``write_report``; the live page takes the views.
+The live page uses the views; studies, designs and validation use the page writer.
 """
 
 import lazy_loader

@@ -1,5 +1,4 @@
 from .comparison import (
-    Comparison as Comparison,
     ResultDifference as ResultDifference,
     compare_runs as compare_runs,
     comparison_schema as comparison_schema,
@@ -18,8 +17,8 @@ from .views import (
     EchoView as EchoView,
     MotionView as MotionView,
     echo_view as echo_view,
-    gate_alone as gate_alone,
+    gate_records as gate_records,
     grey_limit_v as grey_limit_v,
     motion_view as motion_view,
-    shown_pulses as shown_pulses,
+    selected_pulses as selected_pulses,
 )

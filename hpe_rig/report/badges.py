@@ -1,4 +1,4 @@
-"""Badges of a report's first screen: the verdict of every check in a few words, with the place that says more."""
+"""Badges of a page's first screen: the verdict of every check in a few words, linked to its section."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hpe_rig.result import RepeatMean, Result
 
 Verdict = Literal["passed", "noticed", "open"]
 MARKS: dict[Verdict, str] = {"passed": "✓", "noticed": "!", "open": "–"}
-"""Signs that tell the verdicts apart without colour."""
+"""Signs that distinguish the verdicts without colour."""
 
 
 @dataclass(frozen=True, slots=True)
 class Badge:
-    """One verdict: what is said, and the part of the page that says why."""
+    """One verdict, its text, and the id of the page's section with the details."""
 
     verdict: Verdict
     text: str
-    part: str
+    section: str
 
     @property
     def mark(self) -> str:
@@ -30,37 +30,32 @@ class Badge:
 
 
 def badges(
-    result: Result, warnings: Sequence[str], findings: Sequence[CheckResult], tests: Sequence[ResidualTest]
-) -> list[Badge]:
-    """Return the badges of a run: its state, warnings, repeats, plan and the tests of what the fit leaves."""
-    return list(_badges(result, warnings, findings, tests))
-
-
-def _badges(
-    result: Result, warnings: Sequence[str], findings: Sequence[CheckResult], tests: Sequence[ResidualTest]
+    result: Result, warnings: Sequence[str], check_results: Sequence[CheckResult], tests: Sequence[ResidualTest]
 ) -> Iterator[Badge]:
-    yield Badge("passed" if result.status == "complete" else "noticed", f"run {result.status}", "what")
+    """Yield the badges of a run: status, warnings, repeats, plan and residual tests."""
+    yield Badge("passed" if result.status == "complete" else "noticed", f"run {result.status}", "measurement")
     if count := len({shot.shot for shot in result.shots if shot.untrusted}):
-        yield Badge("noticed", f"{_number(count, 'shot')} not to be trusted", "harm")
-    yield (
-        Badge("noticed", _number(len(warnings), "warning"), "w") if warnings else Badge("passed", "no warnings", "prov")
-    )
+        yield Badge("noticed", f"{_count_text(count, 'shot')} not to be trusted", "estimates")
+    if warnings:
+        yield Badge("noticed", _count_text(len(warnings), "warning"), "warnings")
+    else:
+        yield Badge("passed", "no warnings", "provenance")
     if result.means:
-        yield _repeats(result.means)
-    wrong = sum(finding.level != "passed" for finding in findings)
-    told = f"{wrong} of {len(findings)} checks of the plan warn" if wrong else f"{len(findings)} checks of the plan"
-    yield Badge("noticed" if wrong else "passed", told, "plan")
+        yield _repeats_badge(result.means)
+    failed = sum(check.level != "passed" for check in check_results)
+    checks = f"{len(check_results)} checks of the plan"
+    yield Badge("noticed" if failed else "passed", f"{failed} of {checks} warn" if failed else checks, "checks")
     for test in tests:
         verdict: Verdict = "open" if test.verdict == "not possible" else test.verdict
-        yield Badge(verdict, test.name, "left")
+        yield Badge(verdict, test.name, "residual-section")
 
 
-def _repeats(means: Sequence[RepeatMean]) -> Badge:
-    scatter = sum(not mean.agrees for mean in means)
-    if not scatter:
+def _repeats_badge(means: Sequence[RepeatMean]) -> Badge:
+    disagreements = sum(not mean.agrees for mean in means)
+    if not disagreements:
         return Badge("passed", "repeats agree", "means")
-    return Badge("noticed", f"repeats scatter in {scatter} of {len(means)} means", "means")
+    return Badge("noticed", f"repeats scatter in {disagreements} of {len(means)} means", "means")
 
 
-def _number(count: int, noun: str) -> str:
+def _count_text(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"

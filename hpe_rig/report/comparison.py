@@ -1,4 +1,12 @@
-"""Comparison of two runs: settings that differ, results side by side, and how significant each difference is."""
+"""Comparison of two runs: different settings, results side by side, and the significance of each difference.
+
+For independent errors of standard uncertainties u, with d the difference of the two results:
+
+    X = (d_A)² / (u_A1² + u_A2²) + (d_phi)² / (u_phi1² + u_phi2²)        chi-square of two degrees of freedom
+    p = exp(-X / 2)
+
+p_all uses the uncertainties from all sources, p_noise those that are independent between shots.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +29,8 @@ from hpe_rig.result import (
     ShotResult,
     dataclass_schema,
     json_values,
+    object_schema,
     titled,
-    type_schema,
 )
 from hpe_rig.runs import Run, open_run
 from hpe_rig.scene import parse_toml
@@ -31,9 +39,10 @@ from hpe_rig.store import read_snapshots
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OWN_TO_A_SHOT = ("noise", "trigger jitter", RECTIFIED)
-"""Sources of uncertainty that are drawn anew in every shot; others may be the same in both runs, or not."""
-UNLIKELY = 0.01
+INDEPENDENT_SOURCES = ("noise", "trigger jitter", RECTIFIED)
+"""Sources of uncertainty that are independent between shots; all others may be common to both runs."""
+SIGNIFICANCE = 0.01
+"""Probability of a difference by chance below which the runs differ."""
 
 DERIVED = {"amplitude_change": float, "phase_change_rad": float, "verdict": str}
 
@@ -42,7 +51,7 @@ Setting = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True)
 class SettingDifference:
-    """One setting that is not the same: where it stands, and its value in either run, None where it is absent."""
+    """One different setting: its source and name, and its value in either run, None if absent."""
 
     where: str
     what: str
@@ -54,10 +63,10 @@ class SettingDifference:
 class ResultDifference:
     """One frequency at one setting in both runs.
 
-    ``amplitude_m`` and ``phase_rad`` (first, second) with combined standard uncertainties. ``p_all``: probability of as
-    large a difference, amplitude and phase together, where nothing differs and all sources of uncertainty are
-    independent in the two runs; ``p_noise``: where only noise and trigger jitter are, all else being the same in both:
-    the same place, beams and specimen. ``shots`` (first, second), counted from 1.
+    ``amplitude_m`` and ``phase_rad`` (first, second) with combined standard uncertainties. ``p_all``: probability of an
+    equal or larger difference by chance, if all sources of uncertainty are independent in the two runs. ``p_noise``: as
+    above, if only noise and trigger jitter are independent, that is for the same position, beams and specimen.
+    ``shots`` (first, second), counted from 1.
     """
 
     setting: str
@@ -72,27 +81,27 @@ class ResultDifference:
 
     @property
     def amplitude_change(self) -> float:
-        """Second amplitude over the first, less one."""
+        """Second amplitude over the first, minus one."""
         return self.amplitude_m[1] / self.amplitude_m[0] - 1 if self.amplitude_m[0] else math.nan
 
     @property
     def phase_change_rad(self) -> float:
-        """Second phase less the first, within half a turn."""
+        """Second phase minus the first, in [-pi, pi]."""
         return math.remainder(self.phase_rad[1] - self.phase_rad[0], 2 * math.pi)
 
     @property
     def verdict(self) -> str:
-        """Whether the two differ, differ only if place, beams and specimen are the same in both, or agree."""
-        if self.p_all < UNLIKELY:
+        """Whether the two differ, differ only if position, beams and specimen are the same, or agree."""
+        if self.p_all < SIGNIFICANCE:
             return "differs"
-        return "differs if alike" if self.p_noise < UNLIKELY else "agrees"
+        return "differs if alike" if self.p_noise < SIGNIFICANCE else "agrees"
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two runs beside each other.
+    """Two runs side by side.
 
-    ``origins``: measured, simulated or imported; ``alone`` says which settings only one of them has a result for.
+    ``origins``: measured, simulated or imported. ``alone``: settings for which only one run has a result.
     """
 
     names: tuple[str, str]
@@ -104,47 +113,46 @@ class Comparison:
     alone: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as JSON has it."""
+        """Return all values in the form of JSON."""
         tables = asdict(self)
-        for row, found in zip(tables["results"], self.results, strict=True):
-            row |= {name: getattr(found, name) for name in DERIVED}
+        for row, result in zip(tables["results"], self.results, strict=True):
+            row |= {name: getattr(result, name) for name in DERIVED}
         plain: dict[str, Any] = json_values(tables)
         return plain
 
     def figure(self) -> Figure:
-        """Return amplitudes and phases of both runs over frequency with bars of 2 u, and their differences in u."""
+        """Return amplitudes and phases of both runs over frequency with bars of 2 u, and their differences over u."""
         return _figure(self)
 
 
 def comparison_schema() -> dict[str, Any]:
-    """Return the JSON schema of what ``hpe-rig compare --json`` prints."""
-    row = dataclass_schema(ResultDifference, **{name: type_schema(kind) for name, kind in DERIVED.items()})
+    """Return the JSON schema of the output of ``hpe-rig compare --json``."""
+    row = dataclass_schema(ResultDifference, **object_schema("", DERIVED)["properties"])
     return titled("Comparison of hpe-rig", dataclass_schema(Comparison, results={"type": "array", "items": row}))
 
 
 def compare_runs(first: Path, second: Path, estimator: str | None = None) -> Comparison:
-    """Return what differs between two runs; results are estimated from the records, by each scene's estimator.
+    """Return the comparison of two runs, estimated from their records; repeats are averaged.
 
-    ``estimator`` in place of these. Repeats are taken as their mean. Raises as ``open_run`` and ``Run.estimate``.
+    ``estimator`` replaces that of each scene. Raises as ``open_run`` and ``Run.estimate``.
     """
     runs = open_run(first), open_run(second)
     results = runs[0].estimate(estimator), runs[1].estimate(estimator)
-    one, other = (_points(result) for result in results)
-    pairs, alone = _pairs(one, other, (first.name, second.name))
+    pairs, alone = _pairs(_points(results[0]), _points(results[1]), (first.name, second.name))
     return Comparison(
         names=(first.name, second.name),
         titles=(results[0].title, results[1].title),
         origins=(results[0].origin, results[1].origin),
         estimators=(results[0].estimator, results[1].estimator),
-        settings=tuple(_settings(*runs)),
-        results=tuple(row for setting, (a, b) in pairs for row in _rows(setting, a, b)),
+        settings=tuple(_settings_differences(*runs)),
+        results=tuple(row for setting, (a, b) in pairs for row in _result_differences(setting, a, b)),
         alone=tuple(alone),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
-    """One frequency of a setting: value, its uncertainties, and what of them noise alone leaves."""
+class _Point:
+    """Result at one frequency of a setting, and its independent uncertainties."""
 
     shots: str
     value: Headline | RepeatMean
@@ -152,149 +160,157 @@ class _Found:
     noise_rad: float
 
 
-def _points(result: Result) -> dict[Setting, dict[float, _Found]]:
-    """Return what was found by setting and frequency: the mean over repeats, else the shot's own."""
-    points: dict[Setting, dict[float, _Found]] = {}
+Points = dict[Setting, dict[float, _Point]]
+"""Results by setting and frequency."""
+
+
+def _points(result: Result) -> Points:
+    """Return the means over repeats, and the shots of settings without repeats."""
+    points: Points = {}
     for mean in result.means:
         shots, root = f"mean of {len(mean.shots)}", math.sqrt(len(mean.shots))
-        found = _Found(shots, mean, mean.amplitude_sd_m / root, mean.phase_sd_rad / root)
-        points.setdefault(_setting(mean), {})[mean.frequency_hz] = found
+        point = _Point(shots, mean, mean.amplitude_sd_m / root, mean.phase_sd_rad / root)
+        points.setdefault(_setting(mean), {})[mean.frequency_hz] = point
     repeated = set(points)
     for shot in result.shots:
         if (setting := _setting(shot)) not in repeated:
-            for each in shot.estimates:
-                own = [part for part in each.budget if part.source in OWN_TO_A_SHOT]
-                found = _Found(f"{shot.shot + 1}", each.headline, *_combined(own))
-                points.setdefault(setting, {}).setdefault(each.frequency_hz, found)
+            for estimate in shot.estimates:
+                independent = [part for part in estimate.budget if part.source in INDEPENDENT_SOURCES]
+                point = _Point(f"{shot.shot + 1}", estimate.headline, *_combined(independent))
+                points.setdefault(setting, {}).setdefault(estimate.frequency_hz, point)
     return points
 
 
-def _combined(parts: list[Component]) -> tuple[float, float]:
-    return math.hypot(*(part.amplitude_m for part in parts)), math.hypot(*(part.phase_rad for part in parts))
+def _combined(components: list[Component]) -> tuple[float, float]:
+    return math.hypot(*(item.amplitude_m for item in components)), math.hypot(*(item.phase_rad for item in components))
 
 
-def _setting(of: ShotResult | RepeatMean) -> Setting:
+def _setting(result: ShotResult | RepeatMean) -> Setting:
     names = ("burst_length_s", "force_fraction", "pulse_rate_hz", "window_length_s", "lateral_offset_m")
-    return *((name, getattr(of, name)) for name in (*names, "axial_offset_m")), *of.swept.items()
+    return *((name, getattr(result, name)) for name in (*names, "axial_offset_m")), *result.swept.items()
 
 
 def _pairs(
-    one: Mapping[Setting, Any], other: Mapping[Setting, Any], names: tuple[str, str]
-) -> tuple[list[tuple[Setting, tuple[Any, Any]]], list[str]]:
-    """Return what is compared: equal settings, or where none is equal and there are as many, in their order."""
-    common = [setting for setting in one if setting in other]
-    if not common and len(one) == len(other):
-        return [(a, (one[a], other[b])) for a, b in zip(one, other, strict=True)], []
-    alone = [f"{_words(setting)}: in {names[0]} alone" for setting in one if setting not in other]
-    alone += [f"{_words(setting)}: in {names[1]} alone" for setting in other if setting not in one]
-    return [(setting, (one[setting], other[setting])) for setting in common], alone
+    first: Points, second: Points, names: tuple[str, str]
+) -> tuple[list[tuple[Setting, tuple[dict[float, _Point], dict[float, _Point]]]], list[str]]:
+    """Return the results of equal settings, and the settings of one run only in words.
+
+    Runs with the same number of settings and no equal one are compared in order.
+    """
+    common = [setting for setting in first if setting in second]
+    if not common and len(first) == len(second):
+        return [(a, (first[a], second[b])) for a, b in zip(first, second, strict=True)], []
+    alone = [f"{_setting_text(setting)}: in {names[0]} alone" for setting in first if setting not in second]
+    alone += [f"{_setting_text(setting)}: in {names[1]} alone" for setting in second if setting not in first]
+    return [(setting, (first[setting], second[setting])) for setting in common], alone
 
 
-def _rows(setting: Setting, one: Mapping[float, _Found], other: Mapping[float, _Found]) -> Iterator[ResultDifference]:
-    for frequency_hz in (hz for hz in one if hz in other):
-        a, b = one[frequency_hz], other[frequency_hz]
-        all_m = math.hypot(a.value.amplitude_uncertainty_m, b.value.amplitude_uncertainty_m)
-        all_rad = math.hypot(a.value.phase_uncertainty_rad, b.value.phase_uncertainty_rad)
-        apart_m = b.value.amplitude_m - a.value.amplitude_m
-        apart_rad = math.remainder(b.value.phase_rad - a.value.phase_rad, 2 * math.pi)
+def _result_differences(
+    setting: Setting, first: Mapping[float, _Point], second: Mapping[float, _Point]
+) -> Iterator[ResultDifference]:
+    for frequency_hz in (hz for hz in first if hz in second):
+        a, b = first[frequency_hz], second[frequency_hz]
+        difference = (
+            b.value.amplitude_m - a.value.amplitude_m,
+            math.remainder(b.value.phase_rad - a.value.phase_rad, 2 * math.pi),
+        )
+        all_sources = (
+            math.hypot(a.value.amplitude_uncertainty_m, b.value.amplitude_uncertainty_m),
+            math.hypot(a.value.phase_uncertainty_rad, b.value.phase_uncertainty_rad),
+        )
+        noise = math.hypot(a.noise_m, b.noise_m), math.hypot(a.noise_rad, b.noise_rad)
         yield ResultDifference(
-            setting=_words(setting),
+            setting=_setting_text(setting),
             shots=(a.shots, b.shots),
             frequency_hz=frequency_hz,
             amplitude_m=(a.value.amplitude_m, b.value.amplitude_m),
             amplitude_uncertainty_m=(a.value.amplitude_uncertainty_m, b.value.amplitude_uncertainty_m),
             phase_rad=(a.value.phase_rad, b.value.phase_rad),
             phase_uncertainty_rad=(a.value.phase_uncertainty_rad, b.value.phase_uncertainty_rad),
-            p_all=_probability(apart_m, all_m, apart_rad, all_rad),
-            p_noise=_probability(
-                apart_m, math.hypot(a.noise_m, b.noise_m), apart_rad, math.hypot(a.noise_rad, b.noise_rad)
-            ),
+            p_all=_probability(difference, all_sources),
+            p_noise=_probability(difference, noise),
         )
 
 
-def _probability(apart_m: float, u_m: float, apart_rad: float, u_rad: float) -> float:
-    """Return the probability of as large a chi-square of two degrees of freedom, exp(-chi2 / 2)."""
+def _probability(difference: tuple[float, float], u: tuple[float, float]) -> float:
+    """Return exp(-X / 2) of the differences of amplitude and phase with standard uncertainties ``u``."""
     chi_square = 0.0
-    for apart, u in ((apart_m, u_m), (apart_rad, u_rad)):
-        chi_square += (apart / u) ** 2 if u > 0 else math.inf if apart else 0.0
+    for value, uncertainty in zip(difference, u, strict=True):
+        chi_square += (value / uncertainty) ** 2 if uncertainty > 0 else math.inf if value else 0.0
     return math.exp(-chi_square / 2)
 
 
-def _words(setting: Setting) -> str:
+def _setting_text(setting: Setting) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in setting if value) or "the only setting"
 
 
-def _settings(first: Run, second: Run) -> Iterator[SettingDifference]:
-    """Yield what differs in scene, bench file and the instruments' settings as read back in the last shot."""
-    for where, text in (("scene", "scene_toml"), ("bench file", "bench_toml")):
-        one, other = (dict(_flat(parse_toml(getattr(run.stored, text), where))) for run in (first, second))
-        for name in dict.fromkeys([*one, *other]):
-            if _alone(one.get(name)) != _alone(other.get(name)):
-                yield SettingDifference(where, name, one.get(name), other.get(name))
+def _settings_differences(first: Run, second: Run) -> Iterator[SettingDifference]:
+    """Yield the differences of scene, bench file, and settings read back from the instruments in the last shot."""
+    for where, attribute in (("scene", "scene_toml"), ("bench file", "bench_toml")):
+        before, after = (dict(_flat(parse_toml(getattr(run.stored, attribute), where))) for run in (first, second))
+        for name in dict.fromkeys([*before, *after]):
+            if _single(before.get(name)) != _single(after.get(name)):
+                yield SettingDifference(where, name, before.get(name), after.get(name))
     snapshots = [(read_snapshots(run.path) or ({},))[-1] for run in (first, second)]
-    for found in settings_differences(*snapshots):
-        what = f"{found.what} ({found.unit})" if found.unit else found.what
-        yield SettingDifference(f"set: {found.where}", what, found.before, found.after)
+    for item in settings_differences(*snapshots):
+        name = f"{item.what} ({item.unit})" if item.unit else item.what
+        yield SettingDifference(f"set: {item.where}", name, item.before, item.after)
 
 
-def _alone(value: Any) -> Any:
-    """Return the only entry of a list as itself, as a scene takes either."""
+def _single(value: Any) -> Any:
+    """Return the only entry of a list of one: for a scene both mean the same."""
     return value[0] if isinstance(value, list) and len(value) == 1 else value
 
 
 def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     """Yield every value of nested tables by its path; a list of plain values is one value."""
     if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _flat(inner, f"{path}.{name}" if path else name)
-    elif isinstance(value, list) and any(isinstance(each, Mapping | list) for each in value):
-        for number, inner in enumerate(value):
-            yield from _flat(inner, f"{path}[{number}]")
+        for name, item in value.items():
+            yield from _flat(item, f"{path}.{name}" if path else name)
+    elif isinstance(value, list) and any(isinstance(item, Mapping | list) for item in value):
+        for number, item in enumerate(value):
+            yield from _flat(item, f"{path}[{number}]")
     else:
         yield path, value if isinstance(value, str | int | float | bool | list) else str(value)
 
 
-def _figure(found: Comparison) -> Figure:
+def _figure(comparison: Comparison) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 6.5), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
-    frequency_hz = np.array([row.frequency_hz for row in found.results])
-    # A little apart, so that neither run hides the other.
-    aside_hz = 0.006 * (float(np.ptp(frequency_hz)) if frequency_hz.size > 1 else 100.0)
-    kinds = (
+    rows = comparison.results
+    frequency_hz = np.array([row.frequency_hz for row in rows])
+    # Half the distance by which the two runs are drawn apart, so that neither hides the other.
+    shift_hz = 0.003 * (float(np.ptp(frequency_hz)) if frequency_hz.size > 1 else 100.0)
+    quantities = (
         ("amplitude_m", "amplitude_uncertainty_m", "amplitude / nm", 1e9),
         ("phase_rad", "phase_uncertainty_rad", "phase / deg", 180 / math.pi),
     )
-    for column, (value, u, label, factor) in enumerate(kinds):
-        for side, (name, colour, mark) in enumerate(zip(found.names, PALETTE, "os", strict=False)):
-            values = [getattr(row, value)[side] * factor for row in found.results]
-            bars = [2 * getattr(row, u)[side] * factor for row in found.results]
-            panels[0, column].errorbar(
-                frequency_hz + (side - 0.5) * aside_hz,
-                values,
-                bars,
-                fmt=mark,
-                color=colour,
-                label=f"{name}, {found.origins[side]}",
-                ms=5,
-            )
-        apart = [_in_u(getattr(row, value), getattr(row, u), column == 1) for row in found.results]
-        panels[1, column].axhspan(-2, 2, color="0.9")
-        panels[1, column].plot(frequency_hz, apart, "D", color=PALETTE[2], ms=5)
-        panels[0, column].set_ylabel(f"{label}, bars: 2 u")
-        panels[1, column].set_ylabel("difference / u")
-        panels[1, column].set_xlabel("frequency / Hz")
+    for (above, below), (value, u, label, factor) in zip(panels.T, quantities, strict=True):
+        for run, (name, colour, marker) in enumerate(zip(comparison.names, PALETTE, "os", strict=False)):
+            values = [getattr(row, value)[run] * factor for row in rows]
+            bars = [2 * getattr(row, u)[run] * factor for row in rows]
+            x = frequency_hz + (2 * run - 1) * shift_hz
+            text = f"{name}, {comparison.origins[run]}"
+            above.errorbar(x, values, bars, fmt=marker, color=colour, label=text, ms=5)
+        is_phase = value == "phase_rad"
+        below.axhspan(-2, 2, color="0.9")
+        differences = [_difference_over_u(getattr(row, value), getattr(row, u), is_phase) for row in rows]
+        below.plot(frequency_hz, differences, "D", color=PALETTE[2], ms=5)
+        above.set_ylabel(f"{label}, bars: 2 u")
+        below.set(xlabel="frequency / Hz", ylabel="difference / u")
     if np.unique(frequency_hz).size == 1:
         panels[0, 0].set(xticks=frequency_hz[:1], xlim=(frequency_hz[0] - 5, frequency_hz[0] + 5))
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    figure.suptitle(f"{found.names[0]} and {found.names[1]}, estimator {' and '.join(dict.fromkeys(found.estimators))}")
+    estimators = " and ".join(dict.fromkeys(comparison.estimators))
+    figure.suptitle(f"{comparison.names[0]} and {comparison.names[1]}, estimator {estimators}")
     for panel in panels.flat:
         panel.grid(alpha=0.3)
         panel.spines[["top", "right"]].set_visible(False)
     return figure
 
 
-def _in_u(values: tuple[float, float], u: tuple[float, float], angle: bool) -> float:
-    apart = math.remainder(values[1] - values[0], 2 * math.pi) if angle else values[1] - values[0]
-    return apart / math.hypot(*u) if math.hypot(*u) > 0 else math.nan
+def _difference_over_u(values: tuple[float, float], u: tuple[float, float], is_phase: bool) -> float:
+    difference = math.remainder(values[1] - values[0], 2 * math.pi) if is_phase else values[1] - values[0]
+    return difference / math.hypot(*u) if math.hypot(*u) > 0 else math.nan

@@ -34,8 +34,8 @@ Row = Mapping[str, Any]
 
 UNITS = {"m": "m", "s": "s", "hz": "Hz", "rad": "rad", "v": "V", "db": "dB", "mib": "MiB"}
 """Unit suffixes of column names, as print writes them."""
-SYMBOL_WITH_INDEX = re.compile(r"[A-Z]_\w+")
-"""A symbol such as W_x, which stays as it is."""
+SYMBOL_WITH_INDEX = re.compile(r"(?<![A-Za-z0-9])[A-Za-z]_\w+")
+"""A symbol such as W_x or F_0, which stays as it is."""
 MAX_ROWS = 120
 """Rows of a table that a page of sections displays; its CSV holds all rows."""
 MAX_EMBEDDED_ROWS = 5000
@@ -148,7 +148,7 @@ def heading(name: str) -> str:
         return name
     stem, _, unit = name.rpartition("_")
     label = f"{stem} ({UNITS[unit]})" if stem and unit in UNITS else name
-    return label if SYMBOL_WITH_INDEX.match(label) else label.replace("_", " ")
+    return label if SYMBOL_WITH_INDEX.search(label) else label.replace("_", " ")
 
 
 def cell_text(value: Any) -> str:

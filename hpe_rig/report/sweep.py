@@ -1,10 +1,10 @@
-"""Curves of many shots: what was varied, means over repeats, and over the force a straight line through them."""
+"""Curves of a run over its varied quantity: means over repeats, and straight lines over the force."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +14,14 @@ from hpe_rig.result import Headline, ShotResult
 
 FORCE = "force F / F_0"
 PROPORTIONAL = (FORCE, "excitation.force_fraction")
-"""Axes that a straight line is fitted over."""
+"""Axes over which the motion is proportional and a straight line is fitted."""
+
+Value = Callable[[ShotResult], float | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A straight line y = intercept + slope x by least squares, with standard uncertainties (NaN: too few points)."""
+    """Least-squares line y = intercept + slope x with standard uncertainties, NaN for two points."""
 
     slope: float
     slope_u: float
@@ -30,11 +32,10 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class SweepCurve:
-    """One frequency's headline amplitude and phase over what was varied, repeats averaged.
+    """Headline amplitude and phase of one frequency over the varied quantity, averaged over repeats.
 
-    ``x``, means and standard deviations over repeats (point,), deviations NaN where a point has one repeat only;
-    ``line`` goes through every shot: over the force, whose motion it is in proportion to; None over anything else, and
-    where fewer than two values of x were measured.
+    ``x``, means and standard deviations over repeats (point,); a deviation is NaN for a single repeat. ``line`` fits
+    every shot over the force; None over other quantities, and for fewer than two values of x.
     """
 
     frequency_hz: float
@@ -57,127 +58,146 @@ class Sweep:
 
     @property
     def name(self) -> str:
-        """What was varied, without its unit."""
+        """Name of the axis without its unit."""
         return self.label.partition(" (")[0]
 
     @property
     def is_linear(self) -> bool:
-        """Whether the motion is in proportion to what was varied."""
+        """Whether the motion is proportional to the varied quantity."""
         return self.label in PROPORTIONAL
 
 
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    """A setting that may differ between shots: the axis that it makes, and its text in the name of a curve."""
+
+    label: str
+    value: Value
+    text: Callable[[ShotResult], str]
+
+    def varies(self, shots: Sequence[ShotResult]) -> bool:
+        return len({self.value(shot) for shot in shots}) > 1
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _burst_text(shot: ShotResult) -> str:
+    return "" if shot.burst_length_s is None else f"T_b = {shot.burst_length_s * 1e6:g} us"
+
+
+LATERAL = _Setting(
+    "lateral offset (mm)",
+    lambda shot: shot.lateral_offset_m * 1e3,
+    lambda shot: f"x = {shot.lateral_offset_m * 1e3:g} mm",
+)
+AXIAL = _Setting(
+    "axial offset (mm)", lambda shot: shot.axial_offset_m * 1e3, lambda shot: f"z = {shot.axial_offset_m * 1e3:g} mm"
+)
+FORCE_FRACTION = _Setting(FORCE, lambda shot: shot.force_fraction, lambda shot: f"F = {shot.force_fraction or 0:g} F_0")
+PULSE_RATE = _Setting(
+    "pulse rate f_prf (Hz)", lambda shot: shot.pulse_rate_hz, lambda shot: f"f_prf = {shot.pulse_rate_hz or 0:g} Hz"
+)
+WINDOW = _Setting(
+    "window T_s (ms)",
+    lambda shot: _scaled(shot.window_length_s, 1e3),
+    lambda shot: f"T_s = {(shot.window_length_s or 0) * 1e3:g} ms",
+)
+BURST_LENGTH = _Setting("burst length T_b (us)", lambda shot: (shot.burst_length_s or 0.0) * 1e6, _burst_text)
+REPEAT = _Setting("repeat", lambda shot: float(shot.repeat + 1), lambda shot: "")
+
+AXES: tuple[tuple[_Setting, tuple[_Setting, ...]], ...] = (
+    (LATERAL, (PULSE_RATE, WINDOW)),
+    (AXIAL, (PULSE_RATE, WINDOW)),
+    (FORCE_FRACTION, (PULSE_RATE, WINDOW)),
+    (PULSE_RATE, ()),
+    (WINDOW, ()),
+)
+"""Settings that make an axis, of which the first that varies applies, and the settings that group its curves.
+
+The burst length always groups curves."""
+GROUPS_OF_AXIS = (LATERAL, AXIAL, FORCE_FRACTION, BURST_LENGTH, WINDOW)
+"""Settings that group the curves over an axis of the scene's sweep."""
+
+
 def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
-    """Return the curves of ``shots``; None for a single shot."""
+    """Return the curves of ``shots`` over the first quantity that varies; None for a single shot."""
     if len(shots) < 2:
         return None
     for name in shots[0].swept:
         if len({shot.swept[name] for shot in shots}) > 1:
-            groups = [", ".join([*_others(shot, name, shots), _place(shot, shots)]).strip(", ") for shot in shots]
+            groups = [_joined(*_other_axes(shot, name, shots), _texts(shot, GROUPS_OF_AXIS, shots)) for shot in shots]
             return _sweep(name, shots, [shot.swept[name] for shot in shots], groups)
-    for label, places_m in (
-        ("place beside the push (mm)", [shot.lateral_offset_m for shot in shots]),
-        ("place along the beam (mm)", [shot.axial_offset_m for shot in shots]),
-    ):
-        if len(set(places_m)) > 1:
-            return _sweep(label, shots, [place_m * 1e3 for place_m in places_m], [_setting(s, shots) for s in shots])
-    if len({shot.force_fraction for shot in shots}) > 1:
-        forces = [shot.force_fraction for shot in shots]
-        return _sweep(FORCE, shots, forces, [_setting(shot, shots) for shot in shots])
-    lengths = [_length(shot) for shot in shots]
-    if len({shot.pulse_rate_hz for shot in shots}) > 1:
-        return _sweep("pulse rate f_prf (Hz)", shots, [shot.pulse_rate_hz for shot in shots], lengths)
-    if len({shot.window_length_s for shot in shots}) > 1:
-        windows_ms = [None if shot.window_length_s is None else shot.window_length_s * 1e3 for shot in shots]
-        return _sweep("window T_s (ms)", shots, windows_ms, lengths)
-    if len(set(lengths)) > 1:
-        lengths_us = [(shot.burst_length_s or 0.0) * 1e6 for shot in shots]
-        return _sweep("burst length T_b (us)", shots, lengths_us, [""] * len(shots))
-    return _sweep("repeat", shots, [float(shot.repeat + 1) for shot in shots], [""] * len(shots))
+    for axis, grouping in AXES:
+        if axis.varies(shots):
+            groups = [_joined(_burst_text(shot), _texts(shot, grouping, shots)) for shot in shots]
+            return _sweep(axis.label, shots, [axis.value(shot) for shot in shots], groups)
+    axis = BURST_LENGTH if BURST_LENGTH.varies(shots) else REPEAT
+    return _sweep(axis.label, shots, [axis.value(shot) for shot in shots], [""] * len(shots))
 
 
 def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
-    """Return the least-squares line through (x, y), both (point,); None where x has fewer than two values.
+    """Return the least-squares line through (x, y), both (point,); None for fewer than two values of x.
 
-    Uncertainties come from 1 - R^2, so of points that leave a line by less than 1e-8 of their range they are rounding.
+    The uncertainties come from 1 - R²: for residuals below 1e-8 of the range they are rounding errors.
     """
     if x.size == 0 or not np.ptp(x) > 0:
         return None
-    # Here: it takes half a second to load, and few reports are of a sweep.
+    # Imported here: it takes half a second, and few reports have a sweep.
     from scipy.stats import linregress
 
-    found = linregress(x, y)
-    # Two points leave no residual to take an uncertainty from, for which scipy states 0.
-    slope_u, intercept_u = (found.stderr, found.intercept_stderr) if x.size > 2 else (math.nan, math.nan)
-    r_squared = float(found.rvalue) ** 2 if np.ptp(y) > 0 else math.nan
-    return Line(float(found.slope), float(slope_u), float(found.intercept), float(intercept_u), r_squared)
+    fit = linregress(x, y)
+    # Two points have no residual; SciPy then states an uncertainty of 0.
+    slope_u, intercept_u = (fit.stderr, fit.intercept_stderr) if x.size > 2 else (math.nan, math.nan)
+    r_squared = float(fit.rvalue) ** 2 if np.ptp(y) > 0 else math.nan
+    return Line(float(fit.slope), float(slope_u), float(fit.intercept), float(intercept_u), r_squared)
 
 
-def _length(shot: ShotResult) -> str:
-    return "" if shot.burst_length_s is None else f"T_b = {shot.burst_length_s * 1e6:g} us"
+def _joined(*texts: str) -> str:
+    return ", ".join(text for text in texts if text)
 
 
-def _setting(shot: ShotResult, shots: Sequence[ShotResult]) -> str:
-    """Return what else than the force was varied, in words."""
-    words = [_length(shot)]
-    if len({each.pulse_rate_hz for each in shots}) > 1:
-        words.append(f"f_prf = {shot.pulse_rate_hz or 0:g} Hz")
-    if len({each.window_length_s for each in shots}) > 1:
-        words.append(f"T_s = {(shot.window_length_s or 0) * 1e3:g} ms")
-    return ", ".join(word for word in words if word)
+def _texts(shot: ShotResult, settings: Sequence[_Setting], shots: Sequence[ShotResult]) -> str:
+    """Return the settings of ``shot`` that vary over ``shots``, in words."""
+    return _joined(*(setting.text(shot) for setting in settings if setting.varies(shots)))
 
 
-def _others(shot: ShotResult, name: str, shots: Sequence[ShotResult]) -> Iterator[str]:
-    """Yield what other axes are at, where they do not move with the axis ``name``."""
-    along = {(each.swept[name], *each.swept.values()) for each in shots}
+def _other_axes(shot: ShotResult, name: str, shots: Sequence[ShotResult]) -> Iterator[str]:
+    """Yield the values of the other axes of the sweep, except those that follow the axis ``name``."""
+    axis_values = {item.swept[name] for item in shots}
     for other, value in shot.swept.items():
-        pairs = {(each.swept[name], each.swept[other]) for each in shots}
-        # Taken together with the axis it has one value at each of its values, and says nothing new.
-        if other != name and len(pairs) > len({first for first, *_ in along}):
+        pairs = {(item.swept[name], item.swept[other]) for item in shots}
+        # An axis combined by zip has one value at each value of ``name``, so it does not distinguish curves.
+        if other != name and len(pairs) > len(axis_values):
             yield f"{other} = {value:g}"
 
 
-def _place(shot: ShotResult, shots: Sequence[ShotResult]) -> str:
-    """Return in words what is varied besides the axes."""
-    words = []
-    if len({each.lateral_offset_m for each in shots}) > 1:
-        words.append(f"x = {shot.lateral_offset_m * 1e3:g} mm")
-    if len({each.axial_offset_m for each in shots}) > 1:
-        words.append(f"z = {shot.axial_offset_m * 1e3:g} mm")
-    if len({each.force_fraction for each in shots}) > 1:
-        words.append(f"F = {shot.force_fraction or 0:g} F_0")
-    if len({each.burst_length_s for each in shots}) > 1:
-        words.append(_length(shot))
-    if len({each.window_length_s for each in shots}) > 1:
-        words.append(f"T_s = {(shot.window_length_s or 0) * 1e3:g} ms")
-    return ", ".join(words)
-
-
 def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:
-    places = np.array([math.nan if value is None else value for value in x], dtype=np.float64)
-    names = list(dict.fromkeys(groups))
-    # An axis that moves the wanted frequencies leaves a curve the shots that have its frequency.
+    x_values = np.array([math.nan if value is None else value for value in x], dtype=np.float64)
+    # If an axis changes the wanted frequencies, a curve contains the shots that have its frequency.
     frequencies_hz = dict.fromkeys(estimate.frequency_hz for shot in shots for estimate in shot.estimates)
     curves = []
-    for frequency_hz, name in itertools.product(frequencies_hz, names):
-        own = [
-            (estimate.headline, x)
-            for shot, group, x in zip(shots, groups, places, strict=True)
+    for frequency_hz, group in itertools.product(frequencies_hz, dict.fromkeys(groups)):
+        points = [
+            (estimate.headline, x_value)
+            for shot, shot_group, x_value in zip(shots, groups, x_values, strict=True)
             for estimate in shot.estimates
-            if group == name and estimate.frequency_hz == frequency_hz
+            if shot_group == group and estimate.frequency_hz == frequency_hz
         ]
-        if own:
-            headlines, along = [headline for headline, _ in own], np.array([x for _, x in own])
-            curves.append(_curve(frequency_hz, name, headlines, along, label in PROPORTIONAL))
+        if points:
+            headlines, x_points = [headline for headline, _ in points], np.array([x for _, x in points])
+            curves.append(_curve(frequency_hz, group, headlines, x_points, label in PROPORTIONAL))
     return Sweep(label, tuple(curves))
 
 
-def _curve(frequency_hz: float, group: str, found: Sequence[Headline], x: FloatArray, linear: bool) -> SweepCurve:
-    amplitude = np.array([headline.amplitude_m for headline in found])
-    phase = np.array([headline.phase_rad for headline in found])
+def _curve(frequency_hz: float, group: str, headlines: Sequence[Headline], x: FloatArray, linear: bool) -> SweepCurve:
+    amplitude = np.array([headline.amplitude_m for headline in headlines])
+    phase = np.array([headline.phase_rad for headline in headlines])
     values = np.unique(x)
-    each = [x == value for value in values]
-    amplitudes = [_spread(amplitude[here]) for here in each]
-    phases = [_circular(phase[here]) for here in each]
+    masks = [x == value for value in values]
+    amplitudes = [_mean_and_sd(amplitude[mask]) for mask in masks]
+    phases = [_circular_mean_and_sd(phase[mask]) for mask in masks]
     return SweepCurve(
         frequency_hz=frequency_hz,
         group=group,
@@ -186,17 +206,17 @@ def _curve(frequency_hz: float, group: str, found: Sequence[Headline], x: FloatA
         amplitude_sd_m=np.array([sd for _, sd in amplitudes]),
         phase_rad=np.array([mean for mean, _ in phases]),
         phase_sd_rad=np.array([sd for _, sd in phases]),
-        repeats=max(int(here.sum()) for here in each),
+        repeats=max(int(mask.sum()) for mask in masks),
         line=fit_line(x, amplitude) if linear else None,
     )
 
 
-def _spread(values: FloatArray) -> tuple[float, float]:
+def _mean_and_sd(values: FloatArray) -> tuple[float, float]:
     return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else math.nan
 
 
-def _circular(phase: FloatArray) -> tuple[float, float]:
-    """Return circular mean and standard deviation about it; a plain mean fails where phases pass half a turn."""
+def _circular_mean_and_sd(phase: FloatArray) -> tuple[float, float]:
+    """Return circular mean and standard deviation about it; phases may wrap."""
     mean = float(np.angle(np.exp(1j * phase).mean()))
-    away = np.angle(np.exp(1j * (phase - mean)))
-    return mean, float(np.sqrt(away @ away / (phase.size - 1))) if phase.size > 1 else math.nan
+    deviation = np.angle(np.exp(1j * (phase - mean)))
+    return mean, float(np.sqrt(deviation @ deviation / (phase.size - 1))) if phase.size > 1 else math.nan

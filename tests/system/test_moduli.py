@@ -16,7 +16,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare, record_run
 from hpe_rig.measurement.mover import require_mover
 from hpe_rig.moduli import ModuliResult
-from hpe_rig.report.page import _scene_of
+from hpe_rig.report.page import _scene_at
 from hpe_rig.runs import json_schema
 from hpe_rig.scene import SettingsError, load_scene
 
@@ -102,8 +102,8 @@ def test_a_scene_that_cannot_tell_moduli_says_all_that_is_missing(tmp_path: Path
 
 def test_the_report_describes_the_place_of_the_shot_it_shows(run: hpe.Run) -> None:
     last = run.estimate().shots[-1]
-    assert _scene_of(run, last).tracking.lateral_offset_m == 6e-3
-    assert not _scene_of(run, last).sweep.lateral_offset_m
+    assert _scene_at(run, last).tracking.lateral_offset_m == 6e-3
+    assert not _scene_at(run, last).sweep.lateral_offset_m
 
 
 def test_several_places_on_a_bench_need_somebody_to_move_the_transducer() -> None:

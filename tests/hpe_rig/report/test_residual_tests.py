@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpe_rig.report.residual_tests import innovations, line_p, periodogram, residual_tests, whiteness_p
+from hpe_rig.report.residual_tests import line_p, normalised_innovations, periodogram, residual_tests, whiteness_p
 from hpe_rig.report.sweep import fit_line, make_sweep
 from hpe_rig.report.views import MotionView
-from hpe_rig.result.values import Estimate, ShotResult
+from hpe_rig.result import Estimate, ShotResult
 
 RATE_HZ = 4000.0
 PULSES = 400
@@ -62,7 +62,7 @@ def test_a_line_a_drift_and_spikes_are_each_noticed_by_their_test() -> None:
     spikes = noise.copy()
     spikes[::40] += 100e-9
     cases = {
-        "no line left": noise + 8e-9 * np.sin(2 * np.pi * 710 * time_s),
+        "no spectral line": noise + 8e-9 * np.sin(2 * np.pi * 710 * time_s),
         "white residual": np.convolve(noise, np.ones(4) / 2, mode="same"),
         "normal residual": spikes,
         "steady noise": noise * np.where(time_s < time_s[PULSES // 2], 1.0, 1.6),
@@ -89,7 +89,7 @@ def test_innovations_equal_refitting_all_earlier_pulses_each_time() -> None:
     generator = np.random.default_rng(8)
     seen = view(generator.standard_normal(60))
     variance = generator.uniform(0.5, 2.0, 60)
-    found = innovations(seen.matrix, seen.displacement_m, variance)
+    found = normalised_innovations(seen.matrix, seen.displacement_m, variance)
     start = 60 - found.size
     for k in range(start, 60):
         weight = 1 / np.sqrt(variance[:k])
@@ -103,7 +103,7 @@ def test_innovations_equal_refitting_all_earlier_pulses_each_time() -> None:
 def test_too_few_pulses_are_said_to_be_too_few() -> None:
     checks = residual_tests(view(np.random.default_rng(9).standard_normal(12) * 1e-9))
     assert {check.verdict for check in checks} == {"not possible"}
-    assert all(check.found for check in checks)
+    assert all(check.value for check in checks)
 
 
 def test_a_line_equals_numpys_polynomial_fit_with_its_covariance() -> None:

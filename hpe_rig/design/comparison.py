@@ -1,0 +1,175 @@
+"""Comparison of the starting scene and the best one: varied numbers, predicted and simulated errors, time and dose."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from hpe_rig.design.model import effective_pulses
+from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, Candidate, Problem
+from hpe_rig.design.search import DesignResult
+from hpe_rig.design.simulation_check import Simulated, simulate
+from hpe_rig.prediction import EstimatorErrors, as_averaged, detection_text, predict, predicted_averaging
+from hpe_rig.result import text_table
+from hpe_rig.study import Errors
+
+JITTER_TOLERANCE, BIAS_TOLERANCE, STANDARD_ERRORS = 0.15, 0.02, 3.0
+"""Agreement required of the model: relative to the jitter, relative to the amplitude, plus standard errors."""
+MAX_RELATIVE_ERROR = 0.25
+"""Standard error relative to a jitter above which the simulation cannot test the model."""
+
+Row = tuple[str, str, str]
+"""Name, before, after."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The scene before and after: the request in words, rows of varied numbers and of outcomes, and remarks."""
+
+    request: str
+    varied: Sequence[Row]
+    outcome: Sequence[Row]
+    remarks: Sequence[str]
+
+    def lines(self) -> Iterator[str]:
+        """Yield the request, the table and the remarks."""
+        yield self.request
+        yield text_table(("", "before", "after"), [*self.varied, *self.outcome])
+        yield from self.remarks
+
+
+def compare(design: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:
+    """Return the scene before and after; ``draws`` simulate both, 0 omits the simulation."""
+    problem, best = design.problem, design.best
+    start = problem.judged(design.start)
+    varied = []
+    for variable in problem.space:
+        path, initial = variable.key.path, variable.key.value
+        before_value, after_value = (_number(candidate.values.get(path, initial)) for candidate in (start, best))
+        varied.append((str(variable.key), before_value, after_value))
+    after = _outcome(problem, best, draws, seed)
+    # Without a better scene both columns are equal: one simulation is enough.
+    before = _outcome(problem, start, draws, seed) if best.values else after
+    outcome = [(name, before.get(name, "-"), text) for name, text in after.items()]
+    return Comparison(_request_text(design), varied, outcome, list(_remarks(design)))
+
+
+def _request_text(design: DesignResult) -> str:
+    problem, scene, plan = design.problem, design.best.scene, design.best.plan
+    assert scene is not None  # noqa: S101
+    assert plan is not None  # noqa: S101
+    constraints = problem.constraints
+    shots = "" if len(plan.shots) == 1 else f" in shot 1 of {len(plan.shots)}"
+    target = "" if constraints.target_m is None else f", target {constraints.target_m * 1e9:g} nm"
+    return (
+        f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
+        f"{constraints.longest_s:.4g} s{target}; {problem.evaluations} scenes evaluated"
+    )
+
+
+def _remarks(design: DesignResult) -> Iterator[str]:
+    if not design.best.values:
+        yield "no scene within the limits is better than the starting scene"
+    yield from (f"limit: {reason}" for reason in design.limits)
+    if design.start.conflicts:
+        checks = ", ".join(dict.fromkeys(conflict.check for conflict in design.start.conflicts))
+        yield f"hpe-rig check refuses the starting scene: {checks}"
+
+
+def _number(value: float | None) -> str:
+    return "absent" if value is None else f"{value:.6g}"
+
+
+def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> dict[str, str]:
+    """Return predictions, simulation, time and dose of a candidate in words; empty without a plan."""
+    scene, plan, setting = candidate.scene, candidate.plan, candidate.setting
+    if scene is None or plan is None or setting is None:
+        return {}
+    prediction = _averaged_prediction(candidate)
+    output = candidate.output(problem.bench)
+    simulated: Simulated | None = None
+    if draws and not candidate.conflicts:
+        simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
+    amplitude, phase = (simulated.amplitude_m, simulated.phase_rad) if simulated else (None, None)
+    detection = next(iter(detection_text(scene, problem.bench.simulated, plan.shots[0])))
+    rows = {
+        "amplitude": _nm(setting.amplitude_m),
+        "effective number of pulses": f"{effective_pulses(scene, plan)}",
+        "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
+        "bias, predicted": _nm(prediction.bias_m),
+        "bias, simulated": _simulated_text(amplitude, "bias", 1e9, "nm"),
+        "jitter, predicted": _nm(prediction.jitter_m),
+        "jitter, simulated": _simulated_text(amplitude, "jitter", 1e9, "nm"),
+        "noise of a quadrature": _quadrature(candidate),
+        "speckle": _nm(prediction.speckle_jitter_m),
+        "detection floor": detection.split()[2] + " nm",
+        "jitter over amplitude": f"{100 * prediction.jitter_m / setting.amplitude_m:.3g} %",
+        "phase jitter, predicted": f"{math.degrees(prediction.phase_jitter_rad):.3g} deg",
+        "phase jitter, simulated": _simulated_text(phase, "jitter", math.degrees(1), "deg"),
+        "model": _agreement(candidate, simulated),
+        **_moduli(problem, candidate),
+        "time": f"{plan.duration_s:.4g} s",
+        "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
+        "I_spta": "not calibrated" if output is None else f"{output.spta_w_per_m2 / 10:.3g} mW/cm2",
+    }
+    return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
+
+
+def _moduli(problem: Problem, candidate: Candidate) -> dict[str, str]:
+    """Return the uncertainties of the moduli if they are the goal."""
+    if problem.goal != "modulus-uncertainty":
+        return {}
+    try:
+        forecast = candidate.moduli
+    except ValueError as error:
+        return {"u of mu1": str(error)}
+    columns = zip(("u of mu1", "u of mu2"), forecast.uncertainty, forecast.values, strict=True)
+    return {name: f"{100 * u / value:.3g} %" for name, u, value in columns}
+
+
+def _averaged_prediction(candidate: Candidate) -> EstimatorErrors:
+    """Return bias and jitter with the beam averaging of ``hpe-rig check`` and of a result's budget."""
+    assert candidate.scene is not None  # noqa: S101
+    assert candidate.setting is not None  # noqa: S101
+    averaging = predicted_averaging(candidate.scene, candidate.scene.processing.estimator)[0]
+    return as_averaged(candidate.predict(FINAL_DRAWS, FINAL_SEED), candidate.setting, averaging)
+
+
+def _quadrature(candidate: Candidate) -> str:
+    """Return the noise as ``hpe-rig check`` prints it, from the same draws."""
+    assert candidate.scene is not None  # noqa: S101
+    assert candidate.setting is not None  # noqa: S101
+    prediction = predict(candidate.setting, (candidate.scene.processing.estimator,)).expected[0]
+    return f"{prediction.quadrature_m * 1e9:.3g} nm"
+
+
+def _nm(value_m: float) -> str:
+    return f"{value_m * 1e9:.4g} nm"
+
+
+def _simulated_text(errors: Errors | None, name: str, scale: float, unit: str) -> str:
+    """Return a simulated error with its standard error; a dash without a simulation."""
+    if errors is None:
+        return "-"
+    return f"{getattr(errors, name) * scale:.3g} +- {getattr(errors, f'{name}_se') * scale:.2g} {unit}"
+
+
+def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
+    """Return whether the model agrees with the simulation, within its tolerance and the simulation's errors."""
+    if simulated is None or candidate.setting is None:
+        return "not simulated"
+    prediction = _averaged_prediction(candidate)
+    amplitude, phase = simulated.amplitude_m, simulated.phase_rad
+    jitters = (
+        (prediction.jitter_m, amplitude.jitter, amplitude.jitter_se),
+        (prediction.phase_jitter_rad, phase.jitter, phase.jitter_se),
+    )
+    if any(se > MAX_RELATIVE_ERROR * jitter for _, jitter, se in jitters):
+        return "unsure: more draws"
+    jitters_agree = all(
+        abs(model - jitter) <= JITTER_TOLERANCE * jitter + STANDARD_ERRORS * se for model, jitter, se in jitters
+    )
+    allowed_m = BIAS_TOLERANCE * candidate.setting.amplitude_m + STANDARD_ERRORS * amplitude.bias_se
+    bias_agrees = abs(prediction.bias_m - amplitude.bias) <= allowed_m
+    return "agrees" if jitters_agree and bias_agrees else "differs from the simulation"

@@ -1,0 +1,210 @@
+"""Tables of a run's page, with formatted cells: amplitudes in nm, phases in degrees."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+from hpe_rig.report.page_writer import PageTable
+from hpe_rig.report.prediction import Prediction
+from hpe_rig.report.sweep import Sweep
+from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult
+
+MAX_ROWS = 1000
+"""Rows of the table of all shots; the result file holds the others."""
+
+Cells = dict[str, str]
+
+
+def text_table(key: str, caption: str, rows: Sequence[Mapping[str, str]]) -> PageTable:
+    """Return an unfolded table of formatted cells; it has no CSV, since the result file holds the full precision."""
+    return PageTable(key, caption, rows, folded=False, downloadable=False)
+
+
+def means_table(means: Sequence[RepeatMean]) -> PageTable:
+    """Return the means over repeats with their chi-square tests."""
+    rows = [
+        {
+            **_burst_cells(mean),
+            "f_prf (Hz)": _number(mean.pulse_rate_hz),
+            "T_s (ms)": _number(mean.window_length_s, 1e3),
+            "repeats": f"{len(mean.shots)}",
+            "f (Hz)": f"{mean.frequency_hz:g}",
+            "complex mean (nm)": nm(mean.amplitude_m),
+            "u (nm)": nm(mean.amplitude_uncertainty_m, 2),
+            "phase (°)": deg(mean.phase_rad),
+            "u (°)": deg(mean.phase_uncertainty_rad, ".2g"),
+            "sd (nm)": nm(mean.amplitude_sd_m, 2),
+            "sd (°)": deg(mean.phase_sd_rad, ".2g"),
+            "chi-square": f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}",
+            "p": f"{mean.probability:.2g}",
+            "verdict": "agrees" if mean.agrees else "scatters",
+        }
+        for mean in means
+    ]
+    return text_table("means-table", "Means over repeats.", rows)
+
+
+def sweep_table(sweep: Sweep) -> PageTable:
+    """Return lines over the force, ranges over another quantity, or means over repeats, a row for each curve."""
+    rows: list[Cells] = []
+    for curve in sweep.curves:
+        row = {"f (Hz)": f"{curve.frequency_hz:g}"}
+        largest_sd = {"largest sd (nm)": nm(curve.amplitude_sd_m.max(), 2)}
+        if sweep.label == "repeat":
+            row["mean of amplitudes (nm)"] = nm(curve.amplitude_m.mean())
+            row |= {"sd (nm)": nm(curve.amplitude_m.std(ddof=1), 2), "repeats": f"{len(curve.x)}"}
+        elif sweep.is_linear:
+            line = curve.line
+            row |= {
+                "group": curve.group or "–",
+                "slope (nm)": nm(line.slope) if line else "–",
+                "u of slope (nm)": nm(line.slope_u, 2) if line else "–",
+                "intercept (nm)": nm(line.intercept, 3) if line else "–",
+                "u of intercept (nm)": nm(line.intercept_u, 2) if line else "–",
+                "R²": f"{line.r_squared:.5f}" if line else "–",
+                **largest_sd,
+            }
+        else:
+            row |= {
+                "group": curve.group or "–",
+                "smallest amplitude (nm)": nm(curve.amplitude_m.min()),
+                "largest amplitude (nm)": nm(curve.amplitude_m.max()),
+                **largest_sd,
+            }
+        rows.append(row)
+    return text_table("sweep-table", f"Over {sweep.name}.", rows)
+
+
+def estimates_table(shot: ShotResult, has_truth: bool) -> PageTable:
+    """Return amplitude and phase of a shot by frequency."""
+    rows = [_estimate_cells(estimate, has_truth) for estimate in shot.estimates]
+    return text_table("estimates-table", "Amplitude and phase by frequency.", rows)
+
+
+def shots_table(result: Result, has_truth: bool) -> PageTable:
+    """Return amplitude and phase of the first shots by frequency."""
+
+    def rows() -> Iterator[Cells]:
+        for shot in result.shots:
+            settings = {
+                "shot": f"{shot.shot + 1}" + (" (untrusted)" if shot.untrusted else ""),
+                **_burst_cells(shot),
+                "repeat": f"{shot.repeat + 1}",
+                **{name: f"{value:g}" for name, value in shot.swept.items()},
+            }
+            for estimate in shot.estimates:
+                yield settings | _estimate_cells(estimate, has_truth)
+
+    total = sum(len(shot.estimates) for shot in result.shots)
+    caption = f"Table of {len(result.shots)} shots."
+    if total > MAX_ROWS:
+        caption += f" The first {MAX_ROWS} of {total} rows; the result file holds all."
+    table = text_table("shots-table", caption, list(itertools.islice(rows(), MAX_ROWS)))
+    return PageTable(table.key, table.caption, table.rows, folded=True, downloadable=False)
+
+
+def budget_table(shot: ShotResult) -> PageTable:
+    """Return the uncertainty of amplitude and phase by source and frequency."""
+    rows = []
+    for estimate in shot.estimates:
+        row = {"f (Hz)": f"{estimate.frequency_hz:g}"}
+        for component in estimate.budget:
+            row[f"{component.source} (nm)"] = nm(component.amplitude_m, 2)
+            row[f"{component.source} (°)"] = deg(component.phase_rad, ".2g")
+        headline = estimate.headline
+        row["u (nm)"] = nm(headline.amplitude_uncertainty_m, 2)
+        row["u (°)"] = deg(headline.phase_uncertainty_rad, ".2g")
+        rows.append(row)
+    columns = dict.fromkeys(name for row in rows for name in row)
+    return text_table(
+        "budget", "Uncertainty by source.", [{name: row.get(name, "–") for name in columns} for row in rows]
+    )
+
+
+def prediction_table(predictions: Sequence[Prediction]) -> PageTable:
+    """Return predicted errors and the uncertainty of the fit by frequency."""
+    rows = [
+        {
+            "f (Hz)": f"{item.estimate.frequency_hz:g}",
+            "predicted bias (nm)": nm(item.bias_m, 3),
+            "predicted speckle sd (nm)": nm(item.speckle_m, 2),
+            "predicted noise of a quadrature (nm)": nm(item.noise_m, 3),
+            "u of the fit (nm)": nm(item.estimate.amplitude_uncertainty_m, 2),
+            "predicted phase sd (°)": deg(item.phase_rad, ".2g"),
+            "u of the fit (°)": deg(item.estimate.phase_uncertainty_rad, ".2g"),
+        }
+        for item in predictions
+    ]
+    return text_table("prediction", "Predicted errors, and the uncertainty of the fit.", rows)
+
+
+def run_times_table(result: Result) -> PageTable:
+    """Return wall time by stage."""
+    total = sum(result.run_time_s.values()) or 1.0
+    rows = [
+        {"stage": name, "seconds": f"{seconds:.3f}", "percentage": f"{100 * seconds / total:.0f} %"}
+        for name, seconds in result.run_time_s.items()
+    ]
+    return text_table("run-times", "Wall time by stage.", rows)
+
+
+def versions_table(result: Result, attributes: Mapping[str, str]) -> PageTable:
+    """Return the versions of acquisition, from the run file's ``attributes``, and of this page."""
+    rows = [
+        {"package": name, "acquisition": attributes.get(f"version_{name}", "–"), "this page": version}
+        for name, version in result.versions.items()
+    ]
+    return text_table("versions", "Versions.", rows)
+
+
+def _burst_cells(settings: ShotResult | RepeatMean) -> Cells:
+    return {"T_b (us)": _number(settings.burst_length_s, 1e6), "F / F_0": _number(settings.force_fraction)}
+
+
+def _estimate_cells(estimate: Estimate, has_truth: bool) -> Cells:
+    headline = estimate.headline
+    cells = {"f (Hz)": f"{estimate.frequency_hz:g}"}
+    if headline.corrected:
+        cells |= {
+            "peak (nm)": nm(headline.amplitude_m),
+            "u of peak (nm)": nm(headline.amplitude_uncertainty_m, 2),
+            "phase (°)": deg(headline.phase_rad),
+            "u of phase (°)": deg(headline.phase_uncertainty_rad, ".2g"),
+        }
+    cells |= {
+        "tracked (nm)": nm(estimate.amplitude_m),
+        "u of tracked (nm)": nm(estimate.amplitude_uncertainty_m, 2),
+        "tracked phase (°)": deg(estimate.phase_rad),
+        "u of tracked phase (°)": deg(estimate.phase_uncertainty_rad, ".2g"),
+        "SNR (dB)": f"{estimate.snr_db:.1f}",
+    }
+    if has_truth:
+        cells |= {
+            "true peak (nm)": nm(estimate.true_amplitude_m),
+            "error (%)": _percent(estimate.corrected_amplitude_error),
+            "error (°)": deg(estimate.corrected_phase_error_rad, "+.2f"),
+        }
+    return cells
+
+
+def nm(length_m: float | None, digits: int = 4) -> str:
+    """Return a length in nm without exponent; a dash for None and infinite values."""
+    if length_m is None or not math.isfinite(length_m):
+        return "–"
+    text = f"{length_m * 1e9:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text else text
+
+
+def deg(angle_rad: float | None, form: str = ".2f") -> str:
+    """Return an angle in degrees; a dash for None and infinite values."""
+    return "–" if angle_rad is None or not math.isfinite(angle_rad) else format(math.degrees(angle_rad), form)
+
+
+def _percent(ratio: float | None) -> str:
+    return "–" if ratio is None or not math.isfinite(ratio) else f"{ratio * 100:+z.1f}"
+
+
+def _number(value: float | None, factor: float = 1.0) -> str:
+    return "–" if value is None else f"{value * factor:g}"
