@@ -1,9 +1,9 @@
-"""Linear form of the harmonic fit of a shot: what it makes of noise, and of harmonics that it does not fit.
+"""Linear form of the harmonic fit of a shot: its response to noise and to harmonics that it does not fit.
 
     in-phase and quadrature of a wanted frequency = weights @ displacement
 
-The weights are those of the model that the estimate really uses, least squares or the prior of media, at the pulses
-that it really uses. Every prediction of noise and aliasing goes through here, so that all print the same numbers.
+The weights are those of the later fit, least squares or the medium prior, at the pulses that it will use. All
+predictions of noise and aliasing use them, so that they agree.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
-from hpe_rig.prediction.beam_averaging import beam_widths
+from hpe_rig.prediction.scene_physics import beam_widths
 from hpe_rig.processing import (
-    WEIGHT,
+    PRIOR_WIDENING,
     EstimatorSpec,
     MediumPrior,
     Motion,
     fit_motion,
     options_of,
-    seen_by,
+    project_prior,
     shot_model,
     shot_prior,
     spec_of,
@@ -33,24 +33,25 @@ from hpe_rig.scene import Scene
 
 
 def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
-    """Return the noise of a quadrature of each wanted frequency over that of a pulse (frequency,), mean of the two.
+    """Return the noise of a quadrature of each wanted frequency (frequency,) over that of a pulse, rms of the two.
 
-    sqrt(2/N) for a sinusoid fitted alone to N pulses over whole cycles; more where pulses are skipped and hardly tell
-    the wanted from the other driven harmonics, fitted along. ``estimator``: absent, the scene's. Raises ``ValueError``
-    where the pulses do not resolve the wanted frequencies.
+    It is sqrt(2/N) for a single sinusoid fitted to N pulses over whole cycles, and more if skipped pulses hardly
+    separate the wanted from the other fitted harmonics. ``estimator`` defaults to the scene's. Raises ``ValueError`` if
+    the pulses do not resolve the wanted frequencies.
     """
     spec = spec_of(estimator or scene.processing.estimator)
     if spec.fits_all_at_once:
         return np.asarray(np.sqrt(np.mean(np.sum(fit_weights(scene, shot, spec)[0] ** 2, axis=-1), axis=-1)))
+    # Raises if the pulses do not resolve the frequencies.
     shot_model(scene, shot, False)
-    chosen = select(scene, shot)
-    return np.full(chosen.wanted_hz.size, math.sqrt(2 * spec.slow_time_noise / chosen.used.sum()))
+    pulses = select(scene, shot)
+    return np.full(pulses.wanted_hz.size, math.sqrt(2 * spec.slow_time_noise / pulses.used.sum()))
 
 
 def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
-    """Return the noise of the larger principal quadrature of each wanted frequency over their mean (frequency,).
+    """Return the noise of the larger principal quadrature of each wanted frequency (frequency,) over the rms of both.
 
-    1 where every phase is as well known as any other, up to sqrt(2) where skipped pulses leave one alone uncertain.
+    It is 1 if all phases are equally certain, up to sqrt(2) if skipped pulses leave one of the two uncertain.
     """
     spec = spec_of(estimator or scene.processing.estimator)
     if not spec.fits_all_at_once:
@@ -61,55 +62,53 @@ def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) ->
 
 
 def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArray, FloatArray]:
-    """Return weights (frequency, 2, pulse) of the used pulses' displacement, and when these sense it (pulse,)."""
-    chosen = select(scene, shot)
+    """Return the weights (frequency, 2, pulse) of the used pulses' displacement, and the pulses' times (pulse,)."""
+    pulses = select(scene, shot)
     prior = shot_prior(scene, shot, spec.name, beam_widths(scene, spec.name))
     if prior is not None:
         weights = _prior_weights(scene, shot, spec, prior)
-        return weights.reshape(chosen.wanted_hz.size, 2, -1), chosen.time_s[chosen.used]
+        return weights.reshape(pulses.wanted_hz.size, 2, -1), pulses.time_s[pulses.used]
     time_s, model = shot_model(scene, shot)
-    rows = (model.root @ model.root.T)[: 2 * chosen.wanted_hz.size] @ model.matrix.T
-    return rows.reshape(chosen.wanted_hz.size, 2, -1), time_s
+    rows = (model.root @ model.root.T)[: 2 * pulses.wanted_hz.size] @ model.matrix.T
+    return rows.reshape(pulses.wanted_hz.size, 2, -1), time_s
 
 
-def fitted(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatArray) -> ComplexArray:
-    """Return A exp(j phase) (frequency,) that the fit makes of a displacement (pulse,) known without noise.
-
-    Of every pulse in the processing window, used or not.
-    """
-    chosen = select(scene, shot)
+def fit_noise_free(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatArray) -> ComplexArray:
+    """Return the fitted A exp(j phase) (frequency,) of a noise-free displacement at every pulse of the window."""
+    pulses = select(scene, shot)
     if spec.fits_all_at_once:
-        states = fit_weights(scene, shot, spec)[0] @ displacement_m[chosen.used]
+        states = fit_weights(scene, shot, spec)[0] @ displacement_m[pulses.used]
         return np.asarray(states @ np.array([1, 1j]))
-    # The variance of a pulse scales the uncertainty alone; its value does not matter.
-    motion = Motion(chosen.time_s, displacement_m, np.full(displacement_m.size, 1e-18), chosen.used)
-    fit = fit_motion(motion, chosen.wanted_hz, spec.name, chosen.driven_hz, options_of(scene.processing))
+    # The pulses' variance scales the uncertainty only; its value does not matter.
+    motion = Motion(pulses.time_s, displacement_m, np.full(displacement_m.size, 1e-18), pulses.used)
+    fit = fit_motion(motion, pulses.wanted_hz, spec.name, pulses.driven_hz, options_of(scene.processing))
     return np.asarray(fit.amplitude_m * np.exp(1j * fit.phase_rad))
 
 
 def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumPrior) -> FloatArray:
-    """Return the weights (2 * frequency, pulse) of the prior, its scale and the noise those that are expected."""
-    chosen = select(scene, shot)
-    seen = seen_by(prior, chosen.time_s, chosen.used, chosen.wanted_hz, scene.processing.background_order)
-    unit_m = math.sqrt(float(np.mean(np.sum(seen.wanted_members[:, :2] ** 2, axis=1))))
+    """Return the weights (2 * frequency, pulse) of the medium prior with its expected scale and noise."""
+    pulses = select(scene, shot)
+    projected = project_prior(prior, pulses.time_s, pulses.used, pulses.wanted_hz, scene.processing.background_order)
+    unit_m = math.sqrt(float(np.mean(np.sum(projected.wanted_members[:, :2] ** 2, axis=1))))
     noise_m = pulse_noise_m(scene, spec)
-    # Of less than its noise alone the fit would make as much: the evidence knows no smaller scale.
-    least_m = noise_m * math.sqrt(2 / len(seen.left))
-    expected_m = max(expected_amplitude_m(scene, float(chosen.wanted_hz[0]), shot), least_m)
-    start = (WEIGHT * expected_m / unit_m) ** 2
-    gain = start * seen.value / (noise_m**2 + start * seen.value**2)
-    return np.asarray((seen.rows * gain) @ seen.left.T)
+    # The evidence does not distinguish scales below the noise of the fit.
+    min_amplitude_m = noise_m * math.sqrt(2 / len(projected.left))
+    amplitude_m = max(expected_amplitude_m(scene, float(pulses.wanted_hz[0]), shot), min_amplitude_m)
+    scale2 = (PRIOR_WIDENING * amplitude_m / unit_m) ** 2
+    # Wiener gain of each singular direction.
+    gain = scale2 * projected.value / (noise_m**2 + scale2 * projected.value**2)
+    return np.asarray((projected.wanted_rows * gain) @ projected.left.T)
 
 
 def pulse_noise_m(scene: Scene, spec: EstimatorSpec, simulated: bool = True) -> float:
-    """Return the noise of one pulse's displacement, m: of its echo, and of the twin's trigger jitter."""
+    """Return the noise of one pulse's displacement, m, from echo noise and the twin's trigger jitter."""
     return math.hypot(echo_noise_m(scene, spec), trigger_noise_m(scene, simulated))
 
 
 def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:
     """Return the noise of one pulse's displacement, m, from echo noise: phase variance 1 / (gate samples x SNR).
 
-    Twice that variance where a reference gate is subtracted, whose echoes are taken to be as noisy.
+    Twice that variance with a reference gate, whose echoes are assumed to be as noisy.
     """
     acquisition, snr_db = scene.acquisition, expected_snr_db(scene)
     if snr_db is None:
@@ -123,7 +122,7 @@ def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:
 def trigger_noise_m(scene: Scene, simulated: bool = True) -> float:
     """Return the apparent displacement of one pulse by trigger jitter, m.
 
-    0 on a real bench, where it is not known, and where a reference gate takes it away.
+    0 on a real bench, where it is not known, and with a reference gate, which removes it.
     """
     if scene.processing.reference_gate_depth_m is not None:
         return 0.0

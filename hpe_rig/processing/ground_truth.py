@@ -1,9 +1,9 @@
-"""Ground truth: amplitude and phase at the focus at exactly the wanted frequencies, whatever else moves.
+"""Ground truth: amplitude and phase at the focus at exactly the wanted frequencies, independent of all other motion.
 
-Of a prescribed motion they are those of its own components. Of a specimen they come from its motion at every instant
-and not only at the pulses: tonebursts are short, so they move it at frequencies far above half the pulse rate too.
-Sampled at the pulses, these alias onto the wanted ones, in the truth as in the measurement, and no comparison would
-show it.
+For a prescribed motion they are those of its own components. For a specimen they are fitted to its motion at many
+instants, not only at the pulses: short tonebursts drive frequencies far above half the pulse rate. Sampled at the
+pulses, these would alias onto the wanted ones in the truth as in the measurement, and no comparison would reveal the
+error.
 """
 
 from __future__ import annotations
@@ -18,60 +18,62 @@ from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, driven_frequencies_hz, select
 from hpe_rig.scene import Scene
 
-INSTANTS_A_PULSE = 16
+SAMPLES_PER_PULSE = 16
 
 
 def true_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return A cos(phase) and A sin(phase) of the peak displacement at every wanted frequency, m, (frequency, 2).
 
-    Of a specimen over the whole burst periods of the processing window, where every driven harmonic is orthogonal to
-    every other, without what it creeps from period to period; the driven ones are fitted along where a wanted frequency
-    is none of them. ``motion_m`` gives the displacement at times after the master trigger's edge. Phases as in the
-    result: sine, from ``Timeline.reference_s``.
+    ``motion_m`` gives the displacement at times after the master trigger's edge. For a specimen the fit covers the
+    whole burst periods of the processing window, where the driven harmonics are orthogonal, minus the creep from period
+    to period. Phases as in the result: sine, from ``Timeline.reference_s``.
     """
     twin = twin_of(scene)
     if twin is not None and twin.prescribed:
         start_s = shot.timeline.reference_s
-        each = np.array([twin.prescribed_phasor_m(hz, start_s) for hz in scene.wanted_frequencies_hz], dtype=complex)
-        return np.stack([each.real, each.imag], axis=-1)
-    return _of_specimen_m(scene, shot, motion_m)
+        phasors_m = np.array(
+            [twin.prescribed_phasor_m(hz, start_s) for hz in scene.wanted_frequencies_hz], dtype=complex
+        )
+        return np.stack([phasors_m.real, phasors_m.imag], axis=-1)
+    return _specimen_harmonics_m(scene, shot, motion_m)
 
 
-def _of_specimen_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    # They bring scipy along: the measurement, which imports this file, does without until its first shot is done.
-    from hpe_rig.processing.echo.echoes import Motion
+def _specimen_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    # Imported here because they load SciPy, which the measurement does not need before its first shot is complete.
     from hpe_rig.processing.harmonics.harmonic_fit import least_squares
+    from hpe_rig.processing.motion.displacement import Motion
 
     sensing_s = shot.timeline.sensing_s[select(scene, shot).window]
-    time_s = sensing_s[0] + _instants_s(scene, float(sensing_s[-1] - sensing_s[0]))
+    length_s = float(sensing_s[-1] - sensing_s[0])
+    time_s = sensing_s[0] + _sample_times_s(scene, length_s)
     displacement_m = motion_m(time_s)
-    displacement_m = displacement_m - _creep(scene, time_s, displacement_m)
+    displacement_m = displacement_m - _creep_m(scene, time_s, displacement_m)
     motion = Motion(
         time_s - shot.timeline.reference_s, displacement_m, np.zeros(time_s.size), np.ones(time_s.size, bool)
     )
-    also_hz = _also_hz(scene, float(sensing_s[-1] - sensing_s[0]))
+    also_hz = _further_frequencies_hz(scene, length_s)
     fit = least_squares(motion, list(scene.wanted_frequencies_hz), also_hz=also_hz)
     return np.stack([fit.amplitude_m * np.cos(fit.phase_rad), fit.amplitude_m * np.sin(fit.phase_rad)], axis=-1)
 
 
-def _creep(scene: Scene, time_s: FloatArray, displacement_m: FloatArray) -> FloatArray:
-    """Return the even creep (time,): what the last whole period is beyond the first, spread over all.
+def _creep_m(scene: Scene, time_s: FloatArray, displacement_m: FloatArray) -> FloatArray:
+    """Return a ramp (time,) for the creep: the last whole period minus the first, spread over all periods.
 
-    Under bursts the mean force carries a medium that flows ever farther, and a ramp has a part at every harmonic.
+    The mean force of the bursts moves a viscous medium ever farther. A ramp has a component at every harmonic.
     """
     if scene.excitation is None:
         return np.zeros(time_s.size)
-    instants = round(1 / (scene.excitation.burst_rate_hz * float(time_s[1] - time_s[0])))
-    periods = time_s.size // instants
+    samples = round(1 / (scene.excitation.burst_rate_hz * float(time_s[1] - time_s[0])))
+    periods = time_s.size // samples
     if periods < 2:
         return np.zeros(time_s.size)
-    last = slice((periods - 1) * instants, periods * instants)
-    metres = float(np.mean(displacement_m[last] - displacement_m[:instants]))
-    return metres * np.arange(time_s.size) / ((periods - 1) * instants)
+    last = slice((periods - 1) * samples, periods * samples)
+    total_m = float(np.mean(displacement_m[last] - displacement_m[:samples]))
+    return total_m * np.arange(time_s.size) / ((periods - 1) * samples)
 
 
-def _also_hz(scene: Scene, length_s: float) -> FloatArray:
-    """Return the frequencies to fit along (frequency,): none where the instants make them orthogonal to the wanted."""
+def _further_frequencies_hz(scene: Scene, length_s: float) -> FloatArray:
+    """Return the driven frequencies to fit too (frequency,): none if they are orthogonal to the wanted ones."""
     if scene.excitation is None:
         return np.zeros(0)
     number = np.array(scene.wanted_frequencies_hz) / scene.excitation.burst_rate_hz
@@ -79,11 +81,12 @@ def _also_hz(scene: Scene, length_s: float) -> FloatArray:
     return np.zeros(0) if orthogonal else driven_frequencies_hz(scene)
 
 
-def _instants_s(scene: Scene, length_s: float) -> FloatArray:
-    rate_hz = scene.tracking.pulse_rate_hz * INSTANTS_A_PULSE
+def _sample_times_s(scene: Scene, length_s: float) -> FloatArray:
+    """Return even sample times from 0: over ``length_s``, or over the whole burst periods in it."""
+    rate_hz = scene.tracking.pulse_rate_hz * SAMPLES_PER_PULSE
     if scene.excitation is None or length_s * scene.excitation.burst_rate_hz < 1:
         return np.arange(math.floor(length_s * rate_hz) + 1) / rate_hz
     burst_rate_hz = scene.excitation.burst_rate_hz
     periods = math.floor(length_s * burst_rate_hz + 1e-9)
-    instants = math.ceil(rate_hz / burst_rate_hz)
-    return np.arange(periods * instants) / (instants * burst_rate_hz)
+    samples = math.ceil(rate_hz / burst_rate_hz)
+    return np.arange(periods * samples) / (samples * burst_rate_hz)

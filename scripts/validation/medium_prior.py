@@ -31,17 +31,13 @@ from matplotlib.figure import Figure
 import hpe_rig as hpe
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.medium import (
-    BRANCH_OVER_MODULUS,
-    LOW_VISCOSITY_PA_S,
-    MAXWELL_VISCOSITY_PA_S,
-    MODULUS_PA,
-    POWER,
-    POWER_REFERENCE_HZ,
-    VISCOSITY_PA_S,
+    PRIOR_RANGES,
     BeamWidths,
+    HarmonicMedium,
     medium_ensemble,
+    tracked_motion,
 )
-from hpe_rig.prediction import beam_widths, medium_motion
+from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
     HarmonicFit,
     MediumPrior,
@@ -50,7 +46,7 @@ from hpe_rig.processing import (
     least_squares,
     medium_fit,
     medium_prior,
-    seen_by,
+    project_prior,
     shot_fit,
 )
 
@@ -103,8 +99,8 @@ def harmonics(modulus_pa: ComplexArray, wider: float, longer: float | None = Non
     """Return A exp(j phase) of the tracked motion (harmonic,)."""
     x, y, z = BEAMS.force_width_m
     width_m = wider * x, wider * y, (longer or wider) * z
-    axes = width_m, BEAMS.tracking_width_m, BEAMS.axial_spread_m
-    moved, *_ = medium_motion(modulus_pa, 1000.0, RATE_HZ * HARMONIC, *axes)
+    beams = BeamWidths(width_m, BEAMS.tracking_width_m, BEAMS.depth_sd_m)
+    moved = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), beams).tracked
     duty = RATE_HZ * LENGTH_S
     wave = 1j * moved * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
     return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))
@@ -184,19 +180,26 @@ def drawn(family: str, generator: np.random.Generator, wider: tuple[float, float
     def log_even(limits: tuple[float, float]) -> float:
         return float(limits[0] * (limits[1] / limits[0]) ** generator.uniform())
 
-    s, modulus_pa = 2j * np.pi * RATE_HZ * HARMONIC, log_even(MODULUS_PA)
+    s, modulus_pa = 2j * np.pi * RATE_HZ * HARMONIC, log_even(PRIOR_RANGES.modulus_pa)
     match family:
         case "Zener":
-            loss_pa, branch_pa = s * log_even(VISCOSITY_PA_S), modulus_pa * log_even(BRANCH_OVER_MODULUS)
+            loss_pa, branch_pa = (
+                s * log_even(PRIOR_RANGES.viscosity_pa_s),
+                modulus_pa * log_even(PRIOR_RANGES.branch_over_modulus),
+            )
             found = modulus_pa + loss_pa / (1 + loss_pa / branch_pa)
         case "power law":
-            found = modulus_pa * (s / (2 * np.pi * POWER_REFERENCE_HZ)) ** generator.uniform(*POWER)
+            found = modulus_pa * (s / (2 * np.pi * PRIOR_RANGES.power_modulus_hz)) ** generator.uniform(
+                *PRIOR_RANGES.power
+            )
         case "Maxwell":
-            loss_pa = s * log_even(MAXWELL_VISCOSITY_PA_S)
+            loss_pa = s * log_even(PRIOR_RANGES.maxwell_viscosity_pa_s)
             found = loss_pa / (1 + loss_pa / modulus_pa)
         case _:
-            found = modulus_pa + s * log_even(VISCOSITY_PA_S if family == "Voigt" else LOW_VISCOSITY_PA_S)
-    wide, deep = wider or np.exp(BEAMS.width_spread * generator.standard_normal(2)).tolist()
+            found = modulus_pa + s * log_even(
+                PRIOR_RANGES.viscosity_pa_s if family == "Voigt" else PRIOR_RANGES.low_viscosity_pa_s
+            )
+    wide, deep = wider or np.exp(BEAMS.width_log_sd * generator.standard_normal(2)).tolist()
     return harmonics(np.asarray(found), wide, deep)
 
 
@@ -268,14 +271,14 @@ def muscle_scene() -> Iterator[str]:
             ("least squares", {"processing.harmonic": "least_squares"}),
         ):
             fit = muscle_fit(jitter_s, change)
-            sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
+            sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)
             whole = quadratures_m2(fit.covariance, fit)
             aliased = np.zeros_like(whole) if fit.aliasing is None else quadratures_m2(fit.aliasing, fit)
             worst = np.unravel_index(np.argmax(whole), whole.shape)
             parts = [np.sqrt(each) / sinusoid_m for each in (whole.mean(), whole[worst])]
             parts += [np.sqrt(each[worst]) / sinusoid_m for each in (whole - aliased, aliased)]
             cells = " | ".join(f"{each:.2f}" for each in parts)
-            noise_nm, worst_nm = float(fit.residual_rms_m) * 1e9, float(np.sqrt(whole[worst])) * 1e9
+            noise_nm, worst_nm = float(fit.quality.residual_rms_m) * 1e9, float(np.sqrt(whole[worst])) * 1e9
             yield f"| {what}, {jitter_s * 1e9:g} ns | {noise_nm:.1f} nm | {cells} | {worst_nm:.3g} nm |"
 
 
@@ -308,7 +311,7 @@ def constants() -> Iterator[str]:
             for cached in (of_media.medium_prior, of_media._seen):
                 cached.cache_clear()
             fit = muscle_fit(0.0, {})
-            sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
+            sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)
             worst = np.sqrt(quadratures_m2(fit.covariance, fit).max()) / sinusoid_m
             prior: MediumPrior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
             found = [
@@ -379,7 +382,7 @@ def cost() -> Iterator[str]:
         time_s, valid = 0.05 + np.arange(count) / 3990.0, np.ones(count, dtype=bool)
         # shifted by a picosecond, so that nothing is kept from before
         shifted = iter([time_s + index * 1e-12 for index in range(1, 6)])
-        timing_ms = best_ms(lambda shifted=shifted, valid=valid: seen_by(prior, next(shifted), valid, WANTED_HZ))
+        timing_ms = best_ms(lambda shifted=shifted, valid=valid: project_prior(prior, next(shifted), valid, WANTED_HZ))
         motion = Motion(time_s, generator.standard_normal(count) * 1e-8, np.ones(count), valid)
         fit_ms = best_ms(lambda motion=motion: medium_fit(motion, WANTED_HZ, prior))
         yield f"{count} pulses: {timing_ms:.1f} ms a timing, {fit_ms:.2f} ms a train"

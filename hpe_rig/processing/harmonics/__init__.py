@@ -1,12 +1,15 @@
 """Displacement to amplitude and phase of each harmonic.
 
-model.py                D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t), eq. (1)
-harmonic_fit.py         the fit and its covariance; least squares
-kalman_filter.py        the same by a Kalman filter
-velocity_chain.py       velocity to harmonics as in the paper: band-pass, Hann window, Kalman filter
-medium_prior.py         all harmonics at once, with a prior of media
-aliasing_error.py       aliasing error of a fit without a medium prior
-stationarity.py         drift of the amplitude between the halves of a record
-residual_line.py        spectral lines in the residual
-quantisation.py         error by the rounding of codes
+model.py             matrix of sinusoids and background, paper eq. (1); which frequencies the pulses resolve
+harmonic_fit.py      amplitude, phase and covariance from the states; least squares
+kalman_filter.py     the same model by a Kalman filter, with a test of its innovations
+velocity_chain.py    velocity to harmonics as in the paper: band-pass, Hann window, Kalman filter
+medium_prior.py      prior: states of all harmonics that media can have under tonebursts
+projected_prior.py   the prior at the pulses of a train
+prior_evidence.py    scale of the motion, noise and probability of each medium
+medium_fit.py        fit with the prior, closed form and Kalman filter; posterior of the medium
+aliasing_error.py    aliasing error of a fit without a prior
+quantisation.py      error from rounding to the digitizer's codes
+stationarity.py      change of the amplitude between the halves of a record
+residual_line.py     spectral line in the residual
 """

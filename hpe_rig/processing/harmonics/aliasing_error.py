@@ -1,79 +1,89 @@
-"""Unresolved harmonics: what the tonebursts' other harmonics leave in a fit that has no prior of media.
+"""Aliasing error of a harmonic fit without a prior of media.
 
-Such a fit knows nothing of the harmonics that alias onto the wanted ones, but how strong they may be is known: its
-error on a motion x is M x = x - W A x, W the fit's weights, which need not be known: the fit itself is given the
-motions. The mean of its square over the ensemble, each member as large and as likely as the data have it, is the
-covariance of the fit's error without noise. The data say more: what the prior makes of them, x', tells an error M x' of
-which the fit can be corrected, and M (x - x') is what then remains (Guide to the expression of uncertainty in
-measurement, 3.2.3 and 3.2.4).
+Tonebursts drive harmonics far above half the pulse rate. A fit of the wanted harmonics ignores them, so they alias onto
+the wanted ones. The fit is linear. With x the states (in-phase and quadrature) of all harmonics, its error is
+
+    e = M x,    M = S - W A
+
+S selects the wanted states, A samples the motion at the pulses, W are the weights of the fit. W is never formed: column
+j of M is the error of the fit on the noise-free motion of direction j of the prior.
+
+The prior of media gives the statistics of x, hence of e:
+
+    before correction    Cov e = sum_m p_m s_m² (M x_m)(M x_m)' + s² (M D)(M D)'      members m, deviations D from their
+    span correction           E[e | data] = M E[x | data]
+    after correction     Cov[e | data] = M Cov[x | data] M'
+
+A known systematic effect is corrected, and the uncertainty of the correction remains (GUM, 3.2.3 and 3.2.4).
+Derivation: docs/explanation/medium-prior.md.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, FloatArray
-from hpe_rig.processing.echo.echoes import Motion
-from hpe_rig.processing.estimators import Options, fit_motion
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, moved_by, with_aliasing
-from hpe_rig.processing.harmonics.medium_prior import MediumPrior, likely_states, medium_fit, medium_posterior
+from hpe_rig.arrays import FloatArray
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, corrected_by, with_aliasing
+from hpe_rig.processing.harmonics.medium_fit import medium_fit, medium_posterior, posterior_of_states
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior
+from hpe_rig.processing.harmonics.model import PulseTimes
+from hpe_rig.processing.harmonics.prior_evidence import Evidence
+from hpe_rig.processing.motion.displacement import Motion
+
+FitFunction = Callable[[Motion], HarmonicFit]
+"""A linear harmonic fit. It must compare equal for equal settings, because the error matrix is cached by it."""
 
 
-def with_unresolved(
-    fit: HarmonicFit, motion: Motion, prior: MediumPrior, estimator: str, also_hz: FloatArray, options: Options
+def with_aliasing_error(
+    fit: HarmonicFit, motion: Motion, prior: MediumPrior, fit_function: FitFunction, background_order: int = 0
 ) -> HarmonicFit:
-    """Return ``fit`` with the covariance of what other harmonics leave, and with what ``motion`` says of the medium.
+    """Add the aliasing covariance to ``fit``, and attach the fit corrected for the expected aliasing.
 
-    As it is, and ``unaliased`` by what the prior makes of ``motion``, which is of one train and tells how likely the
-    members of ``prior`` are. ``estimator``, ``also_hz`` and ``options`` are those of the fit. Raises ``ValueError`` as
-    ``medium_fit``.
+    ``fit`` is ``fit_function`` of a displacement with the timing of ``motion`` (one pulse train), from which the prior
+    estimates the medium. The result's ``aliasing_corrected`` is ``fit`` minus E[e | data], with Cov[e | data]. Raises
+    ``ValueError`` if the pulses cannot constrain the prior (see ``medium_fit``).
     """
-    order = options.background_order
-    seen = medium_fit(motion, fit.frequency_hz, prior, background_order=order)
-    when = motion.time_s.tobytes(), motion.valid.tobytes()
-    missed = _missed(prior, *when, tuple(fit.frequency_hz.tolist()), tuple(also_hz.tolist()), estimator, options)
-    evidence, by_member, free = seen.evidence, prior.members @ missed.T, prior.misfit[:, None] * missed.T
-    square = (
-        by_member.T * (evidence.likelihood * evidence.square_m2)
-    ) @ by_member + evidence.scale_m**2 * free.T @ free
-    mean_m, rest, left = likely_states(motion, seen, prior, missed, order)
-    unaliased = moved_by(fit, mean_m)
-    medium = medium_posterior(prior, evidence, unaliased, left)
-    unaliased = with_aliasing(unaliased, rest, seen.fit, medium)
-    return replace(with_aliasing(fit, square, seen.fit, medium), unaliased=unaliased)
+    prior_fit = medium_fit(motion, fit.frequency_hz, prior, background_order=background_order)
+    evidence = prior_fit.evidence
+    pulses = PulseTimes.of(motion.time_s, motion.valid)
+    error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)  # M
+    posterior = posterior_of_states(motion, prior_fit, prior, error_matrix, background_order)
+    corrected = corrected_by(fit, posterior.mean_m)
+    medium = medium_posterior(prior, evidence, corrected, posterior.member_errors)
+    corrected = with_aliasing(corrected, posterior.covariance_m2, prior_fit.fit, medium)
+    ensemble_m2 = _ensemble_covariance_m2(error_matrix, prior, evidence)
+    return replace(with_aliasing(fit, ensemble_m2, prior_fit.fit, medium), aliasing_corrected=corrected)
+
+
+def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> FloatArray:
+    """Return Cov e (state, state) over the ensemble, before correction."""
+    # First term: each member with its posterior probability p_m and its own scale s_m.
+    member_errors = prior.members @ error_matrix.T  # M x_m, (member, state)
+    member_weights = evidence.probability * evidence.member_scale_m2
+    # Second term: media outside the span of the members, scaled like the whole ensemble.
+    deviation_errors = prior.deviation[:, None] * error_matrix.T  # M D
+    return (
+        member_errors.T * member_weights
+    ) @ member_errors + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
 
 
 @functools.lru_cache(maxsize=8)
-def _missed(
-    prior: MediumPrior,
-    time_s: bytes,
-    valid: bytes,
-    wanted_hz: tuple[float, ...],
-    also_hz: tuple[float, ...],
-    estimator: str,
-    options: Options,
+def _error_matrix(
+    prior: MediumPrior, pulses: PulseTimes, wanted_hz: tuple[float, ...], fit_function: FitFunction
 ) -> FloatArray:
-    """Return by how much the fit misses the wanted states of every direction of the prior, (state, direction)."""
-    times, used = np.frombuffer(time_s), np.frombuffer(valid, dtype=bool)
-    places = prior.places(np.array(wanted_hz))
-    directions, basis = prior.columns(times, places)[0], prior.states(places)
-    return np.asarray(basis - _states(times, used, directions.T, wanted_hz, also_hz, estimator, options).T)
+    """Return M (wanted state, direction of the prior); cached for shots of the same timing."""
+    indices = prior.harmonic_indices(np.array(wanted_hz))
+    motions = prior.sampled_motions(pulses.time_s, indices)[0]  # A, of each direction
+    fitted_states = _fit_noise_free(motions.T, pulses, fit_function)[..., : 2 * len(wanted_hz)]  # W A
+    return np.asarray(prior.states(indices) - fitted_states.T)
 
 
-def _states(
-    time_s: FloatArray,
-    valid: BoolArray,
-    displacement_m: FloatArray,
-    wanted_hz: tuple[float, ...],
-    also_hz: tuple[float, ...],
-    estimator: str,
-    options: Options,
-) -> FloatArray:
-    """Return the states (motion, state) that the fit finds of displacements (motion, pulse) without noise."""
-    # The variance of a pulse scales the uncertainty alone; its value does not matter.
-    moving = np.where(valid, displacement_m, np.nan)
-    motion = Motion(time_s, moving, np.ones_like(moving), valid)
-    return fit_motion(motion, wanted_hz, estimator, also_hz, options).state[..., : 2 * len(wanted_hz)]
+def _fit_noise_free(displacement_m: FloatArray, pulses: PulseTimes, fit_function: FitFunction) -> FloatArray:
+    """Return the fitted states (motion, state) of noise-free displacements (motion, pulse)."""
+    displacement_m = np.where(pulses.valid, displacement_m, np.nan)
+    # The variance only scales uncertainties, which are not used: any value will do.
+    return fit_function(Motion(pulses.time_s, displacement_m, np.ones_like(displacement_m), pulses.valid)).state

@@ -1,7 +1,10 @@
-"""Harmonic fit of a displacement: D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background, eq. (1).
+"""Amplitude and phase of each harmonic from a displacement, with covariance; least squares.
 
-The state of a frequency is (A cos phi, A sin phi), so the model is linear; all frequencies and the background are
-estimated at once.
+    d = H x + noise          H of harmonics/model.py, x the states: (A cos phase, A sin phase) of each frequency, ...
+    x^ = (H'H)^-1 H'd        Cov x^ = s² (H'H)^-1,   s² = |d - H x^|² / nu,   nu = pulses - states
+
+The model is linear in x: all frequencies and the background are estimated in one step. ``fit_from_state`` converts
+states of any linear estimator to amplitude and phase. Uncertainties: docs/explanation/estimation.md.
 """
 
 from __future__ import annotations
@@ -12,19 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
-from hpe_rig.processing.echo.echoes import Motion
-from hpe_rig.processing.harmonics.model import LARGEST_CONDITION, linear_model
+from hpe_rig.processing.harmonics.model import MAX_CONDITION, linear_model
+from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """Innovations of a filter: what it did not foresee, a test of its model.
+    """Innovations of a Kalman filter, measured minus predicted displacement, which test its model.
 
-    ``normalised`` (..., pulse): innovations over their own standard deviation, NaN where no pulse; ``nis`` (...): their
-    mean square with the noise that the echoes themselves state (NaN where they state none), 1 when that is true;
-    ``nis_tolerance``: three standard deviations of it by chance; ``autocorrelation`` (...) from one pulse to the next,
-    0 when the noise is white, ``autocorrelation_tolerance``: four standard deviations of it by chance; ``outliers``
+    ``normalised`` (..., pulse): innovations over their robust standard deviation, NaN at invalid pulses. ``nis`` (...):
+    normalised innovation squared, their mean square over the noise that the echoes state, 1 if that noise is true, NaN
+    where the echoes state none. ``nis_tolerance``: three standard deviations of ``nis``. ``autocorrelation`` (...) at
+    a lag of one pulse, 0 for white noise. ``autocorrelation_tolerance``: four standard deviations of it. ``outliers``
     (..., pulse): beyond 5 robust standard deviations.
     """
 
@@ -38,14 +41,14 @@ class Innovations:
 
 @dataclass(frozen=True, slots=True)
 class MediumPosterior:
-    """What the motion says of the medium, where the fit had a prior of media.
+    """What the motion says about the medium, from a fit with a prior of media.
 
-    ``significance`` (...): probability that a medium of the ensemble gives data as unlikely as these.
-    ``peak_over_tracked``, complex (..., frequency): the motion's peak over what the beam tracks of it, and
-    ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase. ``steepness`` (..., frequency,
-    2): root mean square of the changes of tracked amplitude, relative, and phase with the logarithm of the beam's area.
-    ``shared``, the same shape: covariance of the error of ``peak_over_tracked`` with that of aliasing, relative
-    amplitude and phase: both depend on the medium.
+    ``significance`` (...): probability that a medium of the ensemble gives data as improbable as these.
+    ``peak_over_tracked``, complex (..., frequency): peak displacement over tracked displacement.
+    ``peak_covariance`` (..., frequency, 2, 2): covariance of its relative amplitude and its phase.
+    ``steepness`` (..., frequency, 2): root mean square derivative of tracked amplitude, relative, and tracked phase by
+    the logarithm of the tracking beam's area. ``shared``, same shape: covariance of the errors of
+    ``peak_over_tracked`` and of aliasing, relative amplitude and phase; both depend on the medium.
     """
 
     significance: FloatArray
@@ -56,37 +59,59 @@ class MediumPosterior:
 
 
 @dataclass(frozen=True, slots=True)
-class HarmonicFit:
-    """Amplitude and phase per frequency, with covariance.
+class FitQuality:
+    """How well the pulses determine a fit.
 
-    ``frequency_hz`` (frequency,); ``amplitude_m`` and ``phase_rad`` (..., frequency), phase in (-pi, pi];
-    ``covariance`` (..., frequency, 2, 2) of (amplitude, phase); ``state`` (..., state) and ``state_covariance``
-    (..., state, state) in m and m^2; ``background_m`` (...), its mean, 0 where the chain removes it;
-    ``rectified_m2`` (..., frequency): what noise across a phasor, where it may be all there is, adds to the variance of
-    its amplitude; ``residual_rms_m`` (...), displacement noise of one pulse; ``pulses``: how many were used;
-    ``condition``: of the model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for
-    them. Where there is a prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that
-    harmonics which the fit does not tell apart and shrinkage leave, and ``medium`` what is known of the medium
-    afterwards. ``unaliased``, where a fit without the prior is beside it: without the aliasing that the prior tells.
-    ``freedom`` (...): degrees of freedom of the residual from which the noise is estimated.
+    ``residual_rms_m`` (...): displacement noise of one pulse. ``degrees_of_freedom`` (...) of that residual.
+    ``pulses``: number of pulses used. ``condition``: condition number of the model, 1 at best. ``innovations``: of a
+    Kalman filter.
+    """
+
+    residual_rms_m: FloatArray
+    degrees_of_freedom: FloatArray
+    pulses: int
+    condition: float = np.nan
+    innovations: Innovations | None = None
+
+    @classmethod
+    def of(
+        cls,
+        pulse_variance_m2: FloatArray,
+        degrees_of_freedom: FloatArray | float,
+        pulses: int,
+        condition: float = np.nan,
+        innovations: Innovations | None = None,
+    ) -> FitQuality:
+        """Return the quality of a fit with noise of ``pulse_variance_m2`` (...); the others as the fields."""
+        degrees = np.broadcast_to(np.asarray(degrees_of_freedom, dtype=np.float64), pulse_variance_m2.shape)
+        return cls(np.sqrt(pulse_variance_m2), degrees, pulses, condition, innovations)
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicFit:
+    """Amplitude and phase of each frequency, with covariance.
+
+    ``frequency_hz`` (frequency,); ``amplitude_m`` and ``phase_rad`` (..., frequency), phase in (-pi, pi].
+    ``covariance`` (..., frequency, 2, 2) of (amplitude, phase), from standard uncertainties.
+    ``rician_bias_m2`` (..., frequency): added variance of an amplitude that may be noise alone.
+    ``state`` (..., state) and ``state_covariance`` (..., state, state): in-phase and quadrature states, m and m².
+
+    With a prior of media: ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` from unresolved harmonics
+    and shrinkage, and ``medium`` the posterior of the medium. ``aliasing_corrected``, of a fit that has no prior
+    itself: the same fit minus the expected aliasing.
     """
 
     frequency_hz: FloatArray
     amplitude_m: FloatArray
     phase_rad: FloatArray
     covariance: FloatArray
+    rician_bias_m2: FloatArray
     state: FloatArray
     state_covariance: FloatArray
-    background_m: FloatArray
-    rectified_m2: FloatArray
-    residual_rms_m: FloatArray
-    pulses: int
-    condition: float = np.nan
-    innovations: Innovations | None = None
+    quality: FitQuality
     aliasing: FloatArray | None = None
     medium: MediumPosterior | None = None
-    unaliased: HarmonicFit | None = None
-    freedom: FloatArray | float = np.inf
+    aliasing_corrected: HarmonicFit | None = None
 
 
 def least_squares(
@@ -95,176 +120,179 @@ def least_squares(
     *,
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
-    largest_condition: float = LARGEST_CONDITION,
+    largest_condition: float = MAX_CONDITION,
 ) -> HarmonicFit:
     """Return all amplitudes and phases from one least-squares fit, with covariance from the residual.
 
-    ``also_hz`` are frequencies that are there as well: fitted, so that they are no residual, and not returned; half
-    the pulse rate may be among them. ``background_order`` is that of the polynomial fitted along. Every valid pulse has
-    the same weight; the residual is taken as white, for accumulated steps as white plus a random walk. Raises
-    ``ValueError`` when the pulses cannot resolve the frequencies (see ``model.linear_model``).
+    ``also_hz``: further driven frequencies, fitted to keep them out of the residual, but not returned; half the pulse
+    rate may be among them. ``background_order``: of the fitted polynomial. Every valid pulse has the same weight. The
+    noise is assumed white; for accumulated steps, white plus a random walk. Raises ``ValueError`` if the pulses cannot
+    resolve the frequencies (see ``model.linear_model``).
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
     model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
     wanted, (pulses, states) = model.wanted, model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
-    freedom = np.full(motion.displacement_m.shape[:-1], float(pulses - states))
+    degrees = np.full(motion.displacement_m.shape[:-1], float(pulses - states))
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
-    if motion.walk is not None:
-        q, walk = model.matrix @ model.root, np.asarray(motion.walk)
-        energy, freedom = of_changes(q, np.ones(states), walk)
-        variance, covariance = step_covariance(residual, walk, model.root[wanted] @ q.T, energy)
+    if motion.step_noise_ratio is not None:
+        orthonormal, step_noise_ratio = model.matrix @ model.root, np.asarray(motion.step_noise_ratio)
+        energy, degrees = difference_noise_moments(orthonormal, np.ones(states), step_noise_ratio)
+        weights = model.root[wanted] @ orthonormal.T
+        variance, covariance = step_covariance(residual, step_noise_ratio, weights, energy)
     else:
         covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
-    return fit_from_state(
-        frequency_hz, state[..., wanted], covariance, variance, pulses, model.condition, freedom=freedom
-    )
+    quality = FitQuality.of(variance, degrees, pulses, model.condition)
+    return fit_from_state(frequency_hz, state[..., wanted], covariance, quality)
 
 
-def of_changes(columns: FloatArray, taken: FloatArray, walk: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return energy (...) of a residual's changes between pulses, over that of one pulse's noise, and their freedom.
+def difference_noise_moments(
+    columns: FloatArray, shrinkage: FloatArray, step_noise_ratio: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the expected energy (...) of a residual's pulse-to-pulse differences, and their degrees of freedom.
 
-    The noise is a sum of steps: white, and ``walk`` (...) times as much variance that a step adds to all later pulses.
-    The fit has taken the share ``taken`` (..., column) of what lies along each of the orthonormal ``columns`` (pulse,
-    column). A sum of squares with the covariance A has the freedom (tr A)^2 / tr A^2 (Satterthwaite, 1946): that of
-    white noise, times what ``walk`` makes of it where nothing is fitted.
+    The energy is relative to the variance of one pulse's white noise. The noise is white noise plus a random walk:
+    each step adds ``step_noise_ratio`` (...) times the white variance to all later pulses. The fit has removed the
+    fraction ``shrinkage`` (..., column) of the component along each of the orthonormal ``columns`` (pulse, column).
+
+    With D the difference of neighbours, L the running sum (D L = 1), Q the columns and h the shrinkage, the covariance
+    of the differences is A = D (1 - Q g Q') D', g = h (2 - h), for white noise. Degrees of freedom of a sum of squares:
+    (tr A)² / tr A² (Satterthwaite, 1946), times the factor of ``_random_walk_factor``.
     """
-    changes = np.diff(columns, axis=0)
-    onwards = np.cumsum(columns[:0:-1], axis=0)[::-1]
-    count, energy = len(changes), np.einsum("ij,ij->j", changes, changes)
-    gone, inner = taken * (2 - taken), changes.T @ changes
-    white = 2 * count - gone @ energy
-    # |D (1 - Q h Q') L|^2: D takes the changes, L adds steps up, D L = 1
-    along = np.einsum("ij,ij->j", onwards, changes)
-    products = inner * (onwards.T @ onwards)
-    steps = count - 2 * taken @ along + np.einsum("...i,ij,...j->...", taken, products, taken)
-    # A = D (1 - Q g Q') D', and |D' D q|^2 = 2 |D q|^2 - 2 sum of neighbours' products
-    again = 2 * (energy - np.einsum("ij,ij->j", changes[1:], changes[:-1]))
-    square = 6 * count - 2 - 2 * gone @ again
-    square = square + np.einsum("...i,ij,...j->...", gone, inner**2, gone)
-    freedom = white**2 / np.maximum(square, np.finfo(np.float64).tiny) * _of_walk(walk)
-    return np.asarray(white + walk * steps), np.asarray(freedom)
+    differences = np.diff(columns, axis=0)  # D Q
+    sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]  # L'Q
+    count, energy = len(differences), np.einsum("ij,ij->j", differences, differences)
+    removed, inner = shrinkage * (2 - shrinkage), differences.T @ differences  # g, Q'D'D Q
+    # tr A: two noise terms in each difference, minus the energy that the fit has removed.
+    white = 2 * count - removed @ energy
+    # Expected energy of the walk: |D (1 - Q h Q') L|², expanded with D L = 1.
+    overlap = np.einsum("ij,ij->j", sums_after, differences)
+    products = inner * (sums_after.T @ sums_after)
+    steps = count - 2 * shrinkage @ overlap + np.einsum("...i,ij,...j->...", shrinkage, products, shrinkage)
+    # tr A²: of D D' it is 6 n - 2; |D'D q|² = 2 |D q|² - 2 (sum of products of neighbouring differences).
+    second_difference_energy = 2 * (energy - np.einsum("ij,ij->j", differences[1:], differences[:-1]))
+    square = 6 * count - 2 - 2 * removed @ second_difference_energy
+    square = square + np.einsum("...i,ij,...j->...", removed, inner**2, removed)
+    degrees = white**2 / np.maximum(square, np.finfo(np.float64).tiny) * _random_walk_factor(step_noise_ratio)
+    return np.asarray(white + step_noise_ratio * steps), np.asarray(degrees)
 
 
-def _of_walk(walk: FloatArray) -> FloatArray:
-    """Return the freedom of steps of variance 2 + ``walk``, -1 between neighbours, over that without ``walk``."""
-    square = (2 + walk) ** 2
+def _random_walk_factor(step_noise_ratio: FloatArray) -> FloatArray:
+    """Return the factor on the degrees of freedom of differences from a random walk, 1 without a walk.
+
+    Differences have the variance 2 + r and the covariance -1 between neighbours: (tr A)² / tr A² = (2 + r)² / ((2 + r)²
+    + 2).
+    """
+    square = (2 + step_noise_ratio) ** 2
     return np.asarray(1.5 * square / (square + 2))
 
 
 def step_covariance(
-    residual: FloatArray, walk: FloatArray, rows: FloatArray, energy: FloatArray
+    residual: FloatArray, step_noise_ratio: FloatArray, weights: FloatArray, energy: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the pulse variance (...) and the covariance (..., row, row) of ``rows`` (..., row, pulse) over steps.
+    """Return the variance (...) of one pulse and the covariance (..., row, row) of ``weights`` @ displacement.
 
-    The scale comes from the ``residual``'s changes between pulses (..., pulse) and their energy by ``of_changes``.
+    ``weights`` (..., row, pulse). The scale comes from the pulse-to-pulse differences of the ``residual`` (..., pulse)
+    and their expected ``energy`` from ``difference_noise_moments``.
     """
-    changes = np.diff(residual, axis=-1)
-    pulse = np.einsum("...i,...i->...", changes, changes) / energy
-    # a step shifts every later pulse
-    over_steps = np.cumsum(rows[..., :0:-1], axis=-1)
-    white, random_walk = (each @ np.swapaxes(each, -1, -2) for each in (rows, over_steps))
-    return pulse, np.asarray(pulse[..., None, None] * (white + walk[..., None, None] * random_walk))
+    differences = np.diff(residual, axis=-1)
+    variance = np.einsum("...i,...i->...", differences, differences) / energy
+    # A step shifts every later pulse: its weight is the sum of the weights after it.
+    step_weights = np.cumsum(weights[..., :0:-1], axis=-1)
+    white, random_walk = (rows @ np.swapaxes(rows, -1, -2) for rows in (weights, step_weights))
+    return variance, np.asarray(variance[..., None, None] * (white + step_noise_ratio[..., None, None] * random_walk))
 
 
 def fit_from_state(
     frequency_hz: FloatArray,
     state: FloatArray,
     state_covariance: FloatArray,
-    variance: FloatArray,
-    pulses: int,
-    condition: float = np.nan,
-    innovations: Innovations | None = None,
+    quality: FitQuality,
     aliasing_m2: FloatArray | None = None,
-    freedom: FloatArray | float = np.inf,
 ) -> HarmonicFit:
-    """Return amplitude and phase with their covariance, from in-phase, quadrature and (if there) the constant.
+    """Return amplitude and phase with covariance from in-phase and quadrature states.
 
-    ``aliasing_m2``: the part of ``state_covariance`` that is aliasing; ``freedom``: as of ``HarmonicFit``.
+    ``state`` may have more entries after those of the frequencies. ``aliasing_m2``: the part of ``state_covariance``
+    that is aliasing.
     """
     count = frequency_hz.size
     in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
-    radial = _along_phasor(state_covariance, phase)
-    unresolved = np.zeros_like(radial) if aliasing_m2 is None else _along_phasor(aliasing_m2, phase)
-    noise = radial - unresolved
-    weights = _polar_weights(radial, noise, amplitude)
+    total = _along_phasor(state_covariance, phase)
+    aliasing = np.zeros_like(total) if aliasing_m2 is None else _along_phasor(aliasing_m2, phase)
+    # Aliasing grows with the motion: only noise decides whether an amplitude may be nothing.
+    noise = total - aliasing
+    phase_variance = phase_variance_rad2(amplitude, total[..., 1, 1], _conditional_variance(noise))
+    weights = _polar_weights(total, phase_variance)
+    rician_bias_m2 = rectified_variance_m2(amplitude, _conditional_variance(noise), np.maximum(noise[..., 1, 1], 0.0))
     return HarmonicFit(
-        frequency_hz,
-        amplitude,
-        phase,
-        np.asarray(radial * weights),
-        state,
-        state_covariance,
-        state[..., 2 * count] if state.shape[-1] > 2 * count else np.zeros(state.shape[:-1]),
-        rectified_variance_m2(amplitude, _along(noise), np.maximum(noise[..., 1, 1], 0.0)),
-        np.sqrt(variance),
-        pulses,
-        condition,
-        innovations,
-        None if aliasing_m2 is None else np.asarray(unresolved * weights),
-        freedom=np.broadcast_to(np.asarray(freedom, dtype=np.float64), variance.shape),
+        frequency_hz=frequency_hz,
+        amplitude_m=amplitude,
+        phase_rad=phase,
+        covariance=np.asarray(total * weights),
+        rician_bias_m2=rician_bias_m2,
+        state=state,
+        state_covariance=state_covariance,
+        quality=quality,
+        aliasing=None if aliasing_m2 is None else np.asarray(aliasing * weights),
     )
 
 
-def moved_by(fit: HarmonicFit, missed_m: FloatArray) -> HarmonicFit:
-    """Return ``fit`` with ``missed_m`` (..., 2 * frequency) added to its states, their covariance the same."""
+def corrected_by(fit: HarmonicFit, correction_m: FloatArray) -> HarmonicFit:
+    """Return ``fit`` with ``correction_m`` (..., 2 * frequency) added to its states; covariance unchanged."""
     state = fit.state.copy()
-    state[..., : 2 * fit.frequency_hz.size] += missed_m
-    rest = np.square(fit.residual_rms_m), fit.pulses, fit.condition, fit.innovations
-    return fit_from_state(fit.frequency_hz, state, fit.state_covariance, *rest, freedom=fit.freedom)
+    state[..., : 2 * fit.frequency_hz.size] += correction_m
+    return fit_from_state(fit.frequency_hz, state, fit.state_covariance, fit.quality)
 
 
 def with_aliasing(
-    fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit, medium: MediumPosterior
+    fit: HarmonicFit, aliasing_m2: FloatArray, prior_fit: HarmonicFit, medium: MediumPosterior
 ) -> HarmonicFit:
-    """Return ``fit`` with the covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) of its states added.
+    """Return ``fit`` with the aliasing covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) added.
 
-    A ``known`` fit, with a prior of media, tells how large the amplitudes are without that error, which can be as large
-    as they: it is a phase's error by them. ``medium`` is what the motion says of it.
+    ``prior_fit``, of the same motion, has amplitudes free of this error. The error can be as large as the amplitudes of
+    ``fit``, so the phase variance is computed from those of ``prior_fit``.
     """
-    wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
-    total[..., :wanted, :wanted] += aliasing_m2
-    radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
-    aliased = 0.0 if known.aliasing is None else known.aliasing[..., 0, 0]
-    noise = known.covariance[..., 0, 0] - aliased
-    variance = phase_variance_at_rad2(known.amplitude_m, noise, fit.amplitude_m, radial)
-    weights = _factors(radial, variance)
-    return replace(fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=medium)
+    count, total_m2 = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
+    total_m2[..., :count, :count] += aliasing_m2
+    total, aliasing = (_along_phasor(covariance, fit.phase_rad) for covariance in (total_m2, aliasing_m2))
+    prior_aliasing = 0.0 if prior_fit.aliasing is None else prior_fit.aliasing[..., 0, 0]
+    prior_noise = prior_fit.covariance[..., 0, 0] - prior_aliasing
+    phase_variance = phase_variance_at_rad2(prior_fit.amplitude_m, prior_noise, fit.amplitude_m, total)
+    weights = _polar_weights(total, phase_variance)
+    return replace(
+        fit, covariance=total * weights, state_covariance=total_m2, aliasing=aliasing * weights, medium=medium
+    )
 
 
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:
-    """Return the covariance (..., frequency, 2, 2) along and across each phasor."""
+    """Return the covariance (..., frequency, 2, 2) of the components along and across each phasor."""
     count = phase.shape[-1]
-    turn = np.empty((*phase.shape, 2, 2))
-    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(phase)
-    turn[..., 0, 1] = np.sin(phase)
-    turn[..., 1, 0] = -turn[..., 0, 1]
+    rotation = np.empty((*phase.shape, 2, 2))
+    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(phase)
+    rotation[..., 0, 1] = np.sin(phase)
+    rotation[..., 1, 0] = -rotation[..., 0, 1]
     pairs = np.arange(2 * count).reshape(count, 2)
     blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
-    turned = turn @ blocks @ np.swapaxes(turn, -1, -2)
-    return np.asarray((turned + np.swapaxes(turned, -1, -2)) / 2)
+    rotated = rotation @ blocks @ np.swapaxes(rotation, -1, -2)
+    # Symmetrised: rounding leaves the off-diagonal elements unequal.
+    return np.asarray((rotated + np.swapaxes(rotated, -1, -2)) / 2)
 
 
-def _polar_weights(radial: FloatArray, noise: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """Return the factors (..., frequency, 2, 2) from covariance along and across the phasor to (amplitude, phase).
-
-    ``noise`` is ``radial`` without aliasing. Where the amplitude may be noise alone, the phase's variance is up to that
-    of an unknown phase.
-    """
-    return _factors(radial, phase_variance_rad2(amplitude, radial[..., 1, 1], _along(noise)))
-
-
-def _along(covariance: FloatArray) -> FloatArray:
-    """Return the variance (...) along a phasor of what has none across: it says how likely the phasor is noise."""
+def _conditional_variance(covariance: FloatArray) -> FloatArray:
+    """Return the variance (...) along a phasor given no error across it: s11 - s12² / s22 = 1 / (inverse)11."""
     across = np.maximum(covariance[..., 1, 1], np.finfo(np.float64).tiny)
     return np.asarray(np.maximum(covariance[..., 0, 0] - covariance[..., 0, 1] ** 2 / across, 0.0))
 
 
-def _factors(radial: FloatArray, variance: FloatArray) -> FloatArray:
-    across, tiny = radial[..., 1, 1], np.finfo(np.float64).tiny
-    scale = np.sqrt(np.where(across > tiny, variance, 0.0) / np.maximum(across, tiny))
-    weights = np.stack([np.ones_like(scale), scale], axis=-1)
-    return np.asarray(weights[..., :, None] * weights[..., None, :])
+def _polar_weights(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
+    """Return factors (..., frequency, 2, 2) from covariance along and across the phasor to (amplitude, phase).
+
+    The error across, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
+    """
+    across, tiny = along_phasor[..., 1, 1], np.finfo(np.float64).tiny
+    scale = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))
+    diagonal = np.stack([np.ones_like(scale), scale], axis=-1)
+    return np.asarray(diagonal[..., :, None] * diagonal[..., None, :])

@@ -1,9 +1,11 @@
-"""Kalman filter, in square-root form, with harmonic and background states: displacement to amplitude and phase.
+"""Kalman filter in square-root form with harmonic and background states: displacement to amplitude and phase.
 
-x = (in-phase, quadrature of each frequency, background polynomial), constant but for process noise; y_k = h_k x + n_k.
-Two forms of one filter: without process noise information adds up and many pulses are taken at a time
-(``filter_constant``); with it the states move between pulses, one pulse at a time (``filter_changing``). Both in units
-of the measurement noise, docs/explanation/estimation.md.
+    x_k = x_{k-1} + w_k        states: (in-phase, quadrature) of each frequency, background polynomial
+    y_k = h_k x_k + n_k        h_k: row k of H of harmonics/model.py
+
+w is the process noise, n the measurement noise; all variances are in units of the measurement noise. Two forms of one
+filter: ``filter_constant`` (w = 0) accumulates information over many pulses at a time, ``filter_changing`` moves the
+states between pulses, one pulse at a time. docs/explanation/estimation.md.
 """
 
 from __future__ import annotations
@@ -15,31 +17,42 @@ from math import comb, factorial
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing.echo.echoes import Motion
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, Innovations, fit_from_state
-from hpe_rig.processing.harmonics.model import LARGEST_CONDITION, SURE_CONDITION, linear_model, scaled_time
+from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, Innovations, fit_from_state
+from hpe_rig.processing.harmonics.model import MAX_CONDITION_OF_PRODUCTS, linear_model, scaled_time
+from hpe_rig.processing.motion.displacement import Motion
 
 PRIOR = 1e10
-"""Prior variance over measurement variance: nothing known."""
+"""Initial variance of a state over the measurement variance: a diffuse prior."""
 BLOCK = 16
-"""Pulses, or states if these are more, whose innovations are found from their joint covariance."""
+"""Pulses, or states if more, whose innovations come from one joint covariance."""
 CHUNK = 10_000
-"""Pulses that are in work at once."""
+"""Pulses processed at once."""
 FEW_STATES, MANY_PULSES = 8, 4096
-"""States up to which, and pulses from which on, a factor a pulse, all of them at once, costs less than blocks."""
+"""Up to this many states, and from this many pulses, one Cholesky factor per pulse is faster than blocks."""
+OUTLIER_STD = 5.0
+"""Robust standard deviations beyond which an innovation is an outlier."""
 
 
 @dataclass(frozen=True, slots=True)
 class Filtered:
-    """State (..., state), root (state, state) of its covariance, sum of squared normalised innovations (...).
+    """Result of a filter, in units of the measurement noise.
 
-    ``innovations`` (..., pulse), normalised, empty where not asked for; all in units of the measurement noise.
+    ``state`` (..., state). ``root`` (state, state): root @ root.T is the covariance. ``squared_innovations`` (...): sum
+    of squares of the normalised innovations. ``innovations`` (..., pulse), normalised; empty if not requested.
     """
 
     state: FloatArray
     root: FloatArray
-    fitness: FloatArray
+    squared_innovations: FloatArray
     innovations: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Information:
+    """Information before a block: triangular F with F'F = sum of h h', and F^-T times the sum of h y."""
+
+    factor: FloatArray
+    transformed: FloatArray
 
 
 def kalman(
@@ -51,180 +64,199 @@ def kalman(
     process_noise: float = 0.0,
     background_noise: float = 0.0,
     prior: float = PRIOR,
-    largest_condition: float = LARGEST_CONDITION,
     innovations: bool = True,
 ) -> HarmonicFit:
-    """Return all amplitudes and phases from a square-root Kalman filter over the valid pulses, others skipped.
+    """Return all amplitudes and phases from a square-root Kalman filter over the valid pulses.
 
-    ``process_noise``, ``background_noise`` and ``prior`` are variances of a harmonic state's change per pulse, of a
-    change per pulse of the background's highest derivative (time in half lengths of the train), and of a state's start,
-    all in units of the measurement noise, which itself follows from the innovations. Without process noise this is
-    recursive least squares. ``background_order`` 0, 1, 2: constant, velocity, acceleration. Raises ``ValueError`` as
-    ``least_squares``. Source: harmonic state of Zheng et al. (2007), background states of Zheng et al. (2006);
-    information form without, Potter's form with process noise.
+    Variances in units of the measurement noise, which is estimated from the innovations: ``process_noise`` of a
+    harmonic state's change per pulse; ``background_noise`` of a change per pulse of the background's highest derivative
+    (time in half lengths of the train); ``prior`` of a state at the start. Without process noise this is recursive
+    least squares, which is faster without ``innovations``. ``background_order`` 0, 1, 2: constant, velocity,
+    acceleration. Raises ``ValueError`` as ``least_squares``.
+
+    Sources: harmonic states of Zheng et al. (2007), background states of Zheng et al. (2006); information form without
+    process noise, Potter's form with it.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
-    model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
+    model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
     displacement = motion.displacement_m[..., motion.valid]
     if process_noise == background_noise == 0:
-        found = filter_constant(model.matrix, displacement, prior, innovations)
+        filtered = filter_constant(model.matrix, displacement, prior, innovations)
     else:
-        drive = _process_roots(motion, model.matrix.shape[1], 2 * frequency_hz.size, background_order)
-        strength = np.sqrt([process_noise, background_noise])
-        found = filter_changing(
-            model.matrix, displacement, [d * s for d, s in zip(drive, strength, strict=True)], prior
-        )
-    freedom = model.matrix.shape[0] - model.matrix.shape[1]
-    variance = found.fitness / freedom
-    covariance = variance[..., None, None] * (found.root @ found.root.T)
+        roots = _process_roots(motion, model.matrix.shape[1], 2 * frequency_hz.size, background_order)
+        strengths = np.sqrt([process_noise, background_noise])
+        scaled = [root * strength for root, strength in zip(roots, strengths, strict=True)]
+        filtered = filter_changing(model.matrix, displacement, scaled, prior)
+    degrees = model.matrix.shape[0] - model.matrix.shape[1]
+    variance = filtered.squared_innovations / degrees
+    covariance = variance[..., None, None] * (filtered.root @ filtered.root.T)
     wanted = model.wanted
-    state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
-    report = None if not found.innovations.size else innovation_test(motion, found.innovations, model.matrix.shape[1])
-    known = len(model.matrix), model.condition, report
-    return fit_from_state(frequency_hz, state, covariance, variance, *known, freedom=freedom)
+    test = innovation_test(motion, filtered.innovations, model.matrix.shape[1]) if filtered.innovations.size else None
+    quality = FitQuality.of(variance, degrees, len(model.matrix), model.condition, test)
+    return fit_from_state(frequency_hz, filtered.state[..., wanted], covariance[..., wanted, wanted], quality)
 
 
 def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovations: bool = False) -> Filtered:
-    """Return the filtered state of a constant ``matrix`` (pulse, state) model and ``data`` (..., pulse).
+    """Return the filtered state of a constant model ``matrix`` (pulse, state) and ``data`` (..., pulse).
 
-    Information form: a triangular factor grows by QR, many pulses at a time, and never loses its definiteness.
-    Innovations are those of one pulse after the other, from the Cholesky factor of the joint covariance of a block.
+    Information form: the triangular factor F grows by QR, many pulses at a time, and always stays positive definite.
     """
     states = matrix.shape[1]
     values = data.reshape(-1, data.shape[-1]).T
-    factor, transformed = np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1]))
-    parts, start, sure = [], 0, not innovations
+    information = _Information(np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1])))
+    parts, start, well_conditioned = [], 0, not innovations
     while start < len(matrix):
-        # the first pulses stand alone, while the prior is still felt
+        # The first pulses form their own block, while the prior still contributes.
         first = innovations and start == 0
-        sure = sure or (not first and bool(np.linalg.cond(factor) < SURE_CONDITION))
-        rows = slice(start, start + (states + 1 if first else CHUNK if sure else BLOCK))
-        block, seen, start = matrix[rows], values[rows], rows.stop
+        if not well_conditioned and not first:
+            well_conditioned = bool(np.linalg.cond(information.factor) < MAX_CONDITION_OF_PRODUCTS)
+        size = states + 1 if first else CHUNK if well_conditioned else BLOCK
+        rows = slice(start, start + size)
+        block, measured, start = matrix[rows], values[rows], rows.stop
         if first:
-            parts.append(_first_innovations(block, seen, prior))
+            parts.append(_first_innovations(block, measured, prior))
         elif innovations:
-            parts.append((_innovations if sure else _block_innovations)(factor, transformed, block, seen))
-        if sure and innovations:
-            # Well conditioned, so that products have the digits as well, at a fraction of the time.
-            known = factor.T @ transformed + block.T @ seen
-            factor = np.linalg.cholesky(factor.T @ factor + block.T @ block).T
-            transformed = np.linalg.solve(factor.T, known)
-            continue
-        # Information adds up: with F'F = sum h h', the stack of F and the new rows has the new F as its R.
-        q, factor = np.linalg.qr(np.vstack([factor, block]))
-        transformed = q.T @ np.vstack([transformed, seen])
-    root = np.linalg.inv(factor)
-    state = root @ transformed
+            parts.append((_innovations if well_conditioned else _block_innovations)(information, block, measured))
+        information = _updated(information, block, measured, by_products=well_conditioned and innovations)
+    root: FloatArray = np.asarray(np.linalg.inv(information.factor))
+    state = root @ information.transformed
     residual = values - matrix @ state
-    fitness = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
+    # The sum of squared innovations equals residual plus prior term.
+    squares = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
     shape = data.shape[:-1]
-    found = np.concatenate(parts).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
-    return Filtered(state.T.reshape(*shape, states), root, fitness.reshape(shape), found)
+    normalised = np.concatenate(parts).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
+    return Filtered(state.T.reshape(*shape, states), root, squares.reshape(shape), normalised)
+
+
+def _updated(information: _Information, block: FloatArray, measured: FloatArray, *, by_products: bool) -> _Information:
+    """Return the information after the pulses of ``block``."""
+    factor, transformed = information.factor, information.transformed
+    if by_products:
+        # Well conditioned: F'F and its Cholesky factor are accurate, at a fraction of the time of QR.
+        moment = factor.T @ transformed + block.T @ measured
+        lower: FloatArray = np.asarray(np.linalg.cholesky(factor.T @ factor + block.T @ block))
+        return _Information(lower.T, np.asarray(np.linalg.solve(lower, moment), dtype=np.float64))
+    # F'F = sum of h h': the R of F stacked on the new rows is the new F.
+    q, triangle = np.linalg.qr(np.vstack([factor, block]))
+    return _Information(np.asarray(triangle), np.asarray(q.T @ np.vstack([transformed, measured])))
 
 
 def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatArray], prior: float) -> Filtered:
     """Return the filtered state of a model whose states change by ``drive``, arrays (pulse, state, cause).
 
-    The causes are independent and of unit variance; Potter's form keeps the covariance positive whatever the ratio of
+    The causes are independent and of unit variance. Potter's form keeps the covariance positive for every ratio of
     prior to noise.
     """
     states = matrix.shape[1]
-    # the covariance is root @ root.T: a square of something real stays positive whatever is rounded off
+    # The covariance is root @ root.T: positive whatever the rounding.
     root = np.sqrt(prior) * np.eye(states)
     state = np.zeros((*data.shape[:-1], states))
-    found = np.empty(data.shape)
+    innovations = np.empty(data.shape)
     for k, row in enumerate(matrix):
-        # Time update. P + G G' has the root [root, G]; QR makes it square again.
+        # Time update: P + G G' has the root [root, G]; QR makes it square again.
         if k and drive:
-            root = np.linalg.qr(np.vstack([root.T, *[each[k].T for each in drive]]))[1].T
-        # Measurement update in Potter's form: S <- S - K a' / (1 + 1/sqrt(alpha)), a = S' h, alpha = 1 + a'a.
-        seen = root.T @ row
-        innovation_variance = 1.0 + seen @ seen
-        gain = root @ seen / innovation_variance
+            root = np.linalg.qr(np.vstack([root.T, *[cause[k].T for cause in drive]]))[1].T
+        # Measurement update in Potter's form: S <- S - K a' / (1 + 1/sqrt(alpha)), a = S'h, alpha = 1 + a'a.
+        projection = root.T @ row
+        innovation_variance = 1.0 + projection @ projection
+        gain = root @ projection / innovation_variance
         innovation = data[..., k] - state @ row
         state = state + innovation[..., None] * gain
-        root = root - np.outer(gain, seen) / (1.0 + 1.0 / np.sqrt(innovation_variance))
-        found[..., k] = innovation / np.sqrt(innovation_variance)
-    return Filtered(state, root, np.einsum("...i,...i->...", found, found), found)
+        root = root - np.outer(gain, projection) / (1.0 + 1.0 / np.sqrt(innovation_variance))
+        innovations[..., k] = innovation / np.sqrt(innovation_variance)
+    return Filtered(state, root, np.einsum("...i,...i->...", innovations, innovations), innovations)
 
 
 def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of the first pulses, whatever the prior."""
-    # the root of their joint covariance by QR, largest rows first: its square would lose the noise beside the prior
+    """Return the normalised innovations (pulse, realisation) of the first pulses, for any prior.
+
+    Their joint covariance is prior H H' + 1 = R'R.
+    """
+    # R by QR with the largest rows first: the product H H' would lose the noise, 1, beside the prior.
     stacked = np.vstack([np.sqrt(prior) * matrix.T, np.eye(len(matrix))])
     root: FloatArray = np.asarray(np.linalg.qr(stacked, mode="r"))
     return np.asarray(np.linalg.solve(root.T, values) * np.sign(np.diagonal(root))[:, None])
 
 
-def _block_innovations(factor: FloatArray, transformed: FloatArray, block: FloatArray, seen: FloatArray) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of one block of pulses."""
-    # numpy's general solver is several times quicker than scipy's triangular one for few states
-    spread = np.linalg.solve(factor.T, block.T).T
-    joint = np.linalg.cholesky(np.eye(len(block)) + spread @ spread.T)
-    return np.asarray(np.linalg.solve(joint, seen - spread @ transformed))
+def _block_innovations(information: _Information, block: FloatArray, measured: FloatArray) -> FloatArray:
+    """Return the normalised innovations (pulse, realisation) of one block of pulses.
+
+    With B = H F^-1 their joint covariance is 1 + B B' = L L', and L^-1 (y - H x) are one pulse after the other's.
+    """
+    # numpy's general solver is several times faster than scipy's triangular one for few states.
+    predicted = np.linalg.solve(information.factor.T, block.T).T
+    joint = np.linalg.cholesky(np.eye(len(block)) + predicted @ predicted.T)
+    return np.asarray(np.linalg.solve(joint, measured - predicted @ information.transformed))
 
 
-def _innovations(factor: FloatArray, transformed: FloatArray, matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return what ``_block_innovations`` does, of many blocks at once: products of factors instead of factors."""
+def _innovations(information: _Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the innovations of ``_block_innovations`` for many blocks at once, from products of well conditioned
+    factors.
+
+    Every block starts from the information of all blocks before it: a cumulative sum. The factorisations run as a
+    batch.
+    """
     pulses, states = matrix.shape
     if states <= FEW_STATES and pulses >= MANY_PULSES:
-        return _pulse_innovations(factor, transformed, matrix, values)
+        return _pulse_innovations(information, matrix, values)
     size = max(BLOCK, states)
     if pulses <= size:
-        return _block_innovations(factor, transformed, matrix, values)
-    # Every block starts from the information of all before it: cumulative sums give that for all blocks at once, and
-    # the factorisations run as one batch. Only where the factor is well conditioned, for products square that.
+        return _block_innovations(information, matrix, values)
+    factor, transformed = information.factor, information.transformed
     whole = pulses // size * size
-    blocks, seen = matrix[:whole].reshape(-1, size, states), values[:whole].reshape(-1, size, values.shape[1])
-    across = np.swapaxes(blocks, -1, -2)
-    information, moment = across @ blocks, across @ seen
-    before = factor.T @ factor + np.cumsum(information, axis=0) - information
-    known = factor.T @ transformed + np.cumsum(moment, axis=0) - moment
-    solved = np.linalg.solve(np.linalg.cholesky(before), np.concatenate([across, known], axis=-1))
-    spread = np.swapaxes(solved[..., :size], -1, -2)
-    joint = np.linalg.cholesky(np.eye(size) + spread @ solved[..., :size])
-    found = np.linalg.solve(joint, seen - spread @ solved[..., size:]).reshape(whole, -1)
+    blocks, measured = matrix[:whole].reshape(-1, size, states), values[:whole].reshape(-1, size, values.shape[1])
+    transposed = np.swapaxes(blocks, -1, -2)
+    # Information and moment of each block, and their sums before each block.
+    block_information, block_moment = transposed @ blocks, transposed @ measured
+    before = factor.T @ factor + np.cumsum(block_information, axis=0) - block_information
+    moment = factor.T @ transformed + np.cumsum(block_moment, axis=0) - block_moment
+    solved = np.linalg.solve(np.linalg.cholesky(before), np.concatenate([transposed, moment], axis=-1))
+    predicted = np.swapaxes(solved[..., :size], -1, -2)
+    joint = np.linalg.cholesky(np.eye(size) + predicted @ solved[..., :size])
+    innovations = np.linalg.solve(joint, measured - predicted @ solved[..., size:]).reshape(whole, -1)
     if whole == pulses:
-        return np.asarray(found)
-    root = np.linalg.cholesky(before[-1] + information[-1])
-    last = np.linalg.solve(root, known[-1] + moment[-1])
-    return np.concatenate([found, _block_innovations(root.T, last, matrix[whole:], values[whole:])])
+        return np.asarray(innovations)
+    # The last, shorter block.
+    root = np.linalg.cholesky(before[-1] + block_information[-1])
+    last = _Information(np.asarray(root.T), np.linalg.solve(root, moment[-1] + block_moment[-1]))
+    return np.concatenate([innovations, _block_innovations(last, matrix[whole:], values[whole:])])
 
 
-def _pulse_innovations(
-    factor: FloatArray, transformed: FloatArray, matrix: FloatArray, values: FloatArray
-) -> FloatArray:
-    """Return what ``_block_innovations`` does, of few states: y - h x over sqrt(1 + h P h') before each pulse.
+def _pulse_innovations(information: _Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the innovations of ``_block_innovations`` for few states: (y - h x) / sqrt(1 + h P h') before each pulse.
 
-    The information of all pulses before, cumulative sums, is factored for every pulse at once, element by element of
-    its Cholesky factor L: with w = L^-1 h and z = L^-1 m of the moments m, h P h' = w'w and h x = w'z.
+    The information before each pulse is a cumulative sum. It is factored for every pulse at once, element by element of
+    its Cholesky factor L. With w = L^-1 h and z = L^-1 m, m the moments: h P h' = w'w and h x = w'z.
     """
     states, columns = matrix.shape[1], np.ascontiguousarray(matrix.T)
-    information, moment = factor.T @ factor, factor.T @ transformed
-    root, spread, known = dict[tuple[int, int], FloatArray](), list[FloatArray](), list[FloatArray]()
+    start = information.factor.T @ information.factor
+    start_moment = information.factor.T @ information.transformed
+    root, w, z = dict[tuple[int, int], FloatArray](), list[FloatArray](), list[FloatArray]()
     variance, forecast = np.ones(len(matrix)), np.zeros_like(values)
     for i in range(states):
+        # Row i of L.
         for j in range(i + 1):
-            element = _sum_before(columns[i], columns[j], information[i, j])
+            element = _sum_before(columns[i], columns[j], start[i, j])
             for k in range(j):
                 element -= root[i, k] * root[j, k]
             root[i, j] = np.sqrt(element) if i == j else element / root[j, j]
-        own, seen = columns[i].copy(), _sum_before(columns[i][:, None], values, moment[i])
+        # Elements i of w and z by forward substitution.
+        w_i, z_i = columns[i].copy(), _sum_before(columns[i][:, None], values, start_moment[i])
         for j in range(i):
-            own -= root[i, j] * spread[j]
-            seen -= root[i, j][:, None] * known[j]
-        own /= root[i, i]
-        seen /= root[i, i][:, None]
-        spread.append(own)
-        known.append(seen)
-        variance += own * own
-        forecast += own[:, None] * seen
+            w_i -= root[i, j] * w[j]
+            z_i -= root[i, j][:, None] * z[j]
+        w_i /= root[i, i]
+        z_i /= root[i, i][:, None]
+        w.append(w_i)
+        z.append(z_i)
+        variance += w_i * w_i
+        forecast += w_i[:, None] * z_i
     return np.asarray((values - forecast) / np.sqrt(variance)[:, None])
 
 
 def _sum_before(one: FloatArray, other: FloatArray, start: FloatArray | float) -> FloatArray:
-    """Return ``start`` and the sum of all products of ``one`` and ``other`` (pulse, ...) before each pulse."""
+    """Return ``start`` plus the sum of the products of ``one`` and ``other`` (pulse, ...) before each pulse."""
     total = np.empty(other.shape)
     total[0] = start
     np.multiply(one[:-1], other[:-1], out=total[1:])
@@ -232,44 +264,54 @@ def _sum_before(one: FloatArray, other: FloatArray, start: FloatArray | float) -
 
 
 def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return how unit noise enters before each valid pulse: harmonic states alone, and the highest derivative.
+    """Return how unit noise enters before each valid pulse: into the harmonic states, and into the highest derivative.
 
-    A jump w of the p-th derivative at time s adds w (t - s)^p / p! from then on, which the filter's constant polynomial
-    takes over whole: it never asks about the past again.
+    Both (pulse, state, cause). A jump w of the p-th derivative at time s adds w (t - s)^p / p! from then on. The filter
+    describes only the present, so the jump is added to its constant polynomial as a whole.
     """
     used = np.flatnonzero(motion.valid)
     gaps = np.sqrt(np.diff(used, prepend=used[0]))
-    alone = np.zeros((used.size, states, harmonic))
-    alone[:, np.arange(harmonic), np.arange(harmonic)] = gaps[:, None]
+    harmonics = np.zeros((used.size, states, harmonic))
+    harmonics[:, np.arange(harmonic), np.arange(harmonic)] = gaps[:, None]
     jump = np.zeros((used.size, states, 1))
     if order >= 0:
+        # (t - s)^p / p! as powers of t, then as Legendre polynomials.
         start = scaled_time(motion.time_s)[used]
         powers = np.stack([comb(order, i) * (-start) ** (order - i) for i in range(order + 1)]) / factorial(order)
         legendre = np.polynomial.legendre
-        turn = np.stack([np.pad(legendre.poly2leg(row), (0, order + 1))[: order + 1] for row in np.eye(order + 1)])
-        jump[:, harmonic : harmonic + order + 1, 0] = (turn.T @ powers).T * gaps[:, None]
-    return alone, jump
+        to_legendre = np.stack(
+            [np.pad(legendre.poly2leg(row), (0, order + 1))[: order + 1] for row in np.eye(order + 1)]
+        )
+        jump[:, harmonic : harmonic + order + 1, 0] = (to_legendre.T @ powers).T * gaps[:, None]
+    return harmonics, jump
 
 
 def innovation_test(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
-    """Return the test of the innovations (..., valid pulse), each over its deviation in units of a pulse's noise.
+    """Return the test of the innovations (..., valid pulse), normalised to the noise of a pulse.
 
-    Those of the first ``states`` pulses belong to the prior and are left out.
+    Those of the first ``states`` pulses depend on the prior and are excluded.
     """
     later = normalised[..., states:]
-    degrees = later.shape[-1]
+    count = later.shape[-1]
     energy = np.einsum("...i,...i->...", later, later)
     stated = motion.variance_m2[..., motion.valid].mean(axis=-1)
     tiny = np.finfo(np.float64).tiny
-    nis = np.where(stated > 0, energy / degrees / np.maximum(stated, tiny), np.nan)
+    nis = np.where(stated > 0, energy / count / np.maximum(stated, tiny), np.nan)
     neighbours = np.einsum("...i,...i->...", later[..., 1:], later[..., :-1])
-    size = np.abs(later)
-    robust = np.partition(size, degrees // 2, axis=-1)[..., degrees // 2, None] / 0.6745
-    # a slice where it does, which costs a fraction of a list
+    # Robust standard deviation: the median of a normal distribution's magnitude is 0.6745 standard deviations.
+    magnitude = np.abs(later)
+    robust = np.partition(magnitude, count // 2, axis=-1)[..., count // 2, None] / 0.6745
+    # A slice where all pulses are valid: far faster than an index array.
     used = slice(states, None) if motion.valid.all() else np.flatnonzero(motion.valid)[states:]
-    placed = np.full((*normalised.shape[:-1], motion.valid.size), np.nan)
-    placed[..., used] = later / np.maximum(robust, tiny)
-    outliers = np.zeros(placed.shape, dtype=bool)
-    outliers[..., used] = size > 5 * robust
-    correlation, tolerance = neighbours / np.maximum(energy, tiny), 4 / np.sqrt(degrees)
-    return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), correlation, tolerance, outliers)
+    by_pulse = np.full((*normalised.shape[:-1], motion.valid.size), np.nan)
+    by_pulse[..., used] = later / np.maximum(robust, tiny)
+    outliers = np.zeros(by_pulse.shape, dtype=bool)
+    outliers[..., used] = magnitude > OUTLIER_STD * robust
+    return Innovations(
+        normalised=by_pulse,
+        nis=nis,
+        nis_tolerance=3 * np.sqrt(2 / count),
+        autocorrelation=neighbours / np.maximum(energy, tiny),
+        autocorrelation_tolerance=4 / np.sqrt(count),
+        outliers=outliers,
+    )

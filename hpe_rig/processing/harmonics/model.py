@@ -1,7 +1,11 @@
-"""Linear model of slow time: sinusoids, a smooth background, and what pulses can resolve.
+"""Linear model of displacement over slow time: sinusoids at known frequencies and a polynomial background.
 
-State order: in-phase and quadrature (A cos phi, A sin phi) of each wanted frequency, the background, then frequencies
-that are there and not wanted.
+    d(t_k) = sum_i [a_i sin(2 pi f_i t_k) + b_i cos(2 pi f_i t_k)] + sum_p c_p P_p(t_k) + noise        paper eq. (1)
+
+a_i = A_i cos(phase_i) and b_i = A_i sin(phase_i) are the in-phase and quadrature states of frequency f_i, P_p the
+Legendre polynomials over the pulse train, t_k the pulse times. In matrix form d = H x + noise.
+
+State order in x: (a_i, b_i) of each wanted frequency, then c_p, then the states of further driven frequencies.
 """
 
 from __future__ import annotations
@@ -14,20 +18,46 @@ from typing import Any
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray
-from hpe_rig.plan import LARGEST_CONDITION as LARGEST_CONDITION
+from hpe_rig.plan import MAX_CONDITION as MAX_CONDITION
 
-SURE_CONDITION = 1e4
-"""Condition number up to which products of columns, its square, leave half of the digits; QR keeps them all."""
-LARGEST_KEPT = 1 << 16
-"""Pulses up to which a model is kept for the next train with the same times."""
+MAX_CONDITION_OF_PRODUCTS = 1e4
+"""Condition number up to which H'H is used. H'H has the square of it: half of the digits remain. QR keeps all
+digits."""
+MAX_CACHED_PULSES = 1 << 16
+"""Longest train that keeps its model for the next train with the same pulse times."""
+
+
+@dataclass(frozen=True, slots=True)
+class PulseTimes:
+    """Pulse times and validity as bytes: a hashable key for caches that shots of the same timing share."""
+
+    time_bytes: bytes
+    valid_bytes: bytes
+
+    @classmethod
+    def of(cls, time_s: FloatArray, valid: BoolArray) -> PulseTimes:
+        """Return the key of ``time_s`` and ``valid`` (pulse,)."""
+        return cls(time_s.tobytes(), valid.tobytes())
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Pulse times (pulse,), read-only."""
+        return np.frombuffer(self.time_bytes)
+
+    @property
+    def valid(self) -> BoolArray:
+        """Which pulses are valid (pulse,), read-only."""
+        return np.frombuffer(self.valid_bytes, dtype=bool)
 
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """A model matrix (valid pulse, state), and the condition number of what is wanted (columns scaled to unit length).
+    """The matrix H of the valid pulses and what follows from it; arrays are read-only.
 
-    ``every_pulse`` (pulse, state) has the rows of the other pulses as well; ``root`` (state, state), upper triangular,
-    times its transpose is the states' covariance for data of unit variance. All are read-only.
+    ``matrix`` (valid pulse, state) is H; ``every_pulse`` (pulse, state) has the rows of invalid pulses too. ``root``
+    (state, state), upper triangular, is R^-1 with H'H = R'R: root @ root.T is the covariance of the states for noise of
+    unit variance. ``condition``: condition number of the wanted and background columns scaled to unit length.
+    ``wanted``: slice of the wanted and background states.
     """
 
     matrix: FloatArray
@@ -37,9 +67,9 @@ class LinearModel:
     wanted: slice
 
     def solve(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the least-squares states (..., state) of ``data`` (..., valid pulse), and what they leave of it."""
+        """Return the least-squares states (..., state) of ``data`` (..., valid pulse), and the residual."""
         state = np.zeros((*data.shape[:-1], self.root.shape[0]))
-        # from what the first solution leaves, a second has the accuracy of QR (corrected seminormal equations)
+        # Corrected seminormal equations: solving again for the residual reaches the accuracy of QR.
         for _ in range(2):
             change = (data @ self.matrix) @ self.root @ self.root.T
             state, data = state + change, data - change @ self.matrix.T
@@ -47,29 +77,29 @@ class LinearModel:
 
 
 def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray, out: FloatArray | None = None) -> FloatArray:
-    """Return sin and cos of 2 pi f t, interleaved (pulse, 2 * frequency), in ``out`` if given.
+    """Return sin and cos of 2 pi f t, interleaved, (pulse, 2 * frequency); written into ``out`` if given.
 
-    The cycles before the first pulse are counted exactly, in fractions: a start at 1e5 s loses no phase.
+    The cycles before the first pulse are counted in exact fractions: a train that starts at 1e5 s loses no phase.
     """
     start, unit = float(time_s[0]).as_integer_ratio()
-    ratios = [float(f).as_integer_ratio() for f in frequency_hz]
-    before = np.array([cycles * start % (of * unit) / (of * unit) for cycles, of in ratios])
-    angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + before)
-    columns = np.empty((time_s.size, 2 * len(before))) if out is None else out
+    ratios = [float(frequency).as_integer_ratio() for frequency in frequency_hz]
+    cycles_before = np.array([cycles * start % (of * unit) / (of * unit) for cycles, of in ratios])
+    angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + cycles_before)
+    columns = np.empty((time_s.size, 2 * len(cycles_before))) if out is None else out
     np.sin(angle, out=columns[:, ::2])
     np.cos(angle, out=columns[:, 1::2])
     return columns
 
 
 def background_columns(time_s: FloatArray, order: int) -> FloatArray:
-    """Return Legendre polynomials 0 to ``order`` over the train (pulse, order + 1); none for order -1."""
+    """Return the Legendre polynomials 0 to ``order`` over the train (pulse, order + 1); no column for order -1."""
     if order <= 0:
         return np.ones((time_s.size, order + 1))
     return np.asarray(np.polynomial.legendre.legvander(scaled_time(time_s), order))
 
 
 def scaled_time(time_s: FloatArray) -> FloatArray:
-    """Return times from -1 at the first pulse to 1 at the last."""
+    """Return times scaled to -1 at the first pulse and 1 at the last."""
     return np.asarray((time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1)
 
 
@@ -77,28 +107,27 @@ def linear_model(
     time_s: FloatArray,
     valid: BoolArray,
     frequency_hz: FloatArray,
-    largest_condition: float = LARGEST_CONDITION,
+    largest_condition: float = MAX_CONDITION,
     *,
     background_order: int = 0,
     also_hz: FloatArray | Sequence[float] = (),
 ) -> LinearModel:
-    """Return the model of the valid pulses: wanted frequencies, background polynomial, then the others (``also_hz``).
+    """Return the model of the valid pulses.
 
-    Of the others, those stay, from the lowest up, that the pulses can resolve.
-
-    ``background_order`` 0 is a constant, 1 a velocity, 2 an acceleration, more a drift; -1 leaves it out. Raises
-    ``ValueError`` for no or non-positive or repeated frequencies, a frequency at or above half the pulse rate, too few
-    pulses, or frequencies too close for the time they are watched.
+    ``background_order``: 0 constant, 1 velocity, 2 acceleration, more: drift; -1 omits the background. ``also_hz`` are
+    further driven frequencies; from the lowest up, those that the pulses resolve become states. Raises ``ValueError``
+    for frequencies that are missing, repeated, not positive or at least half the pulse rate, for too few pulses, and
+    for frequencies too close to resolve in the length of the train.
     """
     choice = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order, largest_condition
-    if time_s.size > LARGEST_KEPT:
+    if time_s.size > MAX_CACHED_PULSES:
         return _model(time_s, valid, *choice)
-    return _kept_model(time_s.tobytes(), valid.tobytes(), *choice)
+    return _cached_model(PulseTimes.of(time_s, valid), *choice)
 
 
 @lru_cache(maxsize=4)
-def _kept_model(time_s: bytes, valid: bytes, *choice: Any) -> LinearModel:
-    return _model(np.frombuffer(time_s), np.frombuffer(valid, dtype=bool), *choice)
+def _cached_model(pulses: PulseTimes, *choice: Any) -> LinearModel:
+    return _model(pulses.time_s, pulses.valid, *choice)
 
 
 def _model(
@@ -110,28 +139,29 @@ def _model(
     largest_condition: float,
 ) -> LinearModel:
     frequency_hz = np.array(frequencies_hz)
-    _require_frequencies(time_s, frequency_hz)
-    wanted = 2 * frequency_hz.size
-    every_pulse = np.empty((time_s.size, wanted + background_order + 1))
-    harmonic_columns(time_s, frequency_hz, every_pulse[:, :wanted])
-    every_pulse[:, wanted:] = background_columns(time_s, background_order)
+    _check_frequencies(time_s, frequency_hz)
+    harmonic_states = 2 * frequency_hz.size
+    every_pulse = np.empty((time_s.size, harmonic_states + background_order + 1))
+    harmonic_columns(time_s, frequency_hz, every_pulse[:, :harmonic_states])
+    every_pulse[:, harmonic_states:] = background_columns(time_s, background_order)
     matrix: FloatArray = every_pulse if valid.all() else every_pulse[valid]
-    found, states = matrix.shape
-    if found <= states:
+    pulses, states = matrix.shape
+    if pulses <= states:
         raise ValueError(
-            f"{found} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
+            f"{pulses} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
             f"try at least {states + 1} pulses or fewer frequencies"
         )
     products = matrix.T @ matrix
     condition = _condition(matrix, products)
     if not condition <= largest_condition:
-        raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
+        raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition, largest_condition))
     if also_hz:
-        # Half of what is left stays for the noise.
-        others = _other_columns(time_s, frequency_hz, np.array(also_hz))[:, : (found - states) // 2]
-        every_pulse = np.hstack([every_pulse, others])
-        kept = states + _resolvable(every_pulse[valid], states, largest_condition)
-        every_pulse = every_pulse[:, :kept]
+        # At most half of the remaining degrees of freedom go to further frequencies; noise is estimated from the
+        # others.
+        further = _further_columns(time_s, frequency_hz, np.array(also_hz))[:, : (pulses - states) // 2]
+        every_pulse = np.hstack([every_pulse, further])
+        resolved = states + _resolvable(every_pulse[valid], states, largest_condition)
+        every_pulse = every_pulse[:, :resolved]
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
     root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
@@ -141,78 +171,80 @@ def _model(
 
 
 def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) -> FloatArray:
-    """Return the upper triangular root (state, state) of the inverse of the ``products`` of a matrix's columns."""
-    if condition > SURE_CONDITION:
+    """Return R^-1 (state, state), upper triangular, with R'R = ``products`` = matrix' matrix."""
+    if condition > MAX_CONDITION_OF_PRODUCTS:
         return np.asarray(np.linalg.inv(np.linalg.qr(matrix, mode="r")))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
 
 
 def _condition(matrix: FloatArray, products: FloatArray) -> float:
+    """Return the condition number of ``matrix`` with its columns scaled to unit length."""
     length = np.sqrt(np.diagonal(products)).clip(min=np.finfo(np.float64).tiny)
-    # products of columns have the condition's square: good up to 1e4, beyond it QR has the digits
+    # The eigenvalues of H'H are the squared singular values: accurate enough up to a condition of 1e4.
     smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(length, length)).tolist()
-    if smallest > largest / SURE_CONDITION**2:
+    if smallest > largest / MAX_CONDITION_OF_PRODUCTS**2:
         return float(np.sqrt(largest / smallest))
     values = np.linalg.svd(np.linalg.qr(matrix / length, mode="r"), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
 def _resolvable(matrix: FloatArray, wanted: int, largest_condition: float) -> int:
-    """Return how many columns after the ``wanted`` the pulses can resolve, from those and from each other."""
+    """Return how many columns after the first ``wanted`` fit into the model with an acceptable condition number."""
     scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
     gram = scaled.T @ scaled
-    # More columns never lower the condition, so a bisection finds the last good number.
-    few, many = 0, matrix.shape[1] - wanted
-    # The first look is at all: often all can be resolved.
-    middle = many
-    while few < many:
+    # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
+    low, high = 0, matrix.shape[1] - wanted
+    # All columns are tried first: they are often resolved.
+    middle = high
+    while low < high:
         smallest, *_, largest = np.linalg.eigvalsh(gram[: wanted + middle, : wanted + middle])
         if largest <= largest_condition**2 * smallest:
-            few = middle
+            low = middle
         else:
-            many = middle - 1
-        middle = (few + many + 1) // 2
-    return few
+            high = middle - 1
+        middle = (low + high + 1) // 2
+    return low
 
 
-def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
-    """Return the columns of ``also_hz`` without those of ``frequency_hz``, from the lowest frequency up.
+def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
+    """Return the columns of those ``also_hz``, from the lowest up, that alias onto no lower frequency.
 
-    Half the pulse rate has only one. Frequencies above it are there when the pulses see them in another place than
-    every lower one: those of a burst rate that is no divisor of the pulse rate.
+    Half the pulse rate has one column only. Frequencies above it are included if their alias lies apart from every
+    lower one, which happens where the burst rate does not divide the pulse rate.
     """
     rate_hz = pulse_rate_hz(time_s)
-    apart_hz = 0.9 / float(time_s[-1] - time_s[0])
-    seen_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
+    resolution_hz = 0.9 / float(time_s[-1] - time_s[0])
+    used_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
     for frequency, aliased in zip(np.sort(also_hz), aliased_hz(np.sort(also_hz), rate_hz), strict=True):
-        if aliased >= apart_hz and np.abs(seen_hz - aliased).min() >= apart_hz:
-            seen_hz = np.append(seen_hz, aliased)
+        if aliased >= resolution_hz and np.abs(used_hz - aliased).min() >= resolution_hz:
+            used_hz = np.append(used_hz, aliased)
             new_hz.append(frequency)
     if not new_hz:
         return np.zeros((time_s.size, 0))
-    one_sided = np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0)
-    columns = harmonic_columns(time_s, np.where(one_sided, 0.0, new_hz))
-    if one_sided.any():
+    at_nyquist = np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0)
+    columns = harmonic_columns(time_s, np.where(at_nyquist, 0.0, new_hz))
+    if at_nyquist.any():
         alternating = np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))
-        place = 2 * int(np.argmax(one_sided))
-        columns = np.hstack([columns[:, :place], alternating[:, None], columns[:, place + 2 :]])
+        column = 2 * int(np.argmax(at_nyquist))
+        columns = np.hstack([columns[:, :column], alternating[:, None], columns[:, column + 2 :]])
     return columns
 
 
 def pulse_rate_hz(time_s: FloatArray) -> float:
-    """Return the rate of pulses at ``time_s``, two at least: over the median interval, which gaps leave as it is."""
-    # np.median loads NumPy's masked arrays, for a sixtieth of the time of a check
+    """Return the rate of two or more pulses at ``time_s``: one over the median interval, which gaps do not change."""
+    # np.partition instead of np.median, which imports NumPy's masked arrays: 1/60 of the time of a check.
     interval_s = np.diff(time_s)
     middle = interval_s.size // 2
     return 1 / float(np.partition(interval_s, middle)[middle])
 
 
 def aliased_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return where pulses at ``rate_hz`` see a frequency, from 0 to half the rate."""
+    """Return the frequencies, from 0 to half the rate, at which sampling at ``rate_hz`` puts ``frequency_hz``."""
     return np.asarray(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)))
 
 
-def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
+def _check_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
+    """Raise ``ValueError`` for frequencies that no train of these pulses can measure."""
     if frequency_hz.ndim != 1 or frequency_hz.size == 0:
         raise ValueError("no vibration frequency given: name at least one")
     if not np.all(np.isfinite(frequency_hz) & (frequency_hz > 0)):
@@ -220,19 +252,18 @@ def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
     if len(set(frequency_hz.tolist())) != frequency_hz.size:
         raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: give each once")
     if time_s.size < 2:
-        raise ValueError(f"{time_s.size} pulse: no motion can be seen; try more tracking pulses")
+        raise ValueError(f"{time_s.size} pulse: no motion can be measured; try more tracking pulses")
     rate_hz = pulse_rate_hz(time_s)
     if frequency_hz.max() >= rate_hz / 2 * (1 - 1e-9):
-        why = (
-            "only one of its two quadratures can be seen" if np.isclose(frequency_hz.max(), rate_hz / 2) else "aliased"
-        )
+        at_nyquist = np.isclose(frequency_hz.max(), rate_hz / 2)
+        cause = "only one of its two quadratures can be measured" if at_nyquist else "aliased"
         raise ValueError(
             f"frequency {frequency_hz.max():g} Hz is not below half the pulse rate of {rate_hz:g} Hz: "
-            f"{why}; try a higher pulse rate or fewer harmonics"
+            f"{cause}; try a higher pulse rate or fewer harmonics"
         )
 
 
-def _unresolved(time_s: FloatArray, frequency_hz: FloatArray, condition: float, limit: float) -> str:
+def _unresolved_message(time_s: FloatArray, frequency_hz: FloatArray, condition: float, limit: float) -> str:
     span_s = float(time_s[-1] - time_s[0])
     closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
     return (

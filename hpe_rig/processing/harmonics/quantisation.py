@@ -1,22 +1,21 @@
-"""Quantisation: what rounding to the digitizer's codes leaves in amplitudes and phases that noise does not dither away.
+"""Quantisation error of amplitudes and phases: rounding to the digitizer's codes that noise does not dither.
 
-Rounding in steps of q takes a voltage v to v + e(v), e a sawtooth of period q. With noise of standard deviation sigma
-added before, what is left of it on the mean is
+Rounding in steps of q takes a voltage v to v + e(v), e a sawtooth of period q. Noise of standard deviation sigma before
+rounding smooths it to the mean
 
-    e(v) = sum_n (-1)^n q / (pi n) sin(2 pi n v / q) D_n,   D_n = exp(-2 (pi n sigma / q)^2).
+    e(v) = sum_n (-1)^n q / (pi n) sin(2 pi n v / q) D_n,    D_n = exp(-2 (pi n sigma / q)²)
 
-A sample rests anywhere between two codes and moves by s u, s = dv / du its slope and u the displacement: the same error
-comes back whenever the motion does, so that no number of pulses averages it. A displacement is the samples' mean,
-weighted by their slopes; samples err independently. Where the motion crosses many codes the error is as good as white:
-that part the fit's residual has already, and it is no part of this.
+A sample lies anywhere between two codes and moves by s u: s = dv/du its slope, u the displacement. The same error
+returns whenever the motion does, so no number of pulses averages it. A displacement is the mean of the samples weighted
+by their slopes; the errors of samples are independent. Where the motion crosses many codes the error is nearly white:
+that part is in the residual of the fit already and is not counted here.
 
-How large sigma is, the echoes' scatter about their mean tells. Rounding has q^2 / 12 in all, of which the mean echo
-holds what does not change with the motion, so that the scatter is
+sigma follows from the scatter of the echoes about their mean. Rounding contributes q²/12 minus the part in the mean
+echo, which does not change with the motion:
 
-    sigma^2 + q^2 / 12 - sum_n (q / pi n)^2 / 2 D_n^2 |mean over pulses of exp(2 pi j n s u / q)|^2.
+    scatter = sigma² + q²/12 - sum_n (q / pi n)² / 2 D_n² |mean over pulses of exp(2 pi j n s u / q)|²
 
-Source: Widrow and Kollar, Quantization Noise (2008), chapters 4
-and 5.
+Source: Widrow and Kollar, Quantization Noise (2008), chapters 4 and 5.
 """
 
 from __future__ import annotations
@@ -24,89 +23,92 @@ from __future__ import annotations
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing.echo.echoes import EchoGate, Motion
+from hpe_rig.processing.echo.gate import EchoGate
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.model import background_columns, harmonic_columns
+from hpe_rig.processing.motion.displacement import Motion
 
-LEAST_DITHER = 0.6
-"""Noise of a sample, in codes, from which on less than a thousandth of the first harmonic is left."""
+DITHER_CODES = 0.6
+"""Noise of a sample, in codes, from which less than a thousandth of the sawtooth's first harmonic remains."""
 HARMONICS = 8
-"""Of the sawtooth; without noise those above have 7 % of its power, in noise of a tenth of a code none."""
+"""Harmonics of the sawtooth: without noise the higher ones have 7 % of its power, with noise of 0.1 codes none."""
 BISECTIONS = 30
-"""Halvings of the noise's range: to 1e-9 of it."""
+"""Bisections of the noise: to 1e-9 of its range."""
 SLOPES = 24
-"""Slopes, in equal shares of the samples, for which the motion's error is found."""
+"""Number of slopes, quantiles of the samples' slopes, for which the error is computed."""
 
 
-def rounding_m(echoes: EchoGate, code_v: float, motion: Motion, fit: HarmonicFit) -> tuple[tuple[float, float], ...]:
-    """Return the standard uncertainties (frequency, 2) that codes of ``code_v`` leave along and across each phasor, m.
+def quantisation_m(
+    echoes: EchoGate, code_v: float, motion: Motion, fit: HarmonicFit
+) -> tuple[tuple[float, float], ...]:
+    """Return the standard uncertainties (frequency, 2) from codes of ``code_v``, along and across each phasor, m.
 
-    Of one train, ``motion`` that of its pulses, ``fit`` its harmonics. Nothing where noise dithers the codes.
+    Of one train with the displacement ``motion`` and its ``fit``. Empty if noise dithers the codes.
     """
-    found, used = np.zeros((fit.frequency_hz.size, 2)), motion.valid
+    used = motion.valid
     per_m = 4 * np.pi * echoes.carrier_hz / echoes.sound_speed_m_per_s
     slope_energy = per_m**2 * float(np.mean(echoes.energy[used]))
-    # what the echoes state of their noise has that of rounding in it
+    # The noise that the echoes state includes that of rounding.
     scatter_v2 = float(np.mean(motion.variance_m2[used])) * slope_energy
-    if not code_v > 0 or scatter_v2 - code_v**2 / 12 > (LEAST_DITHER * code_v) ** 2:
+    if not code_v > 0 or scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
         return ()
     slope = _slopes(echoes)
-    turn = 2 * np.pi / code_v * np.outer(slope, motion.displacement_m[used])
-    rows, basis = _rows(motion, fit)
-    waves = [np.exp(1j * n * turn) for n in range(1, HARMONICS + 1)]
-    resting = np.array([np.mean(np.abs(wave.mean(axis=1)) ** 2) for wave in waves])
-    left_v2 = _left_v2(code_v, _noise_v2(scatter_v2, code_v, resting))
-    white, (pulses, states) = np.sum(rows**2, axis=1), basis.shape
-    for wave, each_v2 in zip(waves, left_v2, strict=True):
-        # what the fit leaves of it is in the residual, and so in the fit's noise: it counts once
-        seen = (pulses - np.sum(np.abs(wave @ basis) ** 2, axis=1)) / max(pulses - states, 1)
-        beyond = np.abs(wave @ rows.T) ** 2 - seen[:, None] * white
-        # over all voltages at which a sample may rest
-        found += (slope**2 @ (each_v2 * beyond)).reshape(found.shape)
+    angle = 2 * np.pi / code_v * np.outer(slope, motion.displacement_m[used])
+    weights, basis = _phasor_weights(motion, fit)
+    waves = [np.exp(1j * n * angle) for n in range(1, HARMONICS + 1)]
+    constant_fraction = np.array([np.mean(np.abs(wave.mean(axis=1)) ** 2) for wave in waves])
+    harmonics_v2 = _harmonics_v2(code_v, _noise_v2(scatter_v2, code_v, constant_fraction))
+    white, (pulses, states) = np.sum(weights**2, axis=1), basis.shape
+    variance = np.zeros((fit.frequency_hz.size, 2))
+    for wave, harmonic_v2 in zip(waves, harmonics_v2, strict=True):
+        # The part of the wave that the fit does not absorb is in the residual, hence in the noise: subtracted here.
+        in_residual = (pulses - np.sum(np.abs(wave @ basis) ** 2, axis=1)) / max(pulses - states, 1)
+        beyond_noise = np.abs(wave @ weights.T) ** 2 - in_residual[:, None] * white
+        # The factor 1/2 of the mean over all voltages at which a sample may lie is in harmonic_v2.
+        variance += (slope**2 @ (harmonic_v2 * beyond_noise)).reshape(variance.shape)
     samples = echoes.gate_samples / slope.size
-    along, across = (np.sqrt(np.maximum(found, 0.0) / samples) / np.sum(slope**2)).T.tolist()
+    along, across = (np.sqrt(np.maximum(variance, 0.0) / samples) / np.sum(slope**2)).T.tolist()
     return tuple(zip(along, across, strict=True))
 
 
-def _left_v2(code_v: float, noise_v2: float) -> FloatArray:
-    """Return the mean squares (harmonic,) of the sawtooth's harmonics that noise leaves."""
+def _harmonics_v2(code_v: float, noise_v2: float) -> FloatArray:
+    """Return the mean squares (harmonic,) of the harmonics of the smoothed sawtooth."""
     return np.array([sawtooth_v(n, code_v, noise_v2) ** 2 / 2 for n in range(1, HARMONICS + 1)])
 
 
-def _noise_v2(scatter_v2: float, code_v: float, resting: FloatArray) -> float:
-    """Return the noise of a sample before rounding, by bisection; ``resting`` (harmonic,): shares in the mean echo."""
+def _noise_v2(scatter_v2: float, code_v: float, constant_fraction: FloatArray) -> float:
+    """Return sigma² of a sample before rounding, by bisection.
+
+    ``constant_fraction`` (harmonic,): fraction of the rounding error in the mean echo.
+    """
     low, high = 0.0, scatter_v2
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        seen_v2 = middle + code_v**2 / 12 - float(resting @ _left_v2(code_v, middle))
-        low, high = (middle, high) if seen_v2 < scatter_v2 else (low, middle)
+        predicted_v2 = middle + code_v**2 / 12 - float(constant_fraction @ _harmonics_v2(code_v, middle))
+        low, high = (middle, high) if predicted_v2 < scatter_v2 else (low, middle)
     return low
 
 
 def sawtooth_v(harmonic: int, code_v: float, noise_v2: float) -> float:
-    """Return the amplitude of a ``harmonic`` (1, 2, ...) of the mean rounding error over volts, V.
-
-    Noise of variance ``noise_v2`` smooths the sawtooth of ``code_v``: its characteristic function.
-    """
+    """Return the amplitude q / (pi n) D_n of a ``harmonic`` n = 1, 2, ... of the mean rounding error, V."""
     return float(code_v / (np.pi * harmonic) * np.exp(-2 * (np.pi * harmonic / code_v) ** 2 * noise_v2))
 
 
 def _slopes(echoes: EchoGate) -> FloatArray:
-    """Return slopes (slope,) that stand for those of the gate's samples, V/m, the smallest first."""
+    """Return quantiles (slope,) of the gate's samples' slopes dv/du, V/m, in rising order."""
     blocks = ((echoes.valid[pulses], volts) for pulses, volts in echoes.blocks(echoes.gate))
-    volts = next(some[valid][0] for valid, some in blocks if valid.any())
+    volts = next(block[valid][0] for valid, block in blocks if valid.any())
     spectrum = np.fft.rfft(volts) * 2j * np.pi * np.fft.rfftfreq(volts.size, 1 / echoes.sample_rate_hz)
     per_second = np.sort(np.abs(np.fft.irfft(spectrum, volts.size)))
-    middle = (np.arange(SLOPES) + 0.5) / SLOPES
-    return np.asarray(np.interp(middle * (volts.size - 1), np.arange(volts.size), per_second)) * (
-        2 / echoes.sound_speed_m_per_s
-    )
+    quantile = (np.arange(SLOPES) + 0.5) / SLOPES
+    slopes_per_second = np.interp(quantile * (volts.size - 1), np.arange(volts.size), per_second)
+    return np.asarray(slopes_per_second * (2 / echoes.sound_speed_m_per_s))
 
 
-def _rows(motion: Motion, fit: HarmonicFit) -> tuple[FloatArray, FloatArray]:
-    """Return the rows (2 * frequency, pulse) that give the parts along and across each phasor from a displacement.
+def _phasor_weights(motion: Motion, fit: HarmonicFit) -> tuple[FloatArray, FloatArray]:
+    """Return the weights (2 * frequency, pulse) of a displacement in the components along and across each phasor.
 
-    And an orthonormal basis (pulse, state) of what is fitted.
+    The second value is an orthonormal basis (pulse, state) of the fitted columns.
     """
     used, count = motion.valid, 2 * fit.frequency_hz.size
     columns = [harmonic_columns(motion.time_s, fit.frequency_hz), background_columns(motion.time_s, 0)]

@@ -81,13 +81,13 @@ class TableOne:
         self, generator: np.random.Generator, focus_m: FloatArray, volume_m: tuple[float, float, float], two_way: bool
     ) -> FloatArray:
         count = round(self.scatterers_per_m3 * float(np.prod(volume_m)))
-        place = (generator.random((count, 3)) - 0.5) * np.array(volume_m)
-        echo = np.exp(-((place / np.array(self.tracking_width_m)) ** 2).sum(axis=1) / 2)
+        position_m = (generator.random((count, 3)) - 0.5) * np.array(volume_m)
+        echo = np.exp(-((position_m / np.array(self.tracking_width_m)) ** 2).sum(axis=1) / 2)
         # scatterers under 1e-3 of the peak change no figure here and would double the time
-        place, echo = place[echo > 1e-3], echo[echo > 1e-3]
-        moved = np.exp(-((place / np.array(self.excitation_width_m)) ** 2).sum(axis=1) / 2)
-        rest_s = 2 * place[:, 2] / self.sound_speed_m_per_s * two_way
-        delay_s = rest_s + 2 * focus_m[:, None] * moved / self.sound_speed_m_per_s
+        position_m, echo = position_m[echo > 1e-3], echo[echo > 1e-3]
+        force = np.exp(-((position_m / np.array(self.excitation_width_m)) ** 2).sum(axis=1) / 2)
+        rest_s = 2 * position_m[:, 2] / self.sound_speed_m_per_s * two_way
+        delay_s = rest_s + 2 * focus_m[:, None] * force / self.sound_speed_m_per_s
         return np.stack([self._echo(row, echo) for row in delay_s])
 
     def _echo(self, delay_s: FloatArray, echo: FloatArray) -> FloatArray:
@@ -97,14 +97,16 @@ class TableOne:
         """
         time_s, turns = self.gate_time_s(), 2 * np.pi * self.carrier_hz
         inside = np.abs(time_s[:, None] - delay_s) < 0.5 / (self.bandwidth * self.carrier_hz)
-        carrier, hann = (_turned(rate * time_s).T @ _turned(rate * delay_s) for rate in (turns, self.bandwidth * turns))
+        carrier, hann = (
+            _cos_and_sin(rate * time_s).T @ _cos_and_sin(rate * delay_s) for rate in (turns, self.bandwidth * turns)
+        )
         hann += 1
         hann *= carrier
         hann *= inside
         return np.asarray(hann @ (echo / 2))
 
 
-def _turned(phase_rad: FloatArray) -> FloatArray:
+def _cos_and_sin(phase_rad: FloatArray) -> FloatArray:
     return np.stack([np.cos(phase_rad), np.sin(phase_rad)])
 
 
@@ -127,5 +129,5 @@ def wide_draws(wide: TableOne) -> FloatArray:
 
 @pytest.fixture(scope="session")
 def speckle_draws(wide: TableOne, wide_draws: FloatArray) -> FloatArray:
-    """The same without the margins, the gate alone."""
+    """Echoes of the same draws in the gate only, without margins."""
     return np.ascontiguousarray(wide_draws[..., wide.margin : -wide.margin])

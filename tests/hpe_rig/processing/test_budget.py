@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from hpe_rig.processing.budget import SPECKLE_KURTOSIS, Known, estimates_of, with_second_order_speckle
-from hpe_rig.processing.echo.echoes import Motion
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, fit_from_state
-from hpe_rig.processing.shots import off_carrier
+from hpe_rig.processing.budget import SPECKLE_KURTOSIS, ErrorSources, estimates_of, with_second_order_speckle
+from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, fit_from_state
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.shot_fit import carrier_error
 from hpe_rig.result import Averaging, Component, Estimate
 
 AVERAGING = Averaging(0.9, -0.02, 0.03, 0.018, 0.004, speckle_phase_rad=0.002, offset_relative=0.01)
 
 
-def fit(residual_m: float = 1e-8) -> HarmonicFit:
+def fit(residual_m: float = 1e-8, degrees_of_freedom: float = math.inf) -> HarmonicFit:
     """Return a fit of 100 nm and 0.3 rad with 1 nm of noise in either quadrature."""
     state = 1e-7 * np.array([math.cos(0.3), math.sin(0.3)])
-    return fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), np.asarray(residual_m**2), 100)
+    return fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(residual_m**2), degrees_of_freedom, 100))
 
 
 def parts(estimate: Estimate) -> dict[str, Component]:
@@ -29,7 +29,9 @@ def parts(estimate: Estimate) -> dict[str, Component]:
 
 
 def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it_says() -> None:
-    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005, gate_edge=2e-4, rounding_m=((3e-9, 4e-9),)), (AVERAGING,))
+    (estimate,) = estimates_of(
+        fit(), ErrorSources(1540.0, 0.005, gate_edge=2e-4, quantisation_m=((3e-9, 4e-9),)), (AVERAGING,)
+    )
     lead, found = estimate.headline, parts(estimate)
     peak_m = 1e-7 / 0.9
     assert lead.corrected
@@ -72,7 +74,7 @@ def test_what_aliasing_and_beam_averaging_share_is_in_the_sum(shared: float) -> 
     averaging = Averaging(
         1.0, 0.0, 0.0, 0.02, 0.01, shared_relative=shared * 0.03 * 0.02, shared_phase_rad2=shared * 0.02 * 0.01
     )
-    (estimate,) = estimates_of(whole, Known(sound_speed_uncertainty=0.0), (averaging,))
+    (estimate,) = estimates_of(whole, ErrorSources(sound_speed_uncertainty=0.0), (averaging,))
     noise, lead = parts(estimate)["noise"], estimate.headline
     relative = (lead.amplitude_uncertainty_m**2 - noise.amplitude_m**2) / 1e-14
     assert relative == pytest.approx(0.03**2 + 0.02**2 + 2 * shared * 0.03 * 0.02)
@@ -83,11 +85,11 @@ def test_what_aliasing_and_beam_averaging_share_is_in_the_sum(shared: float) -> 
 @pytest.mark.parametrize(("jitter_s", "share"), [(5e-12, 0.148), (1e-10, 1.0)])
 def test_trigger_jitter_takes_its_share_of_the_residual(jitter_s: float, share: float) -> None:
     # 1540 m/s * 5 ps / 2 is 3.85 nm, of a residual of 10 nm; 100 ps would be more than there is.
-    (estimate,) = estimates_of(fit(), Known(1540.0, 0.0, jitter_s))
+    (estimate,) = estimates_of(fit(), ErrorSources(1540.0, 0.0, jitter_s))
     noise, jitter = parts(estimate)["noise"], parts(estimate)["trigger jitter"]
     assert jitter.amplitude_m**2 == pytest.approx(share * 1e-18, rel=2e-3)
     assert noise.amplitude_m**2 + jitter.amplitude_m**2 == pytest.approx(1e-18)
-    (still,) = estimates_of(fit(), Known(1540.0, 0.0, jitter_s, subtracts_jitter=True))
+    (still,) = estimates_of(fit(), ErrorSources(1540.0, 0.0, jitter_s, subtracts_jitter=True))
     assert parts(still)["trigger jitter"].amplitude_m == 0
 
 
@@ -95,16 +97,18 @@ def test_a_phase_divided_by_the_carrier_is_off_by_the_echo_s_own_mean_frequency(
     time_s, valid = np.arange(100) / 4000, np.ones(100, dtype=bool)
     moved_m = 1e-6 * np.sin(2 * np.pi * 200 * time_s) + 3e-6
     by_echo, by_carrier = (Motion(time_s, scale * moved_m, np.ones(100), valid) for scale in (1.0, 0.98))
-    assert off_carrier(by_carrier, by_echo) == pytest.approx(0.02)
-    assert off_carrier(by_carrier, None) == 0
-    (estimate,) = estimates_of(fit(), Known(carrier_relative=0.02))
+    assert carrier_error(by_carrier, by_echo) == pytest.approx(0.02)
+    assert carrier_error(by_carrier, None) == 0
+    (estimate,) = estimates_of(fit(), ErrorSources(carrier_relative=0.02))
     assert parts(estimate)["carrier"].amplitude_m == pytest.approx(2e-9)
-    (with_beams,) = estimates_of(fit(), Known(carrier_relative=0.02), (replace(AVERAGING, carrier_relative=0.018),))
+    (with_beams,) = estimates_of(
+        fit(), ErrorSources(carrier_relative=0.02), (replace(AVERAGING, carrier_relative=0.018),)
+    )
     assert parts(with_beams)["carrier"].amplitude_m == pytest.approx(0.018e-7 / 0.9)
 
 
 def test_without_beams_the_headline_is_what_is_tracked() -> None:
-    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005))
+    (estimate,) = estimates_of(fit(), ErrorSources(1540.0, 0.005))
     lead = estimate.headline
     assert (lead.amplitude_m, lead.phase_rad, lead.corrected) == (estimate.amplitude_m, estimate.phase_rad, False)
     assert estimate.corrected_amplitude_m is None
@@ -112,7 +116,7 @@ def test_without_beams_the_headline_is_what_is_tracked() -> None:
 
 
 def test_noise_alone_has_the_degrees_of_freedom_of_the_residual() -> None:
-    (estimate,) = estimates_of(replace(fit(), freedom=np.asarray(12.0)), Known(), (AVERAGING,))
+    (estimate,) = estimates_of(fit(degrees_of_freedom=12.0), ErrorSources(), (AVERAGING,))
     degrees = {name: each.degrees_of_freedom for name, each in parts(estimate).items()}
     assert degrees.pop("noise") == degrees.pop("rectified noise") == 12
     assert set(degrees.values()) == {math.inf}
@@ -120,15 +124,15 @@ def test_noise_alone_has_the_degrees_of_freedom_of_the_residual() -> None:
 
 def test_the_interval_of_an_unknown_phase_is_the_whole_circle() -> None:
     state = 1e-12 * np.array([1.0, 0.0])
-    of_noise = fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), np.asarray(1e-16), 100)
+    of_noise = fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(1e-16), math.inf, 100))
     (unknown,) = estimates_of(replace(of_noise, covariance=np.array([[[1e-18, 0], [0, math.pi**2 / 3]]])))
     assert unknown.interval_95_rad == math.pi
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 5e-12, 1e-10])
 def test_the_interval_of_few_pulses_is_that_of_students_distribution(jitter_s: float) -> None:
-    few = replace(fit(), freedom=np.asarray(7.0))
-    (estimate,) = estimates_of(few, Known(1540.0, 0.0, jitter_s))
+    few = fit(degrees_of_freedom=7.0)
+    (estimate,) = estimates_of(few, ErrorSources(1540.0, 0.0, jitter_s))
     assert estimate.noise_freedom == 7
     # noise and trigger jitter are parts of one residual: together they have its degrees of freedom
     assert estimate.interval_95_m == pytest.approx(1e-9 * stdtrit(7, 0.975))

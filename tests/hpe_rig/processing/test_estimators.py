@@ -1,4 +1,4 @@
-"""All estimators alike: recovery, the bound, true uncertainties, invariants, and what they must refuse or survive."""
+"""Properties of all estimators: recovery, precision, invariance, background motion, and echoes that they refuse."""
 
 from __future__ import annotations
 
@@ -66,25 +66,25 @@ def test_peak_errors_fall_with_the_cube_of_the_upsampling(table_one: TableOne, m
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_float32_volts_give_what_float64_gives(
+def test_float32_volts_give_the_same_amplitude_as_float64(
     table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator
 ) -> None:
-    whole = estimate(table_one.gate(speckle_draws[0]), [200.0], estimator)
-    half = estimate(table_one.gate(speckle_draws[0].astype(np.float32)), [200.0], estimator)
+    double = estimate(table_one.gate(speckle_draws[0]), [200.0], estimator)
+    single = estimate(table_one.gate(speckle_draws[0].astype(np.float32)), [200.0], estimator)
     # 24 bits of 100 x 130 samples: phase noise of 6e-8 / sqrt(13000), in the peak's single bin ten times that
-    assert half.amplitude_m[0] == pytest.approx(whole.amplitude_m[0], rel=1e-6, abs=0)
+    assert single.amplitude_m[0] == pytest.approx(double.amplitude_m[0], rel=1e-6, abs=0)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_pulse_times_of_1e5_s_change_nothing_but_the_phase_they_must(
+def test_pulse_times_of_1e5_s_do_not_reduce_precision(
     table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator
 ) -> None:
     echoes = table_one.gate(speckle_draws[0])
-    late = replace(echoes, pulse_time_s=echoes.pulse_time_s + 1e5)
-    here, there = (estimate(each, [200.0], estimator) for each in (echoes, late))
-    # 1e5 s is a whole number of cycles; times that large are known to 1.5e-11 s, 2e-8 rad at 200 Hz
-    assert there.phase_rad[0] == pytest.approx(here.phase_rad[0], abs=1e-7)
-    assert there.amplitude_m[0] == pytest.approx(here.amplitude_m[0], rel=1e-6, abs=0)
+    shifted = replace(echoes, pulse_time_s=echoes.pulse_time_s + 1e5)
+    fit, shifted_fit = (estimate(gate, [200.0], estimator) for gate in (echoes, shifted))
+    # 1e5 s is a whole number of cycles; such times have a resolution of 1.5e-11 s, 2e-8 rad at 200 Hz
+    assert shifted_fit.phase_rad[0] == pytest.approx(fit.phase_rad[0], abs=1e-7)
+    assert shifted_fit.amplitude_m[0] == pytest.approx(fit.amplitude_m[0], rel=1e-6, abs=0)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -95,7 +95,7 @@ def test_constant_records_are_refused_as_no_echo(table_one: TableOne, estimator:
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_spikes_and_clipping_leave_everything_finite(
+def test_spikes_and_clipping_give_finite_results(
     table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator
 ) -> None:
     spiked = speckle_draws[0].copy()
@@ -107,14 +107,14 @@ def test_spikes_and_clipping_leave_everything_finite(
         assert np.isfinite(fit.covariance).all()
 
 
-def test_clipping_to_a_third_costs_less_than_speckle(table_one: TableOne, speckle_draws: FloatArray) -> None:
+def test_clipping_to_a_third_biases_less_than_speckle(table_one: TableOne, speckle_draws: FloatArray) -> None:
     top = 0.3 * np.abs(speckle_draws[1]).max()
-    whole, clipped = (
+    unclipped, clipped = (
         estimate(table_one.gate(volts), [200.0]).amplitude_m[0]
         for volts in (speckle_draws[1], np.clip(speckle_draws[1], -top, top))
     )
     # the phase of zero crossings survives; speckle alone spreads by 6 %
-    assert clipped == pytest.approx(whole, rel=0.06)
+    assert clipped == pytest.approx(unclipped, rel=0.06)
 
 
 def test_a_leaking_toneburst_is_flagged_and_then_harmless(table_one: TableOne, speckle_draws: FloatArray) -> None:
@@ -129,12 +129,12 @@ def test_a_leaking_toneburst_is_flagged_and_then_harmless(table_one: TableOne, s
     assert fit.amplitude_m[0] == pytest.approx(clean.amplitude_m[0], abs=2e-9)
 
 
-def test_no_sound_pulse_is_flagged(table_one: TableOne, speckle_draws: FloatArray) -> None:
+def test_pulses_that_deviate_by_noise_only_are_not_flagged(table_one: TableOne, speckle_draws: FloatArray) -> None:
     for snr_db in (0.0, 40.0):
         assert not deviating_pulses(table_one.gate(_noisy(speckle_draws[0], 10, snr_db))).any()
 
 
-def test_a_step_near_a_quarter_wavelength_is_told(table_one: TableOne) -> None:
+def test_the_largest_step_is_reported_in_quarter_wavelengths(table_one: TableOne) -> None:
     quarter_m = 1540 / (4 * 9e6)
     small, large = (
         coherent(table_one.gate(table_one.rigid(step * quarter_m * np.tile([0.0, 1.0], 50)))).largest_step
@@ -148,22 +148,23 @@ def test_a_reference_gate_cancels_a_nanosecond_of_trigger_jitter(table_one: Tabl
     generator = np.random.default_rng(5)
     jitter_m = 1540 / 2 * 1e-9 * generator.standard_normal((40, 100))
     moving = np.stack([table_one.rigid(_sine(table_one) + row) for row in jitter_m])
-    still = np.stack([table_one.rigid(row) for row in jitter_m])
+    stationary = np.stack([table_one.rigid(row) for row in jitter_m])
     noise_v = 0.01 * np.sqrt(np.mean(moving**2))
     motion, reference = (
-        coherent(table_one.gate(each + noise_v * generator.standard_normal(each.shape))) for each in (moving, still)
+        coherent(table_one.gate(volts + noise_v * generator.standard_normal(volts.shape)))
+        for volts in (moving, stationary)
     )
-    without = least_squares(motion, [200.0]).amplitude_m.std()
+    without_gate = least_squares(motion, [200.0]).amplitude_m.std()
     with_gate = least_squares(relative_to(motion, reference), [200.0]).amplitude_m.std()
-    # c 1 ns / 2 = 0.77 um a pulse, sqrt(2/100) of it in the amplitude: 109 nm, known to 1 / sqrt(80) = 11 %
-    assert without == pytest.approx(109e-9, rel=0.34)
-    assert with_gate < without / 10
+    # c 1 ns / 2 = 0.77 um a pulse, sqrt(2/100) of it in the amplitude: 109 nm, measured to 1 / sqrt(80) = 11 %
+    assert without_gate == pytest.approx(109e-9, rel=0.34)
+    assert with_gate < without_gate / 10
 
 
 def test_variances_of_motion_and_reference_add(table_one: TableOne, speckle_draws: FloatArray) -> None:
     motion, reference = (coherent(table_one.gate(_noisy(speckle_draws[k], 1, 20.0, k)[0])) for k in (0, 1))
-    found = relative_to(motion, reference).variance_m2
-    np.testing.assert_allclose(found, motion.variance_m2 + reference.variance_m2, rtol=1e-12)
+    variance_m2 = relative_to(motion, reference).variance_m2
+    np.testing.assert_allclose(variance_m2, motion.variance_m2 + reference.variance_m2, rtol=1e-12)
 
 
 def test_the_step_noise_ratio_of_added_steps_is_the_mean_of_both_gates(
@@ -179,18 +180,18 @@ def test_the_step_noise_ratio_of_added_steps_is_the_mean_of_both_gates(
     )
 
 
-def test_pulses_taken_out_of_a_gate_are_taken_for_missing(table_one: TableOne, speckle_draws: FloatArray) -> None:
-    out = np.arange(100) % 9 == 4
-    fewer, marked = table_one.gate(speckle_draws[0]).without(out), table_one.gate(speckle_draws[0], ~out)
-    np.testing.assert_array_equal(coherent(fewer).displacement_m, coherent(marked).displacement_m)
+def test_pulses_removed_from_a_gate_are_like_missing_pulses(table_one: TableOne, speckle_draws: FloatArray) -> None:
+    excluded = np.arange(100) % 9 == 4
+    removed, marked = table_one.gate(speckle_draws[0]).without(excluded), table_one.gate(speckle_draws[0], ~excluded)
+    np.testing.assert_array_equal(coherent(removed).displacement_m, coherent(marked).displacement_m)
 
 
-def test_noise_of_a_long_train_is_that_of_its_echoes_where_added_steps_have_walked_off(table_one: TableOne) -> None:
-    still = replace(table_one, pulses=3000)
-    echoes = _noisy(still.rigid(np.zeros(3000)), 1, 0.0, 1)[0]
+def test_accumulated_step_errors_do_not_raise_the_noise_of_a_long_coherent_train(table_one: TableOne) -> None:
+    long_train = replace(table_one, pulses=3000)
+    echoes = _noisy(long_train.rigid(np.zeros(3000)), 1, 0.0, 1)[0]
     bound_m = 1540 / (4 * np.pi * 9e6) / np.sqrt(130)
-    # 3000 pulses know it to 1.3 %; aligned once, by a first guess that is off by 5 rad at the end, it is 7.5 % above
-    assert coherent(still.gate(echoes)).displacement_m.std() < 1.05 * bound_m
+    # 3000 pulses measure it to 1.3 %; aligned once, by a first guess with an error of 5 rad at the end, it is 7.5 % above
+    assert coherent(long_train.gate(echoes)).displacement_m.std() < 1.05 * bound_m
 
 
 def test_motion_and_reference_of_different_records_are_refused(table_one: TableOne) -> None:
@@ -200,7 +201,7 @@ def test_motion_and_reference_of_different_records_are_refused(table_one: TableO
 
 
 def _shifted(base: FloatArray, displacement_m: FloatArray) -> FloatArray:
-    """A rigid medium's records: one long echo, delayed by the exact phase of every frequency."""
+    """Return the records of a rigid medium: one long echo, delayed by the exact phase of every frequency."""
     delay_s = 2 * displacement_m[:, None] / 1540.0
     frequency_hz = np.fft.rfftfreq(base.size, 1e-8)
     return np.fft.irfft(np.fft.rfft(base) * np.exp(-2j * np.pi * frequency_hz * delay_s), base.size)
@@ -224,13 +225,13 @@ def test_100_nm_survive_5_mm_of_background_motion_at_1_hz(estimator: Estimator) 
     assert np.sqrt(fit.covariance[0, 0, 0]) < 5e-9
 
 
-def test_echoes_that_leave_the_records_are_told(table_one: TableOne) -> None:
+def test_echoes_that_leave_the_records_are_refused(table_one: TableOne) -> None:
     volts = _shifted(table_one.rigid(np.zeros(1), 0.2)[0], np.linspace(0, 1e-3, 100))
     with pytest.raises(ValueError, match="a record has 130"):
         track_gate(table_one.gate(volts), slice(0, 130))
 
 
-def test_an_acceleration_of_1_m_per_s2_is_fitted_along(table_one: TableOne) -> None:
+def test_an_acceleration_of_1_m_per_s2_is_fitted_as_background(table_one: TableOne) -> None:
     time_s = table_one.pulse_time_s
     # 25 ms: 0.31 mm; the pulse stays in the 1 mm gate
     drifting = table_one.gate(table_one.rigid(_sine(table_one, 1e-7) + 0.5 * time_s**2 - 0.15e-3, 0.2))
@@ -254,8 +255,8 @@ def test_scale_constant_order_and_origin_do_not_matter(
     order = np.random.default_rng(seed).permutation(3)
     echoes = table_one.gate(speckle_draws[:3])
     volts = gain * (speckle_draws[:3][order] + lift)
-    moved = replace(table_one.gate(volts), pulse_time_s=echoes.pulse_time_s + shift * 1e-3)
-    plain, changed = (estimate(each, [200.0], estimator) for each in (echoes, moved))
+    transformed = replace(table_one.gate(volts), pulse_time_s=echoes.pulse_time_s + shift * 1e-3)
+    plain, changed = (estimate(gate, [200.0], estimator) for gate in (echoes, transformed))
     np.testing.assert_allclose(changed.amplitude_m, plain.amplitude_m[order], rtol=1e-8)
     turn = np.angle(np.exp(1j * (changed.phase_rad - plain.phase_rad[order] + 2 * np.pi * 200 * shift * 1e-3)))
     np.testing.assert_allclose(turn, 0, atol=1e-8)

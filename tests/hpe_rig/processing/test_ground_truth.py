@@ -7,7 +7,7 @@ from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.processing.ground_truth import true_harmonics_m
 from hpe_rig.runs.run import open_run
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene import shipped_scenes
 
 TABLE_1 = shipped_scenes()["table-1"]
 

@@ -18,14 +18,16 @@ from hpe_rig.processing import (
     HarmonicFit,
     MediumPrior,
     coherent,
-    drift_between_halves,
     fit_motion,
     options_of,
     shot_echoes,
     shot_prior,
 )
-from hpe_rig.processing.echo.echoes import Motion
-from hpe_rig.processing.shots import _medium_warnings, averaging_seen, margin_needed
+from hpe_rig.processing.harmonics.stationarity import drift_between_halves
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.shot_fit import posterior_averaging, shot_averaging
+from hpe_rig.processing.shot_motion import margin_needed
+from hpe_rig.processing.shot_warnings import medium_warnings
 from hpe_rig.result import Result
 from hpe_rig.runs import Run
 from hpe_rig.scene import Scene, SettingsError
@@ -66,7 +68,7 @@ def quadratures_m(fit: HarmonicFit) -> NDArray[np.float64]:
 
 def test_all_harmonics_cost_hardly_more_than_one_sinusoid() -> None:
     fit, plain = fitted(run().scene), fitted(run().scene.with_({"processing.harmonic": "least_squares"}))
-    sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
+    sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)
     stated = quadratures_m(fit) / sinusoid_m
     assert np.sqrt(np.mean(stated**2)) < 1.12
     # 1.07 of noise and 0.12 of aliasing make 1.08 (docs/explanation/medium-prior.md), of the same residual
@@ -83,7 +85,7 @@ def test_the_kalman_filter_says_the_same_and_raises_no_alarm() -> None:
     filtered = fitted(run().scene.with_({"processing.harmonic": "kalman"}))
     largest = np.abs(batch.state).max()
     np.testing.assert_allclose(filtered.state, batch.state, atol=1e-9 * largest)
-    found = filtered.innovations
+    found = filtered.quality.innovations
     assert found is not None
     assert abs(found.autocorrelation) < found.autocorrelation_tolerance
 
@@ -110,9 +112,9 @@ def test_the_motion_tells_how_much_of_the_peak_is_tracked() -> None:
     for index, (before, true) in enumerate(
         zip(predicted_averaging(scene, "coherent"), predicted_averaging(own, "coherent"), strict=True)
     ):
-        after = averaging_seen(fit, index, before)
         assert before is not None
-        assert after is not None
+        assert fit.medium is not None
+        after = posterior_averaging(fit.medium, index, before)
         assert true is not None
         assert abs(after.factor - true.factor) < 2 * after.factor_uncertainty
         assert abs(after.phase_rad - true.phase_rad) < 2 * after.phase_uncertainty_rad
@@ -125,7 +127,7 @@ def test_the_result_takes_the_medium_from_the_motion_not_from_the_twin() -> None
     result: Result = run().estimate("coherent")
     factors = [each.averaging_factor for each in result.shots[0].estimates]
     fit, before = fitted(run().scene), predicted_averaging(run().scene, "coherent")
-    after = [averaging_seen(fit, index, each) for index, each in enumerate(before)]
+    after = shot_averaging(run().scene, fit, before)
     assert factors == pytest.approx([each.factor for each in after if each is not None], rel=1e-9)
     assert result.shots[0].warnings == ()
 
@@ -139,8 +141,8 @@ def test_a_declared_medium_narrows_the_ensemble_and_a_wrong_one_is_told() -> Non
     assert right.aliasing is not None
     assert unknown.aliasing is not None
     assert np.trace(right.aliasing.sum(axis=0)) < np.trace(unknown.aliasing.sum(axis=0))
-    assert list(_medium_warnings(right, 0.01)) == list(_medium_warnings(unknown, 0.01)) == []
-    (line,) = _medium_warnings(wrong, 0.01)
+    assert list(medium_warnings(right, 0.01)) == list(medium_warnings(unknown, 0.01)) == []
+    (line,) = medium_warnings(wrong, 0.01)
     for word in ("outside the ensemble", "[medium]", "[beams]", "window_start_s", '"least_squares"'):
         assert word in line
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from hpe_rig import measure
-from hpe_rig.bench.bench_file import read_bench
-from hpe_rig.measurement.setup import planned
+from hpe_rig.bench import read_bench
+from hpe_rig.measurement.setup import plan_and_check
 from hpe_rig.processing import Motion, least_squares
-from hpe_rig.processing.shots import _fit_warnings, _setting_warnings
-from hpe_rig.scene.scene import Scene, load_scene, parse_scene, scene_text
+from hpe_rig.processing.shot_warnings import fit_warnings, setting_warnings
+from hpe_rig.scene import Scene, load_scene, parse_scene, scene_text
 
 
 def _scene(bursts: int) -> Scene:
@@ -28,12 +28,12 @@ def _motion(amplitude_m: float) -> Motion:
 
 
 def test_a_harmonic_below_three_uncertainties_is_named_and_no_other() -> None:
-    found = list(_fit_warnings(least_squares(_motion(1e-7), [200.0, 300.0]), 0.1))
+    found = list(fit_warnings(least_squares(_motion(1e-7), [200.0, 300.0]), 0.1))
     assert len(found) == 1
     assert "not significant at 300 Hz" in found[0]
-    assert not list(_fit_warnings(least_squares(_motion(1e-7), [200.0]), 0.1))
+    assert not list(fit_warnings(least_squares(_motion(1e-7), [200.0]), 0.1))
     # noise of 10 nm over 400 pulses: 0.7 nm, so 3.5 nm is five times that
-    assert not list(_fit_warnings(least_squares(_motion(3.5e-9), [200.0]), 0.1))
+    assert not list(fit_warnings(least_squares(_motion(3.5e-9), [200.0]), 0.1))
 
 
 def test_a_step_near_a_quarter_wavelength_is_a_warning(tmp_path: Path) -> None:
@@ -49,15 +49,15 @@ def test_a_step_near_a_quarter_wavelength_is_a_warning(tmp_path: Path) -> None:
 
 def test_one_toneburst_and_pulses_after_the_last_are_told() -> None:
     time_s = np.arange(400) / 4000
-    found = planned(_scene(1), read_bench().bench)[1]
+    found = plan_and_check(_scene(1), read_bench().bench)[1]
     assert [str(each) for each in found if each.level == "warning" and "one toneburst leaves" in str(each)]
     # 5 bursts at 100 Hz end after 50 of the 100 ms; 20 go on
-    assert "199 of 400 pulses come after the last toneburst" in next(_setting_warnings(_scene(5), time_s, None))
-    assert not list(_setting_warnings(_scene(20), time_s, None))
+    assert "199 of 400 pulses come after the last toneburst" in next(setting_warnings(_scene(5), time_s, None))
+    assert not list(setting_warnings(_scene(20), time_s, None))
 
 
 def test_a_reference_gate_without_echo_is_told() -> None:
     time_s, still = np.arange(400) / 4000, replace(_motion(0.0), largest_step=0.1)
-    assert not list(_setting_warnings(_scene(20), time_s, still))
+    assert not list(setting_warnings(_scene(20), time_s, still))
     noise = replace(still, largest_step=0.98)
-    assert "reference_gate_depth_m" in next(_setting_warnings(_scene(20), time_s, noise))
+    assert "reference_gate_depth_m" in next(setting_warnings(_scene(20), time_s, noise))

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from sphere import sphere_phasors
 
 import hpe_rig as hpe
-from hpe_rig.bench.twin import contradictions
+from hpe_rig.bench import contradictions
 from hpe_rig.medium import RigidSphere, medium_ensemble
-from hpe_rig.medium.ensemble import _even_sequence, _modulus
+from hpe_rig.medium.ensemble import prior_modulus
 from hpe_rig.moduli import push_of
 from hpe_rig.runs import Run
 from hpe_rig.scene import SettingsError
@@ -38,7 +38,7 @@ def test_between_its_nodes_a_members_resonance_is_kept() -> None:
     hz = 100.0 * np.arange(1.0, 401.0)
     s = np.asarray(2j * np.pi * hz)
     found = medium_ensemble(STEEL, 100.0, 4e4)
-    exact = STEEL.response(_modulus(s, _even_sequence(240, 5)), 1000.0, s)
+    exact = STEEL.response(prior_modulus(s, 240), 1000.0, s)
     off = np.linalg.norm(found.tracked @ found.interpolation(hz).T - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert off.max() < 2e-4
     assert np.array_equal(found.tracked, found.peak)
@@ -83,7 +83,7 @@ def test_least_squares_say_what_aliases_in_their_u(run: Run) -> None:
 
 
 def test_a_run_of_a_sphere_has_no_gates_over_depth(run: Run) -> None:
-    with pytest.raises(SettingsError, match="gates over depth see the medium"):
+    with pytest.raises(SettingsError, match="gates over depth measure the medium"):
         run.with_profile(1e-3)
 
 
@@ -98,7 +98,7 @@ def test_a_scene_has_a_sphere_or_beams_and_check_says_where_the_twins_is_another
     assert undeclared.without_prior == "the scene has no [beams]"
     with pytest.raises(SettingsError, match=r"\[sphere\] moves as a whole"):
         scene.with_({"beams": {"excitation_width_m": [1e-3] * 3, "tracking_width_m": [1e-3] * 3}})
-    with pytest.raises(SettingsError, match="gates over depth see the medium"):
+    with pytest.raises(SettingsError, match="gates over depth measure the medium"):
         scene.with_({"processing.gate_profile_step_m": 1e-3})
     with pytest.raises(SettingsError, match="a rigid sphere moves") as refused:
         push_of([scene])

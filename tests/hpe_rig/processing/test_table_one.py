@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.processing import HarmonicFit, estimate
 from hpe_rig.validation.accuracy.motion import MotionCase, twin_echoes
 
@@ -84,7 +83,8 @@ def test_cross_spectrum_jitter_is_half_again_the_bound_and_reaches_that_of_the_n
     table_one: TableOne, speckle_draws: FloatArray
 ) -> None:
     jitter_m = _jitters_m(table_one, speckle_draws, 20, 20.0, "cross_spectrum")
-    bound_m, _ = harmonic_bound(1e-6, 130, 100, 100.0, 9e6, 1540.0)
+    # Phase variance 1 / (130 SNR) of one echo, 2 / 100 of it in each quadrature.
+    bound_m = 1540.0 / (4 * np.pi * 9e6) * np.sqrt(2 / (100 * 130 * 100.0))
     # Hann gate 1.22 and Hann slow time 1.23 (theory 2 and 3); the median of 30 jitters, each known to 1/sqrt(38) =
     # 16 % and differing by draw as much again, is known to 1.25 x 0.22 / sqrt(30) = 5 %; three of these
     assert np.median(jitter_m) / bound_m == pytest.approx(1.22 * 1.23, rel=0.15)

@@ -7,11 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.medium.ensemble import BeamWidths, medium_ensemble
-from hpe_rig.processing.echo.echoes import Motion
 from hpe_rig.processing.estimators import Options, fit_motion
-from hpe_rig.processing.harmonics.aliasing_error import with_unresolved
+from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, harmonic_range_hz, medium_prior
+from hpe_rig.processing.shot_fit import HarmonicFitter
+from hpe_rig.processing.motion.displacement import Motion
 
 BEAMS = BeamWidths((0.17e-3, 0.17e-3, 1.80e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.27e-3)
 BURST_HZ, LENGTH_S = 100.0, 100e-6
@@ -29,6 +30,10 @@ def prior() -> MediumPrior:
     return medium_prior(BEAMS, BURST_HZ, LENGTH_S)
 
 
+def fitter(estimator: str, driven_hz: NDArray[np.float64]) -> HarmonicFitter:
+    return HarmonicFitter(tuple(WANTED_HZ.tolist()), estimator, tuple(driven_hz.tolist()), Options())
+
+
 def other_media(count: int) -> NDArray[np.float64]:
     """Return responses (medium, direction) of media between those of the prior: the next ones of its sequence."""
     ensemble = medium_ensemble(BEAMS, *harmonic_range_hz(BURST_HZ), members=240 + count)
@@ -39,8 +44,8 @@ def other_media(count: int) -> NDArray[np.float64]:
 def fits(prior: MediumPrior, estimator: str, count: int = 60) -> tuple[list[HarmonicFit], NDArray[np.float64]]:
     """Return the fits of other media's motions, in noise, and their true states (medium, state)."""
     random, valid = np.random.default_rng(5), np.ones(PULSES.size, dtype=bool)
-    places = prior.places(WANTED_HZ)
-    directions, basis = prior.columns(PULSES, places)[0], prior.states(places)
+    places = prior.harmonic_indices(WANTED_HZ)
+    directions, basis = prior.sampled_motions(PULSES, places)[0], prior.states(places)
     found, true = [], []
     for response in other_media(count):
         moved = directions @ response
@@ -48,7 +53,7 @@ def fits(prior: MediumPrior, estimator: str, count: int = 60) -> tuple[list[Harm
         displacement_m = scale * moved + NOISE_M * random.standard_normal(moved.size)
         motion = Motion(PULSES, displacement_m, np.full(moved.size, NOISE_M**2), valid)
         fit = fit_motion(motion, WANTED_HZ, estimator, DRIVEN_HZ)
-        found.append(with_unresolved(fit, motion, prior, estimator, DRIVEN_HZ, Options()))
+        found.append(with_aliasing_error(fit, motion, prior, fitter(estimator, DRIVEN_HZ)))
         true.append(scale * basis @ response)
     return found, np.array(true)
 
@@ -68,9 +73,9 @@ def test_least_squares_and_the_paper_s_chain_state_their_aliasing(prior: MediumP
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
 def test_what_the_prior_tells_of_the_aliasing_is_taken_off(prior: MediumPrior, estimator: str) -> None:
     each, true = fits(prior, estimator)
-    unaliased = [fit.unaliased for fit in each if fit.unaliased is not None]
-    before, after = (np.array([fit.state[:20] for fit in some]) - true for some in (each, unaliased))
-    stated = np.array([np.diagonal(fit.state_covariance)[:20] for fit in unaliased])
+    aliasing_corrected = [fit.aliasing_corrected for fit in each if fit.aliasing_corrected is not None]
+    before, after = (np.array([fit.state[:20] for fit in some]) - true for some in (each, aliasing_corrected))
+    stated = np.array([np.diagonal(fit.state_covariance)[:20] for fit in aliasing_corrected])
     # as above
     assert np.mean(after**2 / stated) == pytest.approx(1.0, abs=0.55)
     assert np.mean(after**2) < np.mean(before**2) / 9
@@ -85,7 +90,7 @@ def test_the_estimate_itself_stays_as_it_is(prior: MediumPrior) -> None:
         valid,
     )
     fit = fit_motion(motion, WANTED_HZ, "cross_spectrum")
-    after = with_unresolved(fit, motion, prior, "cross_spectrum", np.zeros(0), Options())
+    after = with_aliasing_error(fit, motion, prior, fitter("cross_spectrum", np.zeros(0)))
     np.testing.assert_array_equal(after.amplitude_m, fit.amplitude_m)
     np.testing.assert_array_equal(after.phase_rad, fit.phase_rad)
     assert (after.covariance[:, 0, 0] > fit.covariance[:, 0, 0]).all()

@@ -13,18 +13,19 @@ from scipy.special import chdtri
 from hpe_rig.processing import (
     HarmonicFit,
     Motion,
-    Velocity,
     coherent,
-    drift_between_halves,
     kalman,
     least_squares,
     velocity_to_harmonics,
 )
-from hpe_rig.processing.echo.echoes import EchoGate
-from hpe_rig.processing.harmonics.harmonic_fit import of_changes
+from hpe_rig.processing.echo.gate import EchoGate
+from hpe_rig.processing.harmonics.harmonic_fit import difference_noise_moments
 from hpe_rig.processing.harmonics.model import linear_model
+from hpe_rig.processing.harmonics.stationarity import drift_between_halves
 from hpe_rig.processing.harmonics.velocity_chain import LIKELIHOOD_GAIN, _residual_spectrum, velocity_noise
-from hpe_rig.result import PHASE_VARIANCE_LIMIT, coverage_factor
+from hpe_rig.processing.motion.displacement import Velocity
+from hpe_rig.result import PHASE_VARIANCE_LIMIT
+from hpe_rig.result.interval import coverage_factor
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ def test_ten_harmonics_and_a_constant_are_recovered_at_once(estimator: object) -
     # least squares is exact; the Kalman filter's prior of 1e10 pulls by 1e-10 of the constant and a rounding of 1e-7
     np.testing.assert_allclose(fit.amplitude_m, AMPLITUDES, rtol=1e-6)
     np.testing.assert_allclose(fit.phase_rad, PHASES, atol=1e-6)
-    assert fit.background_m == pytest.approx(5e-6, rel=1e-9, abs=0)
+    assert fit.state[2 * len(HARMONICS)] == pytest.approx(5e-6, rel=1e-9, abs=0)
 
 
 def test_times_with_an_offset_of_1e5_s_lose_no_phase() -> None:
@@ -77,7 +78,7 @@ def test_kalman_without_process_noise_equals_least_squares_with_gaps() -> None:
     # the prior, 1e10 times the noise variance, pulls states by 1e-10; rounding of Potter's form adds as much
     np.testing.assert_allclose(recursive.state, batch.state, rtol=1e-6, atol=1e-15)
     np.testing.assert_allclose(recursive.covariance, batch.covariance, rtol=1e-5, atol=1e-30)
-    assert recursive.pulses == int(valid.sum())
+    assert recursive.quality.pulses == int(valid.sum())
 
 
 def test_kalman_with_process_noise_follows_an_amplitude_that_steps() -> None:
@@ -103,7 +104,7 @@ def test_stated_covariance_of_least_squares_is_true() -> None:
     generator = np.random.default_rng(5)
     truth = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 1.1)
     fit = least_squares(_motion(truth + 1e-7 * generator.standard_normal((20000, 100)), time_s), [200.0, 400.0])
-    assert (fit.freedom == 95).all()
+    assert (fit.quality.degrees_of_freedom == 95).all()
     # 20000 draws: a variance of 1 is known to sqrt(2/20000) = 0.01; three sigma
     for error, variance in (
         (fit.amplitude_m[:, 0] - 1e-6, fit.covariance[:, 0, 0, 0]),
@@ -121,12 +122,14 @@ def _filtered(noise: FloatArray, time_s: FloatArray) -> HarmonicFit:
 
 
 def _steps(noise: FloatArray, time_s: FloatArray) -> HarmonicFit:
-    return least_squares(replace(_motion(noise, time_s), walk=np.zeros(len(noise))), [700.0])
+    return least_squares(replace(_motion(noise, time_s), step_noise_ratio=np.zeros(len(noise))), [700.0])
 
 
 def _walk(noise: FloatArray, time_s: FloatArray) -> HarmonicFit:
     walks = np.cumsum(np.sqrt(3) * np.random.default_rng(8).standard_normal(noise.shape), axis=1)
-    return least_squares(replace(_motion(noise + 1e-8 * walks, time_s), walk=np.full(len(noise), 3.0)), [700.0])
+    return least_squares(
+        replace(_motion(noise + 1e-8 * walks, time_s), step_noise_ratio=np.full(len(noise), 3.0)), [700.0]
+    )
 
 
 def _chain(noise: FloatArray, time_s: FloatArray) -> HarmonicFit:
@@ -145,7 +148,7 @@ def test_intervals_of_few_pulses_hold_the_truth_as_often_as_those_of_many(
     """
     time_s = np.arange(pulses) / 4000
     found = fit(1e-8 * np.random.default_rng(pulses).standard_normal((20000, pulses)), time_s)
-    factor = coverage_factor(float(np.ravel(found.freedom)[0]))
+    factor = coverage_factor(float(np.ravel(found.quality.degrees_of_freedom)[0]))
     u = np.sqrt(np.diagonal(found.state_covariance, axis1=-2, axis2=-1)[:, :2])
     exact = fit in (_white, _filtered)
     within = np.abs(found.state[:, :2]) < factor * u
@@ -161,7 +164,7 @@ def test_freedom_of_changes_is_that_of_their_covariance_written_out(valid: NDArr
     changes = np.diff(np.eye(len(columns)), axis=0)
     left = changes @ (np.eye(len(columns)) - columns @ np.diag(taken) @ columns.T)
     covariance = left @ left.T
-    energy, freedom = of_changes(columns, taken, np.array(0.0))
+    energy, freedom = difference_noise_moments(columns, taken, np.array(0.0))
     assert energy == pytest.approx(np.trace(covariance), rel=1e-12)
     assert freedom == pytest.approx(np.trace(covariance) ** 2 / np.sum(covariance**2), rel=1e-12)
     velocity = Velocity(time_s[:-1], np.diff(time_s), np.where(valid, 1.0, np.nan)[:-1], valid[:-1])
@@ -169,7 +172,7 @@ def test_freedom_of_changes_is_that_of_their_covariance_written_out(valid: NDArr
     own = np.diff(np.eye(valid.size), axis=0)[velocity.valid]
     q = fitted.matrix @ fitted.root
     off = (np.eye(len(q)) - q @ q.T) @ own
-    found = velocity_noise(velocity, fitted, np.array([300.0]), 1 / 4000)[2]
+    found = velocity_noise(velocity, fitted, np.array([300.0]), 1 / 4000).degrees_of_freedom
     assert found == pytest.approx(np.trace(off @ off.T) ** 2 / np.sum((off @ off.T) ** 2), rel=1e-9)
 
 
@@ -326,7 +329,7 @@ def test_harmonics_fitted_along_are_no_residual_up_to_half_the_pulse_rate() -> N
     np.testing.assert_allclose(along.phase_rad, PHASES[:3], atol=1e-9)
     assert along.state.shape == (7,)
     # what is left is rounding, against the rms of all that was not asked for
-    assert along.residual_rms_m < 1e-9 * alone.residual_rms_m
+    assert along.quality.residual_rms_m < 1e-9 * alone.quality.residual_rms_m
 
 
 def test_harmonics_above_half_the_pulse_rate_are_told_apart_when_the_pulses_shift_from_period_to_period() -> None:
@@ -364,7 +367,9 @@ def test_accumulated_steps_count_every_state_that_is_fitted(driven: int) -> None
     time_s = np.arange(160) / 16e3
     noise = 1e-9 * generator.standard_normal((trials, 160))
     noise += np.cumsum(np.sqrt(walk) * 1e-9 * generator.standard_normal((trials, 160)), axis=1)
-    motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(160, dtype=bool), walk=np.full(trials, walk))
+    motion = Motion(
+        time_s, noise, np.full(noise.shape, 1e-18), np.ones(160, dtype=bool), step_noise_ratio=np.full(trials, walk)
+    )
     driven_hz = 100.0 * np.arange(11, 11 + driven)
     fit = least_squares(motion, HARMONICS, also_hz=driven_hz)
     stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20]
@@ -378,7 +383,7 @@ def test_one_pulse_more_than_states_states_an_uncertainty() -> None:
     walk = np.full(500, 0.2)
     noise = np.random.default_rng(1).standard_normal((500, 22)) * 1e-9
     noise += np.cumsum(np.random.default_rng(2).standard_normal((500, 22)) * np.sqrt(0.2) * 1e-9, axis=1)
-    motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(22, dtype=bool), walk=walk)
+    motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(22, dtype=bool), step_noise_ratio=walk)
     fit = least_squares(motion, 190.0 * np.arange(1, 11), largest_condition=np.inf)
     stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20]
     assert np.isfinite(stated).all()

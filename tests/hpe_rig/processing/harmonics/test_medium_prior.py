@@ -12,28 +12,29 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.medium import PushForce, aperture_force, shear_motion
-from hpe_rig.medium.ensemble import (
+from hpe_rig.medium import (
     BeamWidths,
+    HarmonicMedium,
     KnownMedium,
-    _even_sequence,
-    _modulus,
-    displacement,
-    displacement_and_slope,
+    PushForce,
+    TrackedRegion,
+    aperture_force,
     medium_ensemble,
+    shear_motion,
+    tracked_motion,
 )
-from hpe_rig.prediction.beam_averaging import medium_motion
+from hpe_rig.medium.ensemble import prior_modulus
+from hpe_rig.medium.focal_field import focal_displacement, focal_displacement_and_slope
 from hpe_rig.processing import Motion, harmonic_columns, least_squares
-from hpe_rig.processing.harmonics.medium_prior import (
-    FREEDOM,
-    LEAST_SHARE,
-    WEIGHT,
+from hpe_rig.processing.harmonics.medium_fit import (
+    MIN_RELATIVE_MOTION,
+    PRIOR_WIDENING,
     MediumFit,
     medium_fit,
     medium_kalman,
-    medium_prior,
-    seen_by,
 )
+from hpe_rig.processing.harmonics.medium_prior import medium_prior
+from hpe_rig.processing.harmonics.projected_prior import HARMONIC_DEVIATION, project_prior
 from sim_backend.motion.specimen import frequency_response
 from sim_backend.settings import Specimen
 
@@ -95,7 +96,7 @@ def power_law(modulus_pa: float, power: float) -> ComplexArray:
 def harmonics(modulus_pa: ComplexArray, wider: float = 1.0, rms_m: float = RMS_M) -> tuple[ComplexArray, ComplexArray]:
     """Return A exp(j phase) of tracked and peak motion (harmonic,) under the bursts, of ``rms_m`` as tracked."""
     width_m = (FORCE_M[0] * wider, FORCE_M[1] * wider, FORCE_M[2] * wider)
-    moved = medium_motion(modulus_pa, 1000.0, RATE_HZ * HARMONIC, width_m, TRACKING_M, DEPTH_M)
+    moved = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), BeamWidths(width_m, TRACKING_M, DEPTH_M))
     duty = RATE_HZ * LENGTH_S
     force = 1j * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
     unit = rms_m / np.sqrt(np.sum(np.abs(force * moved[0]) ** 2) / 2)
@@ -163,7 +164,7 @@ def test_the_ensembles_displacement_is_the_twins() -> None:
     frequency_hz = np.geomspace(50, 40e3, 40)
     modulus_pa = 9e3 + 2j * np.pi * frequency_hz * 2.0
     shear_k2 = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    found = displacement(shear_k2[None], np.array([FORCE_M[0] ** 2]), np.array([FORCE_M[2] ** 2]))[0] / modulus_pa
+    found = focal_displacement(shear_k2[None], np.array([FORCE_M[0] ** 2]), np.array([FORCE_M[2] ** 2]))[0] / modulus_pa
     truth = frequency_response(specimen, FORCE_M, frequency_hz)
     np.testing.assert_allclose(found / found[0], truth / truth[0], rtol=5e-4)
 
@@ -175,9 +176,9 @@ def test_the_displacements_slope_is_its_change_with_the_width() -> None:
     shear_k2, lateral, axial = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa, FORCE_M[0] ** 2, FORCE_M[2] ** 2
 
     def at_width(scale: float) -> ComplexArray:
-        return displacement(shear_k2, np.full(2, scale * lateral), np.full(2, axial), 96)
+        return focal_displacement(shear_k2, np.full(2, scale * lateral), np.full(2, axial), 96)
 
-    value, slope = displacement_and_slope(shear_k2, np.full(2, lateral), np.full(2, axial), 96)
+    value, slope = focal_displacement_and_slope(shear_k2, np.full(2, lateral), np.full(2, axial), 96)
     np.testing.assert_array_equal(value, at_width(1.0))
     change = (at_width(1.001) - at_width(0.999)) / 2e-3
     assert np.abs(lateral * slope / change - 1).max() < 1e-5
@@ -192,7 +193,7 @@ def test_between_its_nodes_a_medium_is_interpolated() -> None:
 
 
 def test_columns_are_those_of_every_harmonic() -> None:
-    directions, columns = PRIOR.columns(SHIFTING.time_s, range(10))
+    directions, columns = PRIOR.sampled_motions(SHIFTING.time_s, range(10))
     every = harmonic_columns(SHIFTING.time_s, PRIOR.frequency_hz)
     np.testing.assert_allclose(directions, every @ PRIOR.states(range(400)), atol=1e-10 * np.abs(directions).max())
     np.testing.assert_allclose(columns, every[:, :20], atol=1e-11)
@@ -209,13 +210,13 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pu
     states = PRIOR.states(range(400)) @ PRIOR.root
     power = np.sum(states[:20] ** 2, axis=1).reshape(-1, 2).mean(axis=1)
     start = states @ states.T
-    start[np.arange(20), np.arange(20)] += FREEDOM**2 * np.repeat(power, 2)
+    start[np.arange(20), np.arange(20)] += HARMONIC_DEVIATION**2 * np.repeat(power, 2)
     # what stands still is left out by combinations of pulses that do not see it
     still = np.linalg.svd(np.ones((1, used.sum())))[2][1:]
     seen = still @ columns
     for index in range(2):
         scale, variance = found.evidence.scale_m[index], found.evidence.total_m2[index]
-        prior = (WEIGHT * scale) ** 2 * start
+        prior = (PRIOR_WIDENING * scale) ** 2 * start
         total = seen @ prior @ seen.T + variance * np.eye(len(still))
         gain = np.linalg.solve(total, seen @ prior[:, :20]).T
         estimate = gain @ (still @ motion.displacement_m[index, used])
@@ -225,7 +226,7 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pu
         np.testing.assert_allclose(found.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
     np.testing.assert_allclose(found.noise_m2 + found.aliasing_m2, found.fit.state_covariance)
     # white and of unit variance but for the sharper start that weights of three times the scale deserve
-    test = filtered.fit.innovations
+    test = filtered.fit.quality.innovations
     assert test is not None
     assert 0.85 < np.mean(test.nis / found.evidence.variance_m2) < 1.1
     assert np.abs(test.autocorrelation.mean()) < 0.15
@@ -441,7 +442,7 @@ def test_accumulated_steps_state_their_random_walk() -> None:
     shape = (200, SHIFTING.time_s.size)
     noise = 40e-9 * generator.standard_normal(shape)
     noise += np.cumsum(np.sqrt(walk) * 40e-9 * generator.standard_normal(shape), axis=-1)
-    motion = replace(SHIFTING.motion(at(SHIFTING, wave) + noise), walk=np.full(200, walk))
+    motion = replace(SHIFTING.motion(at(SHIFTING, wave) + noise), step_noise_ratio=np.full(200, walk))
     over_u = errors(medium_fit(motion, WANTED_HZ, PRIOR), wave)
     assert 0.75 < np.mean(over_u**2) < 1.3
 
@@ -458,8 +459,8 @@ def test_frequencies_off_the_bursts_harmonics_and_too_few_pulses_are_refused() -
 
 
 def test_a_train_of_the_same_times_is_not_worked_out_again() -> None:
-    first = seen_by(PRIOR, SHIFTING.time_s, SHIFTING.valid, WANTED_HZ)
-    assert seen_by(PRIOR, SHIFTING.time_s.copy(), SHIFTING.valid.copy(), WANTED_HZ) is first
+    first = project_prior(PRIOR, SHIFTING.time_s, SHIFTING.valid, WANTED_HZ)
+    assert project_prior(PRIOR, SHIFTING.time_s.copy(), SHIFTING.valid.copy(), WANTED_HZ) is first
     assert medium_prior(BEAMS, RATE_HZ, LENGTH_S) is medium_prior(BEAMS, RATE_HZ, LENGTH_S)
 
 
@@ -471,27 +472,27 @@ def test_pulses_of_one_instant_are_told_however_long_the_train(
     for delay_s in (0.0, 131e-6):
         # a minute, in whose last periods an angle is known to 1e-11, and the middle of a period, where it turns over
         time_s = delay_s + np.arange(round(60 * pulse_rate_hz)) / pulse_rate_hz
-        assert prior.instants(time_s) == pytest.approx(instants, rel=1e-9)
+        assert prior.instant_count(time_s) == pytest.approx(instants, rel=1e-9)
 
 
 def test_imported_times_that_jitter_are_still_of_one_instant() -> None:
     """50 ns: far less than any harmonic takes, and what the model leaves untold is the same in every period."""
     time_s = np.arange(6000) / 5000.0 + 50e-9 * np.random.default_rng(5).standard_normal(6000)
-    assert PRIOR.instants(time_s) == pytest.approx(50, rel=1e-9)
+    assert PRIOR.instant_count(time_s) == pytest.approx(50, rel=1e-9)
     everywhere = np.sort(np.random.default_rng(6).uniform(0, 1, 40_000))
-    assert 6_500 < PRIOR.instants(everywhere) < 10_000
+    assert 6_500 < PRIOR.instant_count(everywhere) < 10_000
 
 
 @pytest.mark.parametrize("order", [0, 1])
 def test_pulses_that_come_again_are_seen_as_each_alone(order: int) -> None:
     """Every instant's rows once, or with a background of order 1, which moves on, every pulse's."""
     watched = AT_4000
-    seen = seen_by(PRIOR, watched.time_s, watched.valid, WANTED_HZ, order)
+    seen = project_prior(PRIOR, watched.time_s, watched.valid, WANTED_HZ, order)
     used = watched.time_s[watched.valid]
-    rows, own = PRIOR.columns(used, range(10))
+    rows, own = PRIOR.sampled_motions(used, range(10))
     power = np.sum((PRIOR.states(range(10)) @ PRIOR.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
-    factor = np.hstack([rows @ PRIOR.root, own * FREEDOM * np.sqrt(np.repeat(power, 2))])
-    np.testing.assert_allclose(seen.factor[seen.again], factor, atol=1e-12 * np.abs(factor).max())
+    factor = np.hstack([rows @ PRIOR.root, own * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
+    np.testing.assert_allclose(seen.factor[seen.repeats], factor, atol=1e-12 * np.abs(factor).max())
     moving = factor - seen.background @ (seen.background.T @ factor)
     np.testing.assert_allclose((seen.left * seen.value) @ seen.right, moving, atol=1e-9 * seen.value[0])
     np.testing.assert_allclose(seen.left.T @ seen.left, np.eye(seen.value.size), atol=1e-4)
@@ -499,7 +500,7 @@ def test_pulses_that_come_again_are_seen_as_each_alone(order: int) -> None:
 
 @pytest.mark.parametrize("watched", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
 def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(watched: Pulses) -> None:
-    seen = seen_by(PRIOR, watched.time_s, watched.valid, WANTED_HZ)
+    seen = project_prior(PRIOR, watched.time_s, watched.valid, WANTED_HZ)
     instant = np.round(watched.time_s[watched.valid] * RATE_HZ % 1, 9)
     _, first, again = np.unique(instant, return_index=True, return_inverse=True)
     shared = np.random.default_rng(9).standard_normal((400, first.size))[:, again]
@@ -508,25 +509,27 @@ def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(
     freedom = instant.size - 1 - seen.value.size
     residual = np.mean(np.sum(left**2, axis=-1)) / freedom
     # all of it: of the mean over an instant's pulses, counted for each as if they were independent
-    assert residual + seen.alike == pytest.approx(instant.size / first.size, rel=0.02)
+    assert residual + seen.hidden_variance_factor == pytest.approx(instant.size / first.size, rel=0.02)
 
 
 def test_pulses_that_all_come_at_instants_of_their_own_show_what_the_model_leaves_untold() -> None:
     watched = pulses(3989.0, 131e-6)
-    assert seen_by(PRIOR, watched.time_s, watched.valid, WANTED_HZ).alike == pytest.approx(0, abs=1e-9)
+    assert project_prior(PRIOR, watched.time_s, watched.valid, WANTED_HZ).hidden_variance_factor == pytest.approx(0, abs=1e-9)
 
 
 def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> None:
-    beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3), width_spread=0.0)
+    beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3), width_log_sd=0.0)
     force = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5)
     plain, shaped = (medium_ensemble(each, RATE_HZ, 4e4) for each in (beams, replace(beams, force=force)))
     # what is tracked of the peak stays that of the Gaussian
     np.testing.assert_allclose(shaped.peak / shaped.tracked, plain.peak / plain.tracked, rtol=1e-9)
-    seen, members = (TRACKING_M[0] ** 2 / 2, DEPTH_M**2, np.zeros(1)), np.flatnonzero(plain.voigt)[:4]
+    region, members = (
+        TrackedRegion(np.zeros(1), 0.0, TRACKING_M[0] ** 2 / 2, DEPTH_M**2),
+        np.flatnonzero(plain.voigt)[:4],
+    )
     for member in (*members, 3):
-        modulus_pa = _modulus(np.asarray(2j * np.pi * plain.node_hz), _even_sequence(240, 5))[member]
-        medium = modulus_pa, plain.node_hz, 1000.0
-        own = shear_motion(*medium, force, *seen).value[:, 0]
+        modulus_pa = prior_modulus(np.asarray(2j * np.pi * plain.node_hz), 240)[member]
+        own = shear_motion(HarmonicMedium(plain.node_hz, modulus_pa), force, region).value[:, 0]
         ratio = shaped.tracked[member] / own
         assert np.abs(ratio / ratio.mean() - 1).max() < 4e-3
 
@@ -534,8 +537,10 @@ def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> N
 @pytest.mark.parametrize("modulus", [voigt(9e3, 0.02), maxwell(12e3, 5.0)])
 def test_an_aperture_in_a_medium_of_the_ensemble_is_no_other_medium(modulus: ComplexArray) -> None:
     beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3))
-    force, seen = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5), (TRACKING_M[0] ** 2 / 2, DEPTH_M**2, np.zeros(1))
-    field, duty = shear_motion(modulus, RATE_HZ * HARMONIC, 1000.0, force, *seen), RATE_HZ * LENGTH_S * HARMONIC
+    force = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5)
+    region = TrackedRegion(np.zeros(1), 0.0, TRACKING_M[0] ** 2 / 2, DEPTH_M**2)
+    field = shear_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus), force, region)
+    duty = RATE_HZ * LENGTH_S * HARMONIC
     wave = 1j * np.sinc(duty) * np.exp(-1j * np.pi * duty) * field.value[:, 0]
     wave *= RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2)
     of_gaussian, of_aperture = (
@@ -555,7 +560,7 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
     moved = 800e-9 * np.sin(2 * np.pi * 100.0 * time_s) + 10e-9 * np.random.default_rng(3).standard_normal(time_s.size)
     each = []
     for walk, drift in ((None, creep), (np.asarray(1e-4), creep), (np.asarray(1e-4), 0 * creep)):
-        motion = Motion(time_s, moved + drift, np.full(600, 1e-16), np.ones(600, bool), walk=walk)
+        motion = Motion(time_s, moved + drift, np.full(600, 1e-16), np.ones(600, bool), step_noise_ratio=walk)
         each.append(float(np.sqrt(np.trace(medium_fit(motion, [100.0], prior).noise_m2))))
     white, of_steps, still = each
     assert white < of_steps < 1.1 * white
@@ -564,23 +569,23 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
 
 def test_media_that_hardly_move_at_a_frequency_do_not_decide_how_motion_changes_there() -> None:
     """Beside the push two waves leave nothing of some harmonics. Of noise alone all media are about as likely."""
-    prior = medium_prior(replace(BEAMS, lateral_m=4.75e-3), RATE_HZ, LENGTH_S)
+    prior = medium_prior(replace(BEAMS, lateral_offset_m=4.75e-3), RATE_HZ, LENGTH_S)
     noise_m = np.random.default_rng(11).standard_normal(SHIFTING.time_s.size)
     found = medium_fit(SHIFTING.motion(1e-9 * noise_m), WANTED_HZ, prior)
-    places = list(prior.places(WANTED_HZ))
+    places = list(prior.harmonic_indices(WANTED_HZ))
     amplitude_m, relative = prior.amplitude_m[:, places], prior.steepness[:, places]
-    own_m2 = found.evidence.square_m2[:, None] * amplitude_m**2
+    own_m2 = found.evidence.member_scale_m2[:, None] * amplitude_m**2
     assert found.fit.medium is not None
 
     def rms(values: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(found.evidence.likelihood @ values**2))
+        return np.asarray(np.sqrt(found.evidence.probability @ values**2))
 
     # of the change itself, over the rms motion: a medium that hardly moves has hardly a part in it
     changed = rms(np.abs(relative) * np.sqrt(own_m2)) / rms(np.sqrt(own_m2))
     stated = np.hypot(*found.fit.medium.steepness.T)
     assert np.max(rms(np.abs(relative)) / stated) > 3
-    moving = own_m2 > LEAST_SHARE**2 * (found.evidence.likelihood @ own_m2)
-    assert np.all((stated >= rms(np.abs(relative) * moving)) & (stated <= changed / LEAST_SHARE))
+    moving = own_m2 > MIN_RELATIVE_MOTION**2 * (found.evidence.probability @ own_m2)
+    assert np.all((stated >= rms(np.abs(relative) * moving)) & (stated <= changed / MIN_RELATIVE_MOTION))
 
 
 def test_a_record_of_nothing_at_a_null_of_the_bursts_spectrum_has_no_nan() -> None:
@@ -595,10 +600,10 @@ def test_a_record_of_nothing_at_a_null_of_the_bursts_spectrum_has_no_nan() -> No
 @pytest.mark.parametrize("lateral_m", [0.25e-3, 1e-3])
 def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: float) -> None:
     """Stiff and viscous: a thousandth of the motion is faster. Its own field, 1000 harmonics, 1 nm of noise a pulse."""
-    beams = replace(BEAMS, lateral_m=lateral_m)
+    beams = replace(BEAMS, lateral_offset_m=lateral_m)
     force, modulus = PushForce((FORCE_M[0],), FORCE_M[2]), voigt(12e3, 5.7)
-    seen = TRACKING_M[0] ** 2 / 2, DEPTH_M**2
-    field = shear_motion(modulus, RATE_HZ * HARMONIC, 1000.0, force, *seen, np.array([lateral_m]))
+    region = TrackedRegion(np.array([lateral_m]), 0.0, TRACKING_M[0] ** 2 / 2, DEPTH_M**2)
+    field = shear_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus), force, region)
     duty = RATE_HZ * LENGTH_S * HARMONIC
     wave = 1j * np.sinc(duty) * np.exp(-1j * np.pi * duty) * field.value[:, 0]
     wave *= RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2)
@@ -609,9 +614,9 @@ def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(late
 
 def test_ensembles_of_all_places_at_once_are_those_of_one_at_a_time() -> None:
     places_m = (1e-9, 1e-3, 6e-3)
-    beams = [replace(BEAMS, lateral_m=lateral_m) for lateral_m in places_m]
+    beams = [replace(BEAMS, lateral_offset_m=lateral_m) for lateral_m in places_m]
     alone = [medium_ensemble(each, 100.0, 2000.0) for each in beams]
-    together = [medium_ensemble(replace(each, together_m=places_m), 100.0, 2000.0) for each in beams]
+    together = [medium_ensemble(replace(each, offsets_of_joint_fit_m=places_m), 100.0, 2000.0) for each in beams]
     # both good to 1e-5 of the largest displacement, which is that of the focus
     allowed = 2e-5 * np.abs(alone[0].peak)
     for one, other in zip(alone, together, strict=True):
@@ -620,12 +625,12 @@ def test_ensembles_of_all_places_at_once_are_those_of_one_at_a_time() -> None:
 
 
 def test_beside_the_push_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
-    beams, harmonic = replace(BEAMS, lateral_m=2.25e-3), np.arange(81, 401)
+    beams, harmonic = replace(BEAMS, lateral_offset_m=2.25e-3), np.arange(81, 401)
     ensemble = medium_ensemble(beams, RATE_HZ, 4e4)
     member = int(np.flatnonzero(ensemble.voigt)[1])
     # the same nodes alone, each harmonic for itself
     other = medium_ensemble(beams, RATE_HZ * 81, RATE_HZ * 81 * 2)
-    assert other.alone == other.node_hz.size == 2
+    assert other.exact_nodes == other.node_hz.size == 2
     between = (ensemble.tracked @ ensemble.interpolation(other.node_hz).T)[member]
     rms = np.sqrt(np.sum(np.abs(ensemble.tracked @ ensemble.interpolation(RATE_HZ * harmonic).T) ** 2, axis=1))[member]
     assert np.abs(between - other.tracked[member]).max() < 1e-3 * rms

@@ -7,7 +7,7 @@ import pytest
 
 from hpe_rig.processing import EchoGate, coherent, fit_motion
 from hpe_rig.processing.harmonics import quantisation
-from hpe_rig.processing.harmonics.quantisation import rounding_m, sawtooth_v
+from hpe_rig.processing.harmonics.quantisation import quantisation_m, sawtooth_v
 
 DRAWS, PULSES, SAMPLES, MARGIN = 30, 101, 256, 64
 FREQUENCY_HZ = np.array([200.0, 600.0])
@@ -36,7 +36,7 @@ def test_errors_of_coarse_codes_are_as_large_as_stated(code_v: float, noise_v: f
             motion = coherent(gate)
             fit = fit_motion(motion, FREQUENCY_HZ)
             states.append(fit.amplitude_m * np.exp(1j * fit.phase_rad))
-        stated = np.array(rounding_m(gate, code_v, motion, fit))
+        stated = np.array(quantisation_m(gate, code_v, motion, fit))
         off = (states[1] - states[0]) * np.exp(-1j * fit.phase_rad)
         # The random part of rounding, white, is in the noise of the fit: q / sqrt(12) beside noise_v.
         share = code_v**2 / 12 / (code_v**2 / 12 + noise_v**2)
@@ -64,7 +64,7 @@ def test_the_noise_before_rounding_is_found_though_the_mean_echo_holds_a_part_of
         timing = 100e6, np.arange(PULSES) / 4000, 9e6, 1540.0
         gate = EchoGate(0.08 * codes, *timing, np.ones(PULSES, dtype=bool), (MARGIN, MARGIN))
         motion = coherent(gate)
-        rounding_m(gate, 0.08, motion, fit_motion(motion, FREQUENCY_HZ))
+        quantisation_m(gate, 0.08, motion, fit_motion(motion, FREQUENCY_HZ))
     # the scatter less q^2 / 12 would be 0.6 and none of it; 0.36 and 0.29 from draw to draw, three of the mean's
     assert np.mean(found) / 0.01**2 == pytest.approx(1.0, abs=3 * 0.36 / np.sqrt(12))
 
@@ -92,4 +92,4 @@ def test_fine_codes_leave_nothing_and_cost_nothing() -> None:
         *(100e6, np.arange(PULSES) / 4000, 9e6, 1540.0, np.ones(PULSES, dtype=bool), (MARGIN, MARGIN)),
     )
     motion = coherent(gate)
-    assert rounding_m(gate, 0.01, motion, fit_motion(motion, FREQUENCY_HZ)) == ()
+    assert quantisation_m(gate, 0.01, motion, fit_motion(motion, FREQUENCY_HZ)) == ()

@@ -1,0 +1,78 @@
+"""Fitted displacement of each pulse: harmonics as estimated, background and further driven frequencies fitted to the
+rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpe_rig.arrays import FloatArray
+from hpe_rig.plan import Selection
+from hpe_rig.processing.harmonics.model import linear_model
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.result import Estimate, ShotMotion
+
+MAX_FITTED_PULSES = 20_000
+"""Longest train for which the fitted displacement is computed: its matrix has a column for each state."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedMotion:
+    """Fitted displacement (pulse,) of the valid pulses, and the ``matrix`` (pulse, state) of all fitted columns."""
+
+    displacement_m: FloatArray
+    matrix: FloatArray
+
+
+def fitted_motion(
+    motion: Motion, estimates: Sequence[Estimate], also_hz: FloatArray, background_order: int
+) -> FittedMotion:
+    """Return the harmonics of ``estimates`` plus background and ``also_hz``, fitted to the remaining ``motion``.
+
+    Raises ``ValueError`` if the pulses cannot resolve the frequencies.
+    """
+    columns = [[item.frequency_hz, item.amplitude_m, item.phase_rad] for item in estimates]
+    frequency_hz, amplitude_m, phase_rad = np.array(columns, dtype=np.float64).reshape(-1, 3).T
+    matrix = linear_model(
+        motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz
+    ).matrix
+    wanted, further = np.split(matrix, [2 * frequency_hz.size], axis=1)
+    state = (amplitude_m[:, None] * np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1)).ravel()
+    harmonics_m = wanted @ state
+    remaining_m = motion.displacement_m[motion.valid] - harmonics_m
+    return FittedMotion(harmonics_m + further @ np.linalg.lstsq(further, remaining_m, rcond=None)[0], matrix)
+
+
+def stored_motion(
+    motion: Motion,
+    estimates: Sequence[Estimate],
+    residual_m: float,
+    selection: Selection,
+    background_order: int,
+    tracked_by: str,
+) -> ShotMotion:
+    """Return ``motion`` with the uncertainty of each pulse and the fitted displacement, as a result stores it.
+
+    ``residual_m``: rms residual of the harmonic fit.
+    """
+    valid, model_m = motion.valid, np.full(motion.valid.size, np.nan)
+    variance_m2 = np.where(valid, motion.variance_m2, np.nan)
+    if motion.valid.size <= MAX_FITTED_PULSES:
+        with suppress(ValueError):
+            fitted = fitted_motion(motion, estimates, selection.driven_hz, background_order)
+            model_m[valid] = fitted.displacement_m
+            residual_m2 = float(np.mean((motion.displacement_m[valid] - fitted.displacement_m) ** 2))
+            residual_m2 = max(residual_m2, residual_m**2)
+            # Echoes state their own noise. Trigger jitter and motion within the gate are only in the residual.
+            variance_m2 *= max(1.0, residual_m2 / float(np.mean(variance_m2[valid])))
+    return ShotMotion(
+        pulse=np.flatnonzero(selection.window),
+        time_s=motion.time_s,
+        displacement_m=motion.displacement_m,
+        uncertainty_m=np.sqrt(variance_m2),
+        model_m=model_m,
+        tracked_by=tracked_by,
+    )

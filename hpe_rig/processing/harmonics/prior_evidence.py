@@ -1,0 +1,128 @@
+"""Evidence of a displacement under a prior of media: scale of the motion, noise, and probability of each member.
+
+z = U'd are the data along the projected prior (projected_prior.py), z_i normal with the variance
+
+    sigma² p_i,    p_i = 1 + r² (l_i² + h e²),    r = s / sigma
+
+s: rms motion, sigma²: noise variance of a pulse, e: MODEL_ERROR, h: hidden variance factor. For a given r the sigma² of
+largest evidence has a closed form, so only r is scanned:
+
+    -2 log evidence = n log sigma² + sum_i log p_i,    n sigma² = sum_i z_i² / p_i + |residual|²
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpe_rig.arrays import FloatArray
+from hpe_rig.processing.harmonics.projected_prior import ProjectedPrior
+
+MODEL_ERROR = 1e-3
+"""Error of the model at an instant of the burst period, relative to the rms motion: of the ensemble, and of speckle and
+receiver. Pulses at the same instant share it."""
+MIN_MEMBERS = 15.0
+"""Smallest effective number of members behind the mean error: the ensemble has no more where the data narrow it
+down."""
+LOG_SCALES = np.arange(0.0, 9.0, 0.1) * np.log(10)
+"""Natural logarithms of the scanned r, relative to the r at which the strongest direction equals the noise of a
+pulse."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Scale and noise of the data under the prior (...), a test of the prior, and the probability of each member.
+
+    ``scale_m``: rms displacement s. ``variance_m2``: noise of a pulse. ``total_m2``: noise plus the hidden model error,
+    as if independent between pulses. ``degrees_of_freedom``: of the residual. ``significance``: probability that a
+    medium of the ensemble gives data as improbable as these. ``probability`` (..., member), of sum 1.
+    ``member_scale_m2`` (..., member): mean square of each member's own scale.
+    """
+
+    scale_m: FloatArray
+    variance_m2: FloatArray
+    total_m2: FloatArray
+    degrees_of_freedom: FloatArray
+    significance: FloatArray
+    probability: FloatArray
+    member_scale_m2: FloatArray
+
+
+def evidence_of(projected: ProjectedPrior, data: FloatArray, along: FloatArray) -> Evidence:
+    """Return the evidence of ``data`` (..., valid pulse) without background, with ``along`` = data @ U (..., rank)."""
+    from scipy.special import fdtrc
+
+    count = data.shape[-1] - projected.background.shape[1]
+    unexplained_m2 = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
+    hidden = projected.hidden_variance_factor * MODEL_ERROR**2
+    signal = projected.value**2 + hidden
+    ratio = _scale_over_noise(projected, along, unexplained_m2, signal, count)[..., None]
+    # The noise comes from the residual and its degrees of freedom, which also holds for media outside the ensemble.
+    noise_share = 1 / (1 + ratio**2 * signal)
+    degrees = count - np.sum(1 - noise_share, axis=-1)
+    tiny = np.finfo(np.float64).tiny
+    residual_m2 = np.maximum(np.sum((along * noise_share) ** 2, axis=-1) + unexplained_m2.clip(min=0), tiny)
+    noise_m2 = residual_m2 / degrees
+    scale_m = ratio[..., 0] * np.sqrt(noise_m2)
+    # F test: variance along the observed directions over the variance that the prior expects there.
+    statistic = np.sum(along**2 * noise_share, axis=-1) / noise_m2 / projected.value.size
+    total_m2 = noise_m2 + hidden * scale_m**2
+    probability, member_scale_m2 = _member_probability(projected, along, total_m2)
+    return Evidence(
+        scale_m=scale_m,
+        variance_m2=noise_m2,
+        total_m2=total_m2,
+        degrees_of_freedom=degrees,
+        significance=fdtrc(projected.value.size, degrees, statistic),
+        probability=probability,
+        member_scale_m2=member_scale_m2,
+    )
+
+
+def _scale_over_noise(
+    projected: ProjectedPrior, along: FloatArray, unexplained_m2: FloatArray, signal: FloatArray, count: int
+) -> FloatArray:
+    """Return r = s / sigma (...) of the largest evidence."""
+    log_ratio = LOG_SCALES - np.log(projected.value[0])
+    power = 1 + np.exp(2 * log_ratio)[:, None] * signal  # p_i of each scanned r
+    floor_m2 = np.finfo(np.float64).tiny
+    variance_m2 = np.maximum(along**2 @ (1 / power).T + unexplained_m2[..., None].clip(min=0), floor_m2) / count
+    evidence = -(count * np.log(variance_m2) + np.log(power).sum(axis=1)) / 2
+    best = _maximum(log_ratio, evidence)
+    # Upper bound: the scale of the member that the pulses observe least. A larger motion is of no medium.
+    limit_m = np.sqrt(np.sum(along**2, axis=-1) / np.sum(projected.members**2, axis=1).min())
+    best_variance_m2 = np.take_along_axis(variance_m2, np.argmax(evidence, axis=-1)[..., None], axis=-1)[..., 0]
+    limit = np.maximum(limit_m / np.sqrt(best_variance_m2), np.exp(log_ratio[0]))
+    return np.asarray(np.minimum(np.exp(best), limit))
+
+
+def _member_probability(
+    projected: ProjectedPrior, along: FloatArray, variance_m2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the probability, of sum 1, and the mean square scale of every member (..., member).
+
+    Probability ~ exp(-distance / 2 T): distance in noise of the data from the member at its best scale. T is the
+    smallest power of two, at least 1, that leaves ``MIN_MEMBERS`` effective members.
+    """
+    power = np.sum(projected.members**2, axis=1)
+    scale_m = np.maximum(along @ projected.members.T, 0.0) / power
+    distance = -(scale_m**2) * power / variance_m2[..., None]
+    distance -= distance.min(axis=-1, keepdims=True)
+    temperature = np.ones(variance_m2.shape)
+    for _ in range(60):
+        weight = np.exp(-distance / 2 / temperature[..., None])
+        # Effective number of members (sum w)² / sum w².
+        too_few = weight.sum(axis=-1) ** 2 < MIN_MEMBERS * np.sum(weight**2, axis=-1)
+        if not too_few.any():
+            break
+        temperature = np.where(too_few, 2 * temperature, temperature)
+    return weight / weight.sum(axis=-1, keepdims=True), scale_m**2 + variance_m2[..., None] / power
+
+
+def _maximum(x: FloatArray, height: FloatArray) -> FloatArray:
+    """Return the x of the maximum of ``height`` (..., x), by the parabola through its three highest points."""
+    top = np.clip(np.argmax(height, axis=-1), 1, x.size - 2)[..., None]
+    before, at, after = (np.take_along_axis(height, top + step, axis=-1)[..., 0] for step in (-1, 0, 1))
+    curvature = np.minimum(before - 2 * at + after, -np.finfo(np.float64).tiny)
+    return np.asarray(x[top[..., 0]] + np.clip((before - after) / curvature / 2, -1, 1) * (x[1] - x[0]))

@@ -1,0 +1,159 @@
+"""Harmonic fit of one shot: options and prior from the scene, the fit, and the beam averaging that the fit implies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hpe_rig.arrays import FloatArray
+from hpe_rig.medium import BeamWidths, KnownMedium, RigidSphere
+from hpe_rig.plan import Selection, Shot, select
+from hpe_rig.processing.budget import with_second_order_speckle
+from hpe_rig.processing.estimators import Harmonic, Options, fit_motion, spec_of
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, MediumPosterior
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
+from hpe_rig.processing.harmonics.model import LinearModel, linear_model
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.shot_motion import read_shot, window_motion
+from hpe_rig.result import Averaging
+from hpe_rig.scene import Processing, Scene
+
+if TYPE_CHECKING:
+    from hpe_rig.store import StoredRun
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicFitter:
+    """The harmonic fit of an estimator as a function of the displacement; equal for equal settings, hence cacheable."""
+
+    wanted_hz: tuple[float, ...]
+    estimator: str
+    driven_hz: tuple[float, ...]
+    options: Options
+
+    @classmethod
+    def of(cls, selection: Selection, estimator: str, options: Options) -> HarmonicFitter:
+        """Return the fit of the wanted and further driven frequencies of ``selection``."""
+        return cls(tuple(selection.wanted_hz.tolist()), estimator, tuple(selection.driven_hz.tolist()), options)
+
+    def __call__(self, motion: Motion) -> HarmonicFit:
+        """Return amplitude and phase of ``motion`` at the wanted frequencies."""
+        return fit_motion(motion, self.wanted_hz, self.estimator, self.driven_hz, self.options)
+
+
+def shot_fit(
+    scene: Scene, shot: Shot, stored: StoredRun, estimator: str, beams: BeamWidths | None = None
+) -> HarmonicFit:
+    """Return the fit of one shot in the scene's own window, with the covariance of all its harmonics.
+
+    It is the fit of ``estimate_run``. Raises ``ValueError`` if the shot cannot be estimated.
+    """
+    spec, selection = spec_of(estimator), select(scene, shot)
+    motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion).tracked
+    options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
+    return HarmonicFitter.of(selection, spec.name, options)(motion)
+
+
+def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
+    """Return the options of the fit that the scene chooses; least squares if it asks for a prior and there is none."""
+    default: Harmonic = "least_squares" if prior is None else "medium_prior"
+    harmonic = default if processing.harmonic in (None, "medium_prior") else processing.harmonic
+    return Options(processing.background_order, harmonic, processing.process_noise, prior)
+
+
+def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> MediumPrior | None:
+    """Return the prior of media that the fit of the shot uses; None if scene or estimator use none."""
+    if not spec_of(estimator).takes_prior:
+        return None
+    if scene.processing.harmonic == "least_squares" or scene.processing.process_noise:
+        return None
+    return available_prior(scene, shot, beams)
+
+
+def available_prior(scene: Scene, shot: Shot, beams: BeamWidths | None) -> MediumPrior | None:
+    """Return the prior of media under the shot's tonebursts, whether or not the fit uses it; None if there is none."""
+    length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
+    sphere = None if scene.sphere is None else RigidSphere(scene.sphere.radius_m, scene.sphere.density_kg_per_m3)
+    pushed = sphere or beams
+    if pushed is None or excitation is None or not length_s or scene.without_prior is not None:
+        return None
+    if medium is None:
+        return medium_prior(pushed, excitation.burst_rate_hz, length_s)
+    known = KnownMedium(medium.shear_modulus_pa, medium.shear_viscosity_pa_s)
+    return medium_prior(pushed, excitation.burst_rate_hz, length_s, known, medium.density_kg_per_m3)
+
+
+def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[FloatArray, LinearModel]:
+    """Return the times (pulse,) of the pulses that the fit of ``shot`` uses, and the model fitted to them.
+
+    As planned, with no record missing. ``with_driven``: include the further driven frequencies, as estimators do that
+    fit them too. Raises ``ValueError`` if the pulses do not resolve the wanted frequencies.
+    """
+    selection = select(scene, shot)
+    model = linear_model(
+        selection.time_s,
+        selection.used,
+        selection.wanted_hz,
+        background_order=scene.processing.background_order,
+        also_hz=selection.driven_hz if with_driven else (),
+    )
+    return selection.time_s[selection.used], model
+
+
+def shot_averaging(
+    scene: Scene, fit: HarmonicFit, predicted: tuple[Averaging | None, ...]
+) -> tuple[Averaging | None, ...]:
+    """Return the beam averaging (frequency,) of a shot: of the declared medium, else of the media that the fit leaves.
+
+    ``predicted`` is the averaging of the scene before the measurement.
+    """
+    if scene.medium is not None or fit.medium is None:
+        return predicted
+    medium = fit.medium
+    return tuple(
+        averaging if averaging is None else posterior_averaging(medium, index, averaging)
+        for index, averaging in enumerate(predicted)
+    )
+
+
+def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averaging) -> Averaging:
+    """Return the averaging of one frequency in the media that the motion leaves probable.
+
+    Speckle changes the area of the tracking beam: its effect is ``predicted.area_spread`` times the root mean square
+    derivative over those media, the widths of the force included.
+    """
+    ratio = 1 / complex(medium.peak_over_tracked[index])
+    relative, phase_rad = np.sqrt(np.diag(medium.peak_covariance[index])).tolist()
+    speckle_relative, speckle_phase_rad = (predicted.area_spread * medium.steepness[index]).tolist()
+    # Few speckles and scatterers scale the loss; the gate's offset and the shape of the force are factors of their own.
+    factor = (1 - predicted.loss_scale * (1 - abs(ratio))) * predicted.offset_factor
+    averaging = replace(
+        predicted,
+        factor=factor,
+        phase_rad=float(np.angle(ratio)) + predicted.offset_phase_rad,
+        speckle_relative=speckle_relative,
+        speckle_phase_rad=speckle_phase_rad,
+        factor_uncertainty=factor * relative,
+        phase_uncertainty_rad=phase_rad,
+        shared_relative=float(medium.shared[index, 0]),
+        shared_phase_rad2=float(medium.shared[index, 1]),
+    )
+    return with_second_order_speckle(averaging)
+
+
+def carrier_error(motion: Motion, reference: Motion | None) -> float:
+    """Return the relative error of a ``motion`` divided by the carrier, against ``reference``; at most 1.
+
+    ``reference`` divides by the echo's mean frequency in the gate, which speckle shifts from the carrier. The error is
+    the regression coefficient of both displacements minus 1; 0 without a reference.
+    """
+    if reference is None:
+        return 0.0
+    common = motion.valid & reference.valid
+    by_carrier, by_echo = (
+        item.displacement_m[common] - item.displacement_m[common].mean() for item in (motion, reference)
+    )
+    energy = float(by_echo @ by_echo)
+    return min(abs(float(by_carrier @ by_echo) / energy - 1), 1.0) if energy > 0 else 0.0

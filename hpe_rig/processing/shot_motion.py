@@ -1,0 +1,179 @@
+"""Echoes and displacement of one stored shot: records -> echoes of the selected pulses -> displacement of each
+pulse."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hpe_rig.plan import Selection, Shot, reference_gate, select
+from hpe_rig.processing.echo.conditioning import (
+    CodedVolts,
+    GateStatistics,
+    centred_volts,
+    code_statistics,
+    concatenate_statistics,
+    deviating_pulses,
+    gate_statistics,
+)
+from hpe_rig.processing.echo.gate import EchoGate, margin_samples
+from hpe_rig.processing.motion.displacement import Motion, relative_to
+from hpe_rig.processing.motion.gate_tracking import add_gate_motion, track_gate
+from hpe_rig.processing.motion.phase_shift import coherent
+from hpe_rig.scene import Scene
+
+if TYPE_CHECKING:
+    from hpe_rig.store import GatedRecords, StoredRun
+
+MotionFunction = Callable[[EchoGate], Motion]
+NO_RECORDS = "no record of it was acquired"
+DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-rig verify lists them"
+
+
+@dataclass(frozen=True, slots=True)
+class ShotRecords:
+    """Records of one shot: in the gate, with ``statistics`` of their codes, and in the reference gate, if any."""
+
+    gate: GatedRecords
+    statistics: GateStatistics
+    reference: GatedRecords | None
+
+
+@dataclass(frozen=True, slots=True)
+class WindowMotion:
+    """Displacement of the pulses in a processing window.
+
+    ``measured``: by the estimator, before the reference is subtracted. ``reference``: apparent motion of the reference
+    gate, None without one. ``measured_coherent``: by the estimator "coherent", None where single echoes are too noisy.
+    ``tracked`` and ``coherent``: both minus the reference.
+    """
+
+    echoes: EchoGate
+    measured: Motion
+    reference: Motion | None
+    measured_coherent: Motion | None
+    tracked: Motion
+    coherent: Motion | None
+
+
+def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
+    """Read the records of one shot; raise ``ValueError`` if none is valid.
+
+    Of a long record only the gate and its margins are read, unless the gate follows the motion. The statistics of a
+    long shot are computed while its checksums are verified, so that its file is read once.
+    """
+    margin, parts = margin_needed(scene, shot), list[GateStatistics]()
+    records = stored.records.in_blocks(
+        shot.index, samples_needed(scene, shot), margin=margin, look=lambda codes: parts.append(code_statistics(codes))
+    )
+    if not records.valid.any():
+        damaged = records.damaged is not None and bool(records.damaged.any())
+        raise ValueError(f"its records {DAMAGED}" if damaged else NO_RECORDS)
+    gate = reference_gate(scene, shot)
+    return ShotRecords(
+        gate=records,
+        statistics=concatenate_statistics(parts) if parts else gate_statistics(records),
+        reference=None if gate is None else stored.records.in_blocks(shot.index, gate, margin=margin),
+    )
+
+
+def window_motion(
+    scene: Scene, shot: Shot, records: ShotRecords, selection: Selection, motion: MotionFunction
+) -> WindowMotion:
+    """Return the displacement of the selected pulses by ``motion``; raise ``ValueError`` if the echoes have none."""
+    echoes = shot_echoes(scene, shot, records.gate, selection, records.statistics)
+    reference = None
+    if records.reference is not None:
+        reference = coherent(shot_echoes(scene, shot, records.reference, selection))
+    measured = shot_motion(scene, shot, echoes, motion)
+    measured_coherent = measured if motion is coherent else _coherent_or_none(scene, shot, echoes)
+    if reference is None:
+        return WindowMotion(echoes, measured, None, measured_coherent, measured, measured_coherent)
+    return WindowMotion(
+        echoes=echoes,
+        measured=measured,
+        reference=reference,
+        measured_coherent=measured_coherent,
+        tracked=relative_to(measured, reference),
+        coherent=None if measured_coherent is None else relative_to(measured_coherent, reference),
+    )
+
+
+def _coherent_or_none(scene: Scene, shot: Shot, echoes: EchoGate) -> Motion | None:
+    try:
+        return shot_motion(scene, shot, echoes, coherent)
+    except ValueError:
+        return None
+
+
+def shot_displacement(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[Motion, Selection]:
+    """Return the displacement in the processing window by the estimator "coherent", and the selected pulses.
+
+    Raises ``ValueError`` if there are no records or the echoes carry no displacement.
+    """
+    selection = select(scene, shot)
+    return window_motion(scene, shot, read_shot(scene, shot, stored), selection, coherent).tracked, selection
+
+
+def shot_echoes(
+    scene: Scene,
+    shot: Shot,
+    records: GatedRecords,
+    selection: Selection,
+    statistics: GateStatistics | None = None,
+) -> EchoGate:
+    """Return the echoes of the selected pulses from ``records`` of the samples of ``samples_needed``.
+
+    ``statistics`` of the codes in the gate are computed if not given. Pulses with deviating energy are marked invalid
+    if the scene asks for it.
+    """
+    # Imported here because a forecast uses this module's package without opening files.
+    from hpe_rig.store import ShotRecords as HeldRecords
+
+    statistics = statistics or gate_statistics(records)
+    window = selection.window
+    valid = records.valid[window] & selection.used
+    unclipped = valid & ~statistics.at_full_scale(records.code_limits)[window]
+    gate = slice(records.margin[0], records.shape[1] - records.margin[1])
+    first = int(np.argmax(window))
+    pulses = slice(first, first + valid.size)
+    # Records of long shots stay in the file: their volts are computed block by block.
+    volts = (
+        centred_volts(records.block(pulses), records.volts_per_code, unclipped, gate)
+        if isinstance(records, HeldRecords)
+        else CodedVolts(records, pulses, unclipped, statistics)
+    )
+    echoes = EchoGate(
+        volts=volts,
+        sample_rate_hz=shot.capture.sample_rate_hz,
+        pulse_time_s=selection.time_s,
+        carrier_hz=scene.tracking.carrier_hz,
+        sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
+        valid=valid,
+        margin=records.margin,
+    )
+    if not scene.processing.flag_pulses or scene.tracking.disturbed == "keep" or not valid.any():
+        return echoes
+    return echoes.without(deviating_pulses(echoes))
+
+
+def samples_needed(scene: Scene, shot: Shot) -> slice:
+    """Return the samples of each record that are processed: the gate, or all samples if the gate follows the motion."""
+    return slice(0, shot.capture.record_samples) if scene.processing.follow_gate else shot.gate
+
+
+def margin_needed(scene: Scene, shot: Shot) -> int:
+    """Return the number of samples around ``samples_needed`` for the gate's edges; 0 if the gate follows the motion."""
+    rate_hz, carrier_hz = shot.capture.sample_rate_hz, scene.tracking.carrier_hz
+    return 0 if scene.processing.follow_gate else margin_samples(rate_hz, carrier_hz)
+
+
+def shot_motion(scene: Scene, shot: Shot, echoes: EchoGate, motion: MotionFunction) -> Motion:
+    """Return the displacement of ``echoes`` by ``motion``, in a gate that follows it if the scene asks for that."""
+    if not scene.processing.follow_gate:
+        return motion(echoes)
+    tracked, gate_motion = track_gate(echoes, shot.gate)
+    return add_gate_motion(motion(tracked), gate_motion)

@@ -1,0 +1,131 @@
+"""Warnings of one shot: each function yields sentences with cause and remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.residual_line import Line
+from hpe_rig.processing.harmonics.stationarity import Drift
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.shot_motion import DAMAGED
+from hpe_rig.result import DETECTED
+from hpe_rig.scene import Scene
+
+LARGE_STEP = 0.8
+"""Quarter wavelengths per pulse from which the phase may soon be ambiguous by a period of the carrier."""
+LARGE_CONDITION = 10.0
+"""Condition number of the model from which a fit is reported as barely resolved."""
+LATE_FRACTION = 0.02
+"""Fraction of pulses after the last toneburst's period that is reported."""
+
+
+def missing_record_warnings(recorded: BoolArray, damaged: BoolArray) -> Iterator[str]:
+    """Yield warnings of missing records (pulse,) of a complete shot."""
+    missing = int((~recorded & ~damaged).sum())
+    if missing and not recorded[-1] and not damaged[-1]:
+        yield (
+            "the last record is missing: were the first triggers lost instead of the last, every phase is off by "
+            "whole pulse periods"
+        )
+    if missing:
+        yield (
+            f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
+        )
+
+
+def record_warnings(damaged: BoolArray, deviating: int, clipped: int) -> Iterator[str]:
+    """Yield warnings of ``damaged`` records (pulse,), pulses of deviating energy, and clipped records."""
+    if damaged.any():
+        yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
+    if deviating:
+        yield (
+            f"{deviating} of {damaged.size} pulses are omitted because their energy differs from the others': "
+            "something disturbs them; see tracking.delay_s and processing.flag_pulses"
+        )
+    if clipped:
+        yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"
+
+
+def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
+    """Yield warnings of a fit and of the largest step of its displacement, in quarter wavelengths."""
+    if largest_step > LARGE_STEP:
+        yield (
+            f"the echo moves by up to {largest_step:.2f} quarter wavelengths from pulse to pulse: at 1 the "
+            "displacement jumps by a half wavelength; raise tracking.pulse_rate_hz, or the echoes drown in noise"
+        )
+    if fit.quality.condition > LARGE_CONDITION:
+        yield (
+            f"the pulses barely resolve the frequencies, or these and the background (condition "
+            f"{fit.quality.condition:.3g}, 1 is best): the uncertainties include it; use a longer window"
+        )
+    undetected = fit.amplitude_m < DETECTED * np.sqrt(fit.covariance[:, 0, 0])
+    if undetected.any():
+        yield (
+            f"not significant at {', '.join(f'{f:g}' for f in fit.frequency_hz[undetected])} Hz: the amplitude is "
+            f"below {DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
+        )
+    test = fit.quality.innovations
+    # Only correlated innovations are reported. White ones may exceed the stated noise: echoes do not state trigger
+    # jitter.
+    if test is not None and abs(float(test.autocorrelation)) > test.autocorrelation_tolerance:
+        yield (
+            f"the Kalman filter's innovations are correlated ({float(test.autocorrelation):+.2f} "
+            "from pulse to pulse, 0 is best): the model lacks some motion; raise processing.background_order or "
+            "process_noise"
+        )
+
+
+def medium_warnings(fit: HarmonicFit, max_probability: float) -> Iterator[str]:
+    """Yield a warning if a medium of the ensemble gives such data with less than ``max_probability``."""
+    if fit.medium is not None and float(fit.medium.significance) < max_probability:
+        yield (
+            f"the medium lies outside the ensemble of the prior (significance {fit.medium.significance:.1g}): "
+            "reflections, layers, a force that differs from [beams] and the burst length, a medium that differs from "
+            "[medium], or motion that is not periodic; check these and the start-up (processing.window_start_s), or "
+            'compare with processing.harmonic = "least_squares"'
+        )
+
+
+def setting_warnings(scene: Scene, pulse_time_s: FloatArray, reference: Motion | None) -> Iterator[str]:
+    """Yield warnings of a window beyond the last toneburst, and of a reference gate whose echo moves."""
+    excitation = scene.excitation
+    if excitation is not None and excitation.burst_count > 1:
+        late = int((pulse_time_s > excitation.burst_count / excitation.burst_rate_hz).sum())
+        if late > LATE_FRACTION * pulse_time_s.size:
+            yield (
+                f"{late} of {pulse_time_s.size} pulses come after the last toneburst's period, where the motion "
+                "decays: shorten processing.window_length_s or raise excitation.burst_count"
+            )
+    if reference is not None and float(reference.largest_step) > LARGE_STEP:
+        yield (
+            f"the reference gate's echo moves by up to {float(reference.largest_step):.2f} quarter wavelengths from "
+            "pulse to pulse, but must be stationary: there is no echo, or it drowns in noise; choose another "
+            "processing.reference_gate_depth_m"
+        )
+
+
+def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: float) -> Iterator[str]:
+    """Yield a warning of a spectral line in the residual that white noise has with less than ``max_probability``."""
+    if line is not None and line.probability < max_probability:
+        yield (
+            f"the residual has a line of {line.amplitude_m * 1e9:.3g} nm at {line.frequency_hz:.4g} Hz: motion that is "
+            "not fitted, at this frequency or at one that aliases onto it, such as "
+            f"{pulse_rate_hz - line.frequency_hz:.5g} Hz; more of it may alias onto the wanted frequencies: "
+            "compare another tracking.pulse_rate_hz, or fit it too (processing.frequencies_hz)"
+        )
+
+
+def drift_warnings(fit: HarmonicFit, drift: Drift | None) -> Iterator[str]:
+    """Yield a warning if amplitudes change between the halves of the train."""
+    if drift is not None and drift.suspicious.any():
+        rows = np.flatnonzero(drift.suspicious)
+        changes = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift.relative_change[i] * 100:+.0f} %" for i in rows)
+        yield (
+            f"the amplitude changes from the first half of the pulses to the second ({changes}): tonebursts are "
+            "missing, or the motion is not stationary; compare the bench's burst count with excitation.burst_count, or "
+            "move processing.window_start_s past the start-up"
+        )
