@@ -190,7 +190,7 @@ def test_accumulated_step_errors_do_not_raise_the_noise_of_a_long_coherent_train
     long_train = replace(table_one, pulses=3000)
     echoes = _noisy(long_train.rigid(np.zeros(3000)), 1, 0.0, 1)[0]
     bound_m = 1540 / (4 * np.pi * 9e6) / np.sqrt(130)
-    # 3000 pulses measure it to 1.3 %; aligned once, by a first guess with an error of 5 rad at the end, it is 7.5 % above
+    # 3000 pulses measure it to 1.3 %; aligned once only, with an error of 5 rad at the end, it would be 7.5 % larger
     assert coherent(long_train.gate(echoes)).displacement_m.std() < 1.05 * bound_m
 
 
