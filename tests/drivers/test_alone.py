@@ -31,7 +31,7 @@ class Sharing:
         self.write, self.read, self.serial_poll = instrument.write, instrument.read, instrument.serial_poll
 
 
-def test_the_example_of_the_package_runs_as_it_stands_but_for_the_address(instrument: Generator33250A) -> None:
+def test_the_packages_example_runs_at_another_address(instrument: Generator33250A) -> None:
     with Emulator("socket", lambda role, over_serial: Sharing(instrument), ("generator",)) as emulator:
         example = drivers.__doc__ or ""
         assert "GPIB0::10::INSTR" in example
@@ -78,7 +78,7 @@ def test_an_exception_inside_leaves_the_output_off(instrument: Generator33250A) 
     assert not instrument.registers.output
 
 
-def test_nothing_is_sent_to_a_stranger(scripted) -> None:
+def test_nothing_is_sent_to_an_unknown_instrument(scripted) -> None:
     stranger = scripted(replies={"*IDN": "Somebody,34401A,0,1.0"})
     with pytest.raises(InstrumentError, match="34401A"), Agilent33250A(stranger):
         pytest.fail("a stranger was entered")

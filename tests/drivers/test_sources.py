@@ -26,7 +26,7 @@ def test_every_cited_section_is_there() -> None:
     assert missing == {}
 
 
-def test_drivers_and_twin_both_cite_what_they_are_written_from() -> None:
+def test_drivers_and_twin_cite_their_sources() -> None:
     files = cited()
     assert {"drivers/agilent/programs.py", "drivers/alazar/models.py"} <= files.keys()
     assert {"sim_backend/generator/commands.py", "sim_backend/digitizer/codes.py"} <= files.keys()

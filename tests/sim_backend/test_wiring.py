@@ -135,7 +135,7 @@ def test_a_cable_is_a_delay_and_no_cable_is_no_trigger():
     assert seen["c"].time_ps.size == 0
 
 
-def test_two_cables_into_one_input_are_seen_in_order_of_time():
+def test_steps_of_two_cables_into_one_input_are_sorted_by_time():
     cables = cables_of(
         [("a.output", "c.trigger", 9e-9), ("b.output", "c.trigger", 0.0)], ["a.output", "b.output"], ["c.trigger"]
     )
@@ -174,7 +174,7 @@ def test_a_level_is_judged_behind_the_sources_50_ohm(open_v, input_ohm, edges):
     assert crossings(ttl([0], high_v=open_v), 2.0, True, input_ohm).size == edges
 
 
-def test_an_edge_counts_from_the_level_on_and_not_from_the_level():
+def test_an_edge_must_start_below_the_level():
     steps = Steps(np.array([1, 2, 3, 4]), np.array([0.0, 2.0, 1.0, 0.5]), np.array([2.0, 0.0, 0.0, 1.0]))
     # Behind 50 of 50 + 50 ohm half of it is seen: 1 V is at the level of 0.5 V.
     assert crossings(steps, 0.5, rising=True, input_ohm=50.0).tolist() == [1, 4]
@@ -213,12 +213,12 @@ def test_output_off_cuts_a_running_burst_and_drops_a_pending_one():
         sine(function="RAMP"),
     ],
 )
-def test_what_is_not_programmed_to_fire_does_not(registers):
+def test_unprogrammed_instruments_emit_nothing(registers):
     emission = respond([(0, registers)], [], ttl([0]), LATENCY_PS, FAR_PS)
     assert emission.bursts.onset_ps.size == emission.steps.time_ps.size == 0
 
 
-def test_a_gate_lets_whole_cycles_through_and_the_one_that_runs_when_it_closes() -> None:
+def test_a_gate_completes_the_cycle_that_runs_when_it_closes() -> None:
     gate = ttl([1_000_000, 50_000_000], width_ps=10_400_000)
     gated = sine(burst_mode="GAT", frequency_hz=1e6, trigger_source="IMM")
     bursts = respond([(0, gated)], [], gate, LATENCY_PS, FAR_PS).bursts
@@ -231,7 +231,7 @@ def test_a_gate_lets_whole_cycles_through_and_the_one_that_runs_when_it_closes()
     assert rises(pulses)[:2] == [1_100_000, 2_100_000]
 
 
-def test_an_inverted_gate_is_open_where_nothing_arrives_and_closes_at_a_high_level() -> None:
+def test_an_inverted_gate_is_open_without_a_signal_and_closes_at_a_high_level() -> None:
     gated = sine(burst_mode="GAT", frequency_hz=1e6, gate_polarity="INV")
     bursts = respond([(0, gated)], [], ttl([5_000_000], width_ps=5_000_000), 0, 20_000_000).bursts
     assert bursts.onset_ps.tolist() == [0, 10_000_000]
@@ -253,7 +253,7 @@ def test_gated_bursts_equal_a_plain_loop(edge_ps, width_ps, frequency_hz):
     assert list(zip(bursts.onset_ps.tolist(), bursts.cycles.tolist(), strict=True)) == expected
 
 
-def test_a_gate_that_opens_again_within_the_last_cycle_is_ignored_and_one_at_its_end_is_not() -> None:
+def test_a_gate_that_opens_again_within_the_last_cycle_is_ignored_but_not_at_its_end() -> None:
     gated = sine(burst_mode="GAT", frequency_hz=1e6)
     # 0.4 us open is a cycle of 1 us.
     for second_ps, expected in ((900_000, [0, 2_000_000]), (1_000_000, [0, 1_000_000, 2_000_000])):
@@ -289,7 +289,7 @@ def test_a_square_wave_is_high_for_its_duty_cycle_of_each_period() -> None:
     assert crossings(steps, 2.0, False, 10e3).tolist() == [250_000, 750_000]
 
 
-def test_a_record_hears_the_bursts_from_10_ms_before_it_to_10_ms_after_it_however_long_it_is() -> None:
+def test_bursts_within_10_ms_of_a_record_of_any_length_contribute() -> None:
     onset_ps = np.arange(0, 200, 3, dtype=np.int64) * 10**9
     every = Bursts(onset_ps, onset_ps + 1000, np.ones(67), np.ones(67), np.ones(67))
     # 50 ms from 60 ms on.
@@ -298,7 +298,7 @@ def test_a_record_hears_the_bursts_from_10_ms_before_it_to_10_ms_after_it_howeve
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0])
-def test_a_clock_that_sleeps_for_no_time_stays_where_it_is(duration_s: float) -> None:
+def test_sleeping_for_no_time_does_not_advance_the_clock(duration_s: float) -> None:
     clock = SimulatedClock()
     assert clock.now_s() == 0.0
     clock.sleep(duration_s)

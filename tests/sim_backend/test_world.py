@@ -108,7 +108,7 @@ def test_twenty_bursts_at_100_hz_and_a_delayed_train_start_from_one_edge():
     assert set(ignored.values()) == {0}
 
 
-def test_records_follow_their_trigger_by_the_trigger_delay_and_share_its_clock():
+def test_records_follow_their_trigger_by_the_trigger_delay_on_the_same_clock():
     bench = Bench()
     bench.arm()
     bench.program()
@@ -122,7 +122,7 @@ def test_records_follow_their_trigger_by_the_trigger_delay_and_share_its_clock()
     assert (capture.origin_ps, capture.samples, capture.sample_period_ps) == (edge_ps, SAMPLES, 10_000)
 
 
-def test_the_tracking_pulse_waits_for_the_trigger_delay_where_the_digitizers_trigger_output_does():
+def test_the_tracking_pulse_waits_for_the_trigger_delay_if_the_trigger_output_does():
     onset_ps, first_ps = {}, {}
     for waits in (False, True):
         settings = SimulationSettings.model_validate({"instruments": {"aux_waits_for_trigger_delay": waits}})
@@ -174,7 +174,7 @@ def test_triggers_during_a_record_are_ignored_and_do_not_fire_the_pulser():
 
 
 @pytest.mark.parametrize("missing", range(len(FIG_2)))
-def test_what_is_not_wired_does_not_happen(missing):
+def test_an_unwired_instrument_is_not_triggered(missing):
     bench = Bench(FIG_2[:missing] + FIG_2[missing + 1 :])
     bench.arm()
     bench.program()
@@ -186,7 +186,7 @@ def test_what_is_not_wired_does_not_happen(missing):
     assert (bench.next_words() is None) == (missing in (1, 3))
 
 
-def test_an_output_switched_off_cuts_its_train_and_keeps_what_was_recorded():
+def test_switching_an_output_off_cuts_its_train_and_keeps_complete_records():
     bench = Bench()
     bench.arm()
     bench.program()
@@ -203,7 +203,7 @@ def test_an_output_switched_off_cuts_its_train_and_keeps_what_was_recorded():
     assert second[-1, 0] >> 2 == round((0.02 + 19e-4) / 0.8 * 8191.5 + 8191.5)
 
 
-def test_a_record_reads_the_same_after_the_future_has_changed():
+def test_complete_records_do_not_change_with_later_programming():
     bench = Bench()
     bench.arm()
     bench.library.AlazarAbortAsyncRead(BOARD)
@@ -221,7 +221,7 @@ def test_a_record_reads_the_same_after_the_future_has_changed():
     assert words[0] == words[1]
 
 
-def test_the_physics_is_asked_once_a_capture():
+def test_the_volts_of_a_capture_are_computed_once():
     bench = Bench()
     bench.arm()
     bench.program()
@@ -232,7 +232,7 @@ def test_the_physics_is_asked_once_a_capture():
     assert len(bench.acoustics.captures) == 1
 
 
-def test_what_the_wires_carry_is_worked_out_once_until_an_instrument_is_told_something():
+def test_emissions_are_computed_once_until_an_instrument_changes():
     bench = Bench()
     bench.arm()
     bench.program()
@@ -283,7 +283,7 @@ def test_true_displacement_is_that_at_the_pulses_arrival_and_nan_without_a_pulse
     assert truth.size == 40
 
 
-def test_motion_is_told_from_the_masters_edge_on_also_where_it_fires_again():
+def test_motion_times_start_at_the_first_edge_of_the_master():
     """A second edge in the middle of the trains starts nothing: time counts from the first."""
     bench = Bench()
     bench.arm()
@@ -297,7 +297,7 @@ def test_motion_is_told_from_the_masters_edge_on_also_where_it_fires_again():
     assert bench.world.true_motion_m(time_s) == pytest.approx(time_s, abs=1e-12)
 
 
-def test_motion_of_a_second_shot_is_told_from_its_own_edge():
+def test_motion_times_of_a_second_shot_start_at_its_edge():
     """The outputs stay on between both, so that the world remembers the first edge too."""
     bench = Bench()
     bench.arm()
@@ -311,7 +311,7 @@ def test_motion_of_a_second_shot_is_told_from_its_own_edge():
     assert bench.acoustics.captures[-1].origin_ps == edge_ps
 
 
-def test_captures_keep_their_truth_and_the_history_does_not_grow():
+def test_captures_keep_their_truth_with_a_bounded_history():
     bench = Bench()
     truths = []
     for _ in range(3):
@@ -333,7 +333,7 @@ def test_captures_keep_their_truth_and_the_history_does_not_grow():
         bench.world.true_displacement_m(3)
 
 
-def test_outputs_and_digitizer_tell_whether_they_are_safe():
+def test_outputs_and_digitizer_report_whether_they_are_safe():
     bench = Bench()
     bench.program()
     assert set(bench.world.outputs_on().values()) == {True}
@@ -346,7 +346,7 @@ def test_outputs_and_digitizer_tell_whether_they_are_safe():
     assert set(bench.world.outputs_on().values()) == {False}
 
 
-def test_a_message_takes_its_time_and_sleeping_takes_none_of_ours():
+def test_a_message_advances_the_clock_and_sleeping_takes_no_real_time():
     world = World(SimulationSettings(), FIG_2, Counting())
     world.connect("master").write("*CLS")
     world.clock.sleep(3600.0)

@@ -141,9 +141,7 @@ def test_another_model_is_refused_before_anything_is_sent_to_it(scripted) -> Non
 
 
 @pytest.mark.parametrize("late", [False, True], ids=["lost", "late"])
-def test_whoever_does_not_say_who_it_is_is_asked_once_more_and_nothing_else_is_sent(
-    scripted, monkeypatch, late: bool
-) -> None:
+def test_a_missing_identity_is_queried_once_more_and_nothing_else_is_sent(scripted, monkeypatch, late: bool) -> None:
     connection = scripted()
     read, silent = connection.read, [True]
 
@@ -162,7 +160,7 @@ def test_whoever_does_not_say_who_it_is_is_asked_once_more_and_nothing_else_is_s
     generator.configure(BURST)
 
 
-def test_somebody_who_never_says_who_it_is_is_not_there(scripted) -> None:
+def test_an_instrument_without_identity_is_missing(scripted) -> None:
     connection = scripted(replies={"*IDN": None})
     with pytest.raises(InstrumentError, match=r"no reply to '\*IDN\?'"):
         Agilent33250A(connection, "master").identify()
@@ -175,7 +173,7 @@ def test_the_later_vendor_name_is_accepted(scripted) -> None:
     assert identity == Identity("Keysight Technologies", "33250A", "0", "2.04-1.01-2.00-03-2")
 
 
-def test_a_setting_changed_at_the_front_panel_is_found_by_verify(scripted) -> None:
+def test_verify_reports_a_setting_changed_at_the_front_panel(scripted) -> None:
     connection = scripted()
     generator = Agilent33250A(connection, "burst_train")
     generator.configure(TRAIN)
@@ -186,7 +184,7 @@ def test_a_setting_changed_at_the_front_panel_is_found_by_verify(scripted) -> No
         generator.verify()
 
 
-def test_a_failed_configure_leaves_the_role_unconfigured(scripted) -> None:
+def test_after_a_failed_configure_the_role_is_unconfigured(scripted) -> None:
     generator = Agilent33250A(scripted(replies={"BURS:NCYC": "+1.0E+00"}), "burst_train")
     with pytest.raises(InstrumentError):
         generator.configure(TRAIN)
@@ -260,7 +258,7 @@ def test_an_instrument_that_is_silent_in_local_mode_is_made_safe_at_the_second_a
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
-def test_verify_returns_every_setting_in_few_messages_and_asks_for_nothing_twice(scripted, role_type, program) -> None:
+def test_verify_returns_every_setting_in_few_messages_without_repeats(scripted, role_type, program) -> None:
     connection = scripted()
     generator = role_type(connection, "x")
     generator.configure(program)
@@ -298,7 +296,7 @@ IMPOSSIBLE = [
 
 
 @pytest.mark.parametrize(("role_type", "program", "texts"), IMPOSSIBLE)
-def test_what_the_instrument_cannot_do_is_refused_with_both_numbers_before_a_setting_is_sent(
+def test_invalid_tasks_are_refused_with_value_and_limit_before_a_setting_is_sent(
     scripted, role_type, program, texts
 ) -> None:
     connection = scripted()
@@ -309,7 +307,7 @@ def test_what_the_instrument_cannot_do_is_refused_with_both_numbers_before_a_set
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
-def test_more_than_the_wiring_bears_is_refused_before_a_setting_is_sent(scripted, role_type, program) -> None:
+def test_a_swing_above_max_vpp_is_refused_before_a_setting_is_sent(scripted, role_type, program) -> None:
     connection = scripted()
     with pytest.raises(InstrumentError, match=r"is above max_vpp = 0\.1"):
         role_type(connection, "x", max_vpp=0.1).configure(program)
@@ -336,7 +334,7 @@ def test_a_sweep_sends_only_what_changed_in_one_message_with_one_reply(scripted,
 
 
 @pytest.mark.parametrize("changes", [{"load_ohm": 50.0}, {"rate_hz": 2e4, "width_s": 2e-6}])
-def test_settings_that_drag_others_along_are_programmed_from_the_reset_state(scripted, changes) -> None:
+def test_settings_that_change_others_are_programmed_from_the_reset_state(scripted, changes) -> None:
     connection = scripted()
     generator = Agilent33250A(connection, "tracking_train")
     generator.configure(TRAIN)
@@ -386,7 +384,7 @@ def test_high_impedance_doubles_the_largest_amplitude(scripted) -> None:
 
 
 @pytest.mark.parametrize(("reply", "passed"), [("+0", True), ("0", True), ("+1", False)])
-def test_a_self_test_is_awaited_and_the_output_is_off_before_and_after(scripted, reply: str, passed: bool) -> None:
+def test_a_self_test_waits_and_has_the_output_off_before_and_after(scripted, reply: str, passed: bool) -> None:
     instrument = scripted(replies={"*TST": reply, "OUTP": "0"})
     read, silent = instrument.read, [TimeoutError(), TimeoutError()]
 
@@ -410,7 +408,7 @@ def test_an_instrument_that_never_ends_its_self_test_is_an_error_that_names_it(s
 
 
 @pytest.mark.parametrize(("stuck", "switch"), [("0", "enable_output"), ("1", "make_safe")])
-def test_a_stuck_relay_is_blamed_on_the_relay_and_not_on_the_scene(scripted, stuck: str, switch: str) -> None:
+def test_the_remedy_of_a_stuck_relay_does_not_mention_the_scene(scripted, stuck: str, switch: str) -> None:
     connection = scripted()
     generator = Agilent33250A(connection, "toneburst")
     generator.configure(BURST)
@@ -420,7 +418,7 @@ def test_a_stuck_relay_is_blamed_on_the_relay_and_not_on_the_scene(scripted, stu
     assert "scene" not in str(caught.value)
 
 
-def test_what_another_program_changed_is_found_and_the_next_task_starts_from_the_reset_state(scripted) -> None:
+def test_recheck_reports_a_foreign_change_and_the_next_task_starts_from_reset(scripted) -> None:
     connection = scripted()
     generator = Agilent33250A(connection, "toneburst")
     generator.configure(BURST)
@@ -437,6 +435,6 @@ def test_what_another_program_changed_is_found_and_the_next_task_starts_from_the
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
-def test_what_the_wiring_just_bears_is_programmed(scripted, role_type, program) -> None:
+def test_a_swing_of_exactly_max_vpp_is_programmed(scripted, role_type, program) -> None:
     swing_v = getattr(program, "high_v", None) or program.amplitude_vpp
     role_type(scripted(), "x", max_vpp=swing_v).configure(program)

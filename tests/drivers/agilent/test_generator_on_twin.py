@@ -76,7 +76,7 @@ trains = st.builds(
 
 @few
 @given(st.lists(trains, min_size=2, max_size=4))
-def test_a_sweep_ends_in_the_state_that_its_last_step_alone_would_give(line, sweep: list[PulseTrain]) -> None:
+def test_the_state_after_a_sweep_is_that_of_its_last_step_alone(line, sweep: list[PulseTrain]) -> None:
     swept = Agilent33250A(line.connection, "burst_train")
     for train in sweep:
         swept.configure(train)
@@ -110,7 +110,7 @@ def test_every_impossible_train_is_refused_with_the_output_off_and_the_setting_u
 
 @few
 @given(impossible)
-def test_every_impossible_train_that_slips_past_the_driver_is_caught_by_the_read_back(line, train: PulseTrain) -> None:
+def test_the_read_back_reports_every_impossible_train_that_is_sent(line, train: PulseTrain) -> None:
     """The driver's own limits are lifted, so that the instrument clips or substitutes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
@@ -122,7 +122,7 @@ def test_every_impossible_train_that_slips_past_the_driver_is_caught_by_the_read
     assert not line.instrument.registers.output
 
 
-def test_one_instrument_can_play_one_role_after_the_other(line) -> None:
+def test_one_instrument_can_have_several_roles_in_succession(line) -> None:
     for load_ohm in (50.0, math.inf):
         Agilent33250A(line.connection, "a").configure(dataclasses.replace(TRAIN, load_ohm=load_ohm))
         Agilent33250A(line.connection, "b").configure(BURST)
@@ -150,7 +150,7 @@ def test_the_master_fires_on_the_twin_and_the_error_queue_stays_empty(line) -> N
     assert len(line.instrument.software_triggers_ps) == 1
 
 
-def test_an_instrument_that_clips_the_amplitude_is_caught(line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clipped_amplitude_is_an_error(line, monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver's own limit is lifted, so that the command reaches the instrument."""
     monkeypatch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
     generator = Agilent33250A(line.connection, "toneburst")
@@ -172,7 +172,7 @@ GUARDED = ["OUTP:POL INV", "BURS:PHAS 45", "TRIG:SLOP NEG", "TRIG:SOUR IMM", "BU
 
 
 @pytest.mark.parametrize("others", ["BURS:NCYC 3", "TRIG:DEL 0", "VOLT:HIGH 1", "BURS:STAT 0", *GUARDED, "*RST"])
-def test_what_another_program_changes_between_configure_and_verify_is_found(line, others: str) -> None:
+def test_verify_reports_a_foreign_change_after_configure(line, others: str) -> None:
     generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(TRAIN)
     line.instrument.write(others)
@@ -180,7 +180,7 @@ def test_what_another_program_changes_between_configure_and_verify_is_found(line
         generator.verify()
 
 
-def test_make_safe_works_on_an_instrument_left_in_any_state(line) -> None:
+def test_make_safe_works_in_every_state_of_the_instrument(line) -> None:
     line.instrument.write("OUTP 1;:FREQ 2E6")
     line.instrument.write("NONSENSE")
     line.instrument.write("FREQ?")
@@ -188,7 +188,7 @@ def test_make_safe_works_on_an_instrument_left_in_any_state(line) -> None:
     assert not line.instrument.registers.output
 
 
-def test_an_unknown_query_times_out_and_the_session_goes_on_in_step(line) -> None:
+def test_an_unknown_query_times_out_and_the_session_stays_synchronised(line) -> None:
     line.instrument.write("*CLS;*RST")
     session = ScpiSession(line.connection, "master")
     with pytest.raises(InstrumentError, match="no reply"):
@@ -197,7 +197,7 @@ def test_an_unknown_query_times_out_and_the_session_goes_on_in_step(line) -> Non
     assert session.drain_errors() == ()
 
 
-def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line) -> None:
+def test_an_instrument_in_local_mode_is_recognised_and_made_safe(line) -> None:
     generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(TRAIN)
     generator.enable_output()
@@ -210,7 +210,7 @@ def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line)
     assert not line.instrument.registers.output
 
 
-def test_a_self_test_is_made_with_the_output_off_and_what_was_programmed_counts_no_more(line) -> None:
+def test_a_self_test_has_the_output_off_and_forgets_the_programmed_settings(line) -> None:
     generator = Agilent33250A(line.connection, "toneburst")
     generator.configure(BURST)
     generator.enable_output()

@@ -62,7 +62,7 @@ def test_long_and_short_form_of_a_keyword_are_the_same(long: str, short: str) ->
     assert Register("k", "H", short).matches(long)
 
 
-def test_another_keyword_is_not_the_same() -> None:
+def test_another_keyword_is_a_difference() -> None:
     assert not Register("trigger_source", "TRIG:SOUR", "EXT").matches("IMM")
 
 

@@ -83,7 +83,7 @@ def test_a_coercion_at_each_position_of_a_group_is_found(scripted, place: int) -
         ScpiSession(connection, "master").program("group", registers)
 
 
-def test_an_error_queue_that_overflowed_is_told_with_every_error_and_is_empty_afterwards() -> None:
+def test_an_overflowed_error_queue_is_reported_whole_and_empty_afterwards() -> None:
     session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
     for _ in range(30):
         session.write("FREQ 1E12")
@@ -93,7 +93,7 @@ def test_an_error_queue_that_overflowed_is_told_with_every_error_and_is_empty_af
 
 
 @pytest.mark.parametrize("reply", ["+1.0E+02", '+1.0E+02;+0,"No error"', "+1.0E+02;+20;", "\x00\xff;\x80;\x81", ";;"])
-def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_question(scripted, reply: str) -> None:
+def test_partial_and_corrupt_replies_are_errors_and_the_next_reply_fits_its_query(scripted, reply: str) -> None:
     connection = scripted()
     session = ScpiSession(connection, "master")
     session.write(RATE.command, COUNT.command)
@@ -104,7 +104,7 @@ def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_questi
     session.verify("train", [RATE, COUNT])
 
 
-def test_a_reply_that_comes_in_two_lines_shifts_no_later_answer(scripted) -> None:
+def test_a_reply_in_two_lines_shifts_no_later_reply(scripted) -> None:
     """The second line reads like an empty error queue."""
     connection = scripted()
     session = ScpiSession(connection, "master")
@@ -123,7 +123,7 @@ def test_a_reply_that_comes_in_two_lines_shifts_no_later_answer(scripted) -> Non
     assert session.query("BURS:NCYC?") == "20"
 
 
-def test_two_threads_share_one_session_without_mixing_their_answers() -> None:
+def test_two_threads_share_one_session_without_mixing_replies() -> None:
     class Slow:
         """Gives way between question and answer, as every real connection does."""
 
@@ -183,7 +183,7 @@ def test_a_queued_error_is_an_error_even_if_every_value_reads_back(scripted) -> 
         ("*TRG", 1, "the trigger was ignored"),
     ],
 )
-def test_the_twins_own_errors_are_told_with_their_cause(sent: str, times: int, cause: str) -> None:
+def test_the_twins_errors_are_reported_with_their_cause(sent: str, times: int, cause: str) -> None:
     instrument = Generator33250A(SimulatedClock(), 0.0)
     session = ScpiSession(instrument, "master")
     for _ in range(times):
@@ -192,7 +192,7 @@ def test_the_twins_own_errors_are_told_with_their_cause(sent: str, times: int, c
         session.program("train", [RATE])
 
 
-def test_a_line_that_instruments_share_is_known_by_its_name(scripted) -> None:
+def test_a_session_names_its_bus(scripted) -> None:
     connection = scripted()
     assert ScpiSession(connection, "master").bus == ""
     connection.timeout_s, connection.bus, connection.reopen = 1.0, "GPIB0", lambda: None
@@ -214,7 +214,7 @@ def test_an_error_queue_that_never_empties_ends_after_a_bounded_number_of_reads(
     assert len(connection.messages) == QUEUE_READS
 
 
-def test_a_reply_that_is_no_error_entry_is_reported_with_its_text_and_shifts_no_later_answer(scripted) -> None:
+def test_an_invalid_error_entry_is_reported_with_its_text_and_shifts_no_later_reply(scripted) -> None:
     connection = scripted()
     session = ScpiSession(connection, "master")
     session.write("FREQ 7")
@@ -232,7 +232,7 @@ def test_silence_is_an_instrument_error_caused_by_the_timeout(scripted) -> None:
 
 @pytest.mark.parametrize("late", range(1, 8))
 @pytest.mark.parametrize("stale", ["+1.0E+02", "+1", "+2", "+3", '+0,"No error"', "answer to FREQ?"])
-def test_a_late_reply_is_never_taken_for_a_later_one(late: int, stale: str) -> None:
+def test_a_late_reply_never_answers_a_later_query(late: int, stale: str) -> None:
     """``late`` covers arrival before, during and after the draining; ``stale`` includes the sync numbers themselves."""
     session = ScpiSession(LateConnection("VOLT?", late, stale), "toneburst")
     with pytest.raises(InstrumentError):
@@ -262,7 +262,7 @@ def test_an_interrupt_while_waiting_does_not_leave_the_reply_for_the_next_query(
     assert session.query("OUTP?") == "answer to OUTP?"
 
 
-def test_a_session_that_cannot_be_brought_in_step_refuses_every_query_but_still_writes(scripted) -> None:
+def test_a_session_that_cannot_resynchronise_refuses_queries_but_writes(scripted) -> None:
     connection = scripted(replies={"*ESE": "+300"})
     session = ScpiSession(connection, "master")
     for query in ("*OPT?", "OUTP?", "OUTP?"):

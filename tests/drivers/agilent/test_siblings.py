@@ -46,7 +46,7 @@ def test_the_second_field_of_the_identity_chooses_the_series(answer: str, name: 
 
 
 @pytest.mark.parametrize("model", MODELS, ids=NAMES)
-def test_headers_name_the_channel_on_the_models_that_have_more_than_one(model: GeneratorModel) -> None:
+def test_headers_name_the_channel_on_models_with_several(model: GeneratorModel) -> None:
     numbered = model.name in ("33500B", "33600A")
     for plain, with_channel in (("OUTP", "OUTP1"), ("TRIG:SOUR", "TRIG1:SOUR"), ("OUTP:TRIG", "OUTP:TRIG")):
         assert model.header(plain) == (with_channel if numbered else plain)
@@ -104,7 +104,7 @@ def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, 
 
 
 @pytest.mark.parametrize("model", MODELS, ids=NAMES)
-def test_the_driver_asks_no_more_of_a_model_than_the_twins_instrument_does(model: GeneratorModel) -> None:
+def test_the_drivers_limits_are_within_the_twins(model: GeneratorModel) -> None:
     """Both are written from the manuals, apart from each other; of a series the driver takes the smallest member."""
     instrument = models_33250a.MODELS[model.name]
     assert model.cycles == (1, instrument.max_cycles)
@@ -121,7 +121,7 @@ def test_the_driver_asks_no_more_of_a_model_than_the_twins_instrument_does(model
 
 @pytest.mark.parametrize("model", MODELS, ids=NAMES)
 @pytest.mark.parametrize("value", [9.876543e-3, 0.5, 1.0, 8.7654321, 12.345678, 98765.4321, 7.6543219e6])
-def test_a_number_is_held_as_finely_as_its_decade_and_the_digits_say(model: GeneratorModel, value: float) -> None:
+def test_the_resolution_of_a_number_follows_its_decade_and_digits(model: GeneratorModel, value: float) -> None:
     decade = math.floor(math.log10(value))
     digits = 9 if model.name == "33250A" else 15
     assert model.resolution("FREQ", value) == pytest.approx(max(1e-6, 10.0 ** (decade - digits + 1)))
@@ -130,7 +130,7 @@ def test_a_number_is_held_as_finely_as_its_decade_and_the_digits_say(model: Gene
     assert model.resolution("BURS:NCYC", value) == 0.0
 
 
-def test_a_period_is_as_short_as_the_rate_may_be_rounded_up() -> None:
+def test_the_shortest_period_is_that_of_the_rate_rounded_up() -> None:
     """Nine digits of a rate of 12 345.67891 Hz are 12 345.6789, the next is 0.0001 Hz up."""
     model = model_named("33250A")
     assert model is not None
@@ -149,7 +149,7 @@ LIMITS = [
 
 
 @pytest.mark.parametrize(("name", "role_type", "program", "text"), LIMITS)
-def test_a_siblings_own_limits_are_refused_before_a_setting_is_sent(name, role_type, program, text) -> None:
+def test_values_beyond_a_siblings_limits_are_refused_before_a_setting_is_sent(name, role_type, program, text) -> None:
     instrument = twin(name)
     before = instrument.registers
     with pytest.raises(InstrumentError, match=text):
@@ -164,14 +164,14 @@ def test_a_sibling_counts_and_waits_for_longer_than_a_33250a_can() -> None:
 
 
 @pytest.mark.parametrize("name", ["33220A", "33500B", "33600A"])
-def test_the_33250as_own_spelling_is_unknown_to_a_sibling(name: str) -> None:
+def test_the_33250as_pulse_headers_are_unknown_to_a_sibling(name: str) -> None:
     instrument = twin(name)
     instrument.write("PULS:WIDT 1E-5")
     instrument.write("SYST:ERR?")
     assert instrument.read() == '-113,"Undefined header"'
 
 
-def test_only_a_two_channel_model_takes_a_channel_number_and_only_its_own() -> None:
+def test_only_two_channel_models_accept_channel_numbers() -> None:
     replies = []
     for name, header in (("33250A", "SOUR1:FREQ 2E3"), ("33600A", "SOUR2:FREQ 2E3"), ("33600A", "SOUR3:FREQ 2E3")):
         instrument = twin(name)
@@ -186,7 +186,7 @@ def test_a_9_mhz_pulse_is_within_a_33250as_limits() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_amplitude_that_no_model_holds_exactly_is_taken_and_stated_as_held(name: str) -> None:
+def test_an_amplitude_beyond_the_resolution_is_accepted_and_reported_rounded(name: str) -> None:
     """Half the force asks for 0.70710678 Vpp; four digits are 0.7071."""
     generator = Agilent33250A(twin(name), "toneburst", name)
     generator.configure(dataclasses.replace(BURST, amplitude_vpp=math.sqrt(0.5)))
@@ -194,7 +194,7 @@ def test_an_amplitude_that_no_model_holds_exactly_is_taken_and_stated_as_held(na
 
 
 @pytest.mark.parametrize(("level", "off"), [("VOLT", 0.5012), ("VOLT:OFFS", 2e-4), ("FREQ", 3.0001e6)])
-def test_a_setting_beyond_the_resolution_is_still_found(level: str, off: float) -> None:
+def test_a_difference_beyond_the_resolution_is_an_error(level: str, off: float) -> None:
     instrument = twin("33250A")
     generator = Agilent33250A(instrument, "toneburst")
     generator.configure(BURST)

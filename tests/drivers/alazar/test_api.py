@@ -66,7 +66,7 @@ def test_out_parameters_are_as_wide_as_the_vendors_and_refuse_any_other_width(na
             kind.from_param(ctypes.byref(other))
 
 
-def test_functions_that_the_library_lacks_are_all_named() -> None:
+def test_every_missing_function_of_the_library_is_named() -> None:
     library = fake_library()
     del library.AlazarGetTriggerTimestamp, library.AlazarAbortAsyncRead
     with pytest.raises(InstrumentError, match="AlazarGetTriggerTimestamp, AlazarAbortAsyncRead"):
@@ -141,7 +141,7 @@ def test_every_other_code_is_an_error_naming_call_number_name_and_role(code: int
         ("ApiPllNotLocked", "clock is not locked"),
     ],
 )
-def test_the_cause_that_is_suspected_is_that_of_the_code_s_name(name: str, cause: str) -> None:
+def test_the_likely_cause_matches_the_codes_name(name: str, cause: str) -> None:
     [code] = [code for code, each in RETURN_CODES.items() if each == name]
     with pytest.raises(InstrumentError, match=f"(?i){cause}"):
         check(code, "AlazarStartCapture", "digitizer")

@@ -179,9 +179,7 @@ def test_the_library_exports_every_function_of_the_interface(library_path: Path)
 
 
 @pytest.mark.parametrize(("mode", "arrived"), [("single_port", 700), ("traditional", 625), ("npt", 625)])
-def test_records_that_came_before_missing_triggers_are_kept_and_counted(
-    script: Script, mode: str, arrived: int
-) -> None:
+def test_records_before_missing_triggers_are_delivered_and_counted(script: Script, mode: str, arrived: int) -> None:
     script.options(triggers=700)
     digitizer = AlazarDigitizer(AlazarBoard(script.library), Ticking(), mode=mode)
     digitizer.configure(CAPTURE)
@@ -195,12 +193,12 @@ def test_records_that_came_before_missing_triggers_are_kept_and_counted(
 
 
 @pytest.mark.parametrize("bits", [2, 4])
-def test_the_boards_clipped_flags_are_seen(script: Script, bits: int) -> None:
+def test_the_boards_clipped_flags_are_reported(script: Script, bits: int) -> None:
     script.options(clipped=bits)
     assert acquire(script, "traditional").digitizer.clipped()
 
 
-def test_an_old_fpga_takes_a_thousand_single_port_records_and_not_one_more(script: Script) -> None:
+def test_an_old_fpga_takes_a_thousand_single_port_records_at_most(script: Script) -> None:
     script.options(fpga=18)
     assert len(acquire(script, "single_port").codes) == 1000
     digitizer = AlazarDigitizer(AlazarBoard(script.library), Ticking(), mode="single_port")
@@ -209,9 +207,7 @@ def test_an_old_fpga_takes_a_thousand_single_port_records_and_not_one_more(scrip
 
 
 @pytest.mark.parametrize("code", [code for code in (*MEANINGS, 603, 604, 607) if code not in (SUCCESS, 579)])
-def test_every_code_that_a_call_answers_becomes_an_error_with_call_number_and_meaning(
-    script: Script, code: int
-) -> None:
+def test_every_return_code_becomes_an_error_with_call_number_and_meaning(script: Script, code: int) -> None:
     calls = ("AlazarSetCaptureClock", "AlazarStartCapture", "AlazarWaitAsyncBufferComplete")
     call = calls[code % 3]
     script.library.FakeFail(call.encode(), code)

@@ -17,6 +17,7 @@ from drivers.agilent.generator import Agilent33250A
 from drivers.alazar.api import SIGNATURES
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.digitizer import AlazarDigitizer
+from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import Capture, DeadlineError, Digitizer, InstrumentError, PulseTrain, TriggerPulse
 from sim_backend.digitizer.boards import IMPEDANCE_50_OHM
@@ -169,7 +170,7 @@ def test_records_are_the_volts_at_the_input_within_half_a_code(rig: Rig) -> None
     assert last == CAPTURE.record_count
 
 
-def test_both_ways_to_capture_give_the_same_records_and_times() -> None:
+def test_single_and_dual_port_captures_give_the_same_records_and_times() -> None:
     single, dual = (Rig(dual).shot(LONG_CAPTURE) for dual in (False, True))
     np.testing.assert_array_equal(single[0], dual[0])
     # Arming takes other calls in the two modes, so the counter starts at another time.
@@ -203,7 +204,7 @@ def test_a_second_shot_starts_its_times_and_records_again(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("delay", [-128, 0, 1, 9000])
-def test_delays_and_pre_triggers_are_captured_alike(delay: int) -> None:
+def test_delays_and_pre_triggers_give_the_same_records_in_both_captures(delay: int) -> None:
     capture = dataclasses.replace(CAPTURE, trigger_delay_samples=delay)
     single, dual = (Rig(dual).shot(capture) for dual in (False, True))
     np.testing.assert_array_equal(single[0], dual[0])
@@ -237,7 +238,7 @@ def test_missing_triggers_end_at_the_deadline_and_not_later(rig: Rig) -> None:
     assert rig.world.digitizer_idle()
 
 
-def test_records_that_came_before_the_deadline_are_delivered_to_a_slow_reader(rig: Rig) -> None:
+def test_records_from_before_the_deadline_reach_a_slow_reader(rig: Rig) -> None:
     rig.fire(CAPTURE)
     rig.world.clock.sleep(5.0)
     assert sum(len(block.codes) for block in rig.digitizer.records(rig.deadline_s(-1.0))) == CAPTURE.record_count
@@ -272,7 +273,7 @@ def test_make_safe_between_two_blocks_ends_the_capture_and_frees_the_memory() ->
         next(blocks)
 
 
-def test_make_safe_after_arming_without_reading(rig: Rig) -> None:
+def test_make_safe_ends_a_capture_that_was_not_read(rig: Rig) -> None:
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.arm()
     assert not rig.world.digitizer_idle()
@@ -283,7 +284,7 @@ def test_make_safe_after_arming_without_reading(rig: Rig) -> None:
         rig.digitizer.records(rig.deadline_s())
 
 
-def test_make_safe_works_without_configure_and_on_a_capture_left_by_another_program(rig: Rig) -> None:
+def test_make_safe_works_without_configure_and_on_a_capture_of_another_program(rig: Rig) -> None:
     rig.digitizer.make_safe()
     handle = rig.library.AlazarGetBoardBySystemID(1, 1)
     assert rig.library.AlazarSetRecordSize(handle, 0, 256) == 512
@@ -314,7 +315,7 @@ def test_an_interrupt_in_a_wait_aborts_and_frees() -> None:
     assert rig.world.digitizer_idle()
 
 
-def test_memory_is_kept_until_the_board_has_let_go_of_it() -> None:
+def test_memory_is_kept_until_the_abort_succeeds() -> None:
     rig = Rig(dual=True, answers={"AlazarAbortAsyncRead": 571})
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.arm()
@@ -326,7 +327,7 @@ def test_memory_is_kept_until_the_board_has_let_go_of_it() -> None:
     assert rig.memory.held == 0
 
 
-def test_memory_that_the_board_never_let_go_of_outlives_the_driver() -> None:
+def test_memory_of_a_failed_abort_outlives_the_driver() -> None:
     rig = Rig(dual=True, answers={"AlazarAbortAsyncRead": 571})
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.arm()
@@ -342,7 +343,7 @@ def test_memory_that_the_board_never_let_go_of_outlives_the_driver() -> None:
         ctypes.memset(buffer().address, 0xEE, buffer().size_bytes)
 
 
-def test_memory_of_a_proper_end_does_not_outlive_the_driver() -> None:
+def test_memory_of_a_finished_capture_does_not_outlive_the_driver() -> None:
     rig = Rig(dual=True)
     rig.shot(CAPTURE)
     buffers = [weakref.ref(buffer) for buffer in rig.memory.buffers]
@@ -369,13 +370,13 @@ def test_buffers_are_posted_before_the_capture_starts_and_the_abort_comes_last()
     assert calls[-1] == "AlazarAbortAsyncRead"
 
 
-def test_a_board_without_dual_port_memory_never_sees_autodma() -> None:
+def test_a_board_without_dual_port_memory_gets_no_autodma_calls() -> None:
     rig = Rig(dual=False)
     rig.shot(CAPTURE)
     assert not any("Async" in call for call in rig.library.calls)
 
 
-def test_what_the_board_cannot_do_is_refused_before_it_is_programmed(rig: Rig) -> None:
+def test_invalid_captures_are_refused_before_anything_is_sent(rig: Rig) -> None:
     rig.library.calls.clear()
     with pytest.raises(InstrumentError) as caught:
         rig.digitizer.configure(dataclasses.replace(CAPTURE, record_samples=250, input_range_v=3.0))
@@ -414,7 +415,7 @@ def test_a_capture_started_by_another_program_is_found_by_verify(rig: Rig) -> No
     rig.digitizer.make_safe()
 
 
-def test_what_a_board_does_not_report_is_not_held_against_it() -> None:
+def test_a_state_that_the_board_does_not_report_is_not_compared() -> None:
     rig = Rig(dual=True, answers={"AlazarGetParameter": 533})
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.verify()
@@ -429,11 +430,21 @@ def test_steps_out_of_order_are_refused(rig: Rig) -> None:
         rig.digitizer.records(1.0)
 
 
-def test_the_trigger_output_is_set_up_also_where_another_program_used_it_otherwise(rig: Rig) -> None:
+def test_the_trigger_output_is_programmed_after_another_programs_use(rig: Rig) -> None:
     level_output = 14
     rig.library.AlazarConfigureAuxIO(rig.library.AlazarGetBoardBySystemID(1, 1), level_output, 0)
     rig.shot(CAPTURE)
     assert rig.world.board.settings.aux_mode == 0
+
+
+def test_the_trigger_range_of_the_model_is_sent_to_the_board(rig: Rig) -> None:
+    model = dataclasses.replace(ATS460_BOARD, trigger_range_v=1.0)
+    digitizer = AlazarDigitizer(AlazarBoard(rig.library, model=model), rig.world.clock)
+    digitizer.configure(dataclasses.replace(CAPTURE, trigger_level_v=0.5))
+    settings = rig.world.board.settings
+    assert settings.external_range_v == 1.0
+    # 0.5 V is half of the range: code 128 + 63.5, truncated.
+    assert settings.engines[0].level_code == 191
 
 
 def test_an_absent_board_is_named_by_its_ids() -> None:
@@ -491,7 +502,7 @@ def test_autodma_without_dual_port_memory_is_refused_with_the_remedy() -> None:
         digitizer.configure(CAPTURE)
 
 
-def test_a_board_that_lets_go_of_no_memory_is_still_told_to_stop() -> None:
+def test_a_board_stops_even_if_its_memory_cannot_be_freed() -> None:
     rig = Rig(dual=True, answers={"AlazarAbortAsyncRead": 571})
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.arm()

@@ -133,7 +133,7 @@ def test_the_driver_reads_single_port_times_as_sample_clock_periods() -> None:
 
 
 @pytest.mark.parametrize("pulses", [1001, 2500])
-def test_a_record_without_a_time_is_kept_and_says_so(pulses: int) -> None:
+def test_a_record_without_a_trigger_time_is_delivered_with_nan(pulses: int) -> None:
     times_s = captured(pulses)
     assert times_s.size == pulses
     np.testing.assert_array_equal(np.isnan(times_s), np.arange(pulses) >= 1000)

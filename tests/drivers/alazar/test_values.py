@@ -47,7 +47,7 @@ def test_rates_up_to_100_mhz_have_the_vendors_numbers(rate_hz: float, number: in
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
-def test_driver_and_twin_agree_on_every_board_though_neither_knows_the_other(model: BoardModel) -> None:
+def test_the_rows_of_driver_and_twin_agree_for_every_board(model: BoardModel) -> None:
     board = BOARDS[model.name]
     assert (model.kind, model.code_bits, model.sample_bytes) == (board.kind, board.bits, board.bytes_per_sample)
     assert {number: rate_hz for rate_hz, number in model.rate_ids.items()} == board.rates_hz
@@ -84,7 +84,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("change", "texts"), REFUSED)
-def test_what_the_board_cannot_do_is_named_with_both_numbers(change, texts) -> None:
+def test_a_refusal_names_value_and_limit(change, texts) -> None:
     (refusal,) = mistakes(dataclasses.replace(CAPTURE, **change))
     assert refusal.field in change
     assert all(text in refusal.text for text in texts)
@@ -101,7 +101,7 @@ def test_delays_and_pre_triggers_the_board_can_do_are_accepted(delay: int) -> No
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
-def test_the_lowest_and_the_highest_code_alone_are_full_scale(model: BoardModel) -> None:
+def test_only_the_lowest_and_the_highest_code_are_full_scale(model: BoardModel) -> None:
     lowest, highest = model.code_limits
     inside = np.array([lowest + 1, 0, highest - 1], np.int16)
     assert not any_at_full_scale(inside, model)
@@ -124,7 +124,7 @@ def test_records_per_buffer_divide_the_count_and_fit_the_buffer(sixteenths: int,
     assert per_buffer == 1 or per_buffer <= count / 8
 
 
-def test_a_buffer_takes_a_mebibyte_of_a_long_capture_and_one_record_of_a_prime_count() -> None:
+def test_a_buffer_holds_a_mebibyte_of_a_long_capture_and_one_record_of_a_prime_count() -> None:
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000)) == 250
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000), channels=2) == 125
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=997)) == 1
@@ -134,7 +134,7 @@ def test_a_last_trigger_that_does_not_come_costs_an_eighth_of_the_capture_at_mos
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_samples=128, record_count=56)) == 7
 
 
-def test_npt_records_have_their_own_alignment_and_no_pre_trigger() -> None:
+def test_npt_records_have_another_multiple_and_no_pre_trigger() -> None:
     wrong = dataclasses.replace(CAPTURE, record_samples=2032, trigger_delay_samples=-64)
     assert mistakes(wrong) == []
     alignment, before = mistakes(wrong, mode="npt")
@@ -160,7 +160,7 @@ def test_codes_and_volts_invert_the_references_formula(code: int) -> None:
 
 
 @given(st.integers(0, 2**40 - 1), st.integers(0, 2**24 - 1))
-def test_the_time_stamp_is_forty_bits_whatever_shares_its_word(count: int, other_bits: int) -> None:
+def test_the_time_stamp_is_forty_bits_regardless_of_other_bits(count: int, other_bits: int) -> None:
     header = np.array([[1, 2, count & 0xFFFF_FFFF, (other_bits << 8) | (count >> 32)]], np.uint32)
     assert timestamp_counts(header)[0] == count
 

@@ -246,6 +246,6 @@ def test_a_prologix_adapter_on_a_serial_line_reaches_its_instruments() -> None:
 
 
 @pytest.mark.parametrize("address", ["GPIB0::10::INSTR", "PRLGX-TCPIP0::10.0.0.1::INTFC"])
-def test_an_adapter_address_that_is_none_is_refused_with_an_example(address: str) -> None:
+def test_an_invalid_adapter_address_is_refused_with_an_example(address: str) -> None:
     with pytest.raises(ConnectionError, match="such as PRLGX-TCPIP0::"):
         PrologixAdapter(address)

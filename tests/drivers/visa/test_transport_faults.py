@@ -133,7 +133,7 @@ def test_a_late_reply_is_never_the_answer_to_a_later_query(bench: Bench, delay_s
 
 
 @pytest.mark.parametrize("garbage", ["\x80\xff\xfe", "", "?", "+1.0E+02;+1.0E+02;0"])
-def test_garbage_instead_of_a_read_back_is_an_error_and_the_output_can_still_be_cut(bench: Bench, garbage: str) -> None:
+def test_a_corrupt_read_back_is_an_error_and_the_output_can_still_be_switched_off(bench: Bench, garbage: str) -> None:
     generator = Agilent33250A(bench.connection, "tracking_train")
     bench.instrument.query, bench.instrument.mishap = "BURS:NCYC?", lambda reply: garbage
     with pytest.raises(InstrumentError, match="tracking_train"):
@@ -145,7 +145,7 @@ def test_garbage_instead_of_a_read_back_is_an_error_and_the_output_can_still_be_
     generator.verify()
 
 
-def test_half_a_reply_is_an_error_and_the_rest_of_it_no_answer(bench: Bench) -> None:
+def test_a_partial_reply_is_an_error_and_its_remainder_answers_nothing(bench: Bench) -> None:
     bench.instrument.query = "BURS:NCYC?"
     bench.instrument.mishap = lambda reply: reply[: len(reply) // 2]
     generator = Agilent33250A(bench.connection, "tracking_train")
@@ -165,7 +165,7 @@ def test_a_peer_that_closes_is_an_error_at_every_query_and_at_making_safe(bench:
         Agilent33250A(bench.connection, "toneburst").make_safe()
 
 
-def test_a_peer_that_closes_while_a_reply_is_awaited_is_told_from_a_slow_one() -> None:
+def test_a_connection_closed_during_a_read_is_distinguished_from_a_slow_one() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         connection = VisaConnection(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", TIMEOUT_S, "@py")
         peer, _ = listener.accept()

@@ -126,7 +126,7 @@ def test_words_are_left_justified_14_bit_codes():
     assert np.max(np.abs(volts - expected)) <= 0.5 * 0.8 / 8191.5 * (1 + 1e-9)
 
 
-def test_an_input_of_1_megohm_sees_twice_the_volts_of_one_of_50_ohm():
+def test_an_edge_into_1_megohm_has_twice_the_voltage_of_50_ohm():
     settings, volts = BoardSettings(BOARDS["ATS460"]), np.array([-0.3, 0.0, 0.2])
     plain = words(2 * volts, Input(0.8), settings)
     assert np.array_equal(words(volts, Input(0.8, impedance=1), settings), plain)
@@ -199,12 +199,12 @@ def test_clipping_shows_in_the_status(gain, status):
     assert (np.frombuffer(data, "<u2").max() == 16383 << 2) == (status == 2)
 
 
-def test_volts_within_a_code_beyond_either_end_of_the_range_are_at_its_end():
+def test_volts_beyond_the_range_get_the_first_or_last_code():
     volts = 0.8 * np.array([-1.0, -1.0 - 1 / 8191, -2.0, 1.0, 1.0 + 1 / 8191, 2.0])
     assert (words(volts, Input(), BoardSettings()) >> 2).tolist() == [0, 0, 0, 16383, 16383, 16383]
 
 
-def test_giving_up_ends_the_capture_that_runs_and_no_other():
+def test_abort_ends_the_running_capture_only():
     board = Board(Latencies(0, 0))
     for begin_ps in (0, 100, 200):
         board.arm(begin_ps, BoardSettings())
@@ -228,7 +228,7 @@ def test_signed_format_is_twos_complement():
     assert np.max(np.abs((signed + 0.5) / 8191.5 * 0.8 - expected)) <= 0.5 * 0.8 / 8191.5 * (1 + 1e-9)
 
 
-def test_a_1_megohm_input_sees_twice_the_voltage():
+def test_a_1_megohm_input_doubles_the_voltage():
     world = world_of(Ramps(0.5))
     library = loaded(world)
     library.AlazarInputControl(BOARD, 1, 2, 9, 1)
@@ -346,7 +346,7 @@ def test_buffers_are_refused_with_their_codes():
     assert library.AlazarGetTriggerTimestamp(BOARD, 1, byref(c_uint64())) == 518
 
 
-def test_waiting_without_triggers_times_out_after_the_time_asked_for():
+def test_waiting_without_triggers_times_out_after_the_given_time():
     world = world_of()
     library, memories = started(world)
     before_s = world.clock.now_s()
@@ -395,7 +395,7 @@ def test_buffer_counts_follow_the_records():
     assert [parameter(number) for number in (0x10000050, 0x10000051, 0x10000052)] == [1, 1, 0]
 
 
-def test_abort_ends_a_capture_that_gets_no_triggers():
+def test_abort_ends_a_capture_without_triggers():
     world = world_of()
     library = loaded(world)
     library.AlazarStartCapture(BOARD)
@@ -406,7 +406,7 @@ def test_abort_ends_a_capture_that_gets_no_triggers():
     assert world.digitizer_idle()
 
 
-def test_fewer_triggers_leave_it_busy_and_after_abort_what_came_can_be_read():
+def test_after_abort_the_records_of_a_partial_capture_can_be_read():
     world = world_of()
     library = loaded(world)
     library.AlazarStartCapture(BOARD)
@@ -419,7 +419,7 @@ def test_fewer_triggers_leave_it_busy_and_after_abort_what_came_can_be_read():
     assert answers == [512, 539]
 
 
-def test_trigger_timeout_takes_records_by_itself():
+def test_a_trigger_timeout_makes_the_board_trigger_itself():
     world = world_of()
     library = loaded(world, delay=0, count=3)
     library.AlazarSetTriggerTimeOut(BOARD, 100)
@@ -443,7 +443,7 @@ def test_a_trigger_must_reach_the_programmed_level(level, taken):
     assert captured.value == taken
 
 
-def test_board_tells_who_it_is():
+def test_the_board_reports_its_identity():
     library = world_of().alazar_library()
     samples, bits, major, minor, revision = c_uint32(), c_uint8(), c_uint8(), c_uint8(), c_uint8()
     assert library.AlazarGetBoardBySystemID(1, 1) == BOARD

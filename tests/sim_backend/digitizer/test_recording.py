@@ -56,7 +56,7 @@ def test_blocks_hold_the_volts_of_the_whole_capture(settings, blocks_of_eight):
         assert error < 2e-7 * np.abs(expected).max()
 
 
-def test_the_largest_voltage_is_that_of_the_records_so_far(blocks_of_eight):
+def test_the_peak_voltage_is_the_running_maximum_of_the_records(blocks_of_eight):
     expected = np.abs(whole(NOISY, snapshot())).max(axis=1)
     made = Recording(Acoustics(NOISY).record_volts)
     made.update(snapshot(), 0)
@@ -65,7 +65,7 @@ def test_the_largest_voltage_is_that_of_the_records_so_far(blocks_of_eight):
         assert made.peak_v(count) == pytest.approx(expected[:count].max(), rel=1e-6)
 
 
-def test_what_is_complete_stays_when_the_rest_is_programmed_anew(blocks_of_eight):
+def test_complete_records_stay_when_the_remaining_ones_change(blocks_of_eight):
     before, after = snapshot(), snapshot(amplitude_vpp=2.0)
     made = Recording(Acoustics(NOISY).record_volts)
     made.update(before, int(before.triggers.end_ps[19]))
@@ -77,7 +77,7 @@ def test_what_is_complete_stays_when_the_rest_is_programmed_anew(blocks_of_eight
     assert made.peak_v(50) == pytest.approx(np.abs(expected).max(), rel=1e-6)
 
 
-def test_a_block_asks_for_the_pulses_near_it_alone(blocks_of_eight):
+def test_a_block_uses_only_the_pulses_near_it(blocks_of_eight):
     asked = []
 
     def record_volts(tonebursts, pulses, capture):

@@ -82,7 +82,7 @@ def test_the_example_of_every_command_holds_on_every_model(name: str, form: str)
 
 
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
-def test_every_spelling_of_every_form_is_known_and_means_the_same(name: str, form: str) -> None:
+def test_every_spelling_of_a_form_has_the_same_effect(name: str, form: str) -> None:
     entry = tree_of(MODELS[name])[form]
     queried = isinstance(entry, SettingCommand) and entry.read is not None
     replies = set()
@@ -95,7 +95,7 @@ def test_every_spelling_of_every_form_is_known_and_means_the_same(name: str, for
 
 
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
-def test_what_a_setting_answers_can_be_sent_back_and_changes_nothing(name: str, form: str) -> None:
+def test_sending_a_settings_reply_back_changes_nothing(name: str, form: str) -> None:
     entry = tree_of(MODELS[name])[form]
     if not isinstance(entry, SettingCommand) or None in (entry.read, entry.write):
         return
@@ -130,7 +130,7 @@ def test_a_number_takes_its_limits_and_its_default_by_name(name: str, form: str)
     assert float(ask(generator, f"{header}?")) == pytest.approx(default, rel=1e-12, abs=1e-15)
 
 
-def test_half_of_a_command_that_has_only_the_other_is_undefined() -> None:
+def test_the_missing_form_of_a_command_is_undefined() -> None:
     generator = twin()
     for message in ("*RST?", "*IDN", "SYST:ERR", "DATA:COPY?", "APPL", "APPL:SIN?", "PHAS:REF?", "MEM:NST", "TRIG?"):
         generator.write(message)
@@ -140,7 +140,7 @@ def test_half_of_a_command_that_has_only_the_other_is_undefined() -> None:
 # APPLy
 
 
-def test_apply_switches_the_output_on_at_once_and_puts_the_waveform_out() -> None:
+def test_apply_switches_the_output_on_at_once() -> None:
     generator = twin()
     generator.write("TRIG:SOUR EXT;:BURS:NCYC 3;STAT 1;:APPL:SIN 1.5E6,0.4")
     assert ask(generator, "OUTP?;:BURS:STAT?;:TRIG:SOUR?") == "1;0;IMM"
@@ -149,7 +149,7 @@ def test_apply_switches_the_output_on_at_once_and_puts_the_waveform_out() -> Non
     assert bursts.amplitude_vpp.tolist() == pytest.approx([0.8])
 
 
-def test_apply_leaves_what_it_is_not_told_and_clips_what_does_not_fit() -> None:
+def test_apply_keeps_omitted_settings_and_clips_the_others() -> None:
     generator = twin()
     generator.write("FREQ 2E3;:VOLT 2;:VOLT:OFFS 0.5;:APPL:SQU")
     assert ask(generator, "APPL?") == f'"SQU {real(2e3)},{real(2)},{real(0.5)}"'
@@ -172,7 +172,7 @@ def test_dc_is_a_level_at_the_output() -> None:
 
 
 @pytest.mark.parametrize("name", ["33500B", "33600A"])
-def test_the_second_channel_has_settings_of_its_own(name: str) -> None:
+def test_the_second_channel_has_separate_settings(name: str) -> None:
     generator = twin(name)
     generator.write("SOUR2:APPL:SIN 7E3,2;:OUTP2:LOAD 75;:TRIG2:SOUR BUS;:SOURce2:BURSt:NCYCles 9;STATe 1")
     assert ask(generator, "OUTP2?;:OUTP1?;:OUTP?") == "1;0;0"
@@ -190,7 +190,7 @@ def test_a_channel_that_does_not_exist_is_out_of_range(header: str) -> None:
     assert errors(generator) == [-114]
 
 
-def test_a_number_stands_only_where_a_channel_may() -> None:
+def test_a_channel_number_is_accepted_at_marked_nodes_only() -> None:
     for name, header in (("33500B", "SOUR1:FREQ1?"), ("33250A", "SOUR1:FREQ?"), ("33500B", "DISP2?")):
         generator = twin(name)
         generator.write(header)
@@ -258,7 +258,7 @@ def test_a_learn_string_restores_the_state_from_anywhere(load: str, changes: lis
 
 @settings(max_examples=30, deadline=None)
 @given(CHANGES, CHANGES)
-def test_a_saved_state_comes_back_whatever_was_set_meanwhile(changes: list[str], others: list[str]) -> None:
+def test_a_saved_state_is_recalled_after_any_change(changes: list[str], others: list[str]) -> None:
     generator = twin()
     for message in (*changes, "*SAV 4"):
         generator.write(message)
@@ -268,7 +268,7 @@ def test_a_saved_state_comes_back_whatever_was_set_meanwhile(changes: list[str],
     assert generator.registers == saved
 
 
-def test_a_place_that_does_not_exist_or_holds_nothing_is_an_error() -> None:
+def test_an_unknown_or_empty_memory_location_is_an_error() -> None:
     generator = twin()
     generator.write("*SAV 5")
     generator.write("*SAV -1")
@@ -280,7 +280,7 @@ def test_a_place_that_does_not_exist_or_holds_nothing_is_an_error() -> None:
 # Waveforms that are kept and never put out
 
 
-def test_waveform_memory_keeps_four_and_deletes_neither_what_is_built_in_nor_what_is_selected() -> None:
+def test_waveform_memory_holds_four_and_deletes_neither_built_in_nor_selected_ones() -> None:
     generator = twin()
     generator.write("DATA VOLATILE, 0, 0.5, 1")
     for name in ("A1", "B2", "C3", "D4", "E5"):
@@ -307,14 +307,14 @@ def test_waveform_memory_keeps_four_and_deletes_neither_what_is_built_in_nor_wha
         ("FREQ:SPAN -5", -222),
     ],
 )
-def test_waveforms_and_modulation_refuse_what_cannot_be(message: str, number: int) -> None:
+def test_waveforms_and_modulation_refuse_invalid_values(message: str, number: int) -> None:
     generator = twin()
     generator.write(message)
     assert errors(generator) == [number]
 
 
 @pytest.mark.parametrize("switch", ["AM:STAT", "FM:STAT", "FSK:STAT", "SWE:STAT", "MARK"])
-def test_a_function_that_the_twin_lacks_is_off_and_says_so_when_it_is_switched_on(switch: str) -> None:
+def test_a_function_that_is_not_simulated_is_off_and_an_error_when_switched_on(switch: str) -> None:
     generator = twin()
     generator.write(f"OUTP 1;:{switch} OFF")
     assert errors(generator) == []
@@ -361,7 +361,7 @@ def test_a_function_that_the_twin_lacks_is_off_and_says_so_when_it_is_switched_o
     ],
     ids=lambda value: str(value)[:20],
 )
-def test_what_no_instrument_can_take_is_an_error_in_the_queue(message: str, number: int) -> None:
+def test_an_invalid_message_is_an_error_in_the_queue_of_every_model(message: str, number: int) -> None:
     generator = twin()
     generator.write(message)
     assert errors(generator) == [number]
@@ -388,7 +388,7 @@ def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> Non
     assert grown < 4e6
 
 
-def test_the_page_of_the_commands_is_what_the_table_says() -> None:
+def test_the_page_of_commands_matches_the_table() -> None:
     root = Path(__file__).parents[3]
     page = runpy.run_path(str(root / "docs" / "_build_tools" / "command_tree.py"))["page"]()
     written = (root / "docs" / "reference" / "command-tree.md").read_text(encoding="utf-8")
@@ -427,16 +427,12 @@ def fuzz(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(list(MODELS)), MESSAGES)
-def test_no_message_drives_an_instrument_out_of_its_mind(
-    name: str, messages: list[tuple[int, bool, list[str]]]
-) -> None:
+def test_the_instrument_works_after_any_message(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
     fuzz(name, messages)
 
 
 @pytest.mark.slow
 @settings(max_examples=3_000, deadline=None)
 @given(st.sampled_from(list(MODELS)), MESSAGES)
-def test_no_message_drives_an_instrument_out_of_its_mind_for_long(
-    name: str, messages: list[tuple[int, bool, list[str]]]
-) -> None:
+def test_the_instrument_works_after_any_message_long(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
     fuzz(name, messages)

@@ -73,7 +73,7 @@ def test_power_on_state_answers_as_measured(generator, query, reply):
     assert ask(generator, query) == reply
 
 
-def test_reset_returns_to_the_power_on_state_but_for_the_beeper(generator):
+def test_reset_restores_the_power_on_state_except_the_beeper(generator):
     generator.write("FUNC PULS;:OUTP:LOAD INF;:TRIG:SOUR EXT;:BURS:NCYC 7;STAT 1;:OUTP 1;:SYST:BEEP:STAT 0;:*RST")
     generator.write("*CLS;*RST")
     different = {query for query, reply in POWER_ON.items() if ask(generator, query) != reply}
@@ -117,7 +117,7 @@ def test_settings_read_back(generator, message, query, reply):
     assert errors(generator) == []
 
 
-def test_header_after_a_semicolon_continues_where_the_last_one_stood(generator):
+def test_a_header_after_a_semicolon_continues_in_the_previous_branch(generator):
     generator.write("TRIG:SOUR EXT;SLOP NEG;*WAI;DEL 1;:FREQ 100;:BURS:NCYC 20;STAT ON")
     assert ask(generator, "TRIG:SLOP?;DEL?;:FREQ?;BURS:NCYC?;STAT?").split(";")[0] == "NEG"
     assert ask(generator, "BURS:STAT?") == "1"
@@ -155,7 +155,7 @@ def test_a_mistake_queues_its_number_and_answers_nothing(generator, message, num
     assert errors(generator) == [number]
 
 
-def test_a_mistake_ends_the_message_but_not_what_stood_before_it(generator):
+def test_a_mistake_ends_the_message_after_the_commands_before_it(generator):
     generator.write("FREQ 5;:NONSENSE;:FREQ 7")
     assert ask(generator, "FREQ?") == "+5.0000000000000E+00"
 
@@ -196,7 +196,7 @@ def test_a_mistake_ends_the_message_but_not_what_stood_before_it(generator):
         ("TRIG:SOUR EXT;:FREQ 30 MHZ;:BURS:STAT 1", -221, "FREQ?", 25e6),
     ],
 )
-def test_a_setting_that_does_not_fit_is_bent_and_reported(generator, message, number, query, value):
+def test_a_setting_that_does_not_fit_is_coerced_with_an_error(generator, message, number, query, value):
     generator.write(message)
     assert float(ask(generator, query)) == pytest.approx(value, rel=1e-12)
     queued = errors(generator)
@@ -207,7 +207,7 @@ def test_a_setting_that_does_not_fit_is_bent_and_reported(generator, message, nu
 @pytest.mark.parametrize(
     "message", ["BURS:STAT 1;:OUTP:TRIG 1", "BURS:MODE GAT;:OUTP:TRIG 1", "OUTP:TRIG 1;:BURS:MODE TRIG;STAT 1"]
 )
-def test_trig_out_is_free_where_its_connector_is_no_input(generator, message):
+def test_trig_out_can_be_on_if_its_connector_is_no_input(generator, message):
     generator.write(message)
     assert (ask(generator, "OUTP:TRIG?"), errors(generator)) == ("1", [])
 
@@ -220,7 +220,7 @@ def test_an_endless_burst_and_the_internal_trigger_exclude_each_other(generator)
     assert set(errors(generator)) == {-221}
 
 
-def test_errors_of_coercion_say_which_limit(generator):
+def test_errors_of_coercion_name_the_limit(generator):
     generator.write("FREQ 90 MHZ")
     assert ask(generator, "SYST:ERR?") == '-222,"Data out of range; frequency; value clipped to upper limit"'
     generator.write("VOLT 8;:VOLT:OFFS 2")
@@ -262,7 +262,7 @@ def test_status_byte_and_event_register_follow_the_queue(generator):
     assert errors(generator) == []
 
 
-def test_a_reply_that_nobody_read_is_lost_with_an_error(generator):
+def test_an_unread_reply_is_lost_with_an_error(generator):
     generator.write("FREQ?")
     assert ask(generator, "FUNC?") == "SIN"
     assert errors(generator) == [-410]
@@ -283,7 +283,7 @@ def test_opc_waits_for_the_burst_that_the_bus_started():
     st.floats(0, 85),
     st.sampled_from([50, 75, 1e4]),
 )
-def test_settings_come_back_as_finely_as_the_manual_says(frequency_hz, amplitude_v, cycles, delay_s, load_ohm):
+def test_settings_are_rounded_to_the_manuals_resolution(frequency_hz, amplitude_v, cycles, delay_s, load_ohm):
     generator = Generator33250A(SimulatedClock(), 0.0)
     generator.write(f"OUTP:LOAD {load_ohm:.10E};:TRIG:SOUR EXT;DEL {delay_s:.12E}")
     generator.write(f"FREQ {frequency_hz:.12E};:VOLT {amplitude_v:.12E};:BURS:NCYC {cycles}")
@@ -295,7 +295,7 @@ def test_settings_come_back_as_finely_as_the_manual_says(frequency_hz, amplitude
     assert replies[2:] == pytest.approx([cycles, delay_s], rel=1e-10, abs=1e-15)
 
 
-def test_a_sibling_bounds_the_duty_cycle_by_its_narrowest_pulse():
+def test_a_siblings_duty_cycle_is_limited_by_its_narrowest_pulse():
     generator = Generator33250A(SimulatedClock(), 0.0, MODELS["33500B"])
     generator.write("FUNC SQU;:FREQ 1 MHZ")
     least, most = (float(ask(generator, f"FUNC:SQU:DCYC? {end}")) for end in ("MIN", "MAX"))
@@ -307,7 +307,7 @@ def test_a_sibling_bounds_the_duty_cycle_by_its_narrowest_pulse():
     assert (least, most) == pytest.approx((0.01, 99.99), rel=1e-12)
 
 
-def test_edges_take_no_more_than_the_room_that_width_and_period_leave(generator):
+def test_edges_are_limited_by_width_and_period(generator):
     generator.write("FUNC PULS;:PULS:PER 1E-6;WIDT 9E-7")
     # 1.6 edges fit between the pulses; of a narrow pulse an edge is at most 0.625
     assert float(ask(generator, "PULS:TRAN? MAX")) == pytest.approx(1e-7 / 1.6)
@@ -315,7 +315,7 @@ def test_edges_take_no_more_than_the_room_that_width_and_period_leave(generator)
     assert float(ask(generator, "PULS:TRAN? MAX")) == pytest.approx(0.625e-7)
 
 
-def test_as_many_cycles_as_fit_between_internal_triggers_are_taken_and_no_more(generator):
+def test_the_burst_count_is_limited_by_the_internal_trigger_period(generator):
     # 500 s at most between two triggers, at 1 kHz.
     generator.write("BURS:NCYC 500000")
     assert float(ask(generator, "BURS:NCYC?")) == 500_000
@@ -326,7 +326,7 @@ def test_as_many_cycles_as_fit_between_internal_triggers_are_taken_and_no_more(g
     assert errors(generator) == [-221]
 
 
-def test_what_does_not_fit_between_internal_triggers_moves_them_apart_or_makes_them_faster(generator):
+def test_a_burst_longer_than_its_trigger_period_lengthens_the_period_or_raises_the_frequency(generator):
     generator.write("FUNC SIN;:FREQ 1E6;:BURS:NCYC 5;:BURS:INT:PER 1E-5;:TRIG:SOUR IMM;:BURS:STAT 1")
     assert errors(generator) == []
     # 15 us of burst and 200 ns, where there were 10 us.
@@ -338,7 +338,7 @@ def test_what_does_not_fit_between_internal_triggers_moves_them_apart_or_makes_t
     assert float(ask(generator, "FREQ?")) == pytest.approx(2e-3)
 
 
-def test_the_burst_period_leaves_room_for_the_burst_and_200_ns_and_no_more(generator):
+def test_the_burst_period_is_at_least_the_burst_and_200_ns(generator):
     # 10 cycles of 1 MHz.
     generator.write("FUNC SIN;:FREQ 1E6;:BURS:NCYC 10;:TRIG:SOUR IMM;:BURS:STAT 1")
     generator.write("BURS:INT:PER 1.02E-5")

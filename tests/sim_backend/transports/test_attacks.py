@@ -177,7 +177,7 @@ def flood(peer: socket.socket, chunk: bytes, size: int) -> None:
     "message",
     [b"OUTP 1E400", b"VOLT 1e9 DBM", b"*ESE \xb2", b"*ESE " + b"1" * 5000, b"FREQ\x00\xff", b"*ESE" + b" " * 9000],
 )
-def test_a_message_that_no_instrument_can_take_is_an_error_in_the_queue(transport: str, message: bytes) -> None:
+def test_an_oversized_message_is_an_error_in_the_queue(transport: str, message: bytes) -> None:
     with served(transport) as emulator:
         errors = message + b"\nSYST:ERR?\n"
         if transport == "serial":
@@ -206,7 +206,7 @@ def send_over(transport: str, peer: socket.socket, message: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("address", [b"abc", b"31", b"-1", b"1" * 5000, b"\xb2", b"10 96 7"])
-def test_an_adapter_address_that_is_none_is_refused_and_the_old_one_kept(address: bytes) -> None:
+def test_an_invalid_prologix_address_is_refused_and_the_selection_kept(address: bytes) -> None:
     with served("prologix") as emulator, connected(emulator) as peer:
         peer.sendall(b"++addr 11\n++addr " + address + b"\n")
         assert line(peer) == b"Unrecognized command\r\n"
@@ -229,7 +229,7 @@ def test_a_short_vxi11_call_is_answered_as_garbage_and_a_cut_off_one_ends_the_co
         assert identity("vxi11", emulator) == IDENTITY
 
 
-def test_reads_that_wait_for_ever_end_when_their_clients_leave() -> None:
+def test_endless_reads_end_when_their_clients_close() -> None:
     with served("vxi11") as emulator:
         before = threading.active_count()
         for _ in range(50):
@@ -244,7 +244,7 @@ def test_reads_that_wait_for_ever_end_when_their_clients_leave() -> None:
 
 
 @pytest.mark.parametrize("transport", OVER)
-def test_60_megabytes_without_an_end_take_bounded_memory_and_end_the_connection(transport: str) -> None:
+def test_60_megabytes_without_line_end_use_bounded_memory_and_end_the_connection(transport: str) -> None:
     size, chunk = 60 * MEBIBYTE, bytes(65) * 1000
     with served(transport) as emulator:
         tracemalloc.start()
@@ -272,7 +272,7 @@ def test_60_megabytes_without_an_end_take_bounded_memory_and_end_the_connection(
         assert identity(transport, emulator) == IDENTITY
 
 
-def test_vxi11_writes_without_an_end_are_out_of_resources() -> None:
+def test_an_endless_vxi11_write_is_out_of_resources() -> None:
     with served("vxi11") as emulator, connected(emulator) as peer:
         number, errors = link(peer), []
         for _ in range(MAX_BYTES // 60_000 + 2):
@@ -282,7 +282,7 @@ def test_vxi11_writes_without_an_end_are_out_of_resources() -> None:
         assert set(errors) == {0, 9}
 
 
-def test_links_without_end_are_out_of_resources() -> None:
+def test_too_many_links_are_out_of_resources() -> None:
     with served("vxi11") as emulator, connected(emulator) as peer:
         request = struct.pack("!iII", 1, 0, 0) + xdr(b"gpib0,10")
         errors = [struct.unpack_from("!i", call(peer, 10, request))[0] for _ in range(100)]
@@ -290,7 +290,7 @@ def test_links_without_end_are_out_of_resources() -> None:
 
 
 @pytest.mark.parametrize("transport", ON_TCP)
-def test_connections_without_end_take_no_more_threads_than_there_may_be(transport: str) -> None:
+def test_many_connections_use_a_bounded_number_of_threads(transport: str) -> None:
     with served(transport) as emulator:
         before = threading.active_count()
         peers = [socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=5) for _ in range(MAX_PEERS + 20)]
@@ -304,7 +304,7 @@ def test_connections_without_end_take_no_more_threads_than_there_may_be(transpor
         assert identity(transport, emulator) == IDENTITY
 
 
-def test_a_client_that_reads_nothing_holds_up_nobody() -> None:
+def test_a_client_that_reads_nothing_does_not_delay_others() -> None:
     with served("socket") as emulator, connected(emulator) as deaf:
         deaf.setblocking(False)
         with suppress(BlockingIOError):
@@ -314,7 +314,7 @@ def test_a_client_that_reads_nothing_holds_up_nobody() -> None:
 
 
 @needs_pty
-def test_a_terminal_that_nobody_reads_does_not_keep_the_server_from_closing() -> None:
+def test_an_unread_terminal_does_not_prevent_the_server_from_closing() -> None:
     with served("serial") as emulator, opened_terminal(emulator) as descriptor:
         for _ in range(100):
             select.select([], [descriptor], [], 0.1)
@@ -331,7 +331,7 @@ def lock(peer: socket.socket, number: int, timeout_ms: int = 0) -> int:
     return struct.unpack("!i", call(peer, 18, struct.pack("!iII", number, 1, timeout_ms)))[0]
 
 
-def test_one_vxi11_link_at_a_time_holds_the_lock_and_the_others_are_told() -> None:
+def test_one_vxi11_link_holds_the_lock_and_others_get_an_error() -> None:
     with served("vxi11") as emulator, connected(emulator) as ours, connected(emulator) as theirs:
         mine, yours = link(ours), link(theirs)
         assert [lock(ours, mine), lock(theirs, yours, 60), lock(ours, mine)] == [0, 11, 11]
@@ -356,7 +356,7 @@ def test_a_lock_goes_with_the_client_that_held_it() -> None:
         assert lock(theirs, yours, 5000) == 0
 
 
-def test_of_many_clients_that_ask_at_once_one_has_the_lock() -> None:
+def test_one_of_many_simultaneous_clients_gets_the_lock() -> None:
     with served("vxi11") as emulator:
         granted = []
 
@@ -462,9 +462,7 @@ def fuzzing(examples: int) -> settings:
 
 @fuzzing(100)
 @given(STREAMS)
-def test_whatever_is_made_of_words_and_bytes_the_next_client_is_served(
-    target: tuple[str, Emulator], data: bytes
-) -> None:
+def test_after_any_words_and_bytes_the_next_client_is_served(target: tuple[str, Emulator], data: bytes) -> None:
     transport, emulator = target
     for stream in (data, MESSAGES[transport](data)):
         throw(emulator, stream)
@@ -474,9 +472,7 @@ def test_whatever_is_made_of_words_and_bytes_the_next_client_is_served(
 @pytest.mark.slow
 @fuzzing(3000)
 @given(STREAMS)
-def test_whatever_is_made_of_words_and_bytes_the_next_client_is_served_for_long(
-    target: tuple[str, Emulator], data: bytes
-) -> None:
+def test_after_any_words_and_bytes_the_next_client_is_served_long(target: tuple[str, Emulator], data: bytes) -> None:
     transport, emulator = target
     for stream in (data, MESSAGES[transport](data)):
         throw(emulator, stream)
@@ -496,7 +492,7 @@ def scrambled(transport: str, generator: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("rounds", [100, pytest.param(20_000, marks=pytest.mark.slow)])
-def test_conversations_with_wrong_bytes_leave_the_server_as_it_was(target: tuple[str, Emulator], rounds: int) -> None:
+def test_conversations_with_wrong_bytes_do_not_change_the_server(target: tuple[str, Emulator], rounds: int) -> None:
     transport, emulator = target
     generator, before = random.Random(15), threading.active_count()
     for _ in range(rounds):

@@ -84,7 +84,7 @@ def test_only_loopback_is_listened_on(world: World, transport: str) -> None:
             pass
 
 
-def test_a_message_in_pieces_is_one_and_several_in_one_piece_are_several(world: World) -> None:
+def test_messages_are_split_at_line_feeds_however_they_arrive(world: World) -> None:
     with served(world, "socket") as emulator, connected(emulator.served["master"].address) as peer:
         peer.sendall(b"*ID")
         peer.sendall(b"N?\r\nFUNC?\nOUTP?\n*OP")
@@ -92,7 +92,7 @@ def test_a_message_in_pieces_is_one_and_several_in_one_piece_are_several(world: 
         assert [line(peer) for _ in range(4)] == [IDENTITY, b"SIN\n", b"0\n", b"IMM\n"]
 
 
-def test_two_programs_at_one_instrument_each_get_their_own_answers(world: World) -> None:
+def test_two_programs_at_one_instrument_get_the_replies_to_their_queries(world: World) -> None:
     with served(world, "socket") as emulator:
         wrong: list[bytes] = []
 
@@ -111,7 +111,7 @@ def test_two_programs_at_one_instrument_each_get_their_own_answers(world: World)
         assert wrong == []
 
 
-def test_a_program_that_leaves_in_the_middle_of_a_message_disturbs_nobody(world: World) -> None:
+def test_a_program_that_closes_within_a_message_disturbs_no_other(world: World) -> None:
     with served(world, "socket") as emulator, connected(emulator.served["master"].address) as peer:
         with connected(emulator.served["master"].address) as other:
             other.sendall(b"FUNC PULS")
@@ -140,7 +140,7 @@ def test_the_generators_share_one_clock_and_one_trigger_wire() -> None:
 
 
 @needs_pty
-def test_a_serial_instrument_is_in_local_mode_until_it_is_told_otherwise_and_echoes_nothing(world: World) -> None:
+def test_a_serial_instrument_starts_in_local_mode_and_does_not_echo(world: World) -> None:
     with served(world, "serial") as emulator:
         name = emulator.served["master"].address.removeprefix("ASRL").removesuffix("::INSTR")
         # no terminal of this process's: else its end would hang up a suite that began without one, as services do
@@ -151,7 +151,7 @@ def test_a_serial_instrument_is_in_local_mode_until_it_is_told_otherwise_and_ech
             assert terminal.read(100) == b'+2.0000000000000E+06;+0,"No error"\n'
 
 
-def test_remote_mode_is_a_matter_of_rs_232_alone(world: World) -> None:
+def test_remote_mode_exists_on_rs_232_alone(world: World) -> None:
     with served(world, "socket") as emulator, connected(emulator.served["master"].address) as peer:
         peer.sendall(b"SYST:REM\nSYST:ERR?\n")
         assert line(peer) == b'+514,"Command allowed only with RS-232"\n'
@@ -232,7 +232,7 @@ class Rpc:
         return error, reason, result[12 : 12 + length]
 
 
-def test_vxi11_reads_in_pieces_keeps_the_time_out_and_knows_its_links(world: World) -> None:
+def test_vxi11_reads_in_pieces_with_time_outs_and_checks_links(world: World) -> None:
     with served(world, "vxi11") as emulator, connected(emulator.served["master"].address) as peer:
         rpc = Rpc(peer)
         assert rpc.link(b"gpib0,29")[0] == 3
@@ -254,7 +254,7 @@ def test_vxi11_reads_in_pieces_keeps_the_time_out_and_knows_its_links(world: Wor
         assert rpc.write(link, b"*IDN?\n") == 4
 
 
-def test_vxi11_forgets_a_reply_that_nobody_fetched(world: World) -> None:
+def test_vxi11_drops_an_unread_reply(world: World) -> None:
     with served(world, "vxi11") as emulator, connected(emulator.served["master"].address) as peer:
         rpc = Rpc(peer)
         _, link = rpc.link(b"gpib0,12")
@@ -265,7 +265,7 @@ def test_vxi11_forgets_a_reply_that_nobody_fetched(world: World) -> None:
         assert rpc.read(link)[2] == b'-410,"Query INTERRUPTED"\n'
 
 
-def test_prologix_speaks_to_the_address_that_was_named_last(world: World) -> None:
+def test_prologix_uses_the_last_selected_address(world: World) -> None:
     with served(world, "prologix") as emulator, connected(emulator.served["master"].interface or "") as peer:
         peer.sendall(b"++mode 1\n++auto 0\n++addr 11\nFREQ 5E3\n++addr 10\nFREQ?\n++read eoi\n")
         assert line(peer) == b"+1.0000000000000E+03\n"
@@ -277,7 +277,7 @@ def test_prologix_speaks_to_the_address_that_was_named_last(world: World) -> Non
         assert line(peer).startswith(b"Prologix")
 
 
-def test_prologix_sends_escaped_bytes_on_as_they_are(world: World) -> None:
+def test_prologix_forwards_escaped_bytes_unchanged(world: World) -> None:
     with served(world, "prologix") as emulator, connected(emulator.served["master"].interface or "") as peer:
         peer.sendall(b"++addr 10\nVOLT:OFFS \x1b+1E-3\nVOLT:OFFS?\n++read eoi\n")
         assert line(peer) == b"+1.0000000000000E-03\n"
