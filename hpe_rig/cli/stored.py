@@ -1,15 +1,14 @@
-"""What is printed and drawn of stored runs and recordings: damage, comparisons, moduli and maps."""
+"""Output of stored runs and recordings: damage, comparisons, moduli and maps."""
 
 from __future__ import annotations
 
-import json as json_format
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from hpe_rig.cli.console import announce
+from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
 from hpe_rig.scene import printable
@@ -22,94 +21,107 @@ if TYPE_CHECKING:
     from hpe_rig.report import ResultDifference
     from hpe_rig.result import MotionMap
 
-LONGEST_VALUE = 60
+MAX_VALUE = 60
+"""Characters of a setting in a table."""
 
 
-def print_verification(found: Verification, json: bool = False) -> None:
-    """Print what was found in a file."""
+def print_verification(verification: Verification, json: bool = False) -> None:
+    """Print the content of a file and its damage."""
     if json:
-        typer.echo(json_format.dumps(found.as_dict(), indent=2))
+        print_json(verification.as_dict())
         return
-    what = f"{found.shots_complete} of {found.shots} shots complete, {found.records} records, {found.status}"
-    typer.echo(f"{found.path}: {what if found.kind == 'run' else f'results of {found.shots} shots'}")
-    for damage in found.damage:
+    shots = verification.shots
+    content = f"results of {shots} shots"
+    if verification.kind == "run":
+        counts = f"{verification.shots_complete} of {shots} shots complete, {verification.records} records"
+        content = f"{counts}, {verification.status}"
+    typer.echo(f"{verification.path}: {content}")
+    for damage in verification.damage:
         typer.echo(f"DAMAGED: {damage}")
-    typer.echo(_verdict(found))
+    typer.echo(_verdict(verification))
 
 
-def _verdict(found: Verification) -> str:
-    if found.damage:
-        remedy = "hpe-rig process" if found.kind == "result" else "hpe-rig resume, which measures damaged shots again"
-        return f"what is damaged counts as missing and enters no result. Try: another copy of the file, or {remedy}."
-    if not found.checksums:
-        return "it holds no checksums, being of an earlier release: whether its values were changed cannot be told"
-    return "sound: everything in it is as its checksums say"
+def _verdict(verification: Verification) -> str:
+    if verification.damage:
+        remedy = (
+            "hpe-rig process" if verification.kind == "result" else "hpe-rig resume, which measures damaged shots again"
+        )
+        return f"damaged data count as missing and enter no result. Try: another copy of the file, or {remedy}."
+    if not verification.checksums:
+        return "the file of an earlier release has no checksums: changed values cannot be detected"
+    return "sound: all data match their checksums"
 
 
-def print_comparison(first: Path, second: Path, named: str | None, figure: Path | None, json: bool) -> None:
-    """Print what differs between two runs, and write its figure."""
+def print_comparison(first: Path, second: Path, estimator: str | None, figure: Path | None, json: bool) -> None:
+    """Print the differences between two runs, and write their figure."""
     from hpe_rig.report import compare_runs
 
-    found = compare_runs(first, second, named)
+    comparison = compare_runs(first, second, estimator)
     if figure is not None:
-        _save(found.figure(), figure, "both results and their differences")
+        _save(comparison.figure(), figure, "both results and their differences")
     if json:
-        typer.echo(json_format.dumps(found.as_dict(), indent=2))
+        print_json(comparison.as_dict())
         return
     console = wide_console()
-    many = {0: "no setting differs", 1: "1 setting differs"}.get(len(found.settings))
-    console.print(many or f"{len(found.settings)} settings differ", style="bold")
-    settings = [(each.where, each.what, _value(each.before), _value(each.after)) for each in found.settings]
+    settings = [(item.where, item.what, _value(item.before), _value(item.after)) for item in comparison.settings]
+    title = {0: "no setting differs", 1: "1 setting differs"}.get(len(settings), f"{len(settings)} settings differ")
+    console.print(title, style="bold")
     if settings:
-        console.print(rich_table(("", "setting", *found.names), settings, words=4))
-    for setting in dict.fromkeys(row.setting for row in found.results):
+        console.print(rich_table(("", "setting", *comparison.names), settings, words=4))
+    for setting in dict.fromkeys(row.setting for row in comparison.results):
         console.print(f"\n{setting}", style="bold")
         headers = ["f\nHz"]
-        headers += [f"{what}\n{name}" for name in ("first", "second") for what in ("nm, u", "deg, u")]
-        rows = [_compared(row) for row in found.results if row.setting == setting]
+        headers += [f"{values}\n{run}" for run in ("first", "second") for values in ("nm, u", "deg, u")]
+        rows = [_difference_row(row) for row in comparison.results if row.setting == setting]
         console.print(rich_table([*headers, "change\n%", "change\ndeg", "p\nall", "p\nnoise", ""], rows, words=0))
-    for text in found.alone:
+    for text in comparison.alone:
         console.print(text)
-    if not found.results:
+    if not comparison.results:
         console.print("no setting and frequency has a result in both")
         return
     console.print()
-    runs = zip(("first", "second"), found.names, found.origins, found.estimators, strict=True)
-    for which, name, origin, estimator in runs:
-        console.print(f"{which}: {name}, {origin}, estimator {estimator}")
+    for run, name, origin, method in zip(
+        ("first", "second"), comparison.names, comparison.origins, comparison.estimators, strict=True
+    ):
+        console.print(f"{run}: {name}, {origin}, estimator {method}")
     console.print(
-        "p: probability of as large a difference of amplitude and phase by chance, below 0.01 they differ; all: every\n"
-        "source of uncertainty independent in the two; noise: noise and trigger jitter alone, for runs alike:\n"
-        "of the same place, beams and specimen"
+        "p: probability of a difference of amplitude and phase at least as large by chance, significant below 0.01;\n"
+        "all: all sources of uncertainty, independent in the two runs; noise: noise and trigger jitter alone, for\n"
+        "runs with the same lateral offset, beams and specimen"
     )
 
 
-def _compared(row: ResultDifference) -> tuple[str, ...]:
+def _difference_row(row: ResultDifference) -> tuple[str, ...]:
     cells = [f"{row.frequency_hz:g}"]
-    for side in (0, 1):
-        cells.append(f"{row.amplitude_m[side] * 1e9:.4g}, {row.amplitude_uncertainty_m[side] * 1e9:.2g}")
-        cells.append(f"{math.degrees(row.phase_rad[side]):.2f}, {math.degrees(row.phase_uncertainty_rad[side]):.2g}")
+    for run in (0, 1):
+        cells.append(f"{row.amplitude_m[run] * 1e9:.4g}, {row.amplitude_uncertainty_m[run] * 1e9:.2g}")
+        cells.append(f"{math.degrees(row.phase_rad[run]):.2f}, {math.degrees(row.phase_uncertainty_rad[run]):.2g}")
     cells += [f"{row.amplitude_change * 100:+.1f}", f"{math.degrees(row.phase_change_rad):+.2f}"]
     return (*cells, f"{row.p_all:.2g}", f"{row.p_noise:.2g}", row.verdict)
 
 
 def _value(value: Any) -> str:
     text = "absent" if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
-    return printable(text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}...")
+    return printable(text if len(text) <= MAX_VALUE else f"{text[:MAX_VALUE]}...")
 
 
 def print_moduli(result: ModuliResult, figure: Path | None, json: bool) -> None:
-    """Print ``result`` and write its ``figure``; raise ``StoreError`` where it cannot be written."""
+    """Print ``result`` and write its ``figure``; raise ``StoreError`` if it cannot be written."""
     if figure is not None:
-        _save(result.figure(), figure, "measured and fitted vibrations")
-    typer.echo(json_format.dumps(result.as_dict(), indent=2) if json else str(result))
+        from hpe_rig.moduli import moduli_figure
+
+        _save(moduli_figure(result), figure, "measured and fitted vibrations")
+    if json:
+        print_json(result.as_dict())
+    else:
+        typer.echo(str(result))
 
 
-def write_map(found: MotionMap, output: Path | None, figure: Path | None) -> None:
-    """Write dataset and figure of a map where they are wanted; raise ``StoreError`` where they cannot be written."""
+def write_map(motion_map: MotionMap, output: Path | None, figure: Path | None) -> None:
+    """Write dataset and figure of a map, if their paths are given; raise ``StoreError`` if they cannot be written."""
     if output is not None:
         with extra("frames"):
-            dataset = found.to_xarray()
+            dataset = motion_map.to_xarray()
         try:
             with atomic_file(output) as draft:
                 dataset.to_netcdf(draft, engine="h5netcdf")
@@ -119,16 +131,16 @@ def write_map(found: MotionMap, output: Path | None, figure: Path | None) -> Non
             ) from error
         announce(f"{output}: axes line, depth and frequency; xarray.open_dataset opens it")
     if figure is not None:
-        _save(found.figure(), figure, "amplitude, phase, uncertainty and velocity")
+        _save(motion_map.figure(), figure, "amplitude, phase, uncertainty and velocity")
 
 
-def _save(drawn: Figure, path: Path, what: str) -> None:
+def _save(figure: Figure, path: Path, content: str) -> None:
     from hpe_rig.result import write_figure
 
     try:
-        write_figure(drawn, path)
+        write_figure(figure, path)
     except (OSError, ValueError) as error:
         raise StoreError(
             f"{path} cannot be written ({error}). Try: a name that ends in .svg, .png or .pdf, in a folder that exists."
         ) from error
-    announce(f"{path}: {what}")
+    announce(f"{path}: {content}")

@@ -1,22 +1,25 @@
-from .ensemble import (
-    BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
-    LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
-    MAXWELL_VISCOSITY_PA_S as MAXWELL_VISCOSITY_PA_S,
-    MEMBERS as MEMBERS,
-    MODULUS_PA as MODULUS_PA,
-    POWER as POWER,
-    POWER_REFERENCE_HZ as POWER_REFERENCE_HZ,
-    VISCOSITY_PA_S as VISCOSITY_PA_S,
+from .beam_averaging import (
     BeamWidths as BeamWidths,
+    axial_offset_factor as axial_offset_factor,
+    beam_averaging_factor as beam_averaging_factor,
+    gaussian_averaging as gaussian_averaging,
+    gaussian_steepness as gaussian_steepness,
+    obliquity_factor as obliquity_factor,
+    off_axis_motion as off_axis_motion,
+    tracked_motion as tracked_motion,
+    tracked_ratio as tracked_ratio,
+    width_scale as width_scale,
+)
+from .ensemble import (
+    PRIOR_RANGES as PRIOR_RANGES,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
     RigidSphere as RigidSphere,
-    displacement_and_slope as displacement_and_slope,
     medium_ensemble as medium_ensemble,
-    seen_beside as seen_beside,
 )
+from .gate_echoes import TrackingGate as TrackingGate, echo_power as echo_power, scatterer_density as scatterer_density
 from .material_laws import (
-    LAWS as LAWS,
+    HarmonicMedium as HarmonicMedium,
     Law as Law,
     MediumLaw as MediumLaw,
     Parameter as Parameter,
@@ -24,9 +27,4 @@ from .material_laws import (
     law_of as law_of,
 )
 from .push_force import PushForce as PushForce, aperture_force as aperture_force, scanned_force as scanned_force
-from .shear_field import (
-    QUICK_ERROR as QUICK_ERROR,
-    ShearMotion as ShearMotion,
-    focal_motion as focal_motion,
-    shear_motion as shear_motion,
-)
+from .shear_field import QUICK_ERROR as QUICK_ERROR, TrackedRegion as TrackedRegion, shear_motion as shear_motion

@@ -1,13 +1,9 @@
-"""Ensemble of viscoelastic media: how each moves at the focus of a Gaussian radiation force, tracked and at its peak.
+"""Ensemble of viscoelastic media: the displacement of each under a Gaussian force, as tracked and at its peak.
 
-Five families of media, their parameters spread evenly over what soft tissue and phantoms show, and force widths spread
-about the declared ones. The displacement is a closed form at each wave direction and frequency:
-
-    U = F0 sx^2 sz / (sqrt(2 pi) mu) int_0^1 2 (1 - m^2) [sqrt(pi/a)/2 + j pi q w(q sqrt(a)) / 2] dm,
-    a = (sx^2 (1 - m^2) + sz^2 m^2) / 2,   q^2 = rho w^2 / mu,   Im q >= 0,
-
-w() the Faddeeva function, m the cosine of a wave's direction with the beam; time factor exp(+jwt). See
-docs/theory/medium-prior.md.
+Five families of media (``FAMILIES``), their parameters spread evenly over the ranges of soft tissue and phantoms, and
+force widths spread about the declared ones. The members are the statistics behind the medium prior. On the force's
+axis the displacement has a closed form (``focal_field``); off the axis it is an integral (``shear_field``). A rigid
+sphere in the medium moves as a whole. See docs/explanation/medium-prior.md.
 """
 
 from __future__ import annotations
@@ -16,100 +12,95 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.medium.beam_averaging import BeamWidths, off_axis_motion
+from hpe_rig.medium.focal_field import focal_displacement, focal_displacement_and_slope
+from hpe_rig.medium.gate_echoes import Triple
+from hpe_rig.medium.material_laws import LAWS, POWER_REFERENCE_HZ, HarmonicMedium
 from hpe_rig.medium.push_force import PushForce
 
-Triple = tuple[float, float, float]
-
 MEMBERS = 240
-MEMBERS_BESIDE = 60
-"""The same beside the push, where a member takes some ms."""
-TURNING_HZ = 8e3
-"""Frequency up to which a wave that has run turns too fast to be interpolated; beyond, none comes, and what the force
-moves by itself is smooth."""
+OFF_AXIS_MEMBERS = 60
+"""Members off the axis, where each takes some ms."""
+FAMILIES = ("voigt", "zener", "power_law", "nearly_elastic", "maxwell")
+"""Families of members, in turn; a nearly elastic medium is Voigt with a low viscosity."""
+
+TRAVELLED_WAVE_MAX_HZ = 8e3
+"""Frequency up to which waves reach a point off the axis with a phase that turns too fast to be interpolated.
+
+Above it such waves have decayed, and the response near the force is smooth in frequency."""
 SMOOTH_NODES = 16
-"""Frequencies above, from which what is left is interpolated to 6e-5 of the rms motion (rms of the members)."""
-FAMILIES = 5
-DIRECTIONS = 12
-"""Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
+"""Nodes above that frequency: interpolation error 6e-5 of the members' rms motion."""
 NODES_PER_E_FOLD = 6.0
-"""Frequencies a factor e at which media are evaluated: what lies between is interpolated to 1e-4 of the largest."""
+"""Nodes per factor e of frequency: interpolation error 1e-4 of the largest motion."""
 SPHERE_NODES_PER_E_FOLD = 12.0
-"""The same of a sphere, which resonates: to 2e-4 of a member's rms motion in the worst of them, 5e-7 in the median."""
-
+"""As above, for a sphere, which resonates: error 2e-4 of the rms motion in the worst member, 5e-7 in the median."""
 SHAPE_NODES, LOSS_NODES = 40, 5
-"""Wave numbers and loss angles at which a force that is no Gaussian is compared with one: to 5e-4 of the motion (rms),
-to 3e-3 in nearly elastic media."""
-LARGEST_WAVE = 12.0
-"""Wave number times the force's width from which on both move the focus alike, but for a factor."""
+"""Wave numbers and loss angles at which a force of another shape is compared with a Gaussian.
 
-MODULUS_PA = (1e3, 60e3)
-VISCOSITY_PA_S = (0.2, 15.0)
-LOW_VISCOSITY_PA_S = (0.005, 0.2)
-MAXWELL_VISCOSITY_PA_S = (0.5, 50.0)
-BRANCH_OVER_MODULUS = (0.2, 10.0)
-POWER = (0.02, 0.6)
-POWER_REFERENCE_HZ = 200.0
-"""Frequency at which a power-law medium has its modulus."""
+Interpolation error 5e-4 of the motion (rms), 3e-3 in nearly elastic media."""
+MAX_RELATIVE_WAVE_NUMBER = 12.0
+"""Wave number times force width above which both forces move the focus in a constant ratio."""
 
 
 @dataclass(frozen=True, slots=True)
-class BeamWidths:
-    """Sigmas of the Gaussian body force and of the tracking beam (x, y, z), m; both round, x counts.
+class PriorRanges:
+    """Ranges of the members' parameters.
 
-    ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
-    deviation of the logarithm of the force's widths, which no one has measured in the medium. ``lateral_m``: where the
-    tracking beam lies beside the force. ``together_m``: all such places of a run, this one among them, whose ensembles
-    are computed at once, in the time of the farthest; empty for this one alone. ``force``: its shape, where it is not
-    that Gaussian; on its axis alone.
+    ``power_modulus_hz``: frequency at which a power-law member has a modulus in ``modulus_pa``. The law states its own
+    modulus at ``POWER_REFERENCE_HZ``.
     """
 
-    force_width_m: Triple
-    tracking_width_m: Triple
-    axial_spread_m: float
-    width_spread: float = 0.3
-    lateral_m: float = 0.0
-    together_m: tuple[float, ...] = ()
-    force: PushForce | None = None
+    modulus_pa: tuple[float, float] = (1e3, 60e3)
+    viscosity_pa_s: tuple[float, float] = (0.2, 15.0)
+    low_viscosity_pa_s: tuple[float, float] = (0.005, 0.2)
+    maxwell_viscosity_pa_s: tuple[float, float] = (0.5, 50.0)
+    branch_over_modulus: tuple[float, float] = (0.2, 10.0)
+    power: tuple[float, float] = (0.02, 0.6)
+    power_modulus_hz: float = 200.0
+
+
+PRIOR_RANGES = PriorRanges()
 
 
 @dataclass(frozen=True, slots=True)
 class KnownMedium:
-    """Voigt medium known in advance, and standard deviations of the logarithms of its two parameters."""
+    """Voigt medium known in advance, with standard deviations of the logarithms of its two parameters."""
 
     shear_modulus_pa: float
     shear_viscosity_pa_s: float
-    modulus_spread: float = 0.3
-    viscosity_spread: float = 0.5
+    modulus_log_sd: float = 0.3
+    viscosity_log_sd: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class RigidSphere:
-    """Rigid sphere in the medium, which the tonebursts push and whose front echoes: it moves as a whole."""
+    """Rigid sphere in the medium: the tonebursts push it, its front echoes, and it moves as a whole."""
 
     radius_m: float
     density_kg_per_m3: float
 
     def response(self, modulus_pa: ComplexArray, density_kg_per_m3: float, s_per_s: ComplexArray) -> ComplexArray:
-        """Return displacement over force, m/N, of moduli (..., frequency) of the medium at ``s_per_s`` (frequency,).
+        """Return displacement over force, m/N, for moduli (..., frequency) of the medium at ``s_per_s`` (frequency,).
 
-        Oestreicher's impedance in an incompressible medium: docs/theory/medium.md, section 8.
+        Oestreicher's impedance in an incompressible medium: docs/explanation/medium.md, section 8.
         """
-        wave = self.radius_m * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
+        relative_radius = self.radius_m * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
         mass_kg = 4 / 3 * np.pi * self.radius_m**3 * self.density_kg_per_m3
-        drag = 6 * np.pi * self.radius_m * modulus_pa * (1 + wave + wave**2 / 9)
+        drag = 6 * np.pi * self.radius_m * modulus_pa * (1 + relative_radius + relative_radius**2 / 9)
         return np.asarray(1 / (drag + mass_kg * s_per_s**2))
 
 
 @dataclass(frozen=True, slots=True)
 class Ensemble:
-    """Displacement per unit force of every member, complex (member, node), at the frequencies ``node_hz`` (node,).
+    """Displacement per unit force of every member, complex (member, node), at ``node_hz`` (node,); read-only.
 
-    ``tracked`` is the mean over the tracking beam and gate, ``peak`` that on its axis at the focus; both but for one
-    real factor a member. ``steepness``: how ``tracked`` changes with the logarithm of the tracking beam's area, which
-    is what speckle changes; beside the push also with the beam's place. ``voigt`` (member,) tells Voigt media.
-    ``alone``: how many nodes, the first, stand for their own frequency alone. Read-only.
+    ``tracked`` is the mean over tracking beam and gate, ``peak`` the displacement on the beam's axis at the focus, both
+    up to one real factor a member. ``steepness`` is the derivative of ``tracked`` by the logarithm of the tracking
+    beam's area, which speckle changes; off the axis also by the beam's offset. ``voigt`` (member,) marks Voigt media.
+    The first ``exact_nodes`` nodes are harmonics and are not interpolated.
     """
 
     node_hz: FloatArray
@@ -117,19 +108,50 @@ class Ensemble:
     peak: ComplexArray
     steepness: ComplexArray
     voigt: BoolArray
-    alone: int = 0
+    exact_nodes: int = 0
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range."""
-        own = np.isclose(frequency_hz[:, None], self.node_hz[: self.alone])
-        between = self.node_hz[self.alone :]
-        if not between.size:
-            return own.astype(np.float64)
-        found = np.zeros((frequency_hz.size, self.node_hz.size))
-        found[:, : self.alone] = own
-        smooth = ~own.any(axis=1)
-        found[smooth, self.alone :] = _interpolation(frequency_hz[smooth], between)
-        return found
+        """Return the matrix (frequency, node) that interpolates node values at ``frequency_hz``, within their range."""
+        exact = np.isclose(frequency_hz[:, None], self.node_hz[: self.exact_nodes])
+        smooth_nodes_hz = self.node_hz[self.exact_nodes :]
+        if not smooth_nodes_hz.size:
+            return exact.astype(np.float64)
+        matrix = np.zeros((frequency_hz.size, self.node_hz.size))
+        matrix[:, : self.exact_nodes] = exact
+        between = ~exact.any(axis=1)
+        matrix[between, self.exact_nodes :] = _interpolation(frequency_hz[between], smooth_nodes_hz)
+        return matrix
+
+
+@dataclass(frozen=True, slots=True)
+class _Range:
+    """What an ensemble covers besides the geometry: harmonics between two frequencies, medium, density, members."""
+
+    lowest_hz: float
+    highest_hz: float
+    known: KnownMedium | None
+    density_kg_per_m3: float
+    members: int
+
+    def nodes(self, per_e_fold: float) -> FloatArray:
+        count = max(8, round(float(per_e_fold * np.log(self.highest_hz / self.lowest_hz))))
+        return _nodes(self.lowest_hz, self.highest_hz, count)
+
+    def modulus(self, s: ComplexArray) -> ComplexArray:
+        """Return the complex modulus (member, frequency) at ``s`` (frequency,)."""
+        return prior_modulus(s, self.members) if self.known is None else _known_modulus(self.known, s, self.members)
+
+    def voigt(self) -> BoolArray:
+        """Return which members (member,) are Voigt media."""
+        known = self.known is not None
+        return np.ones(self.members, bool) if known else np.arange(self.members) % len(FAMILIES) == 0
+
+    def width_factors(self, width_log_sd: float) -> tuple[FloatArray, FloatArray]:
+        """Return each member's factors (member,) on the declared force widths across and along."""
+        from scipy.special import ndtri
+
+        across, along = np.exp(width_log_sd * ndtri(_even_sequence(self.members, 5)[:, 3:5])).T
+        return across, along
 
 
 def medium_ensemble(
@@ -140,285 +162,180 @@ def medium_ensemble(
     density_kg_per_m3: float = 1000.0,
     members: int = MEMBERS,
 ) -> Ensemble:
-    """Return the ensemble between two frequencies; of the ``known`` medium alone where there is one.
+    """Return the ensemble between two frequencies, of Voigt media near ``known`` if that is given.
 
-    ``pushed``: the medium itself, in beams of these widths, or a sphere in it, of which all of the motion is tracked.
-    The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
+    ``pushed``: the medium itself in beams of these widths, or a sphere in it that is tracked as a whole. A
+    low-discrepancy sequence fills the parameter ranges evenly, so there is no random seed.
     """
-    # What is remembered goes by place: however a caller words its arguments, an ensemble is made once.
+    extent = _Range(lowest_hz, highest_hz, known, density_kg_per_m3, members)
     if isinstance(pushed, RigidSphere):
-        return _of_sphere(pushed, lowest_hz, highest_hz, known, density_kg_per_m3, members)
-    if pushed.lateral_m:
-        places_m = pushed.together_m or (pushed.lateral_m,)
-        alike = replace(pushed, lateral_m=0.0, together_m=places_m)
-        return _beside(alike, lowest_hz, highest_hz, known, density_kg_per_m3)[places_m.index(pushed.lateral_m)]
-    return _on_axis(replace(pushed, together_m=()), lowest_hz, highest_hz, known, density_kg_per_m3, members)
+        return _sphere_ensemble(pushed, extent)
+    # Cache keys are normalised, so that equal ensembles are computed once.
+    if pushed.lateral_offset_m:
+        offsets_m = pushed.offsets_of_joint_fit_m or (pushed.lateral_offset_m,)
+        beams = replace(pushed, lateral_offset_m=0.0, offsets_of_joint_fit_m=offsets_m)
+        ensembles = _off_axis_ensembles(beams, replace(extent, members=OFF_AXIS_MEMBERS))
+        return ensembles[offsets_m.index(pushed.lateral_offset_m)]
+    return _on_axis_ensemble(replace(pushed, offsets_of_joint_fit_m=()), extent)
 
 
-def _of_sphere(
-    sphere: RigidSphere,
-    lowest_hz: float,
-    highest_hz: float,
-    known: KnownMedium | None,
-    density_kg_per_m3: float,
-    members: int,
-) -> Ensemble:
-    node_hz = _nodes(lowest_hz, highest_hz, _node_count(lowest_hz, highest_hz, SPHERE_NODES_PER_E_FOLD))
-    s, spread = np.asarray(2j * np.pi * node_hz, np.complex128), _even_sequence(members, 5)
-    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
-    moved = sphere.response(modulus_pa, density_kg_per_m3, s)
-    return Ensemble(node_hz, moved, moved, np.zeros_like(moved), _voigt(members, known))
+def _sphere_ensemble(sphere: RigidSphere, extent: _Range) -> Ensemble:
+    node_hz = extent.nodes(SPHERE_NODES_PER_E_FOLD)
+    s = np.asarray(2j * np.pi * node_hz, np.complex128)
+    response = sphere.response(extent.modulus(s), extent.density_kg_per_m3, s)
+    return Ensemble(node_hz, response, response, np.zeros_like(response), extent.voigt())
 
 
 @functools.lru_cache(maxsize=32)
-def _on_axis(
-    beams: BeamWidths,
-    lowest_hz: float,
-    highest_hz: float,
-    known: KnownMedium | None,
-    density_kg_per_m3: float,
-    members: int,
-) -> Ensemble:
-    """Return the ensemble where the tracking beam lies on the force's axis."""
-    force = beams.force_width_m, beams.width_spread
-    pushed = _pushed(*force, lowest_hz, highest_hz, known, density_kg_per_m3, members)
-    # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
-    area, depth = beams.tracking_width_m[0] ** 2 / 2, pushed.axial + beams.axial_spread_m**2
-    tracked, by_area = displacement_and_slope(pushed.shear_k2, pushed.lateral + area, depth)
-    # what the force moves over what a Gaussian of its widths moves; the share that is tracked stays the Gaussian's
-    shape = 1.0 if beams.force is None else _of_shape(beams, pushed.shear_k2, pushed.wide)
-    tracked, peak, change = np.stack([tracked, pushed.peak, area * by_area]) * (shape / pushed.modulus_pa)
-    found = Ensemble(pushed.node_hz, tracked, peak, change, _voigt(members, known))
-    for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
+def _on_axis_ensemble(beams: BeamWidths, extent: _Range) -> Ensemble:
+    members = _members_on_axis(beams.force_width_m, beams.width_log_sd, extent)
+    # Averaging over a tracking beam equals a force that is wider by its energy's variance.
+    area_m2, along_m2 = beams.tracking_area_m2, members.along_m2 + beams.depth_sd_m**2
+    tracked, by_area = focal_displacement_and_slope(members.shear_k2, members.across_m2 + area_m2, along_m2)
+    # A force of another shape changes tracked and peak motion alike: their ratio remains that of the Gaussian.
+    shape = 1.0 if beams.force is None else _shape_ratio(beams, members.shear_k2, members.width_factor)
+    tracked, peak, steepness = np.stack([tracked, members.peak, area_m2 * by_area]) * (shape / members.modulus_pa)
+    ensemble = Ensemble(members.node_hz, tracked, peak, steepness, extent.voigt())
+    for array in (ensemble.node_hz, ensemble.tracked, ensemble.peak, ensemble.steepness, ensemble.voigt):
         array.flags.writeable = False
-    return found
+    return ensemble
 
 
-@dataclass(frozen=True, slots=True)
-class _Pushed:
-    """Media under Gaussian forces, whatever is tracked of them: complex (member, node), real (member,).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Members:
+    """Media under Gaussian forces before tracking: complex (member, node), real (member,).
 
-    ``lateral``, ``axial``: squared widths of the force, which is ``wide`` times as wide as declared. ``peak``: times
-    the modulus, the motion at the focus.
+    ``across_m2`` and ``along_m2`` are the squared force widths, ``width_factor`` times the declared one across.
+    ``peak`` is the focal motion times the modulus.
     """
 
     node_hz: FloatArray
     modulus_pa: ComplexArray
     shear_k2: ComplexArray
-    wide: FloatArray
-    lateral: FloatArray
-    axial: FloatArray
+    width_factor: FloatArray
+    across_m2: FloatArray
+    along_m2: FloatArray
     peak: ComplexArray
 
 
 @functools.lru_cache(maxsize=8)
-def _pushed(
-    force_width_m: Triple,
-    width_spread: float,
-    lowest_hz: float,
-    highest_hz: float,
-    known: KnownMedium | None,
-    density_kg_per_m3: float,
-    members: int,
-) -> _Pushed:
-    """Return what the ensembles of all gates on the axis have in common."""
-    from scipy.special import ndtri
-
-    node_hz = _nodes(lowest_hz, highest_hz, _node_count(lowest_hz, highest_hz, NODES_PER_E_FOLD))
-    spread = _even_sequence(members, 5)
+def _members_on_axis(force_width_m: Triple, width_log_sd: float, extent: _Range) -> _Members:
+    """Return the part that the ensembles of all gates on the axis share."""
+    node_hz = extent.nodes(NODES_PER_E_FOLD)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
-    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
-    shear_k2 = -density_kg_per_m3 * s**2 / modulus_pa
-    wide, deep = np.exp(width_spread * ndtri(spread[:, 3:5])).T
-    lateral, axial = (force_width_m[0] * wide) ** 2, (force_width_m[2] * deep) ** 2
-    peak = displacement(shear_k2, lateral, axial)
-    return _Pushed(node_hz, modulus_pa, shear_k2, wide, lateral, axial, peak)
+    modulus_pa = extent.modulus(s)
+    shear_k2 = -extent.density_kg_per_m3 * s**2 / modulus_pa
+    width_factor, length_factor = extent.width_factors(width_log_sd)
+    across_m2, along_m2 = (force_width_m[0] * width_factor) ** 2, (force_width_m[2] * length_factor) ** 2
+    peak = focal_displacement(shear_k2, across_m2, along_m2)
+    return _Members(node_hz, modulus_pa, shear_k2, width_factor, across_m2, along_m2, peak)
 
 
-def _of_shape(beams: BeamWidths, shear_k2: ComplexArray, wide: FloatArray) -> ComplexArray:
-    """Return the motion under ``beams.force`` over that under the Gaussian, (member, node).
+def _shape_ratio(beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatArray) -> ComplexArray:
+    """Return the motion under ``beams.force`` over the motion under the Gaussian, (member, node).
 
-    Both times the modulus hang on the squared wave number alone: on its size, which counts in widths of the force, and
-    on its angle, the medium's loss. ``wide`` (member,) times as wide as declared, a force of the same shape meets waves
-    that are as much longer.
+    Both, times the modulus, are functions of q^2 only: of |q| times the force's width, and of the angle of q^2, which
+    is the medium's loss. A force ``width_factor`` (member,) times as wide acts like waves shorter by the same factor.
+    The ratio is a product of Chebyshev series in ln |q| and in the loss angle.
     """
     wave, angle = np.sqrt(np.abs(shear_k2)), np.clip(-np.angle(shear_k2), 0.0, np.pi / 2)
-    lowest, highest = float(wave.min()), min(float(wave.max()), LARGEST_WAVE / beams.force_width_m[0])
-    node, loss = _nodes(lowest, highest, SHAPE_NODES), np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
-    moved = _shape(replace(beams, together_m=()), tuple(node.tolist()), tuple(loss.tolist()))
-    vander = np.polynomial.chebyshev.chebvander
-    by_wave = np.linalg.solve(vander(_position(node, lowest, highest), SHAPE_NODES - 1), moved)
-    both = np.linalg.solve(vander(4 * loss / np.pi - 1, LOSS_NODES - 1), by_wave.T).T
-    place = _position(np.clip(wave * wide[:, None], lowest, highest), lowest, highest)
-    across, along = vander(place, SHAPE_NODES - 1) @ both, vander(4 * angle / np.pi - 1, LOSS_NODES - 1)
-    return np.asarray(np.sum(across * along, axis=-1))
+    lowest = float(wave.min())
+    highest = min(float(wave.max()), MAX_RELATIVE_WAVE_NUMBER / beams.force_width_m[0])
+    node = _nodes(lowest, highest, SHAPE_NODES)
+    loss = np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
+    ratio = _shape_ratio_at_nodes(replace(beams, offsets_of_joint_fit_m=()), tuple(node.tolist()), tuple(loss.tolist()))
+    # Chebyshev coefficients (wave, loss) of the ratio.
+    by_wave = np.linalg.solve(chebvander(_log_position(node, lowest, highest), SHAPE_NODES - 1), ratio)
+    coefficients = np.linalg.solve(chebvander(4 * loss / np.pi - 1, LOSS_NODES - 1), by_wave.T).T
+    position = _log_position(np.clip(wave * width_factor[:, None], lowest, highest), lowest, highest)
+    of_wave, of_loss = chebvander(position, SHAPE_NODES - 1), chebvander(4 * angle / np.pi - 1, LOSS_NODES - 1)
+    return np.asarray(np.sum(of_wave @ coefficients * of_loss, axis=-1))
 
 
 @functools.lru_cache(maxsize=8)
-def _shape(beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]) -> ComplexArray:
-    """Return the same at wave numbers of these sizes and moduli of these angles, (wave, loss)."""
-    from hpe_rig.medium.shear_field import shear_motion
+def _shape_ratio_at_nodes(
+    beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]
+) -> ComplexArray:
+    """Return the ratio of ``_shape_ratio`` at wave numbers of these sizes and moduli of these angles, (wave, loss)."""
+    from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
-    (x, _, z), tracked = beams.force_width_m, (beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2)
+    region = TrackedRegion(np.zeros(1), 0.0, beams.tracking_area_m2, beams.depth_sd_m**2)
     wave, loss = np.meshgrid(wave_per_m, loss_rad, indexing="ij")
-    # any density and frequency that give these wave numbers
-    omega, density = 2 * np.pi, 1000.0
-    modulus_pa = np.asarray(density * (omega / wave) ** 2 * np.exp(1j * loss), np.complex128).ravel()
-    once_hz = np.ones(modulus_pa.size)
-    own, gaussian = (
-        shear_motion(modulus_pa, once_hz, density, force, *tracked, np.zeros(1), quick=True).value[:, 0]
-        for force in (beams.force, PushForce((x,), z))
+    # Any density and frequency that give these wave numbers: 1 Hz and 1000 kg/m^3.
+    modulus_pa = np.asarray(1000.0 * (2 * np.pi / wave) ** 2 * np.exp(1j * loss), np.complex128).ravel()
+    medium = HarmonicMedium(np.ones(modulus_pa.size), modulus_pa)
+    shaped, gaussian = (
+        shear_motion(medium, force, region, quick=True).value[:, 0]
+        for force in (beams.force, PushForce.gaussian(beams.force_width_m))
         if force is not None
     )
-    return np.asarray((own / gaussian).reshape(wave.shape))
+    return np.asarray((shaped / gaussian).reshape(wave.shape))
 
 
 @functools.lru_cache(maxsize=8)
-def _beside(
-    beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
-) -> tuple[Ensemble, ...]:
-    """Return the ensembles at every place (``together_m``) beside the force, by ``focal_motion``."""
-    from scipy.special import ndtri
-
-    node_hz, alone = _nodes_beside(lowest_hz, highest_hz)
-    spread, places_m = _even_sequence(MEMBERS_BESIDE, 5), np.array(beams.together_m)
-    s = np.asarray(2j * np.pi * node_hz, np.complex128)
-    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
-    wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
-    found = np.empty((places_m.size, 3, MEMBERS_BESIDE, node_hz.size), np.complex128)
-    for member, (across_m, along_m) in enumerate(
-        zip(beams.force_width_m[0] * wide, beams.force_width_m[2] * deep, strict=True)
-    ):
-        own = replace(beams, force_width_m=(across_m, across_m, along_m))
-        seen = seen_beside(modulus_pa[member], density_kg_per_m3, node_hz, own, places_m)
-        found[:, :, member] = np.moveaxis(np.stack(seen), -1, 0)
-    found.flags.writeable = False
-    voigt = _voigt(MEMBERS_BESIDE, known)
-    return tuple(Ensemble(node_hz, there[0], there[1], there[2], voigt, alone) for there in found)
-
-
-def _voigt(members: int, known: KnownMedium | None) -> BoolArray:
-    """Return which members (member,) are Voigt media."""
-    return np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool)
-
-
-def _node_count(lowest_hz: float, highest_hz: float, per_e_fold: float) -> int:
-    return max(8, round(float(per_e_fold * np.log(highest_hz / lowest_hz))))
-
-
-def _nodes_beside(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
-    """Return the nodes (node,) beside the push, and how many, the first, are the harmonics up to ``TURNING_HZ``."""
-    harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
-    alone = int(np.sum(harmonic_hz <= TURNING_HZ))
-    if harmonic_hz.size - alone <= SMOOTH_NODES:
-        return harmonic_hz, harmonic_hz.size
-    return np.concatenate([harmonic_hz[:alone], _nodes(harmonic_hz[alone], highest_hz, SMOOTH_NODES)]), alone
-
-
-def seen_beside(
-    modulus_pa: ComplexArray,
-    density_kg_per_m3: float,
-    frequency_hz: FloatArray,
-    beams: BeamWidths,
-    lateral_m: FloatArray,
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return tracked and peak displacement and steepness (frequency, place), per body force, beside the push.
-
-    At ``lateral_m`` (place,). Speckle moves the middle of what is tracked as well as its area, each by the same share
-    of its radius: the steepness is the root sum of squares of both, real part along the tracked phasor, imaginary
-    across.
-    """
-    from hpe_rig.medium.shear_field import focal_motion
-
-    (x, _, z), seen = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2
-    medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
-    tracked, by_area, by_place = focal_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, lateral_m)
-    wider, aside = seen * by_area / tracked, np.sqrt(seen) * by_place / tracked
-    steep = np.hypot(wider.real, aside.real) + 1j * np.hypot(wider.imag, aside.imag)
-    return tracked, focal_motion(*medium, x**2, z**2, lateral_m)[0], tracked * steep
-
-
-_legendre = functools.cache(np.polynomial.legendre.leggauss)
-"""Nodes and weights of Gauss's quadrature, by their number."""
-
-
-def displacement(
-    shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int = DIRECTIONS
-) -> ComplexArray:
-    """Return the displacement times the modulus but for a real factor, (member, frequency).
-
-    ``shear_k2`` (member, frequency) is the squared wave number, ``lateral`` and ``axial`` (member,) the squared widths
-    of the force.
-    """
-    q, root_a, w, weight, _ = _waves(shear_k2, lateral, axial, directions)
-    return _sum(np.sqrt(np.pi) / 2 / root_a + 0.5j * np.pi * q * w, weight)
-
-
-def displacement_and_slope(
-    shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int = DIRECTIONS
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return ``displacement`` and its derivative by ``lateral``, (member, frequency)."""
-    q, root_a, w, weight, transverse = _waves(shear_k2, lateral, axial, directions)
-    still, moving = np.sqrt(np.pi) / 2 / root_a, 0.5j * np.pi * q * w
-    # by a, with w'(z) = 2j / sqrt(pi) - 2 z w(z); da / d lateral = transverse / 2
-    by_a = -still * (0.5 / root_a**2 + q**2) - q**2 * moving
-    return _sum(still + moving, weight), _sum(by_a, weight * transverse / 2)
-
-
-def _waves(
-    shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int
-) -> tuple[ComplexArray, FloatArray, ComplexArray, FloatArray, FloatArray]:
-    """Return q, sqrt(a) and w(q sqrt(a)) of the waves in each direction, their weights in the integral, and 1 - m^2.
-
-    The first three broadcast to (member, frequency, direction), the others are (member, direction).
-    """
-    # Here, as below: a prescribed motion has no medium, and needs no special functions.
-    from scipy.special import wofz
-
-    node, weight = _legendre(directions)
-    # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
-    slope = np.sqrt(np.maximum(axial / lateral - 1, 1e-12))[:, None]
-    angle = np.arctan(slope) * (node + 1) / 2
-    m = np.tan(angle) / slope
-    weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
-    root_a = np.sqrt((lateral[:, None] * (1 - m**2) + axial[:, None] * m**2) / 2)[:, None]
-    q = np.sqrt(shear_k2)
-    q = np.where(q.imag < 0, -q, q)[:, :, None]
-    return q, root_a, wofz(q * root_a), weight * 2 * (1 - m**2), 1 - m**2
-
-
-def _sum(waves: ComplexArray, weight: FloatArray) -> ComplexArray:
-    """Return the sum over directions, (member, frequency)."""
-    return np.asarray((waves @ weight[:, :, None])[..., 0])
-
-
-def _modulus(s: ComplexArray, spread: FloatArray) -> ComplexArray:
-    """Return the complex modulus (member, frequency): Voigt, Zener, power law, nearly elastic, Maxwell in turn."""
-    modulus = _log_even(spread[:, 0], MODULUS_PA)[:, None]
-    viscosity = _log_even(spread[:, 1], VISCOSITY_PA_S)[:, None]
-    low_viscosity = _log_even(spread[:, 1], LOW_VISCOSITY_PA_S)[:, None]
-    fluid_viscosity = _log_even(spread[:, 1], MAXWELL_VISCOSITY_PA_S)[:, None]
-    branch = modulus * _log_even(spread[:, 2], BRANCH_OVER_MODULUS)[:, None]
-    power = (POWER[0] + (POWER[1] - POWER[0]) * spread[:, 2])[:, None]
-    families = (
-        modulus + s * viscosity,
-        modulus + s * viscosity / (1 + s * viscosity / branch),
-        modulus * (s / (2 * np.pi * POWER_REFERENCE_HZ)) ** power,
-        modulus + s * low_viscosity,
-        s * fluid_viscosity / (1 + s * fluid_viscosity / modulus),
+def _off_axis_ensembles(beams: BeamWidths, extent: _Range) -> tuple[Ensemble, ...]:
+    """Return the ensembles at every one of ``beams.offsets_of_joint_fit_m``."""
+    node_hz, exact_nodes = _off_axis_nodes(extent.lowest_hz, extent.highest_hz)
+    offsets_m = np.array(beams.offsets_of_joint_fit_m)
+    modulus_pa = extent.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))
+    width_factor, length_factor = extent.width_factors(beams.width_log_sd)
+    values = np.empty((offsets_m.size, 3, extent.members, node_hz.size), np.complex128)
+    x, _, z = beams.force_width_m
+    for member, (across_m, along_m) in enumerate(zip(x * width_factor, z * length_factor, strict=True)):
+        medium = HarmonicMedium(node_hz, modulus_pa[member], extent.density_kg_per_m3)
+        motion = off_axis_motion(medium, replace(beams, force_width_m=(across_m, across_m, along_m)), offsets_m)
+        values[:, :, member] = np.moveaxis(np.stack(motion), -1, 0)
+    values.flags.writeable = False
+    return tuple(
+        Ensemble(node_hz, tracked, peak, steepness, extent.voigt(), exact_nodes) for tracked, peak, steepness in values
     )
-    return np.asarray(np.choose((np.arange(len(spread)) % FAMILIES)[:, None], families))
 
 
-def _known_modulus(known: KnownMedium, s: ComplexArray, spread: FloatArray) -> ComplexArray:
+def _off_axis_nodes(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
+    """Return the nodes (node,) off the axis, and the number of first ones that are single harmonics."""
+    harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
+    exact = int(np.sum(harmonic_hz <= TRAVELLED_WAVE_MAX_HZ))
+    if harmonic_hz.size - exact <= SMOOTH_NODES:
+        return harmonic_hz, harmonic_hz.size
+    return np.concatenate([harmonic_hz[:exact], _nodes(harmonic_hz[exact], highest_hz, SMOOTH_NODES)]), exact
+
+
+def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
+    """Return the complex modulus (member, frequency) of the members at ``s`` (frequency,), by ``FAMILIES``."""
+    spread, ranges = _even_sequence(members, 5), PRIOR_RANGES
+    modulus = _log_uniform(spread[:, 0], ranges.modulus_pa)
+    viscosity, low_viscosity, maxwell_viscosity = (
+        _log_uniform(spread[:, 1], limits)
+        for limits in (ranges.viscosity_pa_s, ranges.low_viscosity_pa_s, ranges.maxwell_viscosity_pa_s)
+    )
+    branch = modulus * _log_uniform(spread[:, 2], ranges.branch_over_modulus)
+    power = ranges.power[0] + (ranges.power[1] - ranges.power[0]) * spread[:, 2]
+    # A power law with the modulus M at f_M has M at f = f_M, the law itself at f = f_0: G(s) = law(s f_0 / f_M).
+    power_s = s * (POWER_REFERENCE_HZ / ranges.power_modulus_hz)
+    families = (
+        _law_modulus("voigt", s, modulus, viscosity),
+        _law_modulus("zener", s, modulus, branch, viscosity),
+        _law_modulus("power_law", power_s, modulus, power),
+        _law_modulus("voigt", s, modulus, low_viscosity),
+        _law_modulus("maxwell", s, modulus, maxwell_viscosity),
+    )
+    return np.asarray(np.choose((np.arange(members) % len(FAMILIES))[:, None], families))
+
+
+def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> ComplexArray:
+    return LAWS[name].modulus(s, np.stack(parameters, axis=-1))[0]
+
+
+def _known_modulus(known: KnownMedium, s: ComplexArray, members: int) -> ComplexArray:
     from scipy.special import ndtri
 
-    scale = np.exp(ndtri(spread[:, :2]) * [known.modulus_spread, known.viscosity_spread])
-    return np.asarray(known.shear_modulus_pa * scale[:, :1] + s * (known.shear_viscosity_pa_s * scale[:, 1:]))
+    deviates = ndtri(_even_sequence(members, 5)[:, :2])
+    factors = np.exp(deviates * [known.modulus_log_sd, known.viscosity_log_sd])
+    return np.asarray(known.shear_modulus_pa * factors[:, :1] + s * (known.shear_viscosity_pa_s * factors[:, 1:]))
 
 
-def _log_even(share: FloatArray, limits: tuple[float, float]) -> FloatArray:
-    return np.asarray(limits[0] * (limits[1] / limits[0]) ** share)
+def _log_uniform(quantile: FloatArray, limits: tuple[float, float]) -> FloatArray:
+    return np.asarray(limits[0] * (limits[1] / limits[0]) ** quantile)
 
 
 def _even_sequence(count: int, dimensions: int) -> FloatArray:
@@ -429,20 +346,19 @@ def _even_sequence(count: int, dimensions: int) -> FloatArray:
     return np.asarray((0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, dimensions + 1))) % 1)
 
 
-def _nodes(lowest_hz: float, highest_hz: float, count: int) -> FloatArray:
-    """Return Chebyshev nodes (node,) of the logarithm of frequency, both ends among them."""
-    place = -np.cos(np.linspace(0, np.pi, count))
-    return np.asarray(np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (place / 2))
+def _nodes(lowest: float, highest: float, count: int) -> FloatArray:
+    """Return Chebyshev nodes (node,) in the logarithm, both ends included."""
+    position = -np.cos(np.linspace(0, np.pi, count))
+    return np.asarray(np.sqrt(lowest * highest) * (highest / lowest) ** (position / 2))
 
 
 def _interpolation(frequency_hz: FloatArray, node_hz: FloatArray) -> FloatArray:
     """Return the matrix (frequency, node) of the polynomial in the logarithm of frequency through the nodes."""
     order = node_hz.size - 1
-    position, node = (_position(each, node_hz[0], node_hz[-1]) for each in (frequency_hz, node_hz))
-    chebyshev = np.polynomial.chebyshev.chebvander
-    return np.asarray(np.linalg.solve(chebyshev(node, order).T, chebyshev(position, order).T).T)
+    position, node = (_log_position(hz, node_hz[0], node_hz[-1]) for hz in (frequency_hz, node_hz))
+    return np.asarray(np.linalg.solve(chebvander(node, order).T, chebvander(position, order).T).T)
 
 
-def _position(frequency_hz: FloatArray, lowest_hz: float, highest_hz: float) -> FloatArray:
-    """Return frequencies from -1 at the lowest to 1 at the highest, by their logarithm."""
-    return np.asarray(2 * np.log(frequency_hz / lowest_hz) / np.log(highest_hz / lowest_hz) - 1)
+def _log_position(value: FloatArray, lowest: float, highest: float) -> FloatArray:
+    """Return the logarithm of ``value``, scaled to -1 at the lowest and 1 at the highest."""
+    return np.asarray(2 * np.log(value / lowest) / np.log(highest / lowest) - 1)

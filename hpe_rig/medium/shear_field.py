@@ -2,53 +2,79 @@
 
     u(r, z) = f0 sx^2 sz / (sqrt(2 pi) rho w^2) int_0^inf k^3 J0(k r) exp(-A k^2 / 2) [V(kappa) - V(k)] dk,
     V(kappa) = pi / (2 kappa) exp(-b^2) [erfcx(kappa sqrt(a) + b) + erfcx(kappa sqrt(a) - b)],
-    kappa^2 = k^2 - q^2,   q^2 = rho w^2 / mu,   a = B / 2,   b = z / 2 sqrt(a),
+    kappa^2 = k^2 - q^2,   q^2 = rho w^2 / G,   a = B / 2,   b = z / 2 sqrt(a)
 
-of a Gaussian force f0 exp(-(x^2 + y^2) / 2 sx^2 - z^2 / 2 sz^2) along z, time factor exp(+jwt), A = sx^2 and B = sz^2
-the squared widths of the force, larger by the variances of what a tracking beam averages over. A force that is a sum of
-Gaussians moves by the sum of theirs. The integral over wave numbers along the axis is done in closed form, that over
-those across it along a path in the upper half plane, clear of the shear pole q even in an elastic medium.
-docs/theory/moduli.md has the derivation.
+Symbols: Gaussian force f0 exp(-(x^2 + y^2) / 2 sx^2 - z^2 / 2 sz^2) along z; r and z the distances from its axis and
+its focus; G complex modulus, rho density, w angular frequency, time factor exp(+jwt); k the wave number across the
+axis. A = sx^2 and B = sz^2 are the squared widths of the force plus the variances over which the tracking beam
+averages.
+
+A sum of Gaussian forces gives the sum of their fields. The integral over wave numbers along the axis has the closed
+form V. The integral over k runs along a path in the upper half plane, clear of the pole k = q even in an elastic
+medium. Derivation: docs/explanation/moduli.md.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import jv, wofz
 
 from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.medium.focal_field import legendre_nodes
+from hpe_rig.medium.material_laws import HarmonicMedium
 from hpe_rig.medium.push_force import PushForce
 
-Quality = tuple[int, float]
-"""Nodes in a panel of the path, and the exponent in exp(-A k^2 / 2) at which the path ends."""
-FULL: Quality = (12, 36.0)
-"""2e-16 at the largest wave number."""
-QUICK: Quality = (6, 16.0)
+
+class Quality(NamedTuple):
+    """Nodes in a panel of the path, and the exponent of exp(-A k^2 / 2) at which the path ends."""
+
+    panel_nodes: int
+    end_exponent: float
+
+
+FULL = Quality(12, 36.0)
+"""The spectrum has fallen to 2e-16 at the end of the path."""
+QUICK = Quality(6, 16.0)
 QUICK_ERROR = 1e-5
-"""Of the largest displacement, that of the quick one."""
-LARGEST_GROWTH = 3.0
-"""Im k times the largest distance, to which the Bessel functions grow along the path."""
+"""Error of the quick field, relative to the largest displacement."""
+MAX_BESSEL_EXPONENT = 3.0
+"""Im k times the largest distance: Bessel functions grow along the path up to exp of this."""
 CLEARANCE = 1.0
-"""Im k times the width of the force, where no distance limits it."""
+"""Im k times the force's width, if no distance limits it."""
 PANEL_WIDTH = 1.3
-"""Widest panel of nodes near a pole, over the distance from it."""
-STEEPNESS = 0.5
-"""Slope of the path at its start: what lies near 0 sees the pole from an angle."""
+"""Widest panel near a pole, relative to the distance from the pole."""
+START_SLOPE = 0.5
+"""Slope of the path at k = 0: a path along the real axis would start next to the pole of a long wave."""
 PANEL_PHASE_RAD = 7.0
-"""Largest advance of a wave over the largest distance within a panel of nodes."""
+"""Largest phase k r over a panel at the largest distance."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedRegion:
+    """Points where a displacement is tracked, and the variances of position over which the tracking beam averages.
+
+    ``lateral_m`` (point,): distances from the axis; ``axial_m``: distance from the focal plane. ``across_m2``, a number
+    or (point,), and ``along_m2``: variances across and along the beam.
+    """
+
+    lateral_m: FloatArray
+    axial_m: float = 0.0
+    across_m2: FloatArray | float = 0.0
+    along_m2: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ShearMotion:
-    """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
+    """Displacement per body force and its derivatives, complex (frequency, point).
 
-    ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across`` and
-    ``by_across_twice`` (the second) with respect to the variance that the tracking averages over across the beam,
-    ``by_lateral`` and ``by_axial`` to the place, ``by_width`` and ``by_length`` to the logarithms of the force's widths
-    across and along, its strength at the focus the same, ``by_unsure`` to what else is ``unsure`` of it, by name.
+    ``value`` is in m per N/m^3. The derivatives are by: the complex modulus; the variance across over which the
+    tracking beam averages (first and second derivative); the lateral and the axial distance; the logarithms of the
+    force's widths across and along, at constant peak force; and one standard uncertainty of each property in
+    ``PushForce.unsure``.
     """
 
     value: ComplexArray
@@ -62,186 +88,233 @@ class ShearMotion:
     by_unsure: dict[str, ComplexArray]
 
 
-def shear_motion(
-    modulus_pa: ComplexArray,
-    frequency_hz: FloatArray,
-    density_kg_per_m3: float,
-    force: PushForce,
-    seen_across_m2: FloatArray | float,
-    seen_along_m2: float,
-    lateral_m: FloatArray,
-    axial_m: float = 0.0,
-    quick: bool = False,
-) -> ShearMotion:
-    """Return the field of a round ``force`` where it is tracked.
+def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion, quick: bool = False) -> ShearMotion:
+    """Return the field of ``force`` in ``medium`` (moduli (frequency,)) as tracked in ``region``.
 
-    ``modulus_pa`` and ``frequency_hz`` (frequency,); ``seen_across_m2``, one or (place,), and ``seen_along_m2``: the
-    variances that the tracking averages over; ``lateral_m`` (place,) distances from the axis, ``axial_m`` that from the
-    focal plane. Good to 1e-10 of the largest displacement, 1e-8 for waves of a tenth of the force's width: 0.5 to
-    500 kPa, viscosities from none to 50 Pa s, places to 20 mm, waves from a tenth of the force's width to some thousand
-    of it. ``quick``: to ``QUICK_ERROR`` of it, in a third of the time.
+    Error: 1e-10 of the largest displacement, 1e-8 if the waves are a tenth of the force's width. Tested for 0.5 to
+    500 kPa, 0 to 50 Pa s, distances to 20 mm, and wavelengths from 0.1 to some 1000 force widths. ``quick``: error
+    ``QUICK_ERROR`` in a third of the time.
     """
-    # every Gaussian of the force along the same path: that of the narrowest
-    narrow_m2, along_m2 = min(force.across_m) ** 2, force.along_m**2 + seen_along_m2
-    narrowest = narrow_m2 + seen_across_m2
-    k, waves, slope, q2, front = _waves(
-        modulus_pa,
-        frequency_hz,
-        density_kg_per_m3,
-        (1.0, force.along_m),
-        narrowest,
-        along_m2,
-        lateral_m,
-        QUICK if quick else FULL,
-    )
-    half, k2 = along_m2 / 2, k**2
-    kappa, area_m2 = np.sqrt(k2 - q2[:, None]), np.square(force.across_m)[:, None]
-    # the path's waves hold the narrowest Gaussian across already
-    across = area_m2 * np.exp(-k2 * (area_m2 - narrow_m2) / 2)
-    spectra, wider = (np.array(force.share) @ each for each in (across, (2 - k2 * area_m2) * across))
-    unsure = [np.array(share) @ across for _, share in force.unsure]
-    # Gaussians at the same distance before and behind have all but the sign of the slope along the axis in common.
-    off_m, centre_m = axial_m - np.array(force.centre_m), np.array(force.centre_m)[:, None]
-    distance_m, which = np.unique(np.round(np.abs(off_m), 12), return_inverse=True)
-    fold = np.zeros((distance_m.size, off_m.size))
-    fold[which, np.arange(off_m.size)] = 1.0
-    signed = fold * np.sign(off_m)
-    shapes = fold @ spectra, signed @ spectra, signed @ (centre_m * spectra), fold @ wider
-    rest = [fold @ each for each in unsure]
-    sums = np.zeros((5 + len(rest), *kappa.shape), np.complex128)
-    for away_m, spectrum, odd, shifted, widened, *others in zip(distance_m, *shapes, *rest, strict=True):
-        dynamic, static = _along(kappa, half, away_m), _along(k[None], half, away_m)
-        value, _, by_half, by_axial = (own - at_rest for own, at_rest in zip(dynamic, static, strict=True))
-        # the static part does not hang on the modulus: dq2/dmu = -q2/mu, dkappa2/dq2 = -1
-        sums[0] += value * spectrum
-        sums[1] += dynamic[1] * spectrum
-        sums[2] += by_axial * odd
-        sums[3] += (value + force.along_m**2 * by_half) * spectrum - by_axial * shifted
-        sums[4] += value * widened
-        sums[5:] += value * np.array(others)[:, None] if others else 0.0
-    kernel, by_kappa, by_axial, longer, widened, *extra = (front[:, None] * each for each in sums)
+    # All Gaussians of the force share one path: that of the narrowest.
+    narrowest_m2, along_m2 = min(force.across_m) ** 2, force.along_m**2 + region.along_m2
+    path = _Waves.of(medium, narrowest_m2 + region.across_m2, along_m2, region.lateral_m, QUICK if quick else FULL)
+    spectra = _station_spectra(force, path.k**2, narrowest_m2, region.axial_m)
+    prefactor = force.along_m / path.denominator
+    kernels = [prefactor[:, None] * total for total in _sum_over_stations(path, spectra, force.along_m, along_m2)]
+    value, by_kappa2, by_axial, by_length, by_width, *by_unsure = kernels
+    k2 = path.k[:, None] ** 2
     return ShearMotion(
-        value=kernel @ waves,
-        by_modulus=(q2 / modulus_pa)[:, None] * by_kappa @ waves,
-        by_across=kernel @ (-k2[:, None] / 2 * waves),
-        by_across_twice=kernel @ (k2[:, None] ** 2 / 4 * waves),
-        by_lateral=kernel @ slope,
-        by_axial=by_axial @ waves,
-        by_width=widened @ waves,
-        by_length=longer @ waves,
-        by_unsure={name: each @ waves for (name, _), each in zip(force.unsure, extra, strict=True)},
+        value=value @ path.waves,
+        by_modulus=(path.q2 / medium.modulus_pa)[:, None] * by_kappa2 @ path.waves,
+        by_across=value @ (-k2 / 2 * path.waves),
+        by_across_twice=value @ (k2**2 / 4 * path.waves),
+        by_lateral=value @ path.lateral_slopes,
+        by_axial=by_axial @ path.waves,
+        by_width=by_width @ path.waves,
+        by_length=by_length @ path.waves,
+        by_unsure={name: kernel @ path.waves for (name, _), kernel in zip(force.unsure, by_unsure, strict=True)},
     )
 
 
-def focal_motion(
-    modulus_pa: ComplexArray,
-    frequency_hz: FloatArray,
-    density_kg_per_m3: float,
+def focal_plane_motion(
+    medium: HarmonicMedium,
     force_width_m: tuple[float, float],
     across_m2: float,
     along_m2: float,
     lateral_m: FloatArray,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return value, ``by_across`` and ``by_lateral`` of ``shear_motion`` in the focal plane, (frequency, place) each.
+    """Return ``value``, ``by_across`` and ``by_lateral`` of ``shear_motion`` in the focal plane, (frequency, point).
 
-    Good to 1e-5 of the largest displacement, in a fraction of the time: for ensembles of media.
+    One Gaussian force of sigmas ``force_width_m`` (across, along); ``across_m2`` and ``along_m2`` are A and B. Error:
+    ``QUICK_ERROR`` in a fraction of the time, for ensembles of media.
     """
-    k, waves, slope, q2, front = _waves(
-        modulus_pa, frequency_hz, density_kg_per_m3, force_width_m, across_m2, along_m2, lateral_m, QUICK
+    path = _Waves.of(medium, across_m2, along_m2, lateral_m, QUICK)
+    prefactor = force_width_m[0] ** 2 * force_width_m[1] / path.denominator
+    root_a = np.sqrt(along_m2 / 2)
+    # At z = 0 both terms of V are equal: V = pi / kappa erfcx(kappa sqrt(a)), and erfcx(x) = w(jx).
+    dynamic, static = (np.pi / kappa * wofz(1j * root_a * kappa) for kappa in (path.kappa, path.k[None]))
+    kernel = prefactor[:, None] * (dynamic - static)
+    return kernel @ path.waves, kernel @ (-(path.k**2)[:, None] / 2 * path.waves), kernel @ path.lateral_slopes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waves:
+    """Integrand of u without V: wave numbers (k,), weighted waves and their slopes by r (k, point), q^2 (frequency,).
+
+    ``denominator`` (frequency,): sqrt(2 pi) rho w^2.
+    """
+
+    k: ComplexArray
+    waves: ComplexArray
+    lateral_slopes: ComplexArray
+    q2: ComplexArray
+    denominator: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        medium: HarmonicMedium,
+        across_m2: FloatArray | float,
+        along_m2: float,
+        lateral_m: FloatArray,
+        quality: Quality,
+    ) -> _Waves:
+        q2 = medium.shear_k2
+        max_distance_m = float(np.max(np.abs(lateral_m), initial=0.0))
+        k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, max_distance_m, quality)
+        kr = k[:, None] * np.abs(lateral_m)
+        spectrum = (weight * k**3)[:, None] * np.exp(-(k**2)[:, None] * across_m2 / 2)
+        slopes = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
+        omega = 2 * np.pi * medium.frequency_hz
+        denominator = np.sqrt(2 * np.pi) * medium.density_kg_per_m3 * omega**2
+        return cls(k, spectrum * jv(0, kr), slopes, q2, denominator)
+
+    @property
+    def kappa(self) -> ComplexArray:
+        """Decay rate along the axis, (frequency, k)."""
+        return np.asarray(np.sqrt(self.k**2 - self.q2[:, None]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _StationSpectra:
+    """Spectra across of the force's Gaussians, summed over stations at the same distance: (distance, k).
+
+    Stations before and behind the tracked point share V and differ in the sign of its slope: ``odd`` is the sum with
+    signs, ``odd_shifted`` that of the spectra times the station's position. ``widened`` is the derivative of ``even``
+    by the logarithm of the width; ``uncertain`` has one spectrum for each property in ``PushForce.unsure``.
+    """
+
+    distance_m: FloatArray
+    even: ComplexArray
+    odd: ComplexArray
+    odd_shifted: ComplexArray
+    widened: ComplexArray
+    uncertain: list[ComplexArray]
+
+
+def _station_spectra(force: PushForce, k2: ComplexArray, narrowest_m2: float, axial_m: float) -> _StationSpectra:
+    area_m2, centre_m = np.square(force.across_m)[:, None], np.array(force.centre_m)
+    # The waves of the path already hold the narrowest Gaussian.
+    across = area_m2 * np.exp(-k2 * (area_m2 - narrowest_m2) / 2)
+    spectra, widened = (np.array(force.share) @ rows for rows in (across, (2 - k2 * area_m2) * across))
+    uncertain = [np.array(share) @ across for _, share in force.unsure]
+    offset_m = axial_m - centre_m
+    distance_m, index = np.unique(np.round(np.abs(offset_m), 12), return_inverse=True)
+    fold = np.zeros((distance_m.size, offset_m.size))
+    fold[index, np.arange(offset_m.size)] = 1.0
+    signed = fold * np.sign(offset_m)
+    return _StationSpectra(
+        np.asarray(distance_m, dtype=np.float64),
+        even=fold @ spectra,
+        odd=signed @ spectra,
+        odd_shifted=signed @ (centre_m[:, None] * spectra),
+        widened=fold @ widened,
+        uncertain=[fold @ rows for rows in uncertain],
     )
-    root = np.sqrt(along_m2 / 2)
-    dynamic, static = (np.pi / kappa * wofz(1j * root * kappa) for kappa in (np.sqrt(k**2 - q2[:, None]), k[None]))
-    kernel = front[:, None] * (dynamic - static)
-    return kernel @ waves, kernel @ (-(k**2)[:, None] / 2 * waves), kernel @ slope
 
 
-def _waves(
-    modulus_pa: ComplexArray,
-    frequency_hz: FloatArray,
-    density_kg_per_m3: float,
-    force_width_m: tuple[float, float],
-    across_m2: FloatArray | float,
-    along_m2: float,
-    lateral_m: FloatArray,
-    quality: Quality = FULL,
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray]:
-    """Return wave numbers (k,), weighted waves and their slopes (k, place), q^2 and the front factor (frequency,)."""
-    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-    q2 = density_kg_per_m3 * omega**2 / modulus_pa
-    reach_m = float(np.max(np.abs(lateral_m), initial=0.0))
-    k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, reach_m, quality)
-    kr = k[:, None] * np.abs(lateral_m)
-    spectrum = (weight * k**3)[:, None] * np.exp(-(k**2)[:, None] * across_m2 / 2)
-    waves = spectrum * jv(0, kr)
-    slope = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
-    front = force_width_m[0] ** 2 * force_width_m[1] / (np.sqrt(2 * np.pi) * density_kg_per_m3 * omega**2)
-    return k, waves, slope, q2, front
+def _sum_over_stations(path: _Waves, spectra: _StationSpectra, station_along_m: float, along_m2: float) -> ComplexArray:
+    """Return the sums of V - V_static times the spectra, (kind, frequency, k).
+
+    Kinds: value; derivatives by kappa^2, by z, by the logarithms of length and of width; one for each uncertainty.
+    """
+    kappa, half_m2 = path.kappa, along_m2 / 2
+    sums = np.zeros((5 + len(spectra.uncertain), *kappa.shape), np.complex128)
+    for i, distance_m in enumerate(spectra.distance_m):
+        dynamic, static = (
+            _axial_integral(kappa, half_m2, distance_m),
+            _axial_integral(path.k[None], half_m2, distance_m),
+        )
+        value, by_half, by_axial = (
+            moving - at_rest
+            for moving, at_rest in (
+                (dynamic.value, static.value),
+                (dynamic.by_half, static.by_half),
+                (dynamic.by_axial, static.by_axial),
+            )
+        )
+        sums[0] += value * spectra.even[i]
+        # The static part does not depend on the modulus: dq^2/dG = -q^2/G, dkappa^2/dq^2 = -1.
+        sums[1] += dynamic.by_kappa2 * spectra.even[i]
+        sums[2] += by_axial * spectra.odd[i]
+        # A longer force also has its stations farther away.
+        sums[3] += (value + station_along_m**2 * by_half) * spectra.even[i] - by_axial * spectra.odd_shifted[i]
+        sums[4] += value * spectra.widened[i]
+        for kind, rows in enumerate(spectra.uncertain):
+            sums[5 + kind] += value * rows[i]
+    return sums
 
 
-def _along(kappa: ComplexArray, half: float, axial_m: float) -> tuple[ComplexArray, ...]:
-    """Return V and its derivatives by kappa^2, by ``half`` = B / 2 and by z, each (..., k), at z >= 0."""
-    root = np.sqrt(half)
-    shift = axial_m / (2 * root)
-    plus, minus = kappa * root + shift, kappa * root - shift
-    falling = np.exp(-(shift**2))
-    ahead = falling * wofz(1j * plus)
-    behind = _scaled(minus, shift) if shift else ahead
-    both, turn = ahead + behind, np.pi / (2 * kappa)
-    value = turn * both
-    edge = 2 * falling / np.sqrt(np.pi)
+class _AxialIntegral(NamedTuple):
+    """V and its derivatives by kappa^2, by a = B / 2 and by z, each (..., k)."""
+
+    value: ComplexArray
+    by_kappa2: ComplexArray
+    by_half: ComplexArray
+    by_axial: ComplexArray
+
+
+def _axial_integral(kappa: ComplexArray, half_m2: float, axial_m: float) -> _AxialIntegral:
+    """Return V at z = ``axial_m`` >= 0, with a = ``half_m2``."""
+    root = np.sqrt(half_m2)
+    b = axial_m / (2 * root)
+    plus, minus = kappa * root + b, kappa * root - b
+    gaussian = np.exp(-(b**2))
+    # exp(-b^2) erfcx(kappa sqrt(a) +- b)
+    term_plus = gaussian * wofz(1j * plus)
+    term_minus = _damped_erfcx(minus, b) if b else term_plus
+    total, prefactor = term_plus + term_minus, np.pi / (2 * kappa)
+    value = prefactor * total
     # erfcx'(x) = 2 x erfcx(x) - 2 / sqrt(pi)
-    by_plus, by_minus = 2 * plus * ahead - edge, 2 * minus * behind - edge
-    by_kappa = -value / kappa + turn * root * (by_plus + by_minus)
+    edge = 2 * gaussian / np.sqrt(np.pi)
+    by_plus, by_minus = 2 * plus * term_plus - edge, 2 * minus * term_minus - edge
+    by_kappa = -value / kappa + prefactor * root * (by_plus + by_minus)
     # kz^2 / (kz^2 + kappa^2) = 1 - kappa^2 / (kz^2 + kappa^2)
-    by_half = kappa**2 * value - np.sqrt(np.pi / half) * falling
-    by_axial = (np.pi / 2) * (ahead - behind)
-    return value, by_kappa / (2 * kappa), by_half, by_axial
+    by_half = kappa**2 * value - np.sqrt(np.pi / half_m2) * gaussian
+    by_axial = (np.pi / 2) * (term_plus - term_minus)
+    return _AxialIntegral(value, by_kappa / (2 * kappa), by_half, by_axial)
 
 
-def _scaled(minus: ComplexArray, shift: float) -> ComplexArray:
-    """Return exp(-shift^2) erfcx(minus); where the real part is negative by erfcx(-x) = 2 exp(x^2) - erfcx(x)."""
-    mirrored = minus.real < 0
-    inner = np.exp(-(shift**2)) * wofz(1j * np.where(mirrored, -minus, minus))
-    return np.asarray(np.where(mirrored, 2 * np.exp(np.where(mirrored, minus**2 - shift**2, 0)) - inner, inner))
+def _damped_erfcx(x: ComplexArray, b: float) -> ComplexArray:
+    """Return exp(-b^2) erfcx(x); for Re x < 0 by erfcx(-x) = 2 exp(x^2) - erfcx(x), which does not overflow."""
+    mirrored = x.real < 0
+    right_half = np.exp(-(b**2)) * wofz(1j * np.where(mirrored, -x, x))
+    return np.asarray(np.where(mirrored, 2 * np.exp(np.where(mirrored, x**2 - b**2, 0)) - right_half, right_half))
 
 
 def _path(
-    q: FloatArray, across_m2: float, along_m2: float, reach_m: float, quality: Quality
+    q: FloatArray, across_m2: float, along_m2: float, max_distance_m: float, quality: Quality
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return wave numbers (k,) and their weights on a path from 0 to where the force's spectrum has died out.
+    """Return wave numbers (k,) and weights on a path from 0 to the end of the force's spectrum.
 
-    It runs above the poles ``q`` (frequency,), which lie on the real axis or below. What it hangs on is rounded to the
-    safe side, so that the iterations of a fit share their paths.
+    The path runs above the poles |q| (frequency,). Its parameters are rounded to the safe side, so that all iterations
+    of a fit share one cached path.
     """
-    # what lies along the axis falls off over wave numbers of 1 / sz, which the first panel must hold
+    # The force's length limits the spectrum along the axis to 1 / sz; the first panel must resolve that.
     low = 2 ** np.floor(np.log2(min(q.min(), 1 / np.sqrt(along_m2))))
     high = 2 ** np.ceil(np.log2(q.max()))
     narrow = 1.2 ** np.floor(np.log(across_m2) / np.log(1.2))
-    far = 1.1 ** np.ceil(np.log(max(reach_m, 1e-6)) / np.log(1.1))
-    return _kept_path(float(low), float(high), float(narrow), float(far), quality)
-
-
-_legendre = cache(np.polynomial.legendre.leggauss)
-"""Nodes and weights of Gauss's quadrature, by their number."""
+    far = 1.1 ** np.ceil(np.log(max(max_distance_m, 1e-6)) / np.log(1.1))
+    return _cached_path(float(low), float(high), float(narrow), float(far), quality)
 
 
 @lru_cache(maxsize=32)
-def _kept_path(
-    lowest: float, highest: float, across_m2: float, reach_m: float, quality: Quality
+def _cached_path(
+    lowest: float, highest: float, across_m2: float, max_distance_m: float, quality: Quality
 ) -> tuple[ComplexArray, ComplexArray]:
-    nodes, exponent = quality
-    last = np.sqrt(2 * exponent / across_m2)
-    clearance = min(LARGEST_GROWTH / reach_m, CLEARANCE / np.sqrt(across_m2))
-    edges = [0.0, min(lowest / 2, last)]
-    while edges[-1] < last:
-        # as wide as it is far from 0; near the poles as wide as it is far from them
-        near = PANEL_WIDTH * clearance if edges[-1] < 1.5 * highest else last / 4
-        step = min(edges[-1], near, PANEL_PHASE_RAD / reach_m)
-        edges.append(min(edges[-1] + step, last))
+    end = np.sqrt(2 * quality.end_exponent / across_m2)
+    clearance = min(MAX_BESSEL_EXPONENT / max_distance_m, CLEARANCE / np.sqrt(across_m2))
+    edges = [0.0, min(lowest / 2, end)]
+    while edges[-1] < end:
+        # A panel is as wide as its distance from 0; near the poles, as its distance from them.
+        near_pole = PANEL_WIDTH * clearance if edges[-1] < 1.5 * highest else end / 4
+        step = min(edges[-1], near_pole, PANEL_PHASE_RAD / max_distance_m)
+        edges.append(min(edges[-1] + step, end))
     low, high = np.array(edges[:-1])[:, None], np.array(edges[1:])[:, None]
-    node, weight = _legendre(nodes)
+    node, weight = legendre_nodes(quality.panel_nodes)
     real = ((high + low) / 2 + (high - low) / 2 * node).ravel()
-    share = ((high - low) / 2 * weight).ravel()
-    rise = STEEPNESS * real / clearance
+    weights = ((high - low) / 2 * weight).ravel()
+    # The path rises to the height ``clearance`` as a tanh; its derivative is part of the weights.
+    rise = START_SLOPE * real / clearance
     k = real + 1j * clearance * np.tanh(rise)
-    return k, share * (1 + 1j * STEEPNESS / np.cosh(np.minimum(rise, 300)) ** 2)
+    return k, weights * (1 + 1j * START_SLOPE / np.cosh(np.minimum(rise, 300)) ** 2)

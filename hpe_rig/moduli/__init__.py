@@ -1,15 +1,17 @@
-"""Moduli of the medium: its own shear field fitted to vibrations at one place or several, and the plane wave beside it.
+"""Moduli of the medium: its shear field fitted to vibrations at several lateral offsets, depths and frequencies.
 
-    y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; mu, A_p, B)
+    vibration_model.py   data: vibrations with the uncertainties of their positions, and the push
+    scene_geometry.py    push, gates and position uncertainties that a scene states
+    run_vibrations.py    vibrations of stored runs
+    problem.py           least-squares problem: y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; G, A_p, B)
+    inversion.py         the fit: minima, covariance, evidence of each material law, contributions of the data
+    shear_speed.py       plane-wave moduli from the phase's fall with distance, for comparison
+    outcome.py           results of all laws as text and JSON
+    figure.py            figure of measured and fitted vibrations
+    forecast.py          expected uncertainties of a scene, by the Cramer-Rao bound
 
-places.py (vibrations of stored runs, place by place), media.py (laws of the complex modulus), vibration_model.py (the
-model, and what is not known of push and places), inversion.py (the fit, its covariance, which laws the data exclude,
-what each datum brings), outcome.py (all laws, as text and JSON), figure.py, forecast.py (how well a scene will tell the
-moduli), shear_speed.py (speed from the phase's fall with distance, and the plane wave's moduli). U is
-``hpe_rig.processing.shear_motion``.
-
-Others use ``moduli_of`` on stored runs, ``moduli_forecast`` on scenes, ``fit_medium`` and ``bound`` on vibrations;
-docs/theory/moduli.md.
+Callers use ``moduli_of`` for stored runs, ``moduli_forecast`` for scenes, ``fit_medium`` and ``bound`` for vibrations.
+Derivation: docs/explanation/moduli.md.
 """
 
 import lazy_loader

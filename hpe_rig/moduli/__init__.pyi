@@ -1,3 +1,4 @@
+from .figure import moduli_figure as moduli_figure
 from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
 from .inversion import Moduli as Moduli, bound as bound, compare_media as compare_media, fit_medium as fit_medium
 from .outcome import (
@@ -6,11 +7,6 @@ from .outcome import (
     moduli_schema as moduli_schema,
     plane_wave_of as plane_wave_of,
 )
-from .places import (
-    APERTURE_SHAPE as APERTURE_SHAPE,
-    Source as Source,
-    push_of as push_of,
-    vibration_at as vibration_at,
-    vibrations_of as vibrations_of,
-)
+from .run_vibrations import Source as Source, vibrations_of as vibrations_of
+from .scene_geometry import APERTURE_SHAPE as APERTURE_SHAPE, push_of as push_of, vibration_at as vibration_at
 from .vibration_model import Push as Push, Vibration as Vibration

@@ -1,4 +1,4 @@
-"""Figure of measured and fitted vibrations: amplitude and phase over frequency, a mark a place."""
+"""Figure of measured and fitted vibrations: amplitude and phase over frequency, one marker for each gate."""
 
 from __future__ import annotations
 
@@ -6,43 +6,37 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hpe_rig.moduli.outcome import ModuliResult
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hpe_rig.moduli.outcome import ModuliResult
-
 
 def moduli_figure(result: ModuliResult) -> Figure:
-    """Return the figure; lines are the likeliest medium, points with bars of 2 u what was measured."""
+    """Return amplitude and phase over frequency: measured points with bars of 2 u, lines of the most likely medium."""
     from matplotlib.figure import Figure
 
     from hpe_rig.result import mark
 
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     amplitude, phase = figure.subplots(1, 2)
-    for place, (one, modelled) in enumerate(zip(result.vibrations, result.best.modelled_m, strict=True)):
-        marker, colour = mark(place)
-        variance = np.diag(one.covariance_m2).reshape(-1, 2).mean(axis=1)
-        sigma, size = np.sqrt(variance), np.abs(one.phasor_m)
+    for index, (vibration, modelled) in enumerate(zip(result.vibrations, result.best.modelled_m, strict=True)):
+        marker, colour = mark(index)
+        variance = np.diag(vibration.covariance_m2).reshape(-1, 2).mean(axis=1)
+        sigma_m, size_m, hz = np.sqrt(variance), np.abs(vibration.phasor_m), vibration.frequency_hz
         style = {"fmt": marker, "ms": 4, "color": colour, "lw": 1}
-        amplitude.errorbar(one.frequency_hz, size * 1e9, 2e9 * sigma, label=one.label, **style)
-        amplitude.plot(one.frequency_hz, np.abs(modelled) * 1e9, color=colour, lw=1)
-        # the model is unwrapped over frequency, and what was measured lies within half a turn of it
-        turned = np.unwrap(np.angle(modelled))
-        off = np.angle(one.phasor_m / modelled)
-        phase.errorbar(one.frequency_hz, np.degrees(turned + off), 2 * np.degrees(sigma / size), **style)
-        phase.plot(one.frequency_hz, np.degrees(turned), color=colour, lw=1)
+        amplitude.errorbar(hz, size_m * 1e9, 2e9 * sigma_m, label=vibration.label, **style)
+        amplitude.plot(hz, np.abs(modelled) * 1e9, color=colour, lw=1)
+        # The model is unwrapped over frequency; measured phases are within half a turn of it.
+        model_rad = np.unwrap(np.angle(modelled))
+        deviation_rad = np.angle(vibration.phasor_m / modelled)
+        phase.errorbar(hz, np.degrees(model_rad + deviation_rad), 2 * np.degrees(sigma_m / size_m), **style)
+        phase.plot(hz, np.degrees(model_rad), color=colour, lw=1)
     amplitude.set(xlabel="frequency (Hz)", ylabel="amplitude (nm)", yscale="log")
     phase.set(xlabel="frequency (Hz)", ylabel="phase (deg)")
-    places = amplitude.get_legend_handles_labels()
-    figure.legend(
-        *places,
-        title="beside the push",
-        loc="outside right center",
-        fontsize="small",
-        title_fontsize="small",
-        frameon=False,
-    )
+    handles_and_labels = amplitude.get_legend_handles_labels()
+    style = {"fontsize": "small", "title_fontsize": "small", "frameon": False}
+    figure.legend(*handles_and_labels, title="lateral offset", loc="outside right center", **style)
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)

@@ -1,7 +1,8 @@
-"""Inversion of vibrations at several places for the moduli of the medium, by its own shear field.
+"""Inversion of vibrations for the moduli of the medium: fits of material laws to its shear field.
 
-Least squares over the medium's parameters and all that is known of push and places within an uncertainty, so that the
-covariance holds what is not known of them; second minima, evidence, and what each datum brings. docs/theory/moduli.md.
+Least squares over the medium's parameters and all nuisances (``problem.py``), from several starts. The result has the
+covariance, a second minimum if there is one, the evidence of the law, and the contribution of each part of the data.
+Derivation: docs/explanation/moduli.md.
 """
 
 from __future__ import annotations
@@ -15,25 +16,27 @@ from scipy.special import chdtrc
 
 from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
 from hpe_rig.medium import Law, MediumLaw, law_names, law_of
-from hpe_rig.moduli.vibration_model import Problem, Push, Vibration
+from hpe_rig.moduli.problem import COMMON, Nuisance, Problem
+from hpe_rig.moduli.vibration_model import Push, Vibration
 
-STARTS_FOLLOWED = 3
-"""Starting points from which the fit is run, the best of a grid; each in a neighbourhood of its own."""
+MAX_STARTS = 3
+"""Starting points of the fit: the best of a grid that are at least ``START_DISTANCE`` apart."""
+START_DISTANCE = 1.5
 ROUGH, FINE = 1e-4, 1e-8
-"""Relative change of chi-square at which a start has been followed far enough, and at which a minimum is found."""
-APART = 0.05
-"""Of coordinates, from where on two minima are two."""
-MOST_STEPS = 100
-"""Of the solver from one start; a law that cannot explain the data would crawl on."""
+"""Relative change of chi-square at which a start is followed far enough, and at which a minimum is found."""
+MINIMUM_DISTANCE = 0.05
+"""Distance of coordinates from which two minima count as different."""
+MAX_STEPS = 100
+"""Steps of the solver from one start; a law that cannot explain the data would continue slowly."""
 SECOND_MINIMUM = 12.0
-"""Chi-square above the best up to which another minimum is told of: it is as likely as one in 400."""
+"""Chi-square above the best up to which another minimum is reported: its relative likelihood is 1 in 400."""
 REJECTED = 1e-3
-"""Probability of so large a misfit below which a law is said to be excluded."""
+"""Probability of so large a misfit below which the data exclude a law."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one place or one frequency brings: the uncertainty of every parameter without it, over that with it."""
+    """Contribution of one gate or frequency: the uncertainty of every parameter without it, over that with it."""
 
     label: str
     growth: tuple[float, ...]
@@ -43,12 +46,12 @@ class Contribution:
 class Moduli:
     """Parameters of one law with covariance and goodness of fit.
 
-    ``values`` and ``uncertainty`` by the law's parameter names, SI; ``covariance`` (parameter, parameter);
-    ``chi_square`` of data and of what was known beforehand, over ``freedom``; ``significance``: the probability of a
-    larger one by chance; ``log_evidence`` of the law by Laplace's approximation, every parameter equally likely over
-    its range; ``modelled_m``: per place, complex amplitudes (frequency,); ``adjusted``: what the fit made of what was
-    known within an uncertainty, each in units of it; ``second``: values and chi-square above the best of another
-    minimum that is nearly as good, None where there is none; ``at_limit``: parameters at the end of their range.
+    ``values`` and ``uncertainty`` by parameter name, SI; ``covariance`` (parameter, parameter). ``chi_square`` of data
+    and nuisances, ``freedom`` its degrees of freedom, ``significance`` the probability of a larger one by chance.
+    ``log_evidence`` of the law by Laplace's approximation, with every parameter uniform over its range. ``modelled_m``:
+    complex amplitudes (frequency,) of each vibration. ``adjusted``: nuisances by name, in units of their uncertainty.
+    ``second``: values and chi-square above the best of another minimum that is nearly as good, or None. ``at_limit``:
+    parameters at the end of their range.
     """
 
     law: MediumLaw
@@ -78,85 +81,93 @@ class Moduli:
         return self.significance < REJECTED
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Minimum:
+    unknown: FloatArray
+    chi_square: float
+
+
 def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "voigt") -> Moduli:
     """Return the parameters of ``law`` that explain ``vibrations`` best; no starting values are needed.
 
-    Raises ``ValueError`` for fewer data than free parameters and for a place farther than ``FARTHEST_M``.
+    Raises ``ValueError`` for fewer data than free parameters and for an offset beyond ``MAX_LATERAL_M``.
     """
     problem = Problem.of(vibrations, push, law_of(law))
     if problem.data_count <= problem.free:
         raise ValueError(
-            f"{problem.data_count} numbers cannot give {problem.free} unknowns of a {law} medium and their "
-            "uncertainty: measure at more places or frequencies"
+            f"{problem.data_count} numbers do not determine {problem.free} unknowns of a {law} medium and their "
+            "uncertainty. Try: measure at more lateral offsets or frequencies"
         )
-    (best, cost), *others = _minima(problem)
-    return _described(problem, best, cost, _second(problem, best, cost, others))
+    best, *others = _minima(problem)
+    return _moduli(problem, best, _second_minimum(problem, best, others))
 
 
 def compare_media(
     vibrations: Sequence[Vibration], push: Push, laws: Sequence[MediumLaw] | None = None
 ) -> tuple[tuple[Moduli, ...], FloatArray]:
-    """Return the fit of every law, the likeliest first, and the laws' probabilities (law,), equal beforehand.
+    """Return the fit of every law, the most likely first, and the laws' probabilities (law,), from equal priors.
 
-    A law with a parameter at the end of its range comes after those that the data leave inside: it is a simpler one.
+    A law with a parameter at the end of its range has become a simpler law; it is sorted after the others.
     """
     fits = [fit_medium(vibrations, push, law) for law in laws or law_names()]
-    fits.sort(key=lambda each: (each.excluded, bool(each.at_limit), -each.log_evidence))
-    highest = max(each.log_evidence for each in fits)
-    weight = np.exp([each.log_evidence - highest for each in fits])
+    fits.sort(key=lambda fit: (fit.excluded, bool(fit.at_limit), -fit.log_evidence))
+    highest = max(fit.log_evidence for fit in fits)
+    weight = np.exp([fit.log_evidence - highest for fit in fits])
     return tuple(fits), np.asarray(weight / weight.sum())
 
 
 def bound(vibrations: Sequence[Vibration], push: Push, law: MediumLaw, values: Sequence[float]) -> FloatArray:
-    """Return the Cramer-Rao bound of the covariance of a law's parameters, (parameter, parameter), at ``values``.
+    """Return the Cramer-Rao bound of the covariance (parameter, parameter) of a law's parameters at ``values``.
 
-    The phasors of ``vibrations`` count only for the overall amplitude.
+    The phasors of ``vibrations`` set the common amplitude only.
     """
     problem = Problem.of(vibrations, push, law_of(law))
-    coordinates = np.array(
-        [one.to_coordinate(value) for one, value in zip(problem.law.parameters, values, strict=True)]
-    )
-    return problem.covariance(problem.start(coordinates)[0])
+    return problem.covariance(problem.start(problem.law.coordinates(np.asarray(values, np.float64)))[0])
 
 
 def _starts(problem: Problem) -> list[FloatArray]:
-    """Return the unknowns at the best points of a coarse grid, no two next to each other."""
-    tried, cost = zip(*(problem.start(each) for each in problem.law.starts()), strict=True)
-    kept: list[FloatArray] = []
-    for index in np.argsort(cost):
-        count = problem.free - 1
-        if all(np.abs(tried[index][:count] - each[:count]).max() > 1.5 for each in kept):
-            kept.append(tried[index])
-        if len(kept) == STARTS_FOLLOWED:
+    """Return the unknowns at the best points of a coarse grid, without neighbours."""
+    count = problem.free - 1
+    points, costs = zip(*(problem.start(coordinates) for coordinates in problem.law.starts()), strict=True)
+    starts: list[FloatArray] = []
+    for index in np.argsort(costs):
+        point = points[index]
+        if all(np.abs(point[:count] - start[:count]).max() > START_DISTANCE for start in starts):
+            starts.append(point)
+        if len(starts) == MAX_STARTS:
             break
-    return kept
+    return starts
 
 
-def _minima(problem: Problem) -> list[tuple[FloatArray, float]]:
-    """Return unknowns and chi-square of the best minimum, then of others that may be nearly as good.
+def _minima(problem: Problem) -> list[_Minimum]:
+    """Return the best minimum, then others that may be nearly as good.
 
-    Every start is followed roughly; what is no second minimum then needs no digits.
+    Every start is followed roughly with the quick field; only candidates for a second minimum are refined.
     """
-    count, quick = problem.free - 1, problem.quickened()
-    rough = sorted((_solved(quick, start, ROUGH) for start in _starts(quick)), key=lambda each: each[1])
-    best, cost = _solved(problem, rough[0][0], FINE)
+    quick = problem.with_quick_field()
+    rough = sorted((_solve(quick, start, ROUGH) for start in _starts(quick)), key=lambda minimum: minimum.chi_square)
+    best = _solve(problem, rough[0].unknown, FINE)
     others = (
-        unknown
-        for unknown, its_cost in rough[1:]
-        if its_cost - cost < 10 * SECOND_MINIMUM and np.abs(unknown[:count] - best[:count]).max() > APART
+        _solve(problem, minimum.unknown, FINE)
+        for minimum in rough[1:]
+        if minimum.chi_square - best.chi_square < 10 * SECOND_MINIMUM and _differ(problem, minimum, best)
     )
-    found = [(best, cost), *(_solved(problem, unknown, FINE) for unknown in others)]
-    return sorted(found, key=lambda each: each[1])
+    return sorted([best, *others], key=lambda minimum: minimum.chi_square)
 
 
-def _solved(problem: Problem, start: FloatArray, change: float) -> tuple[FloatArray, float]:
-    """Return the unknowns of the minimum next to ``start``, and its chi-square, to this relative ``change`` of it."""
-    limits = np.array([one.bounds for one in problem.law.parameters])
+def _differ(problem: Problem, first: _Minimum, second: _Minimum) -> bool:
+    difference = (first.unknown - second.unknown)[: problem.free - 1]
+    return bool(np.abs(difference).max() > MINIMUM_DISTANCE)
+
+
+def _solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
+    """Return the minimum next to ``start``, to a relative ``change`` of chi-square."""
+    limits = problem.law.bounds()
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[: len(limits)], high[: len(limits)] = limits.T
     inside = start.copy()
     inside[: len(limits)] = np.clip(inside[: len(limits)], limits[:, 0] + 1e-6, limits[:, 1] - 1e-6)
-    found = least_squares(
+    solution = least_squares(
         problem.residual,
         inside,
         problem.jacobian,
@@ -165,82 +176,81 @@ def _solved(problem: Problem, start: FloatArray, change: float) -> tuple[FloatAr
         xtol=change / 10,
         ftol=change,
         gtol=1e-10,
-        max_nfev=MOST_STEPS,
+        max_nfev=MAX_STEPS,
     )
-    return np.asarray(found.x), 2 * float(found.cost)
+    return _Minimum(np.asarray(solution.x), 2 * float(solution.cost))
 
 
-def _second(
-    problem: Problem, best: FloatArray, cost: float, others: Sequence[tuple[FloatArray, float]]
+def _second_minimum(
+    problem: Problem, best: _Minimum, others: Sequence[_Minimum]
 ) -> tuple[dict[str, float], float] | None:
-    """Return another minimum that is nearly as good as the best, None where there is none."""
-    count = problem.free - 1
-    for other, its_cost in others:
-        if its_cost - cost < SECOND_MINIMUM and np.abs(other[:count] - best[:count]).max() > APART:
-            return _named(problem.law, problem.law.values(other[:count])), its_cost - cost
+    """Return values and chi-square above the best of another minimum that is nearly as good, or None."""
+    for other in others:
+        excess = other.chi_square - best.chi_square
+        if excess < SECOND_MINIMUM and _differ(problem, other, best):
+            return _by_name(problem.law, problem.law.values(other.unknown[: problem.free - 1])), excess
     return None
 
 
-def _described(
-    problem: Problem, unknown: FloatArray, cost: float, second: tuple[dict[str, float], float] | None
-) -> Moduli:
-    count, law = problem.free - 1, problem.law
-    jacobian = problem.jacobian(unknown)
-    own = problem.coordinate_covariance(jacobian)
-    covariance = problem.in_values(unknown, own)
+def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], float] | None) -> Moduli:
+    count, law, vibrations = problem.free - 1, problem.law, problem.vibrations
+    coordinates, jacobian = best.unknown[:count], problem.jacobian(best.unknown)
+    coordinate_covariance = problem.coordinate_covariance(jacobian)
+    covariance = problem.in_values(best.unknown, coordinate_covariance)
     freedom = problem.data_count - problem.free
-    span = np.array([one.bounds[1] - one.bounds[0] for one in law.parameters])
-    # Laplace: the best likelihood, times the share of the range that the data leave; never more than all of it, whose
-    # variance is that of an even distribution
-    left = np.linalg.inv(np.linalg.inv(own) + np.diag(12 / span**2))
-    log_evidence = -cost / 2 + (np.linalg.slogdet(2 * np.pi * left)[1] / 2) - np.log(span).sum()
-    vibrations = problem.vibrations
-    place = np.repeat(np.arange(len(vibrations)), [one.frequency_hz.size for one in vibrations])
+    # Each datum belongs to one vibration and one frequency.
+    vibration = np.repeat(np.arange(len(vibrations)), [one.frequency_hz.size for one in vibrations])
     frequencies, frequency = np.unique(np.concatenate([one.frequency_hz for one in vibrations]), return_inverse=True)
-    limits = np.array([one.bounds for one in law.parameters])
-    near = np.abs(unknown[:count, None] - limits) < 1e-3
+    variances = np.diag(coordinate_covariance)
+    at_limit = np.any(np.abs(coordinates[:, None] - law.bounds()) < 1e-3, axis=1).tolist()
     return Moduli(
         law=law.name,
-        values=_named(law, law.values(unknown[:count])),
-        uncertainty=_named(law, np.sqrt(np.diag(covariance))),
+        values=_by_name(law, law.values(coordinates)),
+        uncertainty=_by_name(law, np.sqrt(np.diag(covariance))),
         covariance=covariance,
-        chi_square=cost,
+        chi_square=best.chi_square,
         freedom=freedom,
-        significance=float(chdtrc(freedom, cost)),
-        log_evidence=float(log_evidence),
-        modelled_m=tuple(problem.modelled(unknown)),
+        significance=float(chdtrc(freedom, best.chi_square)),
+        log_evidence=_log_evidence(law, best.chi_square, coordinate_covariance),
+        modelled_m=tuple(problem.modelled(best.unknown)),
         adjusted={
-            _nuisance(kind, None if where < 0 else vibrations[where]): float(unknown[problem.free + i])
-            for i, (kind, where, _) in enumerate(problem.nuisances)
+            _nuisance_name(nuisance, vibrations): float(best.unknown[problem.free + i])
+            for i, nuisance in enumerate(problem.nuisances)
         },
         second=second,
-        at_limit=tuple(one.name for one, at in zip(law.parameters, near, strict=True) if at.any()),
-        by_place=_contributions([one.label for one in vibrations], place, problem, jacobian, own),
-        by_frequency=_contributions([f"{hz:g} Hz" for hz in frequencies], frequency, problem, jacobian, own),
+        at_limit=tuple(parameter.name for parameter, at in zip(law.parameters, at_limit, strict=True) if at),
+        by_place=_contributions([one.label for one in vibrations], vibration, problem, jacobian, variances),
+        by_frequency=_contributions([f"{hz:g} Hz" for hz in frequencies], frequency, problem, jacobian, variances),
     )
 
 
-def _nuisance(kind: str, one: Vibration | None) -> str:
-    """Return the name of a nuisance, ``one`` the vibration that it is of."""
-    if one is None:
-        return kind
-    return f"{kind} at {one.lateral_m * 1e3:g} mm" if kind == "stage" else f"{kind} at {one.label}"
+def _log_evidence(law: Law, chi_square: float, covariance: FloatArray) -> float:
+    """Return the logarithm of the law's evidence: likelihood times posterior over prior volume (Laplace).
+
+    The variance of a uniform distribution over the range limits the posterior volume.
+    """
+    span = np.ptp(law.bounds(), axis=1)
+    posterior = np.linalg.inv(np.linalg.inv(covariance) + np.diag(12 / span**2))
+    return float(-chi_square / 2 + (np.linalg.slogdet(2 * np.pi * posterior)[1] / 2) - np.log(span).sum())
+
+
+def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
+    if nuisance.vibration == COMMON:
+        return nuisance.kind
+    one = vibrations[nuisance.vibration]
+    return f"{nuisance.kind} at {f'{one.lateral_m * 1e3:g} mm' if nuisance.kind == 'stage' else one.label}"
 
 
 def _contributions(
-    labels: Sequence[str],
-    number: IndexArray,
-    problem: Problem,
-    jacobian: FloatArray,
-    own: FloatArray,
+    labels: Sequence[str], part_of_datum: IndexArray, problem: Problem, jacobian: FloatArray, variances: FloatArray
 ) -> tuple[Contribution, ...]:
-    """Return what each part of the data brings, datum i (place and frequency,) belonging to part ``number[i]``."""
+    """Return the contribution of each part of the data; ``part_of_datum`` (vibration and frequency,) indexes labels."""
     if len(labels) < 2:
         return ()
-    parts = (problem.variances_without(number == part, jacobian) for part in range(len(labels)))
-    growth = [np.sqrt(without / np.diag(own)).tolist() for without in parts]
-    return tuple(Contribution(label, tuple(each)) for label, each in zip(labels, growth, strict=True))
+    without = (problem.variances_without(part_of_datum == part, jacobian) for part in range(len(labels)))
+    growth = [np.sqrt(values / variances).tolist() for values in without]
+    return tuple(Contribution(label, tuple(factors)) for label, factors in zip(labels, growth, strict=True))
 
 
-def _named(law: Law, values: FloatArray) -> dict[str, float]:
-    return {one.name: float(value) for one, value in zip(law.parameters, values, strict=True)}
+def _by_name(law: Law, values: FloatArray) -> dict[str, float]:
+    return {parameter.name: float(value) for parameter, value in zip(law.parameters, values, strict=True)}

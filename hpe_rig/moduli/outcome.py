@@ -1,30 +1,28 @@
-"""Outcome of an inversion: the media that explain the vibrations, likeliest first, beside the plane wave's moduli."""
+"""Result of an inversion: the laws that explain the vibrations, most likely first, and the plane-wave moduli."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hpe_rig.medium import MediumLaw, law_of
 from hpe_rig.moduli.inversion import Contribution, Moduli, compare_media
-from hpe_rig.moduli.places import WIDTH_UNCERTAINTY, Source, push_of, vibrations_of
+from hpe_rig.moduli.run_vibrations import Source, vibrations_of
+from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 from hpe_rig.moduli.vibration_model import Vibration
 from hpe_rig.result import dataclass_schema, json_values, object_schema, titled
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-TESTED = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
-"""Between which the field has been compared with independent ones."""
-ANY_GAIN = 5.0
-"""Uncertainty of the logarithm of a gain of which nothing is known."""
+TESTED_RANGES = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
+"""Ranges in which the field has been compared with independent ones."""
+FREE_GAIN_UNCERTAINTY = 5.0
+"""Uncertainty of the logarithm of a gain that is unknown."""
 UNITS = {"_pa_s": (1.0, "Pa s"), "_pa": (1e-3, "kPa")}
-"""Factor and unit for a reader, by the end of a parameter's name."""
+"""Factor and unit in text, by the suffix of a parameter's name."""
 NAMES = {
     "shear_modulus_pa": "shear modulus mu1",
     "branch_modulus_pa": "branch modulus E",
@@ -33,23 +31,13 @@ NAMES = {
 }
 
 
-def _unit(name: str) -> tuple[float, str]:
-    return next((UNITS[end] for end in UNITS if name.endswith(end)), (1.0, ""))
-
-
-def _name(name: str) -> str:
-    """Return what a parameter is called; of another package's medium its key without the unit."""
-    end = next((end for end in UNITS if name.endswith(end)), "")
-    return NAMES.get(name, name.removesuffix(end).replace("_", " "))
-
-
 @dataclass(frozen=True, slots=True)
 class ModuliResult:
-    """Media fitted to the vibrations of one or more runs, the likeliest first.
+    """Media fitted to the vibrations of one or more runs, the most likely first.
 
-    ``probability`` of each, all equally likely beforehand; ``omitted``: what was left out, in words; ``plane_wave``:
-    the Voigt moduli that the phase's fall with distance gives, None with one place or where it does not fall
-    (``why_not``): for comparison, since near the push the wave is not plane.
+    ``probability`` of each, from equal priors. ``omitted``: data that were left out, in words. ``plane_wave``: the
+    Voigt moduli from the phase's fall with distance, for comparison, since near the push the wave is not plane. It is
+    None for one lateral offset or a phase that does not fall; ``why_not`` is the reason.
     """
 
     title: str
@@ -63,70 +51,70 @@ class ModuliResult:
 
     @property
     def best(self) -> Moduli:
-        """The likeliest medium."""
+        """The most likely medium."""
         return self.fits[0]
 
+    @property
+    def headline(self) -> str:
+        """The most likely medium with its parameters and their standard uncertainties, one line."""
+        best = self.best
+        values = [f"{_name(name)} {_with_uncertainty(best, name, '±')}" for name in best.values]
+        return f"{law_of(best.law).title}: {', '.join(values)}"
+
     def __str__(self) -> str:
-        """Return the moduli with their uncertainties, what else was tried, and what was left out."""
+        """Return the moduli with their uncertainties, the other laws, and the omitted data."""
         return "\n".join(_lines(self))
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        fits = [
-            {
-                **{name: getattr(fit, name) for name in ("law", "values", "uncertainty", "chi_square", "freedom")},
-                "significance": fit.significance,
-                "probability": probability,
-                "excluded": fit.excluded,
-                "covariance": fit.covariance.tolist(),
-                "adjusted": fit.adjusted,
-                "second": None if fit.second is None else {"values": fit.second[0], "chi_square": fit.second[1]},
-                "at_limit": fit.at_limit,
-                "beyond_tested": beyond_tested(fit),
-                "by_place": [asdict(each) for each in fit.by_place],
-                "by_frequency": [asdict(each) for each in fit.by_frequency],
-            }
-            for fit, probability in zip(self.fits, self.probability, strict=True)
-        ]
-        places = [
-            {
-                "label": one.label,
-                "lateral_m": one.lateral_m,
-                "axial_m": one.axial_m,
-                "frequency_hz": one.frequency_hz.tolist(),
-                "amplitude_m": np.abs(one.phasor_m).tolist(),
-                "phase_rad": np.angle(one.phasor_m).tolist(),
-                "modelled_amplitude_m": np.abs(modelled).tolist(),
-                "modelled_phase_rad": np.angle(modelled).tolist(),
-            }
-            for one, modelled in zip(self.vibrations, self.best.modelled_m, strict=True)
-        ]
         wave = self.plane_wave
-        plane = (
-            None if wave is None else {"shear_modulus_pa": wave.elasticity_pa, "viscosity_pa_s": wave.viscosity_pa_s}
+        pairs = zip(self.fits, self.probability, strict=True)
+        modelled = zip(self.vibrations, self.best.modelled_m, strict=True)
+        plain: dict[str, Any] = json_values(
+            {
+                "title": self.title,
+                "simulated": self.simulated,
+                "omitted": self.omitted,
+                "fits": [_fit_as_dict(fit, probability) for fit, probability in pairs],
+                "places": [
+                    {
+                        "label": one.label,
+                        "lateral_m": one.lateral_m,
+                        "axial_m": one.axial_m,
+                        "frequency_hz": one.frequency_hz.tolist(),
+                        "amplitude_m": np.abs(one.phasor_m).tolist(),
+                        "phase_rad": np.angle(one.phasor_m).tolist(),
+                        "modelled_amplitude_m": np.abs(model_m).tolist(),
+                        "modelled_phase_rad": np.angle(model_m).tolist(),
+                    }
+                    for one, model_m in modelled
+                ],
+                "plane_wave": wave and {"shear_modulus_pa": wave.elasticity_pa, "viscosity_pa_s": wave.viscosity_pa_s},
+            }
         )
-        known = {"title": self.title, "simulated": self.simulated, "omitted": self.omitted}
-        plain: dict[str, Any] = json_values({**known, "fits": fits, "places": places, "plane_wave": plane})
         return plain
 
-    @property
-    def headline(self) -> str:
-        """The likeliest medium with its parameters and their standard uncertainties, one line."""
-        best = self.best
-        values = [f"{_name(name)} {_with_u(best, name, '±')}" for name in best.values]
-        return f"{law_of(best.law).title}: {', '.join(values)}"
 
-    def figure(self) -> Figure:
-        """Return measured and fitted amplitude and phase over frequency, a colour a place, with bars of 2 u."""
-        from hpe_rig.moduli.figure import moduli_figure
-
-        return moduli_figure(self)
+def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
+    names = "law", "values", "uncertainty", "chi_square", "freedom", "significance"
+    return {
+        **{name: getattr(fit, name) for name in names},
+        "probability": probability,
+        "excluded": fit.excluded,
+        "covariance": fit.covariance.tolist(),
+        "adjusted": fit.adjusted,
+        "second": fit.second and {"values": fit.second[0], "chi_square": fit.second[1]},
+        "at_limit": fit.at_limit,
+        "beyond_tested": beyond_tested(fit),
+        "by_place": [asdict(part) for part in fit.by_place],
+        "by_frequency": [asdict(part) for part in fit.by_frequency],
+    }
 
 
 def moduli_schema() -> dict[str, Any]:
-    """Return the JSON schema of what ``hpe-rig moduli --json`` prints."""
+    """Return the JSON schema of the output of ``hpe-rig moduli --json``."""
     second = object_schema("Another minimum.", {"values": dict[str, float], "chi_square": float})
-    parts = {"type": "array", "items": dataclass_schema(Contribution)}
+    contributions = {"type": "array", "items": dataclass_schema(Contribution)}
     fit = {
         "law": str,
         "values": dict[str, float],
@@ -141,27 +129,27 @@ def moduli_schema() -> dict[str, Any]:
         "second": {"anyOf": [{"type": "null"}, second]},
         "at_limit": tuple[str, ...],
         "beyond_tested": tuple[str, ...],
-        "by_place": parts,
-        "by_frequency": parts,
+        "by_place": contributions,
+        "by_frequency": contributions,
     }
     curves = ("frequency_hz", "amplitude_m", "phase_rad", "modelled_amplitude_m", "modelled_phase_rad")
-    place = {"label": str, "lateral_m": float, "axial_m": float, **dict.fromkeys(curves, tuple[float, ...])}
+    gate = {"label": str, "lateral_m": float, "axial_m": float, **dict.fromkeys(curves, tuple[float, ...])}
     wave = object_schema("Voigt moduli of a plane wave.", {"shear_modulus_pa": float, "viscosity_pa_s": float})
-    whole = {
+    result = {
         "title": str,
         "simulated": bool,
         "omitted": tuple[str, ...],
         "fits": {"type": "array", "items": object_schema(Moduli.__doc__ or "", fit)},
-        "places": {"type": "array", "items": object_schema("What was measured and fitted at one place.", place)},
+        "places": {"type": "array", "items": object_schema("Measured and fitted vibration in one gate.", gate)},
         "plane_wave": {"anyOf": [{"type": "null"}, wave]},
     }
-    return titled("Moduli of hpe-rig", object_schema(ModuliResult.__doc__ or "", whole))
+    return titled("Moduli of hpe-rig", object_schema(ModuliResult.__doc__ or "", result))
 
 
 def beyond_tested(fit: Moduli) -> tuple[str, ...]:
-    """Return the parameters of ``fit`` whose values lie beyond those that the field was tested with."""
-    inside = {name: low <= fit.values.get(name, low) <= high for name, (low, high) in TESTED.items()}
-    return tuple(name for name, within in inside.items() if not within)
+    """Return the parameters of ``fit`` outside ``TESTED_RANGES``."""
+    limits = ((name, *limits) for name, limits in TESTED_RANGES.items() if name in fit.values)
+    return tuple(name for name, low, high in limits if not low <= fit.values[name] <= high)
 
 
 def moduli_of(
@@ -171,32 +159,39 @@ def moduli_of(
     width_uncertainty: float = WIDTH_UNCERTAINTY,
     common_amplitude: bool = True,
 ) -> ModuliResult:
-    """Return what the vibrations in ``sources`` say of the medium.
+    """Return the moduli of the medium from the vibrations in ``sources``.
 
-    ``width_uncertainty``: relative, of the widths of the force; ``common_amplitude``: whether its strength was the same
-    at all places. Raises ``SettingsError`` where a scene lacks what that needs or scenes push differently, and
-    ``ValueError`` where no place has a vibration.
+    ``width_uncertainty``: relative, of the widths of the force. ``common_amplitude``: the force was equally strong at
+    all lateral offsets. Raises ``SettingsError`` if a scene states no push or scenes push differently, and
+    ``ValueError`` if no vibration exceeds its noise.
     """
     push = push_of([source.scene for source in sources], width_uncertainty)
     vibrations, omitted = vibrations_of(sources, estimator)
     if not common_amplitude:
-        vibrations = [replace(one, gain_uncertainty=ANY_GAIN) for one in vibrations]
+        vibrations = [replace(one, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for one in vibrations]
     if not vibrations:
-        raise ValueError("no place has a vibration that stands out of its noise: " + "; ".join(omitted))
+        raise ValueError("no vibration exceeds its noise: " + "; ".join(omitted))
     fits, probability = compare_media(vibrations, push, laws)
     wave, why_not = plane_wave_of(vibrations, push.density_kg_per_m3)
-    simulated = any(source.stored.simulated for source in sources)
-    title = sources[0].scene.title
     return ModuliResult(
-        title, simulated, fits, tuple(probability.tolist()), tuple(vibrations), tuple(omitted), wave, why_not
+        title=sources[0].scene.title,
+        simulated=any(source.stored.simulated for source in sources),
+        fits=fits,
+        probability=tuple(probability.tolist()),
+        vibrations=tuple(vibrations),
+        omitted=tuple(omitted),
+        plane_wave=wave,
+        why_not=why_not,
     )
 
 
 def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
-    """Return the moduli by phase gradient, of the frequencies that all places have; None and why where it fails."""
-    common = set.intersection(*(set(one.frequency_hz.tolist()) for one in vibrations))
-    ordered = sorted(vibrations, key=lambda one: abs(one.lateral_m))
-    parts = [one.only(np.isin(one.frequency_hz, sorted(common))) for one in ordered]
+    """Return the moduli from the phase gradient at the frequencies common to all vibrations; None and why it fails."""
+    common_hz = sorted(set.intersection(*(set(one.frequency_hz.tolist()) for one in vibrations)))
+    parts = [
+        one.at_frequencies(np.isin(one.frequency_hz, common_hz))
+        for one in sorted(vibrations, key=lambda one: abs(one.lateral_m))
+    ]
     sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in parts]
     try:
         speed = shear_speed(
@@ -211,60 +206,73 @@ def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> 
 
 
 def _lines(result: ModuliResult) -> Iterator[str]:
-    best, places = result.best, result.vibrations
     yield result.title
-    numbers = sum(2 * one.frequency_hz.size for one in places)
-    source = "SIMULATED, " if result.simulated else ""
-    beside = len({(one.place, one.lateral_m) for one in places})
-    gates = f", {len(places)} gates" if len(places) > beside else ""
-    yield f"{source}{beside} place{'s' * (beside > 1)}{gates}, {numbers} numbers"
+    yield _data_line(result)
     yield ""
     for fit, probability in zip(result.fits, result.probability, strict=True):
-        yield f"{law_of(fit.law).title}, {_verdict(fit, probability)}"
-        if fit is best or not fit.excluded:
-            yield from (f"  {line}" for line in _values(fit))
+        misfit = f"chi-square {fit.chi_square:.4g}, {fit.freedom} degrees of freedom"
+        verdict = "EXCLUDED by the data" if fit.excluded else f"probability {probability:.2g}"
+        yield f"{law_of(fit.law).title}, {verdict} ({misfit})"
+        if fit is result.best or not fit.excluded:
+            yield from (f"  {line}" for line in _fit_lines(fit))
     if result.plane_wave is not None:
         wave = result.plane_wave
         yield f"plane wave, for comparison: mu1 {wave.elasticity_pa * 1e-3:.4g} kPa, mu2 {wave.viscosity_pa_s:.3g} Pa s"
-        yield "  within a wavelength or two of the push the wave is not plane: its speed comes out by a sixth too low"
+        yield "  within one or two wavelengths of the push the wave is not plane: its speed is a sixth too low"
     else:
         yield f"plane wave: {result.why_not}"
-    if best.excluded:
-        yield "no medium tried explains these vibrations: widths, places or the medium are not as assumed"
-    for line in result.omitted:
-        yield f"left out: {line}"
+    if result.best.excluded:
+        yield "no fitted medium explains these vibrations. Try: check widths, lateral offsets and the assumed laws"
+    yield from (f"omitted: {line}" for line in result.omitted)
 
 
-def _verdict(fit: Moduli, probability: float) -> str:
-    misfit = f"chi-square {fit.chi_square:.4g} over {fit.freedom}"
-    return f"EXCLUDED by the data ({misfit})" if fit.excluded else f"probability {probability:.2g} ({misfit})"
+def _data_line(result: ModuliResult) -> str:
+    numbers = sum(2 * one.frequency_hz.size for one in result.vibrations)
+    source, gates = "SIMULATED, " if result.simulated else "", len(result.vibrations)
+    offsets = len({(one.position, one.lateral_m) for one in result.vibrations})
+    gate_count = f", {gates} gates" if gates > offsets else ""
+    return f"{source}{offsets} lateral offset{'s' * (offsets > 1)}{gate_count}, {numbers} numbers"
 
 
-def _values(fit: Moduli) -> Iterator[str]:
+def _fit_lines(fit: Moduli) -> Iterator[str]:
     for name, value in fit.values.items():
-        share = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
-        yield f"{_name(name)} {_with_u(fit, name, '+-')}{share}"
+        relative = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
+        yield f"{_name(name)} {_with_uncertainty(fit, name)}{relative}"
     if fit.second is not None:
-        other = ", ".join(f"{_name(name)} {value * _unit(name)[0]:.3g}" for name, value in fit.second[0].items())
-        yield f"nearly as good: {other} (chi-square {fit.second[1]:.2g} higher)"
+        values, excess = fit.second
+        other = ", ".join(f"{_name(name)} {value * _unit(name)[0]:.3g}" for name, value in values.items())
+        yield f"nearly as good: {other} (chi-square {excess:.2g} higher)"
     for name in beyond_tested(fit):
-        (low, high), (factor, unit) = TESTED[name], UNITS[name]
-        tested = f"{low * factor:g} to {high * factor:g} {unit}, with which the field was tested"
-        yield f"WARNING {NAMES[name]} lies outside {tested}"
+        (low, high), (factor, unit) = TESTED_RANGES[name], _unit(name)
+        yield f"WARNING {_name(name)} is outside the tested range, {low * factor:g} to {high * factor:g} {unit}"
     for name in fit.at_limit:
-        yield f"{_name(name)} stands at the end of its range"
-    for kind, by in ((fit.by_place, "place"), (fit.by_frequency, "frequency")):
-        if kind:
-            most = max(kind, key=lambda part: part.growth[0])
-            yield f"most is owed to the {by} {most.label}: without it u of mu1 is {most.growth[0]:.2f} times as large"
+        yield f"{_name(name)} is at the end of its range"
+    for kind, contributions in (("gate", fit.by_place), ("frequency", fit.by_frequency)):
+        if contributions:
+            largest = max(contributions, key=lambda part: part.growth[0])
+            yield (
+                f"largest contribution by {kind}: {largest.label}; without it the uncertainty of "
+                f"{next(iter(fit.values))} is {largest.growth[0]:.2f} times as large"
+            )
 
 
-def _with_u(fit: Moduli, name: str, sign: str) -> str:
-    """Return a parameter with its uncertainty and unit, as many decimals as two digits of the uncertainty have."""
-    factor, unit = _unit(name)
-    value, u = fit.values[name] * factor, fit.uncertainty[name] * factor
-    if not 0 < u < math.inf:
-        return f"{value:.4f} {sign} {u:.2g} {unit}".rstrip()
-    rounded = float(f"{u:.1e}")
+def _unit(parameter: str) -> tuple[float, str]:
+    """Return the factor and unit in which a parameter is printed."""
+    return next((UNITS[suffix] for suffix in UNITS if parameter.endswith(suffix)), (1.0, ""))
+
+
+def _name(parameter: str) -> str:
+    """Return the printed name of a parameter; for a law of another package, its key without the unit."""
+    suffix = next((suffix for suffix in UNITS if parameter.endswith(suffix)), "")
+    return NAMES.get(parameter, parameter.removesuffix(suffix).replace("_", " "))
+
+
+def _with_uncertainty(fit: Moduli, parameter: str, sign: str = "+-") -> str:
+    """Return a parameter with its uncertainty and unit, to two digits of the uncertainty."""
+    factor, unit = _unit(parameter)
+    value, uncertainty = fit.values[parameter] * factor, fit.uncertainty[parameter] * factor
+    if not 0 < uncertainty < math.inf:
+        return f"{value:.4f} {sign} {uncertainty:.2g} {unit}".rstrip()
+    rounded = float(f"{uncertainty:.1e}")
     decimals = max(0, 1 - math.floor(math.log10(rounded)))
     return f"{value:.{decimals}f} {sign} {rounded:.{decimals}f} {unit}".rstrip()

@@ -1,20 +1,24 @@
-"""Prediction of what a scene will measure, before it does: closed forms, small Monte Carlo sums and bounds.
+"""Prediction of a measurement from its scene: expected amplitude, noise, bias, aliasing and detection floor.
 
-    u_tracked / u_peak = prod_i 1 / sqrt(1 + T_i^2 / (2 E_i^2))        for Gaussian beams, eqs. (8) and (12)
+    scene_physics.py    medium, push, beams and tracking gate that a scene states; force spectrum, eq. (18)
+    amplitude.py        expected amplitude and SNR
+    conditions.py       quantities that bias and jitter depend on
+    speckle.py          random draws of scatterers and their echoes
+    searched_band.py    spectrum of echo envelopes in the estimators' band
+    peak_noise.py       noise of an estimator that reads the peak of a cross-spectrum
+    error_model.py      bias and jitter of an estimator: s = m sqrt(2 v / N)
+    speckle_spread.py   standard deviations over speckle
+    beam_averaging.py   tracked over peak displacement at every frequency
+    linear_fit.py       noise gain of the later fit
+    aliasing.py         change of the wanted harmonics by unresolved ones
+    forecast.py         forecast of every estimator; settings that reach a target
+    detection.py        smallest amplitude that exceeds the noise
+    bounds.py           Cramer-Rao bound from a scene's own echoes
+    output_text.py      acoustic output, dose and calibration as text
+    text.py             forecasts as text
 
-    force of the bursts, Gaussian averaging, speckle                   theory.py
-    the same in the medium's own field                                 beam_averaging.py
-    bias and jitter of an estimator under given conditions             error_model.py
-    the noise gain of the fit that is really made                      linear_fit.py
-    what a scene expects of amplitude and SNR                          amplitude.py
-    a scene's conditions, its forecast, what reaches a target          forecast.py
-    the smallest amplitude that stands out                             detection.py
-    harmonics that alias onto the wanted ones                          aliasing.py
-    Cramer-Rao bounds                                                  bounds.py
-    all of it as lines of text                                         text.py
-
-Others use ``forecast_of(scene, shot)``, ``predicted_averaging``, ``detection_floor`` and what ends in ``_text``.
-Theory: docs/theory/prediction.md.
+Callers use ``forecast_of(scene, shot)``, ``predicted_averaging``, ``detection_floor`` and the functions ending in
+``_text``. Theory: docs/explanation/prediction.md.
 """
 
 import lazy_loader

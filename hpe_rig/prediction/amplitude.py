@@ -1,50 +1,53 @@
-"""Expected amplitude and SNR of a scene: as it says, else as its twin simulates."""
+"""Expected amplitude and SNR of a scene: as stated, else as its twin simulates."""
 
 from __future__ import annotations
 
 import math
 
 from hpe_rig.bench import twin_of
+from hpe_rig.medium import echo_power
 from hpe_rig.plan import Shot
-from hpe_rig.prediction.beam_averaging import pulse_length_m
-from hpe_rig.prediction.theory import echo_power, force_spectrum
+from hpe_rig.prediction.scene_physics import force_spectrum, pulse_length_m
 from hpe_rig.scene import Scene
 
-FLOOR_M = 100e-9
-"""Amplitude predicted for where none is known: the lower end of what the paper's bench detects."""
+DEFAULT_AMPLITUDE_M = 100e-9
+"""Amplitude for a scene that states none: the smallest ones that the paper's bench detects."""
 
 
 def expected_snr_db(scene: Scene) -> float | None:
-    """Return the SNR in the gate that the scene expects or that its twin simulates; None where neither says."""
+    """Return the SNR in the gate that the scene expects or its twin simulates; None if neither states one."""
     if scene.processing.expected_snr_db is not None:
         return scene.processing.expected_snr_db
     twin = twin_of(scene)
     if twin is None or twin.snr_db is None or scene.beams is None:
         return None if twin is None else twin.snr_db
+    # The twin's SNR holds in its reference gate; a longer gate has less echo power on average.
     pulse = pulse_length_m(scene), scene.beams.tracking_width_m[2]
-    power = [echo_power(gate_m, *pulse) for gate_m in (scene.acquisition.gate_length_m, twin.reference_gate_m)]
-    return twin.snr_db + 10 * math.log10(power[0] / power[1])
+    power, reference = (
+        echo_power(gate_m, *pulse) for gate_m in (scene.acquisition.gate_length_m, twin.reference_gate_m)
+    )
+    return twin.snr_db + 10 * math.log10(power / reference)
 
 
 def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
-    """Return the amplitude at ``frequency_hz`` that the scene expects, or its twin prescribes or moves its specimen by.
+    """Return the amplitude at ``frequency_hz`` that the scene expects, else that of its twin's motion.
 
-    ``shot`` says by which force and burst length; absent, the scene's first.
+    ``shot`` gives force and burst length (default: the scene's first).
     """
     if scene.processing.expected_amplitude_m is not None:
         return scene.processing.expected_amplitude_m
     twin = twin_of(scene)
     if twin is None:
-        return FLOOR_M
+        return DEFAULT_AMPLITUDE_M
     if twin.has_specimen:
         drive = relative_drive(scene, frequency_hz, shot)
-        return drive * twin.steady_response_m(frequency_hz) if drive > 0 else FLOOR_M
-    prescribed = abs(twin.prescribed_phasor_m(frequency_hz))
-    return prescribed if prescribed > 0 else FLOOR_M
+        return drive * twin.steady_response_m(frequency_hz) if drive > 0 else DEFAULT_AMPLITUDE_M
+    prescribed_m = abs(twin.prescribed_phasor_m(frequency_hz))
+    return prescribed_m if prescribed_m > 0 else DEFAULT_AMPLITUDE_M
 
 
 def relative_drive(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
-    """Return the amplitude of the force at ``frequency_hz`` over F_0; 0 where nothing drives it."""
+    """Return the amplitude of the force at ``frequency_hz`` over F_0; 0 if nothing drives it."""
     excitation = scene.excitation
     if excitation is None:
         return 0.0

@@ -1,6 +1,9 @@
-"""Cramer-Rao bounds on amplitude and phase of a harmonic: narrow-band, and from a scene's own echoes.
+"""Cramer-Rao bound on amplitude and phase of harmonics from a scene's own echoes.
 
-Derivations: docs/theory/prediction.md, "Bounds".
+    Cov x >= [D' D sum_t (2 v'(t) / c)^2 / noise^2]^-1
+
+v(t) is the echo at rest, c the sound speed, D the columns of the displacement D x with the mean over pulses removed.
+Derivation: docs/explanation/prediction.md, "Bounds".
 """
 
 from __future__ import annotations
@@ -11,25 +14,6 @@ from scipy.interpolate import make_interp_spline
 from hpe_rig.arrays import FloatArray
 
 
-def harmonic_bound(
-    amplitude_m: FloatArray | float,
-    gate_samples: int,
-    pulses: int,
-    snr: float,
-    carrier_hz: float,
-    sound_speed_m_per_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the Cramer-Rao bounds (m, rad) on the standard deviations of amplitude and phase of one harmonic.
-
-    White noise, ``snr`` echo power over noise power in the gate, narrow-band echo, whole cycles; shapes of
-    ``amplitude_m``. Source: phase variance 1/(gate_samples snr) of one echo, 2/pulses of it in each quadrature.
-    """
-    metres = sound_speed_m_per_s / (4 * np.pi * carrier_hz)
-    amplitude = np.asarray(amplitude_m, dtype=np.float64)
-    deviation = np.full(amplitude.shape, metres * np.sqrt(2 / (pulses * gate_samples * snr)))
-    return deviation, deviation / amplitude
-
-
 def echo_bound(
     resting_v: FloatArray,
     sample_rate_hz: float,
@@ -37,14 +21,14 @@ def echo_bound(
     columns: FloatArray,
     sound_speed_m_per_s: float,
 ) -> FloatArray:
-    """Return the Cramer-Rao covariance (..., state, state) of states x from a scene's own echoes.
+    """Return the bound of the covariance (..., state, state) of states x.
 
-    The echo ``resting_v`` (..., sample) shifts as a whole by the displacement ``columns`` (pulse, state) @ x; it is
-    unknown itself, which costs what the columns have in common with a constant. ``noise_v`` is the rms of white noise.
-    The derivative of the echo is that of a quintic spline: an FFT would take the gate's ends for a jump that moves.
-    Source: Fisher information, resting echo as nuisance parameter.
+    The echo ``resting_v`` (..., sample) shifts by the displacement ``columns`` (pulse, state) @ x. It is unknown
+    itself, which costs the part that the columns have in common with a constant. ``noise_v`` is the rms of white noise.
+    Source: Fisher information with the resting echo as nuisance parameter.
     """
     sample_s = np.arange(resting_v.shape[-1]) / sample_rate_hz
+    # A quintic spline, since an FFT would treat the gate's ends as a jump that moves.
     slope = make_interp_spline(sample_s, resting_v, 5, axis=-1)(sample_s, 1) * 2 / sound_speed_m_per_s
     information = np.sum(slope**2, axis=-1) / np.square(noise_v)
     centred = columns - columns.mean(axis=0)

@@ -1,4 +1,11 @@
-"""Detection floor: the smallest amplitude that stands out of noise and trigger jitter."""
+"""Detection floor: the smallest amplitude that exceeds noise and trigger jitter.
+
+The amplitude of two normal quadratures exceeds a with the probability
+
+    P(a) = mean over directions t of exp(-a^2 / 2 v(t)),    v(t) = v_1 cos^2 t + v_2 sin^2 t
+
+v_1 and v_2 are the variances of the principal quadratures. The floor is the a with P = ``FALSE_ALARMS``.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +23,17 @@ from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
 
 FALSE_ALARMS = 0.05
-"""Share of measurements without motion in which noise alone exceeds the floor."""
+"""Fraction of measurements without motion in which noise alone exceeds the floor."""
 DIRECTIONS = 400
-"""Directions over which the share is averaged."""
+"""Midpoint nodes of the mean over directions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Noise of a displacement amplitude; standard deviations of one quadrature, root mean square of the two, m.
+    """Noise of a displacement amplitude: standard deviations of one quadrature, rms of the two, m.
 
-    ``larger_quadrature``: deviation of the larger principal quadrature over that, 1 to sqrt(2), as the pulses lie.
-    ``relative_variances``: of the noise in equally many media each, over the mean, where it differs among them.
+    ``larger_quadrature``: noise of the larger principal quadrature over that rms, 1 to sqrt(2). ``relative_variances``:
+    noise variances in groups of equally many media over their mean, if they differ.
     """
 
     noise_m: float
@@ -41,27 +48,26 @@ class Floor:
 
     @property
     def detected_m(self) -> float:
-        """The amplitude that noise alone exceeds with ``FALSE_ALARMS``."""
+        """The amplitude that noise alone exceeds with the probability ``FALSE_ALARMS``."""
         if self.quadrature_m == 0:
             return 0.0
-        noise = np.array(self.relative_variances) * self.noise_m**2
-        relative = (noise + self.trigger_jitter_m**2) / self.quadrature_m**2
+        noise_m2 = np.array(self.relative_variances) * self.noise_m**2
+        relative = (noise_m2 + self.trigger_jitter_m**2) / self.quadrature_m**2
         return self.quadrature_m * amplitude_quantile(self.larger_quadrature, tuple(relative.tolist()))
 
 
 def amplitude_quantile(larger_quadrature: float, relative_variances: tuple[float, ...] = (1.0,)) -> float:
-    """Return what the amplitude of two normal quadratures exceeds with ``FALSE_ALARMS``, over their root mean square.
+    """Return the floor over the rms noise of the two quadratures.
 
-    ``larger_quadrature``: standard deviation of the larger principal one over the same, from 1, where the amplitude has
-    the Rayleigh distribution, to sqrt(2), where it is one normal number's size. ``relative_variances``: of the noise in
-    groups of equally many measurements, over their mean; where they differ, the largest exceed more often.
+    ``larger_quadrature`` = 1 gives the Rayleigh distribution, sqrt(2) that of the magnitude of one normal number.
+    ``relative_variances``: noise variances of groups of equally many measurements, over their mean; if they differ, the
+    largest exceed the floor more often.
     """
-    larger = larger_quadrature**2
-    # Two standard normal numbers have an even direction and a length of its own: exp(-length^2 / 2) is its tail. Along
-    # each direction the amplitude is the length times a deviation, and the tail's mean over them is the amplitude's.
-    across = np.sin(np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS) ** 2
-    variance = np.multiply.outer(relative_variances, larger + (2 - 2 * larger) * across)
+    largest = larger_quadrature**2
+    sine2 = np.sin(np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS) ** 2
+    variance = np.multiply.outer(relative_variances, largest + (2 - 2 * largest) * sine2)
     variance = np.maximum(variance, np.finfo(np.float64).tiny)
+    # Bisection: `hpe-rig check` must not load SciPy for this alone.
     low, high = 0.0, 2 * math.sqrt(2 * math.log(1 / FALSE_ALARMS) * max(relative_variances))
     for _ in range(50):
         middle = (low + high) / 2
@@ -71,38 +77,37 @@ def amplitude_quantile(larger_quadrature: float, relative_variances: tuple[float
 
 
 def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Floor:
-    """Return the floor of an amplitude at the worst wanted frequency: echo noise, and trigger jitter.
+    """Return the floor at the worst wanted frequency, from echo noise and trigger jitter.
 
-    ``shot`` says which pulses the estimate uses, and so what it costs to fit the other driven harmonics along; absent,
-    every frequency counts as fitted alone to all pulses. Echo noise is the error model's (`predict`) for echoes that
-    hardly move, where the beams are declared, else that of the whole gate; trigger jitter that of the twin, a real
-    bench's is not known. See docs/theory/prediction.md, "Detection floor".
+    ``shot`` gives the used pulses and so the cost of fitting the other driven harmonics; without it every frequency
+    counts as fitted by itself to all pulses. Echo noise is that of the error model (``predict``) for echoes at rest if
+    beams are declared, else that of the whole gate. Trigger jitter is the twin's; that of a real bench is unknown. See
+    docs/explanation/prediction.md, "Detection floor".
     """
-    spec, worst = spec_of(scene.processing.estimator), None
+    spec = spec_of(scene.processing.estimator)
     gain, larger = _gain_and_larger_quadrature(scene, shot)
-    quantile = np.array([amplitude_quantile(each) for each in larger.tolist()])
-    at = int(np.argmax(gain * quantile))
-    if scene.wanted_frequencies_hz:
-        worst = scene.wanted_frequencies_hz[at]
-    conditions = conditions_of(scene, shot, worst)
-    noise_m = echo_noise_m(scene, spec) * float(gain[at])
-    relative: tuple[float, ...] = (1.0,)
+    quantile = np.array([amplitude_quantile(ratio) for ratio in larger.tolist()])
+    worst = int(np.argmax(gain * quantile))
+    worst_hz = scene.wanted_frequencies_hz[worst] if scene.wanted_frequencies_hz else None
+    conditions = conditions_of(scene, shot, worst_hz)
+    noise_m, relative_variances = echo_noise_m(scene, spec) * float(gain[worst]), tuple[float, ...]((1.0,))
     if conditions is not None:
-        still = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
-        foreseen = predict(still, (spec.name,)).expected[0]
-        noise_m, relative = foreseen.quadrature_m, foreseen.relative_variances
-    return Floor(noise_m, trigger_noise_m(scene, simulated) * float(gain[at]), float(larger[at]), relative)
+        at_rest = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
+        errors = predict(at_rest, (spec.name,)).expected[0]
+        noise_m, relative_variances = errors.quadrature_m, errors.relative_variances
+    trigger_jitter_m = trigger_noise_m(scene, simulated) * float(gain[worst])
+    return Floor(noise_m, trigger_jitter_m, float(larger[worst]), relative_variances)
 
 
 def _gain_and_larger_quadrature(scene: Scene, shot: Shot | None) -> tuple[FloatArray, FloatArray]:
-    """Return the noise gain and how much more the larger quadrature has of it, each (frequency,).
+    """Return noise gain and relative noise of the larger quadrature, each (frequency,).
 
-    Those of a sinusoid fitted alone where no plan or no fit is known.
+    Those of a single fitted sinusoid if no plan or no fit is known.
     """
     if shot is not None:
-        # A plan with conflicts may have no fit at all.
+        # A plan with conflicts may have no fit.
         with suppress(ValueError):
             return noise_gain(scene, shot), larger_quadrature(scene, shot)
-    alone = 2 * spec_of(scene.processing.estimator).slow_time_noise / window_pulse_count(scene)
+    single = 2 * spec_of(scene.processing.estimator).slow_time_noise / window_pulse_count(scene)
     count = max(1, len(scene.wanted_frequencies_hz))
-    return np.full(count, math.sqrt(alone)), np.ones(count)
+    return np.full(count, math.sqrt(single)), np.ones(count)

@@ -1,4 +1,4 @@
-"""Check: what can be said of a measurement before it is made. Opens nothing."""
+"""Check of a scene before it is measured: plan, conflicts and predictions. No instrument is opened."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from hpe_rig.measurement import BenchSource, Setup, bench_path, prepare
 from hpe_rig.plan import CheckResult, Shot
 from hpe_rig.scene import BUILT_IN_ESTIMATORS, Scene, SceneSource
 
-WIDEST = 114
-"""Columns of the drawing of a plan where nobody wants fewer."""
+MAX_COLUMNS = 114
+"""Width of the drawing of a plan, unless the terminal is narrower."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedScene:
-    """What is known of a measurement before it is made; ``str`` of it is what ``hpe-rig check`` prints."""
+    """Setup and predictions of a measurement; its ``str`` is the output of ``hpe-rig check``."""
 
     setup: Setup
     foreseen: tuple[str, ...]
-    """What can be said of the result beforehand, line by line."""
+    """Lines of text that predict the result."""
 
     @property
     def text(self) -> str:
-        """Everything but the checks that passed, for a terminal of ordinary width."""
+        """Plan, failed checks and predictions, for a terminal of ordinary width."""
         return self.in_words()
 
     def in_words(self, columns: int | None = None, verbose: bool = False) -> str:
-        """Return what is known as text with a drawing of at most ``columns``; ``verbose``: with every passed check."""
+        """Return the text with a drawing of at most ``columns``; ``verbose`` adds the checks that passed."""
         from hpe_rig.plan import plan_text
 
         title, plan = self.setup.scene.scene.title, self.setup.plan
-        shown = plan_text(title, plan, self.findings, min(columns or WIDEST, WIDEST), verbose)
-        return "\n".join([shown, "", *self.foreseen])
+        drawing = plan_text(title, plan, self.findings, min(columns or MAX_COLUMNS, MAX_COLUMNS), verbose)
+        return "\n".join([drawing, "", *self.foreseen])
 
     @property
     def findings(self) -> tuple[CheckResult, ...]:
-        """What each check found, passed ones included."""
+        """Finding of each check, also of those that passed."""
         return self.setup.findings
 
     @property
@@ -50,22 +50,23 @@ class CheckedScene:
         return self.text
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the timeline as a figure, what fails or warns, what is foreseen."""
+        """Return HTML for a notebook: timeline, conflicts, warnings and predictions."""
         from html import escape
 
         setup = self.setup
         count = len(setup.plan.shots)
         state = f"{count} shot{'' if count == 1 else 's'}; {'refused' if self.refused else 'may be measured'}"
-        shown = plan_html(setup.scene.scene.title, state, setup.plan.shots[0], self.findings)
-        # Columns among these lines stand under one another only as they are.
+        plan = plan_html(setup.scene.scene.title, state, setup.plan.shots[0], self.findings)
+        # The lines contain columns: <pre> keeps them aligned.
         foreseen = escape("\n".join(self.foreseen))
-        return f"{shown}\n<pre>{foreseen}</pre>"
+        return f"{plan}\n<pre>{foreseen}</pre>"
 
 
 def check(scene: SceneSource, bench: BenchSource = None, target: str | None = None) -> CheckedScene:
-    """Return the plan of ``scene`` in words with every conflict, expected bias and jitter; opens nothing.
+    """Return the plan of ``scene`` with every conflict and the expected bias and jitter; no instrument is opened.
 
-    ``target``: a wanted uncertainty such as "20nm", to say what reaches it. Raises ``SettingsError`` as ``measure``.
+    ``target`` is a wanted uncertainty such as "20nm": the text then states settings that reach it. Raises
+    ``SettingsError`` as ``measure``.
 
     >>> checked = check("bovine-muscle")
     >>> checked.refused
@@ -76,21 +77,21 @@ def check(scene: SceneSource, bench: BenchSource = None, target: str | None = No
 
     setup = prepare(scene, bench_path(bench), refuse=False)
     target_m = None if target is None else length_m(target, "--target")
-    return CheckedScene(setup, tuple(_foreseen(setup, target_m)))
+    return CheckedScene(setup, tuple(_predictions(setup, target_m)))
 
 
-def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
-    """Yield what can be said of the result beforehand: detection, aliasing, calibration, averaging, jitter."""
+def _predictions(setup: Setup, target_m: float | None) -> Iterator[str]:
+    """Yield the predictions: detection, aliasing, calibration, beam averaging, jitter."""
     from hpe_rig import prediction
 
     first, shot = setup.scene.scene.points[0], setup.plan.shots[0]
     scene, bench = first.scene, setup.bench.bench.with_(first.bench)
-    yield from _of_others(scene, bench)
+    yield from _extensions_used(scene, bench)
     if not scene.wanted_frequencies_hz:
-        yield "prediction: left out, no vibration frequency is wanted"
+        yield "prediction: omitted, no vibration frequency is wanted"
         return
     if any(finding.check == "fit size" for finding in setup.findings):
-        yield "prediction: left out, the fit is larger than memory"
+        yield "prediction: omitted, the fit is larger than memory"
         return
     yield from prediction.detection_text(scene, bench.simulated, shot)
     yield from prediction.aliasing_text(scene, shot, bench.simulated)
@@ -104,23 +105,23 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
         yield from moduli_text(scene, setup.plan, bench.simulated)
 
 
-def _of_others(scene: Scene, bench: BenchFile) -> Iterator[str]:
-    """Yield which estimator and medium other packages bring to the measurement, with these and their versions."""
+def _extensions_used(scene: Scene, bench: BenchFile) -> Iterator[str]:
+    """Yield a line with estimator and medium of other packages, if the scene uses any, with package and version."""
     twin, estimator = twin_of(scene) if bench.simulated else None, scene.processing.estimator
-    brought = [] if estimator in BUILT_IN_ESTIMATORS else [origin(ESTIMATORS, estimator)]
+    extensions = [] if estimator in BUILT_IN_ESTIMATORS else [origin(ESTIMATORS, estimator)]
     if twin is not None and twin.foreign_medium is not None:
-        brought.append(origin(MEDIA, twin.foreign_medium))
-    if brought:
-        yield f"of other packages: {', '.join(brought)}"
+        extensions.append(origin(MEDIA, twin.foreign_medium))
+    if extensions:
+        yield f"of other packages: {', '.join(extensions)}"
 
 
 def plan_html(title: str, state: str, shot: Shot, findings: Iterable[CheckResult]) -> str:
-    """Return a plan as a notebook shows it: ``title``, ``state``, the timing of ``shot``, what did not pass."""
-    from hpe_rig.plan import timing
+    """Return the HTML of a plan: ``title``, ``state``, the timing of ``shot`` and the checks that did not pass."""
+    from hpe_rig.plan import timing_pictures
     from hpe_rig.result import image, symbols
 
-    listed = list(findings)
-    noticed = [each for each in listed if each.level != "passed"]
-    lines = [f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>", "".join(image(each) for each in timing(shot))]
-    lines.append(f"<p>{len(listed) - len(noticed)} of {len(listed)} checks of the plan passed.</p>")
-    return "\n".join([*lines, *(f"<p><b>{each.level.upper()}</b> {symbols(each)}</p>" for each in noticed)])
+    findings = list(findings)
+    failures = [finding for finding in findings if finding.level != "passed"]
+    lines = [f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>", "".join(image(figure) for figure in timing_pictures(shot))]
+    lines.append(f"<p>{len(findings) - len(failures)} of {len(findings)} checks of the plan passed.</p>")
+    return "\n".join([*lines, *(f"<p><b>{finding.level.upper()}</b> {symbols(finding)}</p>" for finding in failures)])

@@ -40,13 +40,7 @@ import hpe_rig as hpe
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.medium import (
-    BRANCH_OVER_MODULUS,
-    LOW_VISCOSITY_PA_S,
-    MAXWELL_VISCOSITY_PA_S,
-    MODULUS_PA,
-    POWER,
-    POWER_REFERENCE_HZ,
-    VISCOSITY_PA_S,
+    PRIOR_RANGES,
 )
 from hpe_rig.plan import PlanError
 from hpe_rig.processing import ESTIMATORS
@@ -250,21 +244,21 @@ def drawn_medium(rng: np.random.Generator) -> dict[str, Any]:
         return float(limits[0] * (limits[1] / limits[0]) ** rng.uniform())
 
     family = FAMILIES[rng.integers(len(FAMILIES))]
-    modulus_pa = log_even(MODULUS_PA)
+    modulus_pa = log_even(PRIOR_RANGES.modulus_pa)
     found: dict[str, Any] = {"medium": family.removeprefix("elastic "), "shear_modulus_pa": modulus_pa}
     match family:
         case "voigt":
-            found["shear_viscosity_pa_s"] = log_even(VISCOSITY_PA_S)
+            found["shear_viscosity_pa_s"] = log_even(PRIOR_RANGES.viscosity_pa_s)
         case "elastic voigt":
-            found["shear_viscosity_pa_s"] = log_even(LOW_VISCOSITY_PA_S)
+            found["shear_viscosity_pa_s"] = log_even(PRIOR_RANGES.low_viscosity_pa_s)
         case "zener":
-            found["shear_viscosity_pa_s"] = log_even(VISCOSITY_PA_S)
-            found["branch_modulus_pa"] = modulus_pa * log_even(BRANCH_OVER_MODULUS)
+            found["shear_viscosity_pa_s"] = log_even(PRIOR_RANGES.viscosity_pa_s)
+            found["branch_modulus_pa"] = modulus_pa * log_even(PRIOR_RANGES.branch_over_modulus)
         case "power_law":
-            found["power"] = float(rng.uniform(*POWER))
-            found["reference_frequency_hz"] = POWER_REFERENCE_HZ
+            found["power"] = float(rng.uniform(*PRIOR_RANGES.power))
+            found["reference_frequency_hz"] = PRIOR_RANGES.power_modulus_hz
         case "maxwell":
-            found["shear_viscosity_pa_s"] = log_even(MAXWELL_VISCOSITY_PA_S)
+            found["shear_viscosity_pa_s"] = log_even(PRIOR_RANGES.maxwell_viscosity_pa_s)
     return found
 
 

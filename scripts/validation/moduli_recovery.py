@@ -173,7 +173,7 @@ def _vibration(scene: Scene, plain: dict[str, Any]) -> Vibration:
     phasor_m = arrays["real_m"] + 1j * arrays["imaginary_m"]
     label = f"{plain['lateral_m'] * 1e3:g} mm"
     measured = arrays["frequency_hz"], phasor_m, arrays["covariance_m2"]
-    return vibration_at(place, scene.processing.estimator, label, *measured)
+    return vibration_at(place, scene.processing.estimator, label, measured)
 
 
 def _bound(places: Sequence[Vibration], push: Push, truth: tuple[float, float]) -> FloatArray:

@@ -18,7 +18,7 @@ from itertools import pairwise
 import mpmath as mp
 import numpy as np
 
-from hpe_rig.medium import PushForce, shear_motion
+from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, shear_motion
 
 GAUSSIAN = PushForce((0.34e-3,), 3.6e-3)
 SHARES = ((0.0, 0.0, 0.02), (0.1, 0.3, 0.0), (0.8, 0.2, -0.05), (0.0, 0.25, 0.1))
@@ -71,8 +71,8 @@ def deviations(
     modulus: complex, frequency_hz: float, force: PushForce, places_m: Sequence[tuple[float, float]]
 ) -> list[float]:
     """Return by how much the field differs from mpmath's at every place, over the largest displacement."""
-    medium = np.array([modulus]), np.array([frequency_hz]), DENSITY
-    ours = [shear_motion(*medium, force, 0.0, 0.0, np.array([x]), z).value[0, 0] for x, z in places_m]
+    medium = HarmonicMedium(np.array([frequency_hz]), np.array([modulus]), DENSITY)
+    ours = [shear_motion(medium, force, TrackedRegion(np.array([x]), z)).value[0, 0] for x, z in places_m]
     exact = [reference(modulus, frequency_hz, force, *place) for place in places_m]
     peak = max(abs(each) for each in exact)
     return [abs(own - other) / peak for own, other in zip(ours, exact, strict=True)]

@@ -25,8 +25,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress, ShotBlock, acquire
 from hpe_rig.measurement.setup import Setup, prepare
-from hpe_rig.prediction.beam_averaging import predicted_averaging
-from hpe_rig.prediction.theory import force_spectrum
+from hpe_rig.prediction import force_spectrum, predicted_averaging
 from hpe_rig.result import Result
 from hpe_rig.runs.run import process
 from hpe_rig.scene import Scene, shipped_scenes

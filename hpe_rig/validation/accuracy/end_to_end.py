@@ -21,7 +21,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
+from hpe_rig.medium import TrackingGate, beam_averaging_factor, scatterer_density
+from hpe_rig.prediction import force_spectrum
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples, spec_of
 from hpe_rig.result import MARKS, label_decades, mark
 from hpe_rig.validation.accuracy.work_precision import pareto
@@ -253,14 +254,14 @@ def _estimate(variant: Variant, volts: FloatArray) -> FloatArray:
 def _averaging_factor(variant: Variant) -> float:
     settings = scene()
     beams, scatterers = settings.beams, settings.scatterers
-    return beam_averaging_factor(
-        beams.excitation_width_m,
+    gate = TrackingGate(
         beams.tracking_width_m,
         variant.gate_length_m,
         settings.sound_speed_m_per_s / 2 / (scatterers.bandwidth * CARRIER_HZ),
-        gate_window=spec_of(variant.estimator).gate_window,
-        scatterers_per_m3=scatterer_density(beams.tracking_width_m, scatterers.per_cell),
+        hann_window=spec_of(variant.estimator).gate_window == "hann",
     )
+    density = scatterer_density(beams.tracking_width_m, scatterers.per_cell)
+    return beam_averaging_factor(beams.excitation_width_m, gate, density)
 
 
 def _noise_free_amplitudes(variant: Variant, tolerance: float, displacement_m: FloatArray, seed: int) -> FloatArray:

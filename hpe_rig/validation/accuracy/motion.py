@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.prediction import Conditions, Expected, draw_speckle, echo_bound, expected, scatterer_density
+from hpe_rig.medium import scatterer_density
+from hpe_rig.prediction import Conditions, EstimatorErrors, draw_speckle, echo_bound, estimator_errors
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns, margin_samples
 from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
 
@@ -126,7 +127,7 @@ def case_rows(
     conditions = conditions_of(case)
     speckle = draw_speckle(conditions, np.random.default_rng([seed, 2]))
     for name in estimators:
-        model = expected(conditions, name, speckle, np.random.default_rng([seed, 3]))
+        model = estimator_errors(conditions, name, speckle, np.random.default_rng([seed, 3]))
         yield _row(case, parameter, value, name, clean, noisy, np.sqrt(bound[:, 0, 0]), model)
 
 
@@ -186,7 +187,7 @@ def _row(
     clean: FloatArray,
     noisy: FloatArray,
     bound_m: FloatArray,
-    model: Expected,
+    model: EstimatorErrors,
 ) -> MotionRow:
     noise_free = estimate(gate(case, clean), [case.frequency_hz], name)
     start_s = time.perf_counter()

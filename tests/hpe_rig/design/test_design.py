@@ -21,7 +21,6 @@ from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.measurement.setup import Setup, prepare, prepare_text
-from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.result import symbols
 from hpe_rig.scene import SettingsError, scene_text
 
@@ -82,7 +81,8 @@ def test_noise_falls_with_the_pulses_so_as_many_as_time_and_depth_allow_are_best
     limit_hz = 1540 / (2 * 70.5e-3)
     assert 0.97 * limit_hz < rate_hz < limit_hz
     assert 0.02 * rate_hz - 1 <= count <= 0.02 * rate_hz
-    bound_m, _ = harmonic_bound(20e-9, 130, int(count), 1e4, 9e6, 1540.0)
+    # Phase variance 1 / (130 SNR) of one echo, 2 / count of it in each quadrature.
+    bound_m = 1540.0 / (4 * np.pi * 9e6) * np.sqrt(2 / (int(count) * 130 * 1e4))
     # Rice at 20 nm 0.1 %, pulses that are no whole cycles 1 %, the band's share of a speckle's echo 1 %
     assert most_pulses.best.predict(50, 0).noise_jitter_m == pytest.approx(float(bound_m), rel=0.02)
 

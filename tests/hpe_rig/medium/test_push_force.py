@@ -1,12 +1,12 @@
-"""Force of an aperture: its field against the twin's, O'Neil's closed form and what it does to a medium."""
+"""Force of an aperture: its field against the twin's and O'Neil's closed form, and the motion it drives."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hpe_rig.medium import aperture_force, scanned_force, shear_motion
-from hpe_rig.medium.push_force import PushForce, bowl_pressure
+from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, aperture_force, scanned_force, shear_motion
+from hpe_rig.medium.push_force import bowl_pressure
 from hpe_rig.moduli import APERTURE_SHAPE
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
@@ -15,8 +15,8 @@ from sim_backend.transducer import GaussianSum, bowl_pressure as twins_pressure,
 K = wave_number(3e6, 1540.0, 0.5)
 LATERAL_M, AXIAL_M = np.linspace(0, 6e-3, 13), np.linspace(-17e-3, 17e-3, 9)
 FREQUENCY_HZ = np.array([100.0, 400.0, 1000.0])
-MODULUS_PA = 9e3 + 4j * np.pi * FREQUENCY_HZ
-PLACES_M = np.array([0.0, 1e-3, 3.5e-3])
+MUSCLE = HarmonicMedium.voigt(9e3, 2.0, FREQUENCY_HZ)
+OFFSETS_M = np.array([0.0, 1e-3, 3.5e-3])
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +24,13 @@ def force() -> PushForce:
     return aperture_force(45e-3, 70e-3, 3e6, 1540.0)
 
 
-def test_the_bowls_field_is_the_twins_to_1e_10_of_the_focus() -> None:
+def test_bowl_pressure_equals_the_twins_to_1e_10_of_the_focus() -> None:
     own = bowl_pressure(45e-3, 70e-3, K, LATERAL_M, AXIAL_M)
     twins = twins_pressure(Transducer(), K, LATERAL_M, AXIAL_M)
     assert np.abs(own / own[4, 0] - twins / twins[4, 0]).max() < 1e-10
 
 
-def test_on_the_axis_it_is_oneils_closed_form() -> None:
+def test_bowl_pressure_on_the_axis_equals_oneils_closed_form() -> None:
     own = bowl_pressure(45e-3, 70e-3, K, np.zeros(1), AXIAL_M)[:, 0]
     edge_m = np.hypot(70e-3 * np.cos(np.arcsin(22.5 / 70)) + AXIAL_M, 22.5e-3)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -40,46 +40,46 @@ def test_on_the_axis_it_is_oneils_closed_form() -> None:
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
 
 
-def test_the_sum_of_gaussians_is_the_intensity_where_the_force_is(force: PushForce) -> None:
+def test_the_sum_of_gaussians_equals_the_intensity_within_the_force(force: PushForce) -> None:
     near_m = np.linspace(-12e-3, 12e-3, 25)
     pressure = twins_pressure(Transducer(), K, LATERAL_M, near_m)
     intensity = np.abs(pressure / pressure[12, 0]) ** 2
-    # rings of the diffraction pattern are left out
+    # The sum has no rings of the diffraction pattern.
     assert np.abs(force.at(LATERAL_M, near_m) - intensity).max() < 0.03
 
 
 @pytest.mark.parametrize(
-    ("mu1", "mu2", "places_m"),
+    ("mu1", "mu2", "offsets_m"),
     [
-        (9e3, 2.0, PLACES_M),
+        (9e3, 2.0, OFFSETS_M),
         *(
             pytest.param(*each, np.array([0.0, 20e-3]), marks=pytest.mark.slow)
             for each in ((500.0, 0.0), (500e3, 50.0))
         ),
     ],
 )
-def test_its_motion_is_the_twins_for_the_same_gaussians_to_1e_9(
-    force: PushForce, mu1: float, mu2: float, places_m: np.ndarray
+def test_motion_under_the_same_gaussians_equals_the_twins_to_1e_9(
+    force: PushForce, mu1: float, mu2: float, offsets_m: np.ndarray
 ) -> None:
-    alike = GaussianSum(force.across_m, force.along_m, force.centre_m, force.share)
+    twin_force = GaussianSum(force.across_m, force.along_m, force.centre_m, force.share)
     specimen = Specimen(shear_modulus_pa=mu1, shear_viscosity_pa_s=mu2)
-    modulus_pa = mu1 + 2j * np.pi * FREQUENCY_HZ * mu2
+    medium = HarmonicMedium.voigt(mu1, mu2, FREQUENCY_HZ)
     for axial_m in (0.0, 1.5e-3):
-        twins = field_transfer(specimen, alike, places_m, np.array([axial_m]), FREQUENCY_HZ)[:, :, 0]
-        own = shear_motion(modulus_pa, FREQUENCY_HZ, 1000.0, force, 0.0, 0.0, places_m, axial_m).value
+        twins = field_transfer(specimen, twin_force, offsets_m, np.array([axial_m]), FREQUENCY_HZ)[:, :, 0]
+        own = shear_motion(medium, force, TrackedRegion(offsets_m, axial_m)).value
         assert (np.abs(own - twins).max(axis=1) < 1e-9 * np.abs(twins).max(axis=1)).all()
 
 
-def test_its_motion_is_that_of_the_twins_own_intensity_within_what_is_not_known(force: PushForce) -> None:
+def test_motion_equals_the_twins_within_the_uncertainty_of_the_force(force: PushForce) -> None:
     settings = SimulationSettings.model_validate({"beams": {"field": "aperture"}, "specimen": {}})
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
-    twins = field_transfer(specimen, push_intensity(settings), PLACES_M, np.zeros(1), FREQUENCY_HZ)[:, :, 0]
-    own = shear_motion(MODULUS_PA, FREQUENCY_HZ, 1000.0, force, 0.0, 0.0, PLACES_M)
-    off = np.abs(own.value / twins - 1)
-    # 100 Hz hangs on where the force ends, which the two put half a sigma apart; a Gaussian is off by 10 to 30 %
-    assert off[0].max() < 0.05
-    assert off[1:].max() < 0.03
-    assert np.all(off[0] < 3 * np.abs(own.by_unsure["reach"] / own.value)[0])
+    twins = field_transfer(specimen, push_intensity(settings), OFFSETS_M, np.zeros(1), FREQUENCY_HZ)[:, :, 0]
+    own = shear_motion(MUSCLE, force, TrackedRegion(OFFSETS_M))
+    error = np.abs(own.value / twins - 1)
+    # 100 Hz depends on the end of the force, which differs by half a sigma. A Gaussian would be wrong by 10 to 30 %.
+    assert error[0].max() < 0.05
+    assert error[1:].max() < 0.03
+    assert np.all(error[0] < 3 * np.abs(own.by_unsure["reach"] / own.value)[0])
 
 
 def test_a_bowl_wider_than_its_sphere_is_refused() -> None:
@@ -88,30 +88,30 @@ def test_a_bowl_wider_than_its_sphere_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("diameter_m", "frequency_hz"), [(5e-3, 3e6), (100e-3, 8e6), (45e-3, 1e6)])
-def test_any_aperture_has_a_force_that_is_1_at_its_focus_and_fades(diameter_m: float, frequency_hz: float) -> None:
-    found = aperture_force(diameter_m, 70e-3, frequency_hz, 1540.0)
-    assert found.at(np.zeros(1), np.zeros(1))[0, 0] == pytest.approx(1.0, abs=0.05)
-    assert abs(found.at(np.zeros(1), np.array([-60e-3, 60e-3]))).max() < 0.02
+def test_any_aperture_has_a_force_of_1_at_its_focus_that_fades(diameter_m: float, frequency_hz: float) -> None:
+    force = aperture_force(diameter_m, 70e-3, frequency_hz, 1540.0)
+    assert force.at(np.zeros(1), np.zeros(1))[0, 0] == pytest.approx(1.0, abs=0.05)
+    assert abs(force.at(np.zeros(1), np.array([-60e-3, 60e-3]))).max() < 0.02
 
 
-def test_a_scan_of_the_bowl_has_the_bowls_force_and_moves_a_medium_alike(force: PushForce) -> None:
+def test_a_scan_of_the_bowl_gives_the_bowls_force_and_motion(force: PushForce) -> None:
     scanned = scanned_force(lambda r, z: 5e3 * np.abs(bowl_pressure(45e-3, 70e-3, K, r, z)) ** 2, 3e6)
-    own, its = (shear_motion(MODULUS_PA, FREQUENCY_HZ, 1000.0, each, 0.0, 0.0, PLACES_M) for each in (force, scanned))
-    # 100 Hz hangs on where the force ends, 4.5 sigmas away, which half of the scan's intensity puts 4 % nearer
-    assert np.abs(its.value / own.value - 1)[0].max() < 0.02
-    assert np.abs(its.value / own.value - 1)[1:].max() < APERTURE_SHAPE
+    of_bowl, of_scan = (shear_motion(MUSCLE, each, TrackedRegion(OFFSETS_M)).value for each in (force, scanned))
+    # 100 Hz depends on the end of the force, 4.5 sigmas away; the scan's half-intensity length puts it 4 % nearer.
+    assert np.abs(of_scan / of_bowl - 1)[0].max() < 0.02
+    assert np.abs(of_scan / of_bowl - 1)[1:].max() < APERTURE_SHAPE
     assert [name for name, _ in scanned.unsure] == ["reach", "loss"]
 
 
-def test_what_a_specimen_adds_to_a_scan_is_its_attenuation() -> None:
+def test_a_specimen_attenuates_a_scan() -> None:
     lossless = wave_number(3e6, 1540.0, 1e-9)
     dry, wet = (
         scanned_force(lambda r, z, k=k: np.abs(bowl_pressure(45e-3, 70e-3, k, r, z)) ** 2, 3e6, loss)
         for k, loss in ((lossless, 0.5), (K, 0.0))
     )
-    # a beam attenuated along its waves' own ways beside one attenuated along the axis
-    places = np.linspace(0, 1e-3, 5), np.linspace(-8e-3, 8e-3, 9)
-    assert np.abs(dry.at(*places) - wet.at(*places)).max() < 0.01
+    # One beam is attenuated along the paths of its waves, the other along the axis.
+    points = np.linspace(0, 1e-3, 5), np.linspace(-8e-3, 8e-3, 9)
+    assert np.abs(dry.at(*points) - wet.at(*points)).max() < 0.01
 
 
 def test_a_scan_without_a_beam_is_refused() -> None:

@@ -10,7 +10,7 @@ import pytest
 import hpe_rig as hpe
 from hpe_rig.measurement import prepare
 from hpe_rig.moduli.forecast import ModuliForecast, moduli_forecast, moduli_text
-from hpe_rig.moduli.places import with_shared_noise
+from hpe_rig.moduli.scene_geometry import with_shared_noise
 
 SHORT = {"excitation.burst_count": 15, "processing.window_start_s": 50e-3}
 
@@ -46,7 +46,7 @@ def test_depths_are_counted_and_tell_more_but_for_what_they_share(tmp_path: Path
     found = hpe.fit_moduli(run, laws=["voigt"])
     fit = found.best
     expected, one = forecast(values), forecast({"sweep.lateral_offset_m": [1e-3, 3e-3]})
-    assert "from 2 places, 6 gates" in str(expected)
+    assert "from 2 lateral offsets, 6 gates" in str(expected)
     assert expected.uncertainty[0] < 0.8 * one.uncertainty[0]
     np.testing.assert_allclose(expected.uncertainty, list(fit.uncertainty.values()), rtol=0.2)
     # what all depths of a record share does not average out over them
@@ -67,13 +67,13 @@ def test_the_declared_medium_counts_before_the_twins_and_a_typical_one_where_nei
 def test_check_prints_it_for_a_scene_of_several_places_and_says_why_not_otherwise() -> None:
     line = [line for line in str(hpe.check("gelatin-moduli")).splitlines() if line.startswith("moduli")]
     assert len(line) == 1
-    assert "from 5 places" in line[0]
+    assert "from 5 lateral offsets" in line[0]
     assert "moduli" not in str(hpe.check("gelatin-12")).split("prediction at")[1]
     setup = prepare(hpe.load_scene("gelatin-moduli").with_({"simulation.receiver.snr_db": 80.0}), None)
     flat = setup.scene.scene.with_(
         {"beams.excitation_width_m": [0.34e-3, 0.2e-3, 3.6e-3], "simulation.specimen.field": "gaussian"}
     )
-    assert list(moduli_text(flat, setup.plan)) == ["moduli: left out, a force of 0.00034 m by 0.0002 m is not round"]
+    assert list(moduli_text(flat, setup.plan)) == ["moduli: no forecast, a force of 0.00034 m by 0.0002 m is not round"]
 
 
 def test_a_scene_in_which_nothing_stands_out_is_told_so() -> None:

@@ -15,7 +15,8 @@ import pytest
 from hpe_rig.medium import PushForce
 from hpe_rig.medium.material_laws import LAWS
 from hpe_rig.moduli.inversion import bound, compare_media, fit_medium
-from hpe_rig.moduli.vibration_model import Problem, Push, Vibration
+from hpe_rig.moduli.problem import Problem
+from hpe_rig.moduli.vibration_model import Push, Vibration
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
@@ -74,7 +75,7 @@ HELD = json.loads((Path(__file__).parents[2] / "fixtures" / "held_shear_field.js
 
 @pytest.mark.parametrize("medium", HELD["media"], ids=lambda medium: f"{medium['shear_modulus_pa']:g} Pa")
 def test_spectra_by_an_independent_quadrature_give_the_moduli_back_to_1e_6(medium: dict[str, Any]) -> None:
-    """scripts/held_shear_field.py, which uses nothing of ours: converged to 2e-11 of the largest amplitude."""
+    """scripts/validation/held_shear_field.py uses none of our code: converged to 2e-11 of the largest amplitude."""
     push = Push(
         PushForce(tuple(HELD["width_m"][:1]), HELD["width_m"][1]), HELD["burst_rate_hz"], HELD["burst_length_s"]
     )
@@ -142,7 +143,7 @@ def test_the_stated_uncertainty_is_the_bound_at_the_truth() -> None:
     fit = fit_medium(exact, PUSH)
     np.testing.assert_allclose(bound(exact, PUSH, "voigt", (9e3, 2.0)), fit.covariance, rtol=1e-4)
     u_mu1, u_mu2 = np.sqrt(np.diag(fit.covariance)) / [9e3, 2.0]
-    # docs/theory/moduli.md: 0.33 and 0.75 % with five places, widths known to 5 %
+    # docs/explanation/moduli.md: 0.33 and 0.75 % with five places, widths known to 5 %
     assert u_mu1 == pytest.approx(0.0033, abs=2e-4)
     assert u_mu2 == pytest.approx(0.0075, abs=3e-4)
 
@@ -173,9 +174,9 @@ def test_a_wrong_width_is_taken_up_where_it_is_uncertain_and_excluded_where_it_i
 def test_too_few_data_are_refused() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     (one,) = vibrations(specimen, (1e-3,), frequency_hz=FREQUENCY_HZ[:1])
-    with pytest.raises(ValueError, match="measure at more places or frequencies"):
+    with pytest.raises(ValueError, match="measure at more lateral offsets or frequencies"):
         fit_medium([one], PUSH)
-    with pytest.raises(ValueError, match="no place"):
+    with pytest.raises(ValueError, match="no vibration"):
         fit_medium([], PUSH)
 
 
@@ -191,13 +192,13 @@ def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vi
     places_m, width = np.array([0.0, 1e-3, 4e-3]), (0.34e-3, 0.34e-3, 3.6e-3)
     covariance = NOISE_M**2 * np.eye(2 * FREQUENCY_HZ.size)
     known = {"gain_uncertainty": SPECKLE, "phase_uncertainty_rad": SPECKLE, "area_uncertainty": 0.6}
-    known |= {"lateral_uncertainty_m": 35e-6, "place_uncertainty_m": 20e-6, "tracking_m2": (3e-9, 1e-7)}
+    known |= {"lateral_uncertainty_m": 35e-6, "stage_uncertainty_m": 20e-6, "tracking_m2": (3e-9, 1e-7)}
     field = field_transfer(specimen, width, places_m, np.abs(depths_m), FREQUENCY_HZ)
     field = field * (PUSH.spectrum(FREQUENCY_HZ)[:, None, None] * 800e-9 / abs(field[0, 0, 0]))
     found = []
     for i, j in itertools.product(range(1, 3), range(len(depths_m))):
         x, z = float(places_m[i]), depths_m[j]
-        there = {"place": f"{x}", "axial_m": z, "travel_s": z / 1540, "axial_uncertainty_m": 1e-4 if z else 0.0}
+        there = {"position": f"{x}", "axial_m": z, "travel_s": z / 1540, "axial_uncertainty_m": 1e-4 if z else 0.0}
         label = f"{x * 1e3:g} mm, {z * 1e3:+g} mm"
         found.append(Vibration(label, FREQUENCY_HZ, field[:, i, j], covariance, x, **there, **known))
     return found
@@ -226,8 +227,8 @@ def test_slopes_by_everything_that_depths_add_are_those_of_finite_differences() 
 def test_depths_tell_more_but_not_of_what_the_stage_is_off() -> None:
     """Three depths share the stage's error: they tell more than one, and less than if each had an error of its own."""
     # a stage so bad that little else counts
-    deep = [replace(one, place_uncertainty_m=0.3e-3) for one in at_depths((9e3, 2.0), (-1e-3, 0.0, 1e-3))]
-    alone = [replace(one, place="") for one in deep]
+    deep = [replace(one, stage_uncertainty_m=0.3e-3) for one in at_depths((9e3, 2.0), (-1e-3, 0.0, 1e-3))]
+    alone = [replace(one, position="") for one in deep]
     flat = [one for one in deep if not one.axial_m]
     shared, independent, one = (np.sqrt(bound(each, PUSH, "voigt", (9e3, 2.0))[0, 0]) for each in (deep, alone, flat))
     assert independent < 0.9 * shared

@@ -10,11 +10,9 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.medium import law_of
-from hpe_rig.moduli import ModuliResult, Source, moduli_of, push_of
-from hpe_rig.moduli.places import APERTURE_SHAPE
-from hpe_rig.moduli.vibration_model import Problem
-from hpe_rig.prediction.beam_averaging import resting_conditions
-from hpe_rig.prediction.error_model import draw_speckle, tracked_over_peak
+from hpe_rig.moduli import APERTURE_SHAPE, ModuliResult, Source, moduli_of, push_of
+from hpe_rig.moduli.problem import Problem
+from hpe_rig.prediction import draw_speckle, resting_conditions, tracked_over_peak
 from hpe_rig.store import StoredRun
 
 TRUTH = {"shear_modulus_pa": 7.25e3, "viscosity_pa_s": 1.0}
@@ -56,7 +54,7 @@ def test_the_heavy_tail_of_speckle_leaves_the_intervals_what_they_say(run: hpe.R
     12 000 draws of scatterers, and the 2000 of the stated spread, leave sd uncertain by sqrt(5 / 4 / n): 1.0 and 2.5 %.
     """
     scene, found = run.scene.places[0], hpe.fit_moduli(run, laws=["voigt"]).vibrations
-    places = [replace(found[0], lateral_m=at, place="") for at in (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3)][:count]
+    places = [replace(found[0], lateral_m=at, position="") for at in (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3)][:count]
     problem = Problem.of(places, push_of([scene]), law_of("voigt"))
     jacobian = problem.jacobian(problem.start(np.array([np.log(7.25e3), np.arcsinh(1 / 0.05)]))[0])
     inverse, data = np.linalg.pinv(jacobian)[:2], jacobian[: problem.data_count]
@@ -85,7 +83,7 @@ def test_harmonics_below_their_noise_are_left_out_and_named(run: hpe.Run) -> Non
     assert line.startswith("14 mm: ")
     assert "1000 Hz, less than 3 times its uncertainty" in line
     assert result.vibrations[-1].frequency_hz.size < 10
-    assert f"left out: {line}" in str(result)
+    assert f"omitted: {line}" in str(result)
 
 
 def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> None:
@@ -99,7 +97,7 @@ def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> Non
     said = "\n".join(result.omitted)
     for words in (
         "2.25 mm: shot 2, incomplete",
-        "2.25 mm: no shot there can be estimated",
+        "2.25 mm: no shot can be estimated",
         "3.5 mm: shot 3, untrusted: the settings changed",
     ):
         assert words in said
@@ -108,7 +106,7 @@ def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> Non
 
 def test_a_run_without_one_good_shot_is_refused_with_the_reasons(run: hpe.Run) -> None:
     nothing = replace(run.stored, shot_complete=np.zeros(4, bool))
-    with pytest.raises(ValueError, match=r"no place has a vibration.*1 mm: shot 1, incomplete"):
+    with pytest.raises(ValueError, match=r"no vibration exceeds its noise.*1 mm: shot 1, incomplete"):
         fitted(run, nothing)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpe_rig.moduli.shear_speed import fit_voigt, shear_speed, voigt_speed
-from hpe_rig.result.values import Estimate
+from hpe_rig.result import Estimate
 
 FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
 

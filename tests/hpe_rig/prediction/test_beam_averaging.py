@@ -1,4 +1,4 @@
-"""Averaging over the tracking beam in the medium's own field: closed forms, quadrature, the twin's own scatterers."""
+"""Beam averaging of scenes, against closed forms, quadratures and the twin's scatterers."""
 
 from dataclasses import replace
 
@@ -8,25 +8,12 @@ from numpy.typing import NDArray
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare_text
-from hpe_rig.prediction.beam_averaging import (
-    SHAPE_RELATIVE,
-    _gaussian_steepness,
-    _seen_through,
-    beam_widths,
-    depth_spread,
-    gaussian_averaging,
-    medium_motion,
-    oblique_share,
-    off_focus,
-    predicted_averaging,
-    region_spread,
-    resting_conditions,
-    speckle_spread,
-    width_scale,
-)
-from hpe_rig.prediction.error_model import seeded_speckle, tracked_over_peak
+from hpe_rig.medium import axial_offset_factor, gaussian_averaging, gaussian_steepness, obliquity_factor
+from hpe_rig.prediction import beam_widths, predicted_averaging, resting_conditions, tracked_over_peak
+from hpe_rig.prediction.beam_averaging import SHAPE_RELATIVE, averaging_ratio
+from hpe_rig.prediction.speckle import seeded_speckle
+from hpe_rig.prediction.speckle_spread import region_spread, speckle_spread
 from hpe_rig.prediction.text import averaging_text
-from hpe_rig.prediction.theory import carrier_spread
 from hpe_rig.result import Averaging
 from hpe_rig.scene import SettingsError, load_scene, parse_scene, shipped_scenes
 from sim_backend.echoes.exact_sums import running_sum
@@ -34,7 +21,7 @@ from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings.simulation import Beams, Scatterers, SimulationSettings, Specimen
-from sim_backend.transducer import pulse_echo_beam, push_intensity
+from sim_backend.transducer import push_intensity
 
 FORCE_M = (0.17e-3, 0.17e-3, 1.80e-3)
 TRACKING_M = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -44,38 +31,8 @@ MUSCLE = shipped_scenes()["bovine-muscle"]
 NARROW = MUSCLE.replace("[0.34e-3, 0.34e-3, 3.60e-3]", "[0.17e-3, 0.17e-3, 1.80e-3]")
 
 
-def voigt(modulus_pa, viscosity_pa_s, frequency_hz=FREQUENCY_HZ):
-    return modulus_pa + 2j * np.pi * frequency_hz * viscosity_pa_s
-
-
-def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
-    """An endless column of 0.34 mm in 4 kPa gelatin, T = 0.155 mm; half a unit of its digits."""
-    column_m, tracking_m = (0.34e-3, 0.34e-3, 0.5), (0.155e-3, 0.155e-3, 1.0)
-    tracked, peak, _ = medium_motion(voigt(4e3, 1.0), 1000.0, FREQUENCY_HZ, column_m, tracking_m, 0.0)
-    ratio = tracked / peak
-    assert np.abs(ratio) == pytest.approx([0.984, 0.980, 0.973, 0.955], abs=6e-4)
-    assert np.degrees(np.angle(ratio[[0, 3]])) == pytest.approx([-0.6, -1.6], abs=0.05)
-
-
-@pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(4e3, 1.0), (13.5e3, 2.0)])
-def test_averaging_equals_the_quadrature_over_the_twins_field(modulus_pa, viscosity_pa_s):
-    specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
-    depth_m = 0.3e-3
-    node, weight = np.polynomial.legendre.leggauss(16)
-    across_m, along_m = 4 * TRACKING_M[0] * (node + 1) / 2, 5 * depth_m * node
-    across = weight * across_m * np.exp(-((across_m / TRACKING_M[0]) ** 2))
-    along = weight * np.exp(-((along_m / depth_m) ** 2) / 2)
-    field = field_transfer(specimen, FORCE_M, across_m, np.abs(along_m), FREQUENCY_HZ)
-    peak = field_transfer(specimen, FORCE_M, np.zeros(1), np.zeros(1), FREQUENCY_HZ)[:, 0, 0]
-    expected = np.einsum("fra,r,a->f", field, across, along) / across.sum() / along.sum() / peak
-    medium = voigt(modulus_pa, viscosity_pa_s), 1000.0, FREQUENCY_HZ
-    tracked, own, _ = medium_motion(*medium, FORCE_M, TRACKING_M, depth_m)
-    # What the field's own quadrature promises.
-    assert np.abs(tracked / own - expected).max() < 2e-6
-
-
 def test_steepness_is_the_change_of_the_averaging_with_the_beams_area():
-    """Of the Gaussian motion, and of a medium's under the declared medium; central differences of 1e-3."""
+    """For the Gaussian motion and for the declared medium; central differences of 1e-3."""
     scene = parse_scene("a", MUSCLE + "\n[medium]\nshear_modulus_pa = 4e3\nshear_viscosity_pa_s = 1.0\n").scene
     beams = beam_widths(scene, "coherent")
     wider, narrower = (
@@ -83,24 +40,15 @@ def test_steepness_is_the_change_of_the_averaging_with_the_beams_area():
         for scale in (1.001**0.5, 0.999**0.5)
     )
     area = (gaussian_averaging(each.force_width_m, each.tracking_width_m, 0.0) for each in (wider, narrower))
-    assert _gaussian_steepness(beams) == pytest.approx(np.log(next(area) / next(area)) / 2e-3, rel=1e-5)
-    ratios = (_seen_through(scene, each, FREQUENCY_HZ)[0] for each in (wider, narrower))
+    assert gaussian_steepness(beams) == pytest.approx(np.log(next(area) / next(area)) / 2e-3, rel=1e-5)
+    ratios = (averaging_ratio(scene, each, FREQUENCY_HZ).ratio for each in (wider, narrower))
     change = np.log(next(ratios) / next(ratios)) / 2e-3
-    steep = _seen_through(scene, beams, FREQUENCY_HZ)[2]
-    assert steep == pytest.approx(np.abs(change.real) + 1j * np.abs(change.imag), rel=1e-5)
+    steepness = averaging_ratio(scene, beams, FREQUENCY_HZ).steepness
+    assert steepness == pytest.approx(np.abs(change.real) + 1j * np.abs(change.imag), rel=1e-5)
 
 
-def test_gaussian_of_the_scaled_width_is_tracked_alike():
-    depth_m = depth_spread(TRACKING_M, GATE_M, PULSE_M, "none")
-    for averaging in (0.3, 0.9, 0.955, 0.984):
-        scale = width_scale(averaging, FORCE_M, TRACKING_M, depth_m)
-        wide_m = tuple(scale * width for width in FORCE_M)
-        assert gaussian_averaging(wide_m, TRACKING_M, depth_m) == pytest.approx(averaging, rel=1e-9)
-    assert width_scale(1.0, FORCE_M, TRACKING_M, depth_m) > 100
-
-
-def test_a_declared_medium_is_taken_as_it_is_and_else_the_ensemble_says_what_it_does_not_know():
-    """The twin's own medium is one of the ensemble, which no one tells; two of its standard deviations."""
+def test_a_declared_medium_has_no_uncertainty_and_an_unknown_one_that_of_the_ensemble():
+    """The twin's medium lies within two standard deviations of the ensemble."""
     text = "\n[medium]\nshear_modulus_pa = {}\nshear_viscosity_pa_s = {}\n"
     unknown = predicted_averaging(parse_scene("a", MUSCLE).scene, "coherent")
     soft, own = (
@@ -114,7 +62,7 @@ def test_a_declared_medium_is_taken_as_it_is_and_else_the_ensemble_says_what_it_
     factors = [[item.factor for item in each] for each in (own, soft)]
     assert factors[0][-1] < factors[0][0]
     assert factors[1][-1] < factors[0][-1]
-    assert "by the Gaussian of eq. (12) 0.970" in "".join(averaging_text(parse_scene("a", MUSCLE).scene))
+    assert "0.970 for the Gaussian motion of eq. (12)" in "".join(averaging_text(parse_scene("a", MUSCLE).scene))
 
 
 def test_without_tonebursts_the_motion_is_the_gaussian():
@@ -184,25 +132,14 @@ def test_twins_scatterers_are_tracked_as_predicted():
     assert np.angle(tracked).std() == pytest.approx(predicted.speckle_phase_rad, rel=6 / np.sqrt(draws) + 0.1)
 
 
-@pytest.mark.parametrize(("offset_m", "uncertainty_m"), [(0.0, 0.35e-3), (1.0e-3, 0.35e-3), (1.8e-3, 1e-3)])
-def test_a_gate_off_the_focus_moves_less_by_a_known_factor_and_a_spread(offset_m: float, uncertainty_m: float) -> None:
-    width_m, draws = 1.8e-3, 200_000
-    factor, spread = off_focus(offset_m, uncertainty_m, width_m)
-    depth_m = offset_m + uncertainty_m * np.random.default_rng(0).standard_normal(draws)
-    moved = np.exp(-(depth_m**2) / (2 * width_m**2))
-    assert factor == pytest.approx(np.exp(-(offset_m**2) / (2 * width_m**2)))
-    square = (moved / factor - 1) ** 2
-    assert spread**2 == pytest.approx(square.mean(), abs=4 * square.std() / np.sqrt(draws))
-
-
-def test_a_declared_focus_corrects_for_the_offset_and_takes_the_depths_uncertainty_along() -> None:
+def test_a_declared_focus_corrects_for_the_offset_and_adds_the_depths_uncertainty() -> None:
     scene = load_scene("table-1")
     (at_focus,) = predicted_averaging(scene, "coherent")
     (off,) = predicted_averaging(scene.with_({"beams.focus_depth_m": 71.0e-3}), "coherent")
     assert at_focus is not None
     assert off is not None
     assert at_focus.offset_relative == 0
-    factor, spread = off_focus(-1.0e-3, 0.005 * 70.0e-3, 1.8e-3)
+    factor, spread = axial_offset_factor(-1.0e-3, 0.005 * 70.0e-3, 1.8e-3)
     assert (off.factor / at_focus.factor, off.offset_relative) == pytest.approx((factor, spread))
 
 
@@ -229,7 +166,7 @@ def test_a_gate_holding_many_speckles_spreads_less() -> None:
     assert long == pytest.approx(short / 2, rel=0.15)
 
 
-def test_an_estimator_by_the_carrier_states_how_far_the_echo_s_frequency_lies_off_it() -> None:
+def test_an_estimator_by_the_carrier_has_the_spread_of_the_echo_s_frequency() -> None:
     table_one = load_scene("table-1")
     (by_carrier,), (by_echo,) = (predicted_averaging(table_one, each) for each in ("kasai", "loupas"))
     assert by_carrier is not None
@@ -240,45 +177,31 @@ def test_an_estimator_by_the_carrier_states_how_far_the_echo_s_frequency_lies_of
     assert by_echo.carrier_relative == 0
 
 
-def drawn_echoes(gate_m: float, draws: int = 4000) -> tuple[NDArray[np.complex128], NDArray[np.complex128], float]:
-    """Return echoes (draw, instant) of speckle in a gate at the focus, and the instants' distance in depth, m.
-
-    As they are, and with what comes from each depth times its square.
-    """
+def drawn_echoes(gate_m: float, draws: int = 4000) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return echoes (draw, instant) of speckle in a gate at the focus, and the same weighted by squared depth."""
     random, fine_m = np.random.default_rng(2), 0.01e-3
-    place_m, at_m = (np.arange(-each, each, fine_m) for each in ((gate_m + PULSE_M) / 2, gate_m / 2))
-    strength = random.standard_normal((draws, place_m.size)) + 1j * random.standard_normal((draws, place_m.size))
-    strength = strength * np.exp(-(place_m**2) / (2 * TRACKING_M[2] ** 2))
-    away = at_m[:, None] - place_m
-    pulse = np.where(np.abs(away) < PULSE_M / 2, np.cos(np.pi * away / PULSE_M) ** 2, 0.0).T
-    return strength @ pulse, (strength * place_m**2) @ pulse, fine_m
+    position_m, instant_m = (np.arange(-half, half, fine_m) for half in ((gate_m + PULSE_M) / 2, gate_m / 2))
+    strength = random.standard_normal((draws, position_m.size)) + 1j * random.standard_normal((draws, position_m.size))
+    strength = strength * np.exp(-(position_m**2) / (2 * TRACKING_M[2] ** 2))
+    distance_m = instant_m[:, None] - position_m
+    pulse = np.where(np.abs(distance_m) < PULSE_M / 2, np.cos(np.pi * distance_m / PULSE_M) ** 2, 0.0).T
+    return strength @ pulse, (strength * position_m**2) @ pulse
 
 
-@pytest.mark.parametrize("gate_m", [0.5e-3, 1e-3, 2e-3])
-def test_the_carrier_s_spread_is_that_of_echoes_drawn_at_random(gate_m: float) -> None:
-    per_m = 4 * np.pi * 9e6 / 1540.0
-    echo, _, fine_m = drawn_echoes(gate_m)
-    # the phase between neighbouring instants, weighted by energy
-    step = np.imag(np.sum(np.conj(echo[:, :-1]) * echo[:, 1:], axis=1)) / fine_m
-    mean_per_m = step / np.sum(np.abs(echo) ** 2, axis=1)
-    # of nearly normal numbers, 4000 draws: 1 / sqrt(8000) = 1.1 %, three of these and 1 % for the steps of the sums
-    assert mean_per_m.std() / per_m == pytest.approx(carrier_spread(TRACKING_M[2], gate_m, PULSE_M, per_m), rel=0.044)
-
-
-def test_the_gate_s_ends_spread_no_motion() -> None:
+def test_the_gate_s_ends_add_no_spread() -> None:
     resting = resting_conditions(load_scene("bovine-muscle"))
     assert resting is not None
     rigid = tracked_over_peak(resting, "coherent", seeded_speckle(resting, 200, lambda place: np.ones(place.shape[1])))
     np.testing.assert_allclose(rigid, 1.0, rtol=1e-12)
     # a motion that changes along the axis alone, by a part of what the ends would cut
     by_depth = tracked_over_peak(resting, "coherent", seeded_speckle(resting, 2000, lambda place: place[2] ** 2 / 1e-6))
-    echo, weighted, _ = drawn_echoes(GATE_M)
+    echo, weighted = drawn_echoes(GATE_M)
     expected = np.sum(np.conj(echo) * weighted, axis=1).real / np.sum(np.abs(echo) ** 2, axis=1) / 1e-6
     # 2000 and 4000 draws of kurtosis 6: 2.5 and 1.8 % of the standard deviation, three of both
     assert by_depth.std() == pytest.approx(expected.std(), rel=0.09)
 
 
-def test_speckle_turns_the_phase_where_the_lag_varies_over_the_beam() -> None:
+def test_speckle_changes_the_phase_if_the_lag_varies_over_the_beam() -> None:
     def of_medium(modulus_pa: float, viscosity_pa_s: float) -> list[Averaging]:
         medium = f"\n[medium]\nshear_modulus_pa = {modulus_pa}\nshear_viscosity_pa_s = {viscosity_pa_s}\n"
         each = predicted_averaging(parse_scene("a", NARROW + medium).scene, "coherent")
@@ -296,7 +219,7 @@ def test_speckle_turns_the_phase_where_the_lag_varies_over_the_beam() -> None:
     assert np.degrees(turned) == pytest.approx([0.093, 0.487], rel=0.15)
 
 
-def test_speckle_moves_the_middle_of_what_is_tracked_as_independent_cells_would():
+def test_speckle_shifts_the_tracked_region_like_independent_cells():
     """Of a long gate: sigma^2 / 2 over its number of independent cells, less one.
 
     Echo and echo weighted by place are circular Gaussian and independent of each other; cells by the pulse's own
@@ -312,24 +235,13 @@ def test_speckle_moves_the_middle_of_what_is_tracked_as_independent_cells_would(
     pulse = np.where(np.abs(shift) < 0.5, np.cos(np.pi * shift) ** 2, 0.0)
     correlation = np.interp(lag, shift[1000:] * 2, np.correlate(pulse, pulse, "full")[2000::2] / (pulse @ pulse))
     cells = lag.size / np.sum(correlation**2)
-    area, middle_m, _ = region_spread(resting, "coherent")
-    assert middle_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
+    spread = region_spread(resting, "coherent")
+    assert spread.lateral_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
     # r^2 / 2 of both axes spreads by sigma^2, as x does by sigma
-    assert area == pytest.approx(middle_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
+    assert spread.area_relative == pytest.approx(spread.lateral_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
 
 
-@pytest.mark.parametrize("diameter_m", [30e-3, 45e-3])
-def test_oblique_waves_sense_what_the_twins_aperture_says(diameter_m: float) -> None:
-    settings = SimulationSettings.model_validate(
-        {"beams": {"field": "aperture", "transducer": {"diameter_m": diameter_m}}}
-    )
-    lateral_m = np.linspace(0, 0.6e-3, 300)
-    seen, sensed = pulse_echo_beam(settings, (9.0e6,), 0.6e-3, 0.1e-3).at(lateral_m, np.zeros(300))
-    energy = np.abs(seen[0]) ** 2 * lateral_m
-    assert oblique_share(diameter_m, 70e-3) == pytest.approx((sensed * energy).sum() / energy.sum(), abs=2e-4)
-
-
-def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty() -> None:
+def test_a_declared_aperture_lowers_the_factor_and_widens_its_uncertainty() -> None:
     scene = load_scene("bovine-muscle")
     plain = predicted_averaging(scene, "coherent")[0]
     oblique = predicted_averaging(scene.with_({"beams.transducer_diameter_m": 45e-3}), "coherent")[0]
@@ -340,7 +252,7 @@ def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty()
     assert beams is not None
     lateral_m, (node, weight) = np.linspace(0, 0.28e-3, 40), np.polynomial.hermite.hermgauss(5)
     energy = np.exp(-((lateral_m / beams.tracking_width_m[0]) ** 2)) * lateral_m
-    depth_m = np.sqrt(2) * beams.axial_spread_m * node
+    depth_m = np.sqrt(2) * beams.depth_sd_m * node
     settings = SimulationSettings.model_validate({"beams": {"field": "aperture"}, "specimen": {}})
     specimen, hz = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0), np.array([scene.wanted_frequencies_hz[0]])
     aperture, gaussian = (
@@ -352,7 +264,7 @@ def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty()
     )
     other = complex(aperture / gaussian)
     assert abs(other) > 1.001
-    expected = oblique_share(45e-3, 70e-3) * abs(other)
+    expected = obliquity_factor(45e-3, 70e-3) * abs(other)
     assert oblique.factor / plain.factor == pytest.approx(expected, abs=2e-4)
     # it lags more, by 0.04 degrees in this beam
     assert np.angle(other) < -6e-4
@@ -362,7 +274,7 @@ def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty()
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "kasai"])
-def test_gates_without_an_echo_say_nothing_of_speckle(estimator: str) -> None:
+def test_gates_without_an_echo_are_left_out(estimator: str) -> None:
     """Two scatterers a gate on the mean: one gate in eight holds none, and has neither phase nor peak."""
     scene = load_scene("bovine-muscle").with_(
         {"beams.tracking_width_m": (0.5e-3, 0.5e-3, 8e-3), "simulation.scatterers.per_cell": 1.0}
@@ -376,7 +288,7 @@ def test_gates_without_an_echo_say_nothing_of_speckle(estimator: str) -> None:
     assert np.isfinite(tracked_over_peak(resting, estimator, speckle)).all()
 
 
-def test_what_is_foreseen_at_a_frequency_does_not_depend_on_what_else_is_wanted():
+def test_the_prediction_at_a_frequency_does_not_depend_on_the_other_wanted_ones():
     """Beside the push, where media that hardly move at 700 Hz would make the spread of one alone five times as wide."""
     lateral = "lateral_offset_m = [1.0e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6.0e-3]"
     beside = shipped_scenes()["gelatin-moduli"].replace(lateral, "lateral_offset_m = [3.5e-3]")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpe_rig.bench.twin import twin_dose
+from hpe_rig.bench import twin_dose
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
 from hpe_rig.prediction.text import calibration_text, detection_text, extrapolation_text

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hpe_rig.measurement.setup import prepare, prepare_text
+from hpe_rig.medium import TrackingGate, beam_averaging_factor
 from hpe_rig.plan import select
-from hpe_rig.prediction.bounds import harmonic_bound
-from hpe_rig.prediction.error_model import Conditions, Speckle, draw_speckle, expected
+from hpe_rig.prediction import Conditions, Speckle, draw_speckle, estimator_errors
 from hpe_rig.prediction.forecast import conditions_of, predict, remedies
 from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.prediction.text import prediction_text
@@ -36,23 +36,20 @@ def table_one() -> Conditions:
 @pytest.mark.parametrize("snr_db", [10.0, 40.0])
 def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Conditions, snr_db: float) -> None:
     conditions = replace(table_one, snr=10 ** (snr_db / 10))
-    bound_m, _ = harmonic_bound(1e-6, 130, 100, conditions.snr, 9e6, 1540.0)
-    found = expected(
+    # The narrow-band Cramer-Rao bound: phase variance 1 / (130 SNR) of one echo, 2 / 100 of it in each quadrature.
+    bound_m = conditions.metres_per_radian * np.sqrt(2 / (100 * 130 * conditions.snr))
+    errors = estimator_errors(
         conditions, "coherent", draw_speckle(conditions, np.random.default_rng(1), 400), np.random.default_rng(2)
     )
     # Echo and noise outside the gate belong to the same band: of the noise along an echo in the gate 1.4 % lies outside
     # the band, 0.7 % of jitter, and the whole echo is there; 1 mm is 129.87 samples, 0.05 %.
-    assert found.noise_jitter_m == pytest.approx(0.993 * bound_m, rel=3e-3, abs=0)
+    assert errors.noise_jitter_m == pytest.approx(0.993 * bound_m, rel=3e-3, abs=0)
 
 
 def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(table_one: Conditions) -> None:
-    from hpe_rig.prediction.theory import beam_averaging_factor
-
     found = predict(table_one, ("coherent",), draws=3000).expected[0]
-    beams = table_one.excitation_width_m, table_one.tracking_width_m
-    factor = beam_averaging_factor(
-        *beams, 1e-3, table_one.pulse_length_m, scatterers_per_m3=table_one.scatterers_per_m3
-    )
+    gate = TrackingGate(table_one.tracking_width_m, 1e-3, table_one.pulse_length_m)
+    factor = beam_averaging_factor(table_one.excitation_width_m, gate, table_one.scatterers_per_m3)
     # spread 0.06 over 3000 draws: 0.0011; three of these
     assert 1 + found.bias_m / 1e-6 == pytest.approx(factor, abs=0.0033)
 
@@ -113,9 +110,9 @@ def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: floa
 def test_noise_lengthens_an_amplitude_as_the_rice_distribution_says(table_one: Conditions, over_noise: float) -> None:
     rigid = Speckle(np.ones((1, 64), complex), np.ones((1, 64), complex))
     generator = np.random.default_rng(0)
-    deviation_m = expected(table_one, "coherent", rigid, generator).quadrature_m
+    deviation_m = estimator_errors(table_one, "coherent", rigid, generator).quadrature_m
     amplitude_m = over_noise * deviation_m
-    found = expected(replace(table_one, amplitude_m=amplitude_m), "coherent", rigid, generator)
+    found = estimator_errors(replace(table_one, amplitude_m=amplitude_m), "coherent", rigid, generator)
     length = float(mpmath.sqrt(mpmath.pi / 2) * mpmath.laguerre(0.5, 0, -(mpmath.mpf(over_noise) ** 2) / 2))
     # rounding of the amplitude, which the bias is a small part of
     assert found.bias_m == pytest.approx((length - over_noise) * deviation_m, abs=1e-12 * (amplitude_m + deviation_m))

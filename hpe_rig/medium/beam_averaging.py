@@ -1,0 +1,233 @@
+"""Beam averaging: the ratio of the displacement that a beam tracks to the peak displacement at the focus.
+
+    u_tracked / u_peak = prod_i 1 / sqrt(1 + S_i^2 / E_i^2)      Gaussian motion of sigmas E_i, eqs. (8) and (12)
+
+Echoes are weighted by their energy: S_i = T_i / sqrt(2) across, T_i the sigmas of the tracking beam; along the axis S_i
+is the standard deviation of echo depth in the gate. A shear wave is broader than the force that drives it, so its
+displacement loses less than the Gaussian of eq. (12), and the tracked displacement lags the peak.
+
+    gaussian_averaging, beam_averaging_factor     Gaussian motion: dense scatterers; few of them in a short gate
+    tracked_motion, off_axis_motion               shear field of a medium, on the axis and off it
+    tracked_ratio                                 under a force that is not Gaussian
+    obliquity_factor, axial_offset_factor         oblique waves of the aperture; a gate off the focus
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.medium.focal_field import FINE_DIRECTIONS, focal_displacement_and_slope
+from hpe_rig.medium.gate_echoes import TrackingGate, Triple
+from hpe_rig.medium.material_laws import HarmonicMedium
+from hpe_rig.medium.push_force import PushForce
+
+OBLIQUITY_FOCAL_PLANE_MEAN = 0.913
+"""Obliquity loss averaged over the focal plane with echo energy as weight, relative to the loss on the axis.
+
+The same for any aperture (docs/explanation/transducer.md, section 2)."""
+WIDTH_SCALES = (0.05, 1e3)
+"""Range of the scale of a Gaussian motion's width; at the upper end the tracked motion equals the peak to 1e-7."""
+
+
+@dataclass(frozen=True, slots=True)
+class BeamWidths:
+    """Sigmas (x, y, z) of the Gaussian body force and of the tracking beam, m; both are round, so x counts.
+
+    ``depth_sd_m``: standard deviation of echo depth in the gate. ``width_log_sd``: standard deviation of the logarithm
+    of the force's widths, which nobody has measured in the medium. ``lateral_offset_m``: offset of the tracking beam
+    from the force. ``offsets_of_joint_fit_m``: all offsets of a run, this one included; their ensembles are computed at
+    once. ``force``: the force's shape if it is not Gaussian, used on the axis only.
+    """
+
+    force_width_m: Triple
+    tracking_width_m: Triple
+    depth_sd_m: float
+    width_log_sd: float = 0.3
+    lateral_offset_m: float = 0.0
+    offsets_of_joint_fit_m: tuple[float, ...] = ()
+    force: PushForce | None = None
+
+    @property
+    def tracking_area_m2(self) -> float:
+        """Variance across of the echo energy of the tracking beam, T^2 / 2."""
+        return self.tracking_width_m[0] ** 2 / 2
+
+
+class TrackedMotion(NamedTuple):
+    """Displacement up to one real factor, complex (frequency, ...), time factor exp(+jwt).
+
+    ``steepness``: derivative of ``tracked`` by the logarithm of the tracking beam's area, which speckle changes.
+    """
+
+    tracked: ComplexArray
+    peak: ComplexArray
+    steepness: ComplexArray
+
+
+def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
+    """Return tracked and peak displacement (frequency,) at the focus of the Gaussian force of ``beams``.
+
+    Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a force that is wider by as much, at
+    equal density in wave-number space.
+    """
+    area_m2, across_m2, along_m2 = beams.tracking_area_m2, beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2
+    values, slopes = _tracked_and_peak(
+        medium.shear_k2.astype(np.complex128).tobytes(),
+        (across_m2 + area_m2, across_m2),
+        (along_m2 + beams.depth_sd_m**2, along_m2),
+    )
+    return TrackedMotion(*(np.stack([*values, area_m2 * slopes[0]]) / medium.modulus_pa))
+
+
+@functools.lru_cache(maxsize=4)
+def _tracked_and_peak(
+    shear_k2: bytes, across_m2: tuple[float, float], along_m2: tuple[float, float]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return tracked and peak motion times the modulus, and their derivatives by A, each (2, frequency).
+
+    Cached: the prediction of a scene needs the motion of all harmonics several times.
+    """
+    k2 = np.frombuffer(shear_k2, np.complex128)
+    return focal_displacement_and_slope(np.stack([k2, k2]), np.array(across_m2), np.array(along_m2), FINE_DIRECTIONS)
+
+
+def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:
+    """Return tracked and peak displacement (frequency, offset) per body force at ``lateral_m`` off the force's axis.
+
+    Speckle moves the tracked region as well as changing its area, each by the same fraction of its radius. The
+    steepness is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
+    """
+    # A function-level import: a prescribed motion has no medium and must not load SciPy.
+    from hpe_rig.medium.shear_field import focal_plane_motion
+
+    (x, _, z), area_m2 = beams.force_width_m, beams.tracking_area_m2
+    tracked, by_area, by_offset = focal_plane_motion(
+        medium, (x, z), x**2 + area_m2, z**2 + beams.depth_sd_m**2, lateral_m
+    )
+    relative_by_area, relative_by_offset = area_m2 * by_area / tracked, np.sqrt(area_m2) * by_offset / tracked
+    steepness = np.hypot(relative_by_area.real, relative_by_offset.real) + 1j * np.hypot(
+        relative_by_area.imag, relative_by_offset.imag
+    )
+    peak = focal_plane_motion(medium, (x, z), x**2, z**2, lateral_m)[0]
+    return TrackedMotion(tracked, peak, tracked * steepness)
+
+
+def tracked_ratio(medium: HarmonicMedium, force: PushForce, beams: BeamWidths) -> ComplexArray:
+    """Return tracked over peak displacement (frequency,) under ``force``, of any shape, at the offset of ``beams``."""
+    modulus, frequency = tuple(medium.modulus_pa.tolist()), tuple(medium.frequency_hz.tolist())
+    return np.array(_tracked_ratio(modulus, frequency, medium.density_kg_per_m3, force, beams))
+
+
+@functools.lru_cache(maxsize=16)
+def _tracked_ratio(
+    modulus_pa: tuple[complex, ...],
+    frequency_hz: tuple[float, ...],
+    density: float,
+    force: PushForce,
+    beams: BeamWidths,
+) -> tuple[complex, ...]:
+    from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
+
+    medium, offset_m = HarmonicMedium(np.array(frequency_hz), np.array(modulus_pa), density), beams.lateral_offset_m
+    beam = TrackedRegion(np.array([offset_m]), 0.0, beams.tracking_area_m2, beams.depth_sd_m**2)
+    tracked, peak = (
+        shear_motion(medium, force, region).value[:, 0] for region in (beam, TrackedRegion(np.array([offset_m])))
+    )
+    return tuple((tracked / peak).tolist())
+
+
+def gaussian_averaging(motion_width_m: Triple, tracking_width_m: Triple, depth_sd_m: float) -> float:
+    """Return tracked over peak displacement of a Gaussian motion in dense scatterers, eq. (12)."""
+    sigmas_m = [width / np.sqrt(2) for width in tracking_width_m[:2]] + [depth_sd_m]
+    return float(np.prod([1 / np.hypot(1, s / e) for s, e in zip(sigmas_m, motion_width_m, strict=True)]))
+
+
+def gaussian_steepness(beams: BeamWidths) -> float:
+    """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area."""
+    pairs = zip(beams.tracking_width_m[:2], beams.force_width_m[:2], strict=True)
+    squares = [width**2 / 2 / motion**2 for width, motion in pairs]
+    return -sum(square / (1 + square) for square in squares) / 2
+
+
+def width_scale(averaging: float, motion_width_m: Triple, tracking_width_m: Triple, depth_sd_m: float) -> float:
+    """Return the factor on ``motion_width_m`` at which a Gaussian motion has the ratio ``averaging``.
+
+    The factor is limited to ``WIDTH_SCALES``.
+    """
+    from scipy.optimize import brentq
+
+    def excess(log_scale: float) -> float:
+        x, y, z = (width * float(np.exp(log_scale)) for width in motion_width_m)
+        return gaussian_averaging((x, y, z), tracking_width_m, depth_sd_m) - averaging
+
+    low, high = np.log(WIDTH_SCALES)
+    if excess(high) < 0:
+        return WIDTH_SCALES[1]
+    return WIDTH_SCALES[0] if excess(low) > 0 else float(np.exp(brentq(excess, low, high, xtol=1e-12)))
+
+
+def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_per_m3: float = np.inf) -> float:
+    """Return the expected tracked over peak displacement of a Gaussian motion, for coaxial beams focused mid-gate.
+
+    ``force_width_m`` and the gate's tracking widths are the sigmas E and T of eqs. (12) and (8). Each scatterer has the
+    energy of its echo as weight: factors 1/sqrt(1 + T^2 / 2 E^2) across, a quadrature over depth. Two corrections of
+    leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their density is finite.
+    """
+    depth_m, echo = gate.echoes()
+    # Number of independent speckles: squared trace of the energy matrix over the trace of its square.
+    overlap = (echo.T @ echo) ** 2
+    energy = np.sum(echo**2, axis=0)
+    speckles = energy.sum() ** 2 / overlap.sum()
+    # The correction of a ratio of sums halves for one speckle and is complete for many.
+    completeness = 1 - 1 / (2 * speckles)
+    axial_motion = np.asarray(np.exp(-(depth_m**2) / (2 * force_width_m[2] ** 2)))
+    squared_ratios = [(t / e) ** 2 for e, t in zip(force_width_m[:2], gate.tracking_width_m[:2], strict=True)]
+    lateral_mean = _lateral_mean(squared_ratios, 2)
+    mean = lateral_mean * (energy @ axial_motion) / energy.sum()
+    # Few scatterers: -sum w^2 (u - mean) / (sum w)^2 with the weights w = energy(z) I^2.
+    squared = _lateral_mean(squared_ratios, 4) * (energy**2 @ axial_motion) / np.sum(energy**2)
+    area_m2 = 4 * np.pi * gate.tracking_width_m[0] * gate.tracking_width_m[1] / 2
+    effective_number = scatterers_per_m3 * area_m2 * energy.sum() ** 2 / np.sum(energy**2) * (depth_m[1] - depth_m[0])
+    of_scatterers = float(mean - completeness * (squared - mean) / effective_number)
+    # Few speckles: the same form with the overlap of neighbouring depths.
+    motion = lateral_mean * axial_motion
+    deviation = motion - energy @ motion / energy.sum()
+    return float(of_scatterers - (overlap.sum(axis=0) @ deviation) / energy.sum() ** 2)
+
+
+def _lateral_mean(squared_ratios: list[float], power: int) -> float:
+    """Return the mean of u/u_0 over x and y under the weight I^power; ``squared_ratios`` are (T/E)^2 along x and y."""
+    return float(np.prod([1 / np.sqrt(1 + square / power) for square in squared_ratios]))
+
+
+def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:
+    """Return the echo delay of a displacement u in a focused beam over 2 u / c, weighted by echo energy.
+
+    Waves from a bowl reach the focus at all angles up to its half angle: their mean cosine is below 1.
+    docs/explanation/transducer.md, section 2.
+    """
+    sine = min(diameter_m / 2 / focal_length_m, 1.0)
+    return float(1 - OBLIQUITY_FOCAL_PLANE_MEAN * (1 - np.sqrt(1 - sine**2)) / 2)
+
+
+def axial_offset_factor(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:
+    """Return displacement at ``offset_m`` along the beam over that at the focus, and its relative uncertainty.
+
+    The force, of sigma ``width_m`` along the beam, is much longer than wide: the displacement follows it as
+    d(z) = exp(-z^2 / 2 E_z^2). The uncertainty is the rms of d(z) / d(offset) - 1 over z normal about ``offset_m`` with
+    standard deviation ``uncertainty_m``. It also holds at the focus, where the slope of d vanishes.
+    """
+    factor = np.exp(-(offset_m**2) / (2 * width_m**2))
+
+    def moment(order: int) -> float:
+        """Return the mean of d(z)^order."""
+        variance_m2 = width_m**2 + order * uncertainty_m**2
+        return float(width_m / np.sqrt(variance_m2) * np.exp(-order * offset_m**2 / (2 * variance_m2)))
+
+    mean_square = moment(2) - 2 * factor * moment(1) + factor**2
+    return float(factor), float(np.sqrt(max(mean_square, 0.0)) / factor)

@@ -1,0 +1,296 @@
+"""The least-squares problem of an inversion: whitened data, modelled vibrations and their derivatives.
+
+    minimise  sum |L^-1 (y - y_model(x))|^2 + sum_k n_k^2,    x = (coordinates of the law, ln amplitude, n_1, n_2, ...)
+
+L is the Cholesky factor of the data covariance. The medium's parameters and the common amplitude are free. Every
+nuisance n_k, in units of its standard uncertainty, is an unknown with one more datum: zero within one. The covariance
+of the moduli so includes the uncertainty of widths, positions and gains. Derivation: docs/explanation/moduli.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.medium import QUICK_ERROR, HarmonicMedium, Law, TrackedRegion, shear_motion
+from hpe_rig.moduli.vibration_model import Push, Vibration
+
+TRAVEL_FRACTION, TRAVEL_FRACTION_UNCERTAINTY = 0.5, 0.5
+"""Fraction of the sound's travel time from the focus to another depth by which the force's onset is later, 0 to 1.
+
+A force much longer than the shear wave's path travels with the sound (1); one that acts everywhere at once does not
+(0).
+"""
+MAX_LATERAL_M = 20e-3
+"""Distance from the axis up to which the field has been compared with independent ones."""
+NEGLIGIBLE_ERROR = 0.1
+"""Error of a datum, in standard deviations, that does not matter for the search of minima."""
+COMMON = -1
+"""Index of a nuisance that all vibrations share."""
+
+
+class Nuisance(NamedTuple):
+    """An unknown of known standard uncertainty; ``vibration`` is an index, or ``COMMON``."""
+
+    kind: str
+    vibration: int
+    uncertainty: float
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Explain ``vibrations`` under ``push`` by the material law ``law``.
+
+    ``whitening``: inverse Cholesky factors of the covariances, one a vibration. ``unit_m``: amplitude at which the
+    unknown ln amplitude is 0. ``quick``: use the quick field, which is accurate to ``QUICK_ERROR``.
+    """
+
+    vibrations: tuple[Vibration, ...]
+    push: Push
+    law: Law
+    whitening: tuple[FloatArray, ...]
+    nuisances: tuple[Nuisance, ...]
+    unit_m: float
+    quick: bool = False
+
+    @staticmethod
+    def of(vibrations: Sequence[Vibration], push: Push, law: Law) -> Problem:
+        """Return the problem; raise ``ValueError`` without vibrations and beyond ``MAX_LATERAL_M``."""
+        if not vibrations:
+            raise ValueError("there is no vibration to explain")
+        if too_far := [one.label for one in vibrations if abs(one.lateral_m) > MAX_LATERAL_M]:
+            raise ValueError(
+                f"{', '.join(too_far)}: the field is tested to {MAX_LATERAL_M * 1e3:g} mm from the axis. "
+                "Try: smaller lateral offsets"
+            )
+        whitening = tuple(np.linalg.inv(np.linalg.cholesky(_data_covariance_m2(one, push))) for one in vibrations)
+        unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
+        return Problem(tuple(vibrations), push, law, whitening, _nuisances(vibrations, push), unit_m)
+
+    def with_quick_field(self) -> Problem:
+        """Return the problem with the quick field if its error is hidden by the noise, else ``self``."""
+        peak_m = max(float(np.abs(one.phasor_m).max()) for one in self.vibrations)
+        min_noise_m = min(float(np.sqrt(np.diag(one.covariance_m2).min())) for one in self.vibrations)
+        return replace(self, quick=QUICK_ERROR * peak_m < NEGLIGIBLE_ERROR * min_noise_m)
+
+    @cached_property
+    def data_count(self) -> int:
+        """Number of measured real numbers."""
+        return sum(2 * one.frequency_hz.size for one in self.vibrations)
+
+    @cached_property
+    def free(self) -> int:
+        """Number of unknowns without prior knowledge: the law's parameters and the amplitude."""
+        return len(self.law.parameters) + 1
+
+    def start(self, coordinates: FloatArray) -> tuple[FloatArray, float]:
+        """Return the unknowns at the law's ``coordinates`` with the best amplitude and zero nuisances; chi-square."""
+        unknown = np.zeros(self.free + len(self.nuisances))
+        unknown[: self.free - 1] = coordinates
+        model = self._whitened(self.modelled(unknown))
+        data = self._whitened([one.phasor_m for one in self.vibrations])
+        # The best amplitude is a projection; at least 1e-6 of the data, because its logarithm is the unknown.
+        projection = float(model @ data) / float(model @ model)
+        amplitude = max(projection, 1e-6 * float(np.sqrt((data @ data) / (model @ model))))
+        unknown[self.free - 1] = np.log(amplitude)
+        return unknown, float(np.sum((data - amplitude * model) ** 2))
+
+    def modelled(self, unknown: FloatArray) -> list[ComplexArray]:
+        """Return the modelled phasors (frequency,) of every vibration."""
+        return [value for value, _ in self._model(unknown.tobytes())]
+
+    def residual(self, unknown: FloatArray) -> FloatArray:
+        """Return data minus model in standard deviations, nuisances last."""
+        pairs = zip(self.vibrations, self.modelled(unknown), strict=True)
+        errors_m = [one.phasor_m - value for one, value in pairs]
+        return np.concatenate([self._whitened(errors_m), -unknown[self.free :]])
+
+    def jacobian(self, unknown: FloatArray) -> FloatArray:
+        """Return the derivatives of ``residual`` by the unknowns."""
+        blocks = [
+            root @ np.stack([slopes.real, slopes.imag], axis=1).reshape(-1, unknown.size)
+            for root, (_, slopes) in zip(self.whitening, self._model(unknown.tobytes()), strict=True)
+        ]
+        count = len(self.nuisances)
+        return -np.vstack([*blocks, np.hstack([np.zeros((count, self.free)), np.eye(count)])])
+
+    def covariance(self, unknown: FloatArray) -> FloatArray:
+        """Return the covariance of the law's parameter values, (parameter, parameter)."""
+        return self.in_values(unknown, self.coordinate_covariance(self.jacobian(unknown)))
+
+    def coordinate_covariance(self, jacobian: FloatArray) -> FloatArray:
+        """Return the covariance of the law's coordinates, (parameter, parameter)."""
+        count = self.free - 1
+        # Columns of unit length: parameters of very different sensitivity lose no digits.
+        scale = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(np.float64).tiny)
+        root = np.linalg.pinv(jacobian / scale)
+        return np.asarray((root @ root.T / np.outer(scale, scale))[:count, :count])
+
+    def in_values(self, unknown: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return a ``covariance`` of coordinates as one of parameter values."""
+        slope = self.law.slopes(self.law.values(unknown[: self.free - 1]))
+        return np.asarray(covariance * np.outer(slope, slope))
+
+    def variances_without(self, dropped: BoolArray, jacobian: FloatArray) -> FloatArray:
+        """Return the coordinates' variances (parameter,) without the ``dropped`` (vibration and frequency,) data."""
+        rows = np.concatenate([~np.repeat(dropped, 2), np.ones(len(self.nuisances), bool)])
+        return np.asarray(np.diag(self.coordinate_covariance(jacobian[rows])))
+
+    def _whitened(self, phasors_m: Sequence[ComplexArray]) -> FloatArray:
+        """Return all phasors as real numbers of unit variance."""
+        pairs = zip(self.whitening, phasors_m, strict=True)
+        return np.concatenate([root @ np.stack([y.real, y.imag], axis=-1).ravel() for root, y in pairs])
+
+    @lru_cache(maxsize=2)  # noqa: B019 (a solver asks for residual and jacobian at the same unknowns)
+    def _model(self, unknown_bytes: bytes) -> list[tuple[ComplexArray, ComplexArray]]:
+        """Return the modelled phasors (frequency,) and their derivatives (frequency, unknown) of every vibration."""
+        unknown = np.frombuffer(unknown_bytes)
+        deviations = {
+            (kind, vibration): uncertainty * unknown[self.free + i]
+            for i, (kind, vibration, uncertainty) in enumerate(self.nuisances)
+        }
+        results: dict[int, tuple[ComplexArray, ComplexArray]] = {}
+        for group in self.groups_sharing_field:
+            slopes = self._slopes_by_kind(unknown, deviations, group)
+            for column, vibration in enumerate(group):
+                by_kind = {kind: values[:, column] for kind, values in slopes.items()}
+                results[vibration] = by_kind["gain"], self._slopes_by_unknown(by_kind, unknown.size, vibration)
+        return [results[vibration] for vibration in range(len(self.vibrations))]
+
+    def _slopes_by_kind(
+        self, unknown: FloatArray, deviations: dict[tuple[str, int], float], group: tuple[int, ...]
+    ) -> dict[str, ComplexArray]:
+        """Return the derivatives (frequency, vibration) of the phasors by every kind of unknown.
+
+        The derivative by "gain" is the phasors themselves.
+        """
+        push, count, vibrations = self.push, self.free - 1, [self.vibrations[i] for i in group]
+        # Vibrations of a group share frequencies, depth, averaging along the beam and travel time.
+        frequency_hz, axial_m, travel_s = vibrations[0].frequency_hz, vibrations[0].axial_m, vibrations[0].travel_s
+
+        def of_group(kind: str) -> list[float]:
+            return [deviations.get((kind, i), 0.0) for i in group]
+
+        # Force and tracked region with their deviations. A logarithmic deviation keeps the area positive.
+        width_factor, length_factor = (
+            float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along")
+        )
+        force = push.force.changed({kind: value for (kind, _), value in deviations.items()})
+        mean_area_m2 = np.array([one.tracking_m2[0] for one in vibrations])
+        area_m2 = mean_area_m2 * np.exp(of_group("area"))
+        stage_m = (deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group)
+        shift_m = [speckle + stage for speckle, stage in zip(of_group("lateral"), stage_m, strict=True)]
+        lateral_m = np.array([one.lateral_m for one in vibrations]) + shift_m
+        # The field of the medium.
+        omega, values = 2 * np.pi * frequency_hz, self.law.values(unknown[:count])
+        modulus_pa, by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
+        field = shear_motion(
+            HarmonicMedium(frequency_hz, modulus_pa, push.density_kg_per_m3),
+            force.scaled(width_factor, length_factor),
+            TrackedRegion(lateral_m, axial_m, area_m2, vibrations[0].tracking_m2[1]),
+            self.quick,
+        )
+        # Spectrum of the bursts, their onset, the common amplitude, gain and phase of each vibration.
+        gain = np.array([g + 1j * phase for g, phase in zip(of_group("gain"), of_group("phase"), strict=True)])
+        scale = self.unit_m / self._unit_field * np.exp(unknown[count] + gain)
+        onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
+        # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
+        lead_s = travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
+        prefactor = (push.spectrum(frequency_hz) * onset * np.exp(1j * omega * lead_s))[:, None] * scale
+        # Second mode of speckle: weight moves from in-between to the centre and the edge, at the same area.
+        by_shape = prefactor * field.by_across_twice * mean_area_m2**2 / 2
+        by_depth = np.array(of_group("axial")) * field.by_axial
+        value = prefactor * (field.value + by_depth) + np.array(of_group("shape")) * by_shape
+        by_coordinates = by_values * self.law.slopes(values)
+        return {
+            "gain": value,
+            "phase": 1j * value,
+            "onset": -1j * omega[:, None] * value,
+            "across": prefactor * field.by_width,
+            "along": prefactor * field.by_length,
+            **{kind: prefactor * slopes for kind, slopes in field.by_unsure.items()},
+            "travel": -1j * omega[:, None] * travel_s * value,
+            "axial": prefactor * field.by_axial,
+            "lateral": prefactor * field.by_lateral,
+            "stage": prefactor * field.by_lateral,
+            "area": prefactor * field.by_across * area_m2,
+            "shape": by_shape,
+            **{f"law {i}": prefactor * field.by_modulus * by_coordinates[:, i, None] for i in range(count)},
+        }
+
+    def _slopes_by_unknown(self, by_kind: dict[str, ComplexArray], unknowns: int, vibration: int) -> ComplexArray:
+        """Return the derivatives (frequency, unknown) of one vibration's phasors."""
+        columns = np.zeros((by_kind["gain"].size, unknowns), np.complex128)
+        for i in range(self.free - 1):
+            columns[:, i] = by_kind[f"law {i}"]
+        columns[:, self.free - 1] = by_kind["gain"]
+        for i, (kind, index, uncertainty) in enumerate(self.nuisances):
+            shared_stage = kind == "stage" and index == self.first_at_position[vibration]
+            if index in (COMMON, vibration) or shared_stage:
+                columns[:, self.free + i] = uncertainty * by_kind[kind]
+        return columns
+
+    @cached_property
+    def groups_sharing_field(self) -> tuple[tuple[int, ...], ...]:
+        """Vibrations with the same frequencies, depth and averaging along the beam: one field computes them all."""
+        groups: dict[tuple[object, ...], list[int]] = {}
+        for index, one in enumerate(self.vibrations):
+            key = one.frequency_hz.tobytes(), one.axial_m, one.tracking_m2[1], one.travel_s
+            groups.setdefault(key, []).append(index)
+        return tuple(tuple(group) for group in groups.values())
+
+    @cached_property
+    def first_at_position(self) -> tuple[int, ...]:
+        """For every vibration, the index of the first one at the same position."""
+        return _first_at_position(self.vibrations)
+
+    @cached_property
+    def _unit_field(self) -> float:
+        """A typical displacement per body force: under a static force in 10 kPa."""
+        return 0.5 * self.push.force.across_m[0] ** 2 / 10e3
+
+
+def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, ...]:
+    """Return the nuisances that have an uncertainty: of the push, of positions, of vibrations."""
+    across, along = push.width_uncertainty
+    nuisances = [
+        Nuisance("across", COMMON, across),
+        Nuisance("along", COMMON, along),
+        Nuisance("onset", COMMON, push.onset_uncertainty_s),
+        *(Nuisance(name, COMMON, 1.0) for name, _ in push.force.unsure),
+    ]
+    if any(one.travel_s for one in vibrations):
+        nuisances.append(Nuisance("travel", COMMON, TRAVEL_FRACTION_UNCERTAINTY))
+    first = _first_at_position(vibrations)
+    for index, one in enumerate(vibrations):
+        # A single gate at a position needs no stage unknown: its lateral unknown covers both errors.
+        is_single = first.count(first[index]) == 1
+        if first[index] == index and not is_single:
+            nuisances.append(Nuisance("stage", index, one.stage_uncertainty_m))
+        lateral_m = float(np.hypot(one.lateral_uncertainty_m, one.stage_uncertainty_m * is_single))
+        nuisances += [
+            Nuisance("lateral", index, lateral_m),
+            Nuisance("axial", index, one.axial_uncertainty_m),
+            Nuisance("gain", index, one.gain_uncertainty),
+            Nuisance("phase", index, one.phase_uncertainty_rad),
+            Nuisance("area", index, one.area_uncertainty),
+            Nuisance("shape", index, one.area_uncertainty),
+        ]
+    return tuple(nuisance for nuisance in nuisances if nuisance.uncertainty > 0)
+
+
+def _data_covariance_m2(one: Vibration, push: Push) -> FloatArray:
+    """Return the covariance of noise and of the model error of the force's shape."""
+    model_error_m = push.shape_relative * np.repeat(np.abs(one.phasor_m), 2)
+    return np.asarray(one.covariance_m2 + np.diag(model_error_m**2))
+
+
+def _first_at_position(vibrations: Sequence[Vibration]) -> tuple[int, ...]:
+    """Return for every vibration the index of the first one at its position; its own if it names none."""
+    first: dict[str, int] = {}
+    return tuple(first.setdefault(one.position, i) if one.position else i for i, one in enumerate(vibrations))

@@ -1,0 +1,155 @@
+"""Vibrations of stored runs at all lateral offsets and depths, with their covariance.
+
+Shots at the same offset are averaged, weighted by the inverse of their covariance. Omissions are reported in words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpe_rig.arrays import FloatArray
+from hpe_rig.moduli.scene_geometry import (
+    GateAtDepth,
+    detected,
+    gates_at_depths,
+    has_strongest_push,
+    vibration_at,
+    with_shared_noise,
+)
+from hpe_rig.moduli.vibration_model import Vibration
+from hpe_rig.plan import (
+    Plan,
+    Shot,
+    without_shared_echoes,
+    depth_gates,
+    off_axis_offsets_m,
+    plans_at_offsets,
+    shots_with_gate,
+    with_gate,
+)
+from hpe_rig.prediction import beam_widths
+from hpe_rig.processing import HarmonicFit, displacement_residual_m, shot_fit
+from hpe_rig.result import DETECTED
+from hpe_rig.scene import Scene
+from hpe_rig.store import StoredRun
+
+MIN_PULSES = 30
+"""Pulses below which the correlation of residuals is not estimated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A stored run: its name, scene, plan and records."""
+
+    name: str
+    scene: Scene
+    plan: Plan
+    stored: StoredRun
+
+
+def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tuple[list[Vibration], list[str]]:
+    """Return the vibrations of all runs at every lateral offset and depth, and the omissions in words.
+
+    ``estimator`` defaults to each scene's own. Gates over depth that share echoes with another are omitted.
+    """
+    vibrations, omitted = list[Vibration](), list[str]()
+    for source in sources:
+        suffix = "" if len(sources) == 1 else f" ({source.name})"
+        for scene, plan in plans_at_offsets(source.scene, source.plan):
+            position = f"{source.name}, {scene.tracking.lateral_offset_m:g}"
+            depths = [
+                replace(vibration, position=position)
+                for gate in gates_at_depths(scene, plan, omitted)
+                for vibration in _detected_vibration(gate, source, estimator, _label(gate) + suffix, omitted)
+            ]
+            correlation = _residual_correlation(scene, plan, source.stored) if len(depths) > 1 else 0.0
+            vibrations += with_shared_noise(depths, correlation)
+    return vibrations, omitted
+
+
+def _label(gate: GateAtDepth) -> str:
+    offset = f"{gate.scene.tracking.lateral_offset_m * 1e3:g} mm"
+    return f"{offset}, {gate.axial_m * 1e3:+.3g} mm deep" if abs(gate.axial_m) > 1e-9 else offset
+
+
+def _detected_vibration(
+    gate: GateAtDepth, source: Source, estimator: str | None, label: str, omitted: list[str]
+) -> Iterator[Vibration]:
+    """Yield the vibration in one gate at its detected frequencies, if there are any."""
+    estimator = estimator or gate.scene.processing.estimator
+    fits = list(_fits(gate, source, estimator, label, omitted))
+    if not fits:
+        omitted.append(f"{label}: no shot can be estimated")
+        return
+    vibration = _mean_vibration(gate, label, fits, estimator)
+    selected = detected(vibration)
+    if not selected.all():
+        below = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])
+        omitted.append(f"{label}: {below} Hz, less than {DETECTED:g} times its uncertainty")
+    if selected.any():
+        yield vibration.at_frequencies(selected)
+
+
+def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted: list[str]) -> Iterator[HarmonicFit]:
+    """Yield the fit of every usable shot: complete, trusted, of the strongest force and the first burst length."""
+    beams = beam_widths(gate.scene, estimator, off_axis_offsets_m(source.plan))
+    for shot in gate.plan.shots:
+        reason = _unusable(shot, source.stored, gate.plan)
+        if not reason:
+            try:
+                yield shot_fit(gate.scene, shot, source.stored, estimator, beams)
+                continue
+            except ValueError as error:
+                reason = str(error)
+        omitted.append(f"{label}: shot {shot.index + 1}, {reason}")
+
+
+def _unusable(shot: Shot, stored: StoredRun, plan: Plan) -> str:
+    """Return why a shot is not used, "" if it is."""
+    if not stored.shot_complete[shot.index]:
+        return "incomplete"
+    if reason := stored.untrusted.get(shot.index):
+        return f"untrusted: {reason}"
+    return "" if has_strongest_push(shot, plan) else "of a weaker force or another burst length"
+
+
+def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:
+    """Return the mean of ``fits``, weighted by the inverse of their covariances."""
+    frequency_hz = fits[0].frequency_hz
+    # The wanted harmonics are the first states: A cos(phase), A sin(phase), frequency by frequency.
+    wanted = slice(2 * frequency_hz.size)
+    information = [np.linalg.inv(fit.state_covariance[wanted, wanted]) for fit in fits]
+    covariance = np.linalg.inv(np.sum(information, axis=0))
+    weighted = [weight @ fit.state[wanted] for weight, fit in zip(information, fits, strict=True)]
+    state = covariance @ np.sum(weighted, axis=0)
+    measured = frequency_hz, state[0::2] + 1j * state[1::2], (covariance + covariance.T) / 2
+    return vibration_at(gate.scene, estimator, label, measured, gate.axial_m)
+
+
+def _residual_correlation(scene: Scene, plan: Plan, stored: StoredRun) -> float:
+    """Return the mean correlation of the residuals of gates without common echoes, from the first complete shot."""
+    gates = without_shared_echoes(depth_gates(scene, plan.shots[0]), scene.gate_depth_m)
+    sound_speed_m_per_s = scene.acquisition.sound_speed_m_per_s
+    for index, shot in enumerate(plan.shots):
+        if not stored.shot_complete[shot.index]:
+            continue
+        residuals = (
+            displacement_residual_m(
+                with_gate(scene, gate), shots_with_gate(plan, gate, sound_speed_m_per_s).shots[index], stored
+            )
+            for gate in gates
+        )
+        return _mean_correlation(np.array([residual for residual in residuals if residual is not None]))
+    return 0.0
+
+
+def _mean_correlation(rows: FloatArray) -> float:
+    """Return the mean correlation of pairs of ``rows`` (gate, pulse), 0 for fewer than two rows or few pulses."""
+    finite = np.isfinite(rows).all(axis=0)
+    if len(rows) < 2 or finite.sum() < MIN_PULSES:
+        return 0.0
+    matrix = np.asarray(np.corrcoef(rows[:, finite]))
+    return float(matrix[np.triu_indices(len(rows), 1)].mean())

@@ -1,0 +1,193 @@
+"""Random draws of speckle: complex envelopes of echoes in the gate, at rest and weighted by their displacement.
+
+Scatterers of the stated density are placed at random in a box around the focus and summed into cells of depth. The
+pulse blurs the cells into the gate. Neither the carrier nor pulses in slow time are simulated.
+
+Arrays are in single precision, which halves the time: a finite number of draws limits the accuracy to about 1 %.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array, SingleArray
+from hpe_rig.prediction.conditions import Conditions, Triple
+
+Displacement = Callable[[SingleArray], SingleArray]
+"""Displacement (scatterer,) at the positions (3, scatterer), m from the focus, relative to any unit."""
+
+INSTANTS = 64
+"""Instants of the gate."""
+MAX_SCATTERERS = 5000
+"""Scatterers of one draw. With tens in every resolution cell the sums are nearly normal.
+
+The excess of their fourth moment is inversely proportional to the number in a cell."""
+BLOCK_DRAWS = 50
+"""Draws summed at a time: a block fits into the processor's cache, which halves the time."""
+MAX_CACHED_SCATTERERS = 1e6
+"""Scatterers up to which draws are cached for the next motion: 28 MB."""
+BOX_HALF_WIDTH_SIGMAS = 3.5
+"""Half width of the box in sigmas of the tracking beam: scatterers outside echo with 2e-3 of the peak."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Speckle:
+    """Envelopes (draw, instant) of echoes, at rest and weighted by their displacement."""
+
+    resting: ComplexArray
+    displaced: ComplexArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scattering:
+    """Scatterers summed into cells of depth, (draw, cell): echo, and echo weighted by the displacement."""
+
+    echo: ComplexArray
+    displaced: ComplexArray
+    depth_m: FloatArray
+
+    def speckle(self, gate_length_m: float, pulse_length_m: float) -> Speckle:
+        """Return the envelopes in a gate around the focus for a Hann pulse.
+
+        Draws without an echo in the gate, which sparse scatterers have, carry no information and are left out.
+        """
+        instant_m = ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5) * gate_length_m
+        distance = (instant_m - self.depth_m[:, None]) / pulse_length_m
+        pulse = np.where(np.abs(distance) < 0.5, np.cos(np.pi * distance) ** 2, 0.0)
+        resting, displaced = matmul(self.echo, pulse), matmul(self.displaced, pulse)
+        with_echo = np.any(resting != 0, axis=-1)
+        if with_echo.all() or not with_echo.any():
+            return Speckle(resting, displaced)
+        return Speckle(resting[with_echo], displaced[with_echo])
+
+
+def draw_speckle(
+    conditions: Conditions, generator: np.random.Generator, draws: int = 1000, displacement: Displacement | None = None
+) -> Speckle:
+    """Return envelopes of ``draws`` independent speckles; ``displacement`` as in ``draw_scattering``."""
+    scattering = draw_scattering(conditions, generator, draws, *_cells(conditions), displacement)
+    return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+
+
+@functools.lru_cache(maxsize=4)
+def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacement | None = None) -> Speckle:
+    """Return speckle like ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene.
+
+    Conditions with equal echoes share the same scatterers for any displacement, and a larger number of draws begins
+    with the same ones. Draws are cached unless they are too many.
+    """
+    # Only the fields that scatterers depend on remain in the key of the cached blocks.
+    echoes = replace(conditions, excitation_width_m=(0.0, 0.0, 0.0), pulses=1, frequency_hz=0.0, amplitude_m=0.0)
+    echoes = replace(echoes, snr=np.inf, trigger_jitter_s=0.0, fit_gain=1.0)
+    depth_m = _cells(conditions)[0]
+    is_small = draws * _mean_scatterers(conditions, depth_m) < MAX_CACHED_SCATTERERS
+    draw = _seeded_block if is_small else _seeded_block.__wrapped__
+    blocks = (draw(echoes, number, size) for number, size in enumerate(_block_sizes(draws)))
+    scattering = _scattering(blocks, conditions, depth_m, displacement)
+    return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+
+
+def draw_scattering(
+    conditions: Conditions,
+    generator: np.random.Generator,
+    draws: int,
+    depth_m: float,
+    cells: int,
+    displacement: Displacement | None = None,
+) -> Scattering:
+    """Return ``draws`` draws of scatterers in ``cells`` cells within ``depth_m`` around the focus.
+
+    The default ``displacement`` is the Gaussian of eq. (12). The echo depends on tracking beam and density only: the
+    same draws serve any gate and pulse within ``depth_m``. A draw has at most ``MAX_SCATTERERS``, because predictions
+    do not depend on the echo's strength.
+    """
+    blocks = (_draw_block(conditions, generator, size, depth_m, cells) for size in _block_sizes(draws))
+    return _scattering(blocks, conditions, depth_m, displacement)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """Scatterers of some draws: position (3, scatterer), m, real and imaginary echo, and cell number over all draws.
+
+    ``echo``: the echoes summed into the cells, (draw, cell).
+    """
+
+    position_m: SingleArray
+    parts: tuple[SingleArray, SingleArray]
+    cell: Int64Array
+    echo: ComplexArray
+
+    def displaced(self, displacement: Displacement) -> ComplexArray:
+        """Return the echoes times the displacement, summed into the cells, (draw, cell)."""
+        weight = displacement(self.position_m)
+        return _sum_into_cells(self.cell, (self.parts[0] * weight, self.parts[1] * weight), self.echo.shape)
+
+
+@functools.lru_cache(maxsize=100)
+def _seeded_block(echoes: Conditions, number: int, draws: int) -> _Block:
+    return _draw_block(echoes, np.random.default_rng([0, number]), draws, *_cells(echoes))
+
+
+def _draw_block(
+    conditions: Conditions, generator: np.random.Generator, draws: int, depth_m: float, cells: int
+) -> _Block:
+    count = generator.poisson(_mean_scatterers(conditions, depth_m), draws)
+    unit_position, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
+    position_m = (unit_position - np.float32(0.5)) * _box_m(conditions, depth_m)[:, None]
+    angle = np.float32(2 * np.pi) * phase[0]
+    strength = _gaussian(conditions.tracking_width_m, position_m)
+    cell = np.minimum((unit_position[2] * np.float32(cells)).astype(np.int64), cells - 1)
+    cell += cells * np.repeat(np.arange(draws), count)
+    parts = strength * np.cos(angle), strength * np.sin(angle)
+    return _Block(position_m, parts, cell, _sum_into_cells(cell, parts, (draws, cells)))
+
+
+def _scattering(
+    blocks: Iterable[_Block], conditions: Conditions, depth_m: float, displacement: Displacement | None
+) -> Scattering:
+    displacement = displacement or functools.partial(_gaussian, conditions.excitation_width_m)
+    echo, displaced = zip(*((block.echo, block.displaced(displacement)) for block in blocks), strict=True)
+    cells = echo[0].shape[1]
+    cell_depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * depth_m
+    return Scattering(np.concatenate(echo), np.concatenate(displaced), cell_depth_m)
+
+
+def _sum_into_cells(cell: Int64Array, parts: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
+    # bincount sums real numbers; complex exponentials would take three times as long.
+    real, imaginary = (np.bincount(cell, part, math.prod(shape)) for part in parts)
+    return (real + 1j * imaginary).reshape(shape).astype(np.complex64)
+
+
+def _block_sizes(draws: int) -> list[int]:
+    return [min(BLOCK_DRAWS, draws - first) for first in range(0, draws, BLOCK_DRAWS)]
+
+
+def _cells(conditions: Conditions) -> tuple[float, int]:
+    """Return the depth range of a gate's scatterers, m, and the number of its cells."""
+    depth_m = conditions.gate_length_m + conditions.pulse_length_m
+    return depth_m, int(np.clip(4 * np.ceil(depth_m / conditions.pulse_length_m), 48, 192))
+
+
+def _box_m(conditions: Conditions, depth_m: float) -> SingleArray:
+    """Return the sides of the box with scatterers, m."""
+    lateral_m = (2 * BOX_HALF_WIDTH_SIGMAS * width for width in conditions.tracking_width_m[:2])
+    return np.array([*lateral_m, depth_m], dtype=np.float32)
+
+
+def _mean_scatterers(conditions: Conditions, depth_m: float) -> float:
+    return min(conditions.scatterers_per_m3 * float(np.prod(_box_m(conditions, depth_m))), MAX_SCATTERERS)
+
+
+def _gaussian(width_m: Triple, position_m: SingleArray) -> SingleArray:
+    """Return a Gaussian of the sigmas ``width_m`` at ``position_m`` (3, scatterer)."""
+    return np.asarray(np.exp((-0.5 / np.square(width_m)).astype(np.float32) @ np.square(position_m)))
+
+
+def matmul(draws: ComplexArray, matrix: ComplexArray | FloatArray) -> ComplexArray:
+    """Return ``draws @ matrix`` in the precision of ``draws``."""
+    return np.asarray(draws @ matrix.astype(draws.dtype))

@@ -1,0 +1,76 @@
+"""Standard deviations over speckle: tracked displacement, echo frequency, position and area of the tracked region."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpe_rig.arrays import SingleArray
+from hpe_rig.medium import TrackingGate
+from hpe_rig.prediction.conditions import Conditions, resting_conditions
+from hpe_rig.prediction.error_model import tracked_over_peak
+from hpe_rig.prediction.speckle import Displacement, seeded_speckle
+from hpe_rig.processing import spec_of
+from hpe_rig.scene import Scene
+
+SPECKLE_DRAWS = 2000
+REFERENCE_ESTIMATOR = "coherent"
+"""An estimator of the whole gate that divides the phase by the echo's own mean frequency."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedRegionSpread:
+    """Standard deviations over speckle of the tracked region: relative area across, lateral and axial centre, m."""
+
+    area_relative: float = 0.0
+    lateral_m: float = 0.0
+    axial_m: float = 0.0
+
+
+def tracked_region_spread(scene: Scene, estimator: str) -> TrackedRegionSpread:
+    """Return the spread of the region that the scatterers' echoes weight; zeros without beams."""
+    resting = resting_conditions(scene)
+    return TrackedRegionSpread() if resting is None else region_spread(resting, estimator)
+
+
+@functools.lru_cache(maxsize=16)
+def region_spread(resting: Conditions, estimator: str) -> TrackedRegionSpread:
+    """Return the spread of the tracked region for ``resting`` echoes.
+
+    The estimator's ratio is linear in the displacement. Displacements (x^2 + y^2) / 2, x and z give the area and the
+    centre that the echoes weight.
+    """
+
+    def statistics(displacement: Displacement) -> tuple[float, float]:
+        ratio = tracked_over_peak(resting, estimator, seeded_speckle(resting, SPECKLE_DRAWS, displacement))
+        return float(ratio.mean()), float(ratio.std())
+
+    unit_m = resting.tracking_width_m[0]
+    mean_area, area = statistics(lambda position_m: np.square(position_m[:2] / unit_m).sum(axis=0) / 2)
+    lateral, axial = (statistics(functools.partial(_coordinate, axis, unit_m))[1] for axis in (0, 2))
+    return TrackedRegionSpread(area / mean_area, unit_m * lateral, unit_m * axial)
+
+
+def _coordinate(axis: int, unit_m: float, position_m: SingleArray) -> SingleArray:
+    return np.asarray(position_m[axis] / np.float32(unit_m))
+
+
+@functools.lru_cache(maxsize=16)
+def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
+    """Return relative standard deviations over speckle of the tracked displacement and of the echo's mean frequency.
+
+    The first, for a Gaussian motion with the widths of ``resting``, is from random draws: speckle's dark spots give it
+    a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). The second has a closed form and is 0 for an
+    estimator that does not divide by the carrier.
+    """
+    spec = spec_of(estimator)
+    # Division by the carrier changes neither echo nor motion: draw as for division by the echo's own frequency.
+    drawn = REFERENCE_ESTIMATOR if spec.by_carrier else estimator
+    ratio = tracked_over_peak(resting, drawn, seeded_speckle(resting, SPECKLE_DRAWS))
+    gate = TrackingGate(
+        resting.tracking_width_m, resting.gate_length_m, resting.pulse_length_m, spec.gate_window == "hann"
+    )
+    carrier = gate.carrier_spread(1 / resting.metres_per_radian) if spec.by_carrier else 0.0
+    return float(ratio.std() / ratio.mean()), carrier
