@@ -80,7 +80,7 @@ def _pressure_at_ends(scan: Scan) -> tuple[tuple[float, float], ...]:
     """Return both ends of a scan along the axis and the pressure on the axis there relative to the focus."""
     from sim_backend.transducer import round_field
 
-    axial_m = scan.place_m[:, 2]
+    axial_m = scan.position_m[:, 2]
     ends_m = np.array([axial_m.min(), axial_m.max()])
     # The magnitude of the mean around the axis does not depend on the wave number.
     pressure = np.abs(round_field(scan, 0.0, np.zeros(1), ends_m)[:, 0])

@@ -1,9 +1,9 @@
-"""Acoustics: bursts at the transducer in, volts at the digitizer's input out.
+"""Acoustics: bursts at the transducer in, volts at the digitizer's input out; motion, echoes and receiver combined.
 
     tonebursts -> force -> displacement -> scatterers -> echoes -> volts       acoustics.py
-    the same with trigger jitter, receive chain and sample clock around it     reception.py
+    trigger jitter, receive chain and sample clock around it                   reception.py
 
-What ties motion, echoes and receiver together; a part that the settings leave out is neither loaded nor drawn.
+Parts that the settings leave out are not loaded or drawn.
 """
 
 import lazy_loader

@@ -1,8 +1,8 @@
-"""Reception with trigger jitter, a real receive chain and an imperfect sample clock around an ideal physics.
+"""Reception with trigger jitter, a receive chain and an imperfect sample clock around ideal acoustics.
 
-    jittered bursts -> acoustics over a longer, finer record -> receive chain -> samples when the clock takes them
+    jittered bursts -> acoustics over a longer, finer record -> receive chain -> sample clock
 
-Only built where the settings have a part of it (`with_reception`); otherwise the acoustics stand alone.
+`with_reception` adds it only if the settings contain one of these parts.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import Protocol
 import numpy as np
 
 from sim_backend.arrays import FloatArray, Int64Array
-from sim_backend.receiver import STENCIL, RecordStream, jittered, sampled_late, samples_late
+from sim_backend.receiver import STENCIL, RecordStream, has_clock_error, jittered, sampled_with_clock_error
 from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, joined_bursts, no_bursts
 
-# Children of the world's seed, after those of the acoustics.
+# Children of the seed, after those of the acoustics.
 _CHAIN_NOISE_STREAM = 100
 _CLOCK_STREAM = 101
 _PULSER_SALT, _TONEBURST_SALT = 1, 2
 
 
 class Physics(Protocol):
-    """From what was transmitted to what was received."""
+    """Acoustics from transmitted bursts to received volts."""
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray: ...
 
@@ -35,45 +35,48 @@ class Physics(Protocol):
 
 
 def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
-    """Return ``acoustics`` with what the settings put around it; itself where that is nothing."""
+    """Return ``acoustics`` with the reception of the settings around it, or ``acoustics`` without any."""
     instruments = settings.instruments
-    needed = settings.receive_chain is not None or instruments.trigger_jitter_s > 0 or samples_late(instruments)
+    needed = settings.receive_chain is not None or instruments.trigger_jitter_s > 0 or has_clock_error(instruments)
     return Reception(acoustics, settings) if needed else acoustics
 
 
 class Reception:
-    """Trigger jitter, receive chain and sample clock around an ideal physics."""
+    """Trigger jitter, receive chain and sample clock around ideal acoustics."""
 
     def __init__(self, acoustics: Physics, settings: SimulationSettings) -> None:
         self._acoustics = acoustics
         self._settings = settings
         self._chain_noise = RecordStream(settings.seed, _CHAIN_NOISE_STREAM)
-        self._lateness = RecordStream(settings.seed, _CLOCK_STREAM)
+        self._clock_jitter = RecordStream(settings.seed, _CLOCK_STREAM)
 
     def focus_displacement_m(
         self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
     ) -> FloatArray:
-        """Return the displacement at the focus at ``time_ps`` (time,), m, moved by the jittered tonebursts."""
-        return self._acoustics.focus_displacement_m(self._pushed(tonebursts, origin_ps, index), time_ps, origin_ps)
+        """Return the displacement at the focus at ``time_ps`` (time,), m, under the jittered tonebursts."""
+        jittered_bursts = self._jittered_tonebursts(tonebursts, origin_ps, index)
+        return self._acoustics.focus_displacement_m(jittered_bursts, time_ps, origin_ps)
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
-        """Return what the digitizer samples, float64 (record, sample), V."""
-        tonebursts = self._pushed(tonebursts, capture.origin_ps, capture.index)
-        pulses = self._tracked(pulses, capture.origin_ps, capture.index)
-        wide, kept = widened(self._settings, capture)
+        """Return the samples of the digitizer, float64 (record, sample), V."""
+        tonebursts = self._jittered_tonebursts(tonebursts, capture.origin_ps, capture.index)
+        pulses = self._jittered_pulses(pulses, capture.origin_ps, capture.index)
+        # Longer and finer records, so that the chain and the clock have the samples they need.
+        wide, selected = widened(self._settings, capture)
         volts = self._acoustics.record_volts(tonebursts, pulses, wide)
         chain = self._settings.receive_chain
         if chain is not None:
             volts = self._received(volts, chain, tonebursts, pulses, wide)
-        if not samples_late(self._settings.instruments):
-            return volts[:, kept]
+        if not has_clock_error(self._settings.instruments):
+            return volts[:, selected]
         period_s = capture.sample_period_ps / PS_PER_S
-        rng = self._lateness.begin(capture, capture.samples)
-        return sampled_late(volts, kept, period_s, self._settings.instruments, rng)
+        rng = self._clock_jitter.begin(capture, capture.samples)
+        return sampled_with_clock_error(volts, selected, period_s, self._settings.instruments, rng)
 
     def _received(
         self, volts: FloatArray, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, wide: Capture
     ) -> FloatArray:
+        """Return the output of the receive chain for ``volts`` (record, sample) at the transducer."""
         from sim_backend.receiver import receive, switch_gain
 
         thirds = third_harmonics(tonebursts, self._settings)
@@ -85,22 +88,23 @@ class Reception:
         rng = self._chain_noise.begin(wide, wide.samples) if chain.noise_v_per_sqrt_hz else None
         return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
 
-    def _pushed(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
-        # Two generators in a row, the burst train's and the toneburst's, each with its own jitter.
+    def _jittered_tonebursts(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
+        # The generators of the burst train and of the toneburst are in series, each with independent jitter.
         rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(2)
         return jittered(tonebursts, rms_s, self._settings.seed * 4 + _TONEBURST_SALT, origin_ps, index)
 
-    def _tracked(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
-        # The tracking train's jitter moves trigger and pulse together; only the pulser's own comes between them.
+    def _jittered_pulses(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
+        # Jitter of the tracking train moves trigger and pulse together, so only the pulser's jitter counts.
         rms_s = self._settings.instruments.trigger_jitter_s
         return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT, origin_ps, index)
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:
-    """Return a longer and finer capture that the chain needs for ``capture``, and which of its samples those are."""
+    """Return the longer and finer capture that the chain needs, and the slice of its samples that is ``capture``."""
     chain = settings.receive_chain
     fine = 1 if chain is None else chain.oversampling
-    margin = STENCIL if samples_late(settings.instruments) else 0
+    margin = STENCIL if has_clock_error(settings.instruments) else 0
+    # Samples before the capture, and in all.
     lead, total = margin, capture.samples * fine + 2 * margin
     period_ps = capture.sample_period_ps // fine
     if chain is not None:
@@ -116,23 +120,22 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
 
 
 def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
-    """Return what tonebursts transmit at three times their carrier, as bursts of their own; none where that is zero.
+    """Return the third harmonics of the tonebursts as separate bursts; none if they are zero.
 
-    They leak and echo like the tonebursts; what they would push is left out.
+    They leak and echo like the tonebursts; their force is neglected.
     """
     chain, transmitter = settings.receive_chain, settings.transmitter
-    share = 0.0 if chain is None else chain.third_harmonic
-    relative = np.full(tonebursts.onset_ps.shape, share)
+    relative = np.full(tonebursts.onset_ps.shape, 0.0 if chain is None else chain.third_harmonic)
     if not transmitter.linear:
         from sim_backend.motion import harmonic_v, transmit_response
 
         first, third = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))
         specimen = settings.specimen or Specimen()
-        passed = [
+        response = [
             transmit_response(n * tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
             for n in (1, 3)
         ]
-        relative += np.abs(third / np.where(first > 0, first, 1.0)) * passed[1] / passed[0]
+        relative += np.abs(third / np.where(first > 0, first, 1.0)) * response[1] / response[0]
     if not relative.any():
         return no_bursts()
     return replace(

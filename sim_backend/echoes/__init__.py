@@ -8,7 +8,7 @@
     one measurement                             engine.py
     many draws        for studies               many_draws.py
 
-Cost and error of both evaluations: docs/theory/echoes.md.
+Cost and error of both evaluations: docs/explanation/echoes.md.
 """
 
 import lazy_loader

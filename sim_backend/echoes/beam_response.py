@@ -1,7 +1,7 @@
 """Response of an aperture's beam to each scatterer, at every frequency of the pulse.
 
 A Gaussian beam only weakens an echo. A real beam weakens high frequencies more off the axis, and changes their phase.
-Docs/theory/transducer.md, section 2.
+See docs/explanation/transducer.md, section 2.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Choice of the faster evaluation that meets a tolerance, and of the scatterers that it must include.
 
-Run times are models fitted to measurements on one x86-64 core (docs/theory/echoes.md, section 5).
+Run times are models fitted to measurements on one x86-64 core (docs/explanation/echoes.md, section 5).
 """
 
 from __future__ import annotations

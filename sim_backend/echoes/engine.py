@@ -12,7 +12,7 @@
 | running_sum  | any delays                       | rounding                       | exact_sums.py |
 | series       | few shapes, phases below 3 rad   | geometric, down to rounding    | series.py     |
 
-``choice.py`` estimates both run times; docs/theory/echoes.md gives measured ones.
+``choice.py`` estimates both run times; docs/explanation/echoes.md gives measured ones.
 Delays and sample times have one origin. Put it near the echo (the focus), not at the pulse's onset 90 us earlier:
 then ``w t`` stays below some hundred radians and its rounding near 1e-14.
 """

@@ -10,7 +10,7 @@
 
 S changes only where a support begins or ends. Nothing is ever subtracted, since that would cost digits. The gate is cut
 into blocks no longer than the pulse; in a block no scatterer both enters and leaves. S is one running sum forwards over
-the scatterers that enter, and one backwards over those that leave. Docs/theory/echoes.md, section 2.
+the scatterers that enter, and one backwards over those that leave. See docs/explanation/echoes.md, section 2.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@
     T, M            standard deviations of tracking beam and motion, m
 
 `draw_field` draws all scatterers of a measurement. `draw_thinned` draws several independent sets, each of only the
-scatterers that matter, for studies (docs/theory/echoes.md, section 4).
+scatterers that matter, for studies (docs/explanation/echoes.md, section 4).
 """
 
 from __future__ import annotations

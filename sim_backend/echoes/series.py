@@ -15,7 +15,7 @@ Scatterer n of echo k has the delay tau_kn = tau_n + sum_r b_kr g_rn. Each expon
 
 The series moves the exponentials but not the ends of the support. A sample that an end crosses while its scatterer
 moves is corrected with the pulse's Taylor series about that end. Both parts converge geometrically for any pulse.
-Derivation, cost and error: docs/theory/echoes.md, section 3.
+Derivation, cost and error: docs/explanation/echoes.md, section 3.
 """
 
 from __future__ import annotations

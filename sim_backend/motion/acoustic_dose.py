@@ -8,7 +8,7 @@
 
 Limits of FDA track 3, derated at the focus: I_SPTA <= 720 mW/cm² and I_SPPA <= 190 W/cm². The mechanical index of 1.9
 may replace the latter. For a linear wave at 3 MHz it allows 351 W/cm², which matters only below a duty cycle of 0.4 %.
-Docs/explanation/medium.md, section 7.
+See docs/explanation/medium.md, section 7.
 """
 
 from __future__ import annotations

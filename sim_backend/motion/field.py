@@ -11,7 +11,7 @@
 Medium and force are those of `sim_backend.motion.specimen`. Off the axis the integral over wave numbers has no useful
 closed form. The ray keeps clear of the shear pole at every node of the contour in the s plane, also for an elastic
 medium. The force is round: a Gaussian of equal lateral widths, or a sum of such Gaussians, with the sum of their
-spectra. Docs/explanation/medium.md, section 5.
+spectra. See docs/explanation/medium.md, section 5.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def force_shape(settings: SimulationSettings) -> Force:
 
 @dataclass(frozen=True, slots=True)
 class FocusField:
-    """Step response of the medium in a cylinder or shell around the axis: few shapes, each with its response in time."""
+    """Step response of the medium in a cylinder or shell around the axis: few shapes and their responses in time."""
 
     lateral_reach_m: float
     axial_reach_m: float

@@ -7,10 +7,10 @@
     x         parameter along the contour, a hyperbola of height m and angle alpha
     t0        begin of a panel, s; one hyperbola serves t0 to 4 t0
 
-U must be analytic to the right of the contour, thus away from the negative real axis. Where U grows (an elastic medium's
-does like exp(s²)), it must be no nearer to that axis than 45 degrees, which fixes alpha. The error falls geometrically
-with the nodes; 32 nodes give 3e-13. Method: Weideman and Trefethen, Math. Comp. 76, 2007;
-docs/explanation/medium.md, section 4.
+U must be analytic to the right of the contour, thus away from the negative real axis. Where U grows (like exp(s²) for
+an elastic medium), it must be no nearer to that axis than 45 degrees, which fixes alpha. The error falls geometrically
+with the nodes; 32 nodes give 3e-13. Method: Weideman and Trefethen, Math. Comp. 76, 2007; docs/explanation/medium.md,
+section 4.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def shear_modulus(specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
     """Return the modulus mu(s) in Pa, shape of ``s_per_s``; analytic away from the negative real axis.
 
     Voigt ``mu1 + s mu2``; Maxwell ``s mu1 mu2 / (mu1 + s mu2)``; Zener ``mu1`` parallel to a Maxwell branch of
-    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. Docs/explanation/medium.md, section 1.
+    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. See docs/explanation/medium.md, section 1.
     """
     mu1, mu2 = specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s
     match specimen.medium:
@@ -80,7 +80,7 @@ def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: FloatA
     """Return displacement over body force at the focus, m per N/m³, complex (frequency,), time factor exp(+jwt).
 
     ``width_m`` are the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Raises ``ValueError`` at 0 Hz for a
-    medium that creeps without end. Docs/explanation/medium.md, section 2.
+    medium that creeps without end. See docs/explanation/medium.md, section 2.
     """
     frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
     if creeps_for_ever(specimen) and not frequency_hz.all():
@@ -112,7 +112,7 @@ def inertia_factor(z: ComplexArray) -> ComplexArray:
 
     It is the response of a Gaussian source relative to its static response: 1 at rest, -1/(2 z²) at large |z|. There
     the two terms cancel, so Laplace's continued fraction replaces their difference. For Im z < 0,
-    w(z) = 2 exp(-z²) - w(-z), which overflows where the function does. Docs/explanation/medium.md, section 3.
+    w(z) = 2 exp(-z²) - w(-z), which overflows where the function does. See docs/explanation/medium.md, section 3.
     """
     # Imported here, so that scenes without a specimen do not load it.
     from scipy.special import wofz

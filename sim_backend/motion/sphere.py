@@ -9,7 +9,7 @@
 
 Oestreicher's impedance of an oscillating rigid sphere (J. Acoust. Soc. Am. 23, 1951, p. 707) in an incompressible
 medium: Stokes' drag, Basset's history term and the moved mass of medium. Chen and others (J. Acoust. Soc. Am. 112,
-2002, p. 884) push such a sphere by ultrasound and fit its motion. Docs/explanation/medium.md, section 8.
+2002, p. 884) push such a sphere by ultrasound and fit its motion. See docs/explanation/medium.md, section 8.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Receiver: from the sum over scatterers to volts at the digitizer's input.
 
-    echo gain, noise, toneburst leak              eq. (16)             front_end.py, always
-    the noise, a block ahead                                           record_noise.py
-    their random numbers, record by record                             streams.py
+    echo gain, noise, toneburst leak              eq. (16)             front_end.py
+    noise, drawn one block ahead                                       record_noise.py
+    random numbers of each record                                      streams.py
     trigger jitter, sample clock                                       timing.py
-    notch, T/R switch, noise, band-pass, log      paper, Sec. III.B    chain.py, of elements.py
+    notch, T/R switch, noise, band-pass, log      paper, Sec. III.B    chain.py, elements.py
 
-The last two only where the scene asks for them.
+Timing errors and the receive chain are optional parts of a scene.
 """
 
 import lazy_loader

@@ -12,7 +12,7 @@ from .record_noise import NoiseSource as NoiseSource, RecordNoise as RecordNoise
 from .streams import RecordStream as RecordStream
 from .timing import (
     STENCIL as STENCIL,
+    has_clock_error as has_clock_error,
     jittered as jittered,
-    sampled_late as sampled_late,
-    samples_late as samples_late,
+    sampled_with_clock_error as sampled_with_clock_error,
 )

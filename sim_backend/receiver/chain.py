@@ -1,8 +1,8 @@
-"""Receive chain from the transducer's terminals to the digitizer; an element that the scene leaves out costs nothing.
+"""Receive chain from the transducer's terminals to the digitizer; an absent element costs nothing.
 
     notch -> T/R switch -> (preamplifier noise) -> band-pass -> logarithmic amplifier -> band-pass
 
-Linear neighbours are one filter: without a switch in the way and without logarithm the whole chain is one product.
+Adjacent linear elements are one filter: without switch and logarithm the whole chain is one product in frequency.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled
 from sim_backend.settings import BandFilter, ReceiveChain
 
-_RECORDS_AT_ONCE = 64
+_RECORDS_PER_CHUNK = 64
 TRAIL = 24
-"""Samples that the chain needs after the wanted ones: how far the sampled filters look ahead."""
+"""Samples that the chain needs after the last output sample, since the sampled filters are not exactly causal."""
 
 
 def lead_s(chain: ReceiveChain) -> float:
-    """Return how much earlier than the wanted volts the chain's input must begin, for ``chain.tail_tolerance``."""
+    """Return how much earlier than its output the chain's input must begin, for ``chain.tail_tolerance``."""
     return ringing_s(_bands(chain), chain.tail_tolerance)
 
 
 def fast_length(samples: int) -> int:
-    """Return the smallest number from ``samples`` on with no prime factor above 5: what a Fourier transform likes."""
-    # Every run has scipy.fft loaded for its estimator; an ideal chain never comes here.
+    """Return the smallest number from ``samples`` on without a prime factor above 5, for a fast Fourier transform."""
+    # Imported here, so that an ideal chain does not load it.
     from scipy.fft import next_fast_len
 
     return int(next_fast_len(samples, real=True))
@@ -40,18 +40,18 @@ def receive(
     switch: FloatArray | None = None,
     rng: np.random.Generator | None = None,
 ) -> FloatArray:
-    """Return what leaves the chain, float64 (record, sample), for ``volts`` (record, sample) at the transducer.
+    """Return the output of the chain, float64 (record, sample), for ``volts`` (record, sample) at the transducer.
 
-    The filters see each record as if it repeated: the first `lead_s` of it and its last `TRAIL` samples are spoilt.
-    ``switch`` (record, sample) is the share that the T/R switch passes, None all of it; ``rng`` draws the
-    preamplifier's noise, needed where the chain has any.
+    The filters are periodic in each record, so its first `lead_s` and its last `TRAIL` samples are not valid.
+    ``switch`` (record, sample) is the transmission of the T/R switch, None for 1. ``rng`` draws the preamplifier's
+    noise, if the chain has any.
     """
     frequency_hz: FloatArray = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
     out = np.empty_like(volts)
-    for first in range(0, len(volts), _RECORDS_AT_ONCE):
-        some = slice(first, first + _RECORDS_AT_ONCE)
-        passed = None if switch is None else switch[some]
-        out[some] = _receive(volts[some], chain, frequency_hz, sample_period_s, passed, rng)
+    for first in range(0, len(volts), _RECORDS_PER_CHUNK):
+        part = slice(first, first + _RECORDS_PER_CHUNK)
+        part_switch = None if switch is None else switch[part]
+        out[part] = _receive(volts[part], chain, frequency_hz, sample_period_s, part_switch, rng)
     return out
 
 
@@ -63,14 +63,14 @@ def _receive(
     switch: FloatArray | None,
     rng: np.random.Generator | None,
 ) -> FloatArray:
-    # Filters are gathered as one response (frequency,) and applied only where something that is no filter follows.
+    # Collect filters in one response (frequency,), and apply it before an element that is not a filter.
     pending: ComplexArray | None = None
     if chain.notch is not None:
         pending = sampled(notch(chain.notch, frequency_hz), 1.0)
     if switch is not None:
         volts, pending = _filtered(volts, pending) * switch, None
     if chain.noise_v_per_sqrt_hz and rng is not None:
-        # White, of the preamplifier's density, up to half the sampling rate of the chain.
+        # White noise of the preamplifier's density, up to half the sampling rate of the chain.
         level_v = chain.noise_v_per_sqrt_hz * math.sqrt(0.5 / period_s)
         volts, pending = _filtered(volts, pending) + rng.standard_normal(volts.shape) * level_v, None
     if chain.band_pass is not None:

@@ -1,7 +1,12 @@
 """Elements of the receive chain: band-pass, notch, T/R switch, logarithmic amplifier.
 
-The filters are Butterworth prototypes by their frequency response at the records' own Fourier frequencies, factor by
-factor: scipy.signal's polynomials lose digits at order 5, and loading it takes longer than a run.
+    H(p) = prod_i 1 / (p - p_i),      p = j (f / f0 - f0 / f) / B      Butterworth
+
+    f, f0, B    frequency; centre frequency, Hz; relative bandwidth at -3 dB
+    p_i         poles of the low-pass prototype
+
+The response is computed at the Fourier frequencies of the records, factor by factor. The polynomials of scipy.signal
+lose digits at order 5, and loading it takes longer than a run.
 """
 
 from __future__ import annotations
@@ -15,8 +20,8 @@ from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.settings import BandFilter, LogAmplifier
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, to_ps
 
-# After this many recovery times the switch passes all but 2e-9.
-_OPEN = 20.0
+# After this many recovery times the switch transmits all but 2e-9.
+_RECOVERY_TIMES = 20.0
 
 
 def band_pass(band: BandFilter, frequency_hz: FloatArray) -> ComplexArray:
@@ -26,23 +31,23 @@ def band_pass(band: BandFilter, frequency_hz: FloatArray) -> ComplexArray:
 
 def notch(band: BandFilter, frequency_hz: FloatArray) -> ComplexArray:
     """Return the Butterworth band-stop response at ``frequency_hz`` (frequency,): 0 at the centre, -3 dB edges."""
-    away, width = _detuning(band, frequency_hz)
-    return _low_pass(width, away, band.order)
+    detuning, width = _detuning(band, frequency_hz)
+    return _low_pass(width, detuning, band.order)
 
 
 def sampled(response: ComplexArray, at_infinity: float) -> ComplexArray:
-    """Return ``response`` (frequency,) from 0 to half the sampling rate, led to its limit there without a step.
+    """Return ``response`` (frequency,), with a smooth transition to its limit at half the sampling rate.
 
-    A step would ring before and after every edge of the signal like 1/t; this does like 1/t^3. It leaves what lies
-    below six tenths of half the rate alone: 30 MHz of 100 MHz sampling.
+    A step there would ring around every edge of the signal like 1/t; the transition rings like 1/t³. Frequencies below
+    six tenths of half the rate are unchanged: 30 MHz at 100 MHz sampling.
     """
-    place = np.linspace(0.0, 1.0, len(response))
-    share = np.cos(np.pi / 2 * np.clip((place - 0.6) / 0.4, 0.0, 1.0)) ** 2
-    return np.asarray(at_infinity + (response - at_infinity) * share)
+    position = np.linspace(0.0, 1.0, len(response))
+    taper = np.cos(np.pi / 2 * np.clip((position - 0.6) / 0.4, 0.0, 1.0)) ** 2
+    return np.asarray(at_infinity + (response - at_infinity) * taper)
 
 
 def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
-    """Return after which time a cascade of ``bands`` has rung down to ``tolerance``; notch and band-pass alike."""
+    """Return the time in which a cascade of band-passes or notches ``bands`` rings down to ``tolerance``."""
     slowest_s = 0.0
     for band in bands:
         roots = np.concatenate([np.roots([1.0, -band.bandwidth * pole, 1.0]) for pole in _poles(band.order)])
@@ -52,57 +57,59 @@ def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
 
 
 def _poles(order: int) -> ComplexArray:
+    """Return the poles p_i of the low-pass prototype, (pole,)."""
     angle = np.pi * (2 * np.arange(order) + order + 1) / (2 * order)
     return np.asarray(np.exp(1j * angle))
 
 
 def _detuning(band: BandFilter, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return j (f / f0 - f0 / f) over the bandwidth as numerator and denominator: neither is infinite at 0 Hz."""
+    """Return numerator and denominator of p = j (f / f0 - f0 / f) / B; neither is infinite at 0 Hz."""
     f = frequency_hz / band.centre_hz
     return np.asarray(1j * (f * f - 1), np.complex128), np.asarray(band.bandwidth * f, np.complex128)
 
 
-def _low_pass(above: ComplexArray, below: ComplexArray, order: int) -> ComplexArray:
-    """Return the low-pass prototype at p = above / below."""
-    response = np.ones(above.shape, np.complex128)
+def _low_pass(numerator: ComplexArray, denominator: ComplexArray, order: int) -> ComplexArray:
+    """Return the low-pass prototype H(p) at p = numerator / denominator."""
+    response = np.ones(numerator.shape, np.complex128)
     for pole in _poles(order):
-        response *= below / (above - pole * below)
+        response *= denominator / (numerator - pole * denominator)
     return response
 
 
-def switch_gain(sent: Bursts, capture: Capture, recovery_s: float) -> FloatArray | None:
-    """Return what the switch passes, float64 (record, sample) from 0 to 1, or None where it passes everything.
+def switch_gain(bursts: Bursts, capture: Capture, recovery_s: float) -> FloatArray | None:
+    """Return the transmission of the T/R switch, float64 (record, sample) from 0 to 1, or None if it is 1.
 
-    Shut from a burst's onset to its end, then ``1 - exp(-t / recovery)``. ``sent`` is by time and does not overlap
-    itself: of bursts at once the one that began last counts.
+    The switch is shut during a burst, and then transmits ``1 - exp(-t / recovery)``. ``bursts`` ascend in time; if
+    they overlap, the last one to begin determines the transmission.
     """
-    open_ps = sent.end_ps + to_ps(_OPEN * recovery_s)
+    open_ps = bursts.end_ps + to_ps(_RECOVERY_TIMES * recovery_s)
     length_ps = capture.samples * capture.sample_period_ps
-    # The last burst that began before each record's end, and whether the switch is still affected by it then.
-    begin = np.searchsorted(sent.onset_ps, capture.first_sample_ps + length_ps, side="left") - 1
-    met = begin >= 0
-    met[met] &= open_ps[begin[met]] > capture.first_sample_ps[met]
-    if not met.any():
+    # The last burst before the end of each record, and whether the switch has not recovered from it at the begin.
+    last = np.searchsorted(bursts.onset_ps, capture.first_sample_ps + length_ps, side="left") - 1
+    affected = last >= 0
+    affected[affected] &= open_ps[last[affected]] > capture.first_sample_ps[affected]
+    if not affected.any():
         return None
     gain = np.ones((len(capture.first_sample_ps), capture.samples))
     offset_ps = np.arange(capture.samples) * capture.sample_period_ps
-    for record in np.flatnonzero(met):
-        gain[record] = _share_passed(sent, int(capture.first_sample_ps[record]) + offset_ps, recovery_s)
+    for record in np.flatnonzero(affected):
+        gain[record] = _transmission(bursts, int(capture.first_sample_ps[record]) + offset_ps, recovery_s)
     return gain
 
 
-def _share_passed(sent: Bursts, time_ps: Int64Array, recovery_s: float) -> FloatArray:
-    last = np.searchsorted(sent.onset_ps, time_ps, side="right") - 1
-    since_s = np.where(last >= 0, time_ps - sent.end_ps[np.maximum(last, 0)], 1 << 60) / PS_PER_S
+def _transmission(bursts: Bursts, time_ps: Int64Array, recovery_s: float) -> FloatArray:
+    """Return the transmission of the switch at ``time_ps`` (time,)."""
+    last = np.searchsorted(bursts.onset_ps, time_ps, side="right") - 1
+    since_s = np.where(last >= 0, time_ps - bursts.end_ps[np.maximum(last, 0)], 1 << 60) / PS_PER_S
     if recovery_s == 0:
         return np.where(since_s >= 0, 1.0, 0.0)
     return np.asarray(-np.expm1(-np.clip(since_s / recovery_s, 0.0, 700.0)))
 
 
 def compressed(volts: FloatArray, amplifier: LogAmplifier) -> FloatArray:
-    """Return the output ``slope asinh(v / 2 knee) / ln 10`` of the input ``volts``, any shape, limited to saturation.
+    """Return ``slope asinh(v / 2 knee) / ln 10`` for the input ``volts``, any shape, limited to saturation.
 
-    Odd and smooth, so that it keeps the sign of the carrier and, after a band-pass, its phase.
+    The function is odd and smooth, so it preserves the sign of the carrier and, after a band-pass, its phase.
     """
     out = volts / (2 * amplifier.knee_v)
     np.arcsinh(out, out=out)

@@ -1,9 +1,9 @@
-"""White noise of a capture's records: where its blocks are asked for in turn, the next one is drawn meanwhile.
+"""White noise of a capture's records; if its blocks are requested in order, a thread draws the next one in advance.
 
     noise of block k --echoes added, codes, file-->  noise of block k + 1 --...
-                     drawn meanwhile: block k + 1    drawn meanwhile: block k + 2
+                     thread: block k + 1             thread: block k + 2
 
-Random numbers take a core of their own, and everything else another. What comes out is the same without.
+Random numbers then use a second core. The numbers are the same without the thread.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
 NoiseSource = Callable[[], FloatArray]
-"""Gives an array, waiting until it is made; the same at every call."""
+"""Returns the noise, waiting for it if necessary; the same array at every call."""
 
-DRAWN_MEANWHILE = 1 << 18
-"""Samples of a block, from about 2 ms on, that are drawn in a thread."""
+MIN_THREAD_SAMPLES = 1 << 18
+"""Blocks of so many samples, about 2 ms of work, are drawn in a thread."""
 
 
 class RecordNoise:
@@ -35,39 +35,42 @@ class RecordNoise:
 
     def __init__(self, receiver: Receiver, stream: RecordStream) -> None:
         self._receiver, self._stream = receiver, stream
-        # One thread, so that blocks are drawn in the order in which they are begun.
+        # One thread, so that blocks are drawn in order.
         self._thread: ThreadPoolExecutor | None = None
-        self._ahead: tuple[Capture, Future[FloatArray]] | None = None
-        self._before: tuple[int, int, int] | None = None
+        self._next_block: tuple[Capture, Future[FloatArray]] | None = None
+        self._latest_block: tuple[int, int, int] | None = None
 
     def begin(self, capture: Capture) -> NoiseSource:
-        """Return what gives the noise of the records of ``capture``, (record, sample), V."""
+        """Return a function that returns the noise of the records of ``capture``, (record, sample), V."""
         records, shape = len(capture.first_sample_ps), (len(capture.first_sample_ps), capture.samples)
         if self._receiver.snr_db is None:
             zeros = np.zeros(shape)
             return lambda: zeros
-        future = self._taken(capture)
-        if future is None and records * capture.samples < DRAWN_MEANWHILE:
-            drawn = self._draw(capture)
-            return lambda: drawn
+        future = self._next_block_for(capture)
+        if future is None and records * capture.samples < MIN_THREAD_SAMPLES:
+            noise = self._draw(capture)
+            return lambda: noise
         future = future or self._submit(capture)
         # A shorter block is the capture's last.
-        if self._before == (capture.index, capture.first_record - records, records):
-            after = replace(capture, first_record=capture.first_record + records)
-            self._ahead = after, self._submit(after)
-        self._before = capture.index, capture.first_record, records
+        if self._latest_block == (capture.index, capture.first_record - records, records):
+            following = replace(capture, first_record=capture.first_record + records)
+            self._next_block = following, self._submit(following)
+        self._latest_block = capture.index, capture.first_record, records
         return lambda: future.result()[:records]
 
-    def _taken(self, capture: Capture) -> Future[FloatArray] | None:
-        """Return what was drawn ahead if ``capture`` is the beginning of it, and wait for it where it is not."""
-        if self._ahead is None:
+    def _next_block_for(self, capture: Capture) -> Future[FloatArray] | None:
+        """Return the block drawn in advance if ``capture`` is its beginning; otherwise wait for it and discard it."""
+        if self._next_block is None:
             return None
-        (ahead, future), self._ahead = self._ahead, None
-        begins = (ahead.index, ahead.first_record, ahead.samples)
-        whole = len(capture.first_sample_ps) <= len(ahead.first_sample_ps)
-        if whole and begins == (capture.index, capture.first_record, capture.samples):
+        (block, future), self._next_block = self._next_block, None
+        same_start = (block.index, block.first_record, block.samples) == (
+            capture.index,
+            capture.first_record,
+            capture.samples,
+        )
+        if same_start and len(capture.first_sample_ps) <= len(block.first_sample_ps):
             return future
-        # Waits only: what nobody asks for may have failed.
+        # Only wait: a failure of a discarded block does not matter.
         future.exception()
         return None
 

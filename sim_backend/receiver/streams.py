@@ -1,4 +1,4 @@
-"""Random numbers of a capture's records, drawn in the order of the records, whatever blocks these are asked for in."""
+"""Random numbers of a capture's records, independent of the blocks in which records are requested."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from sim_backend.wiring import Capture
 
-_VALUES_AT_ONCE = 1 << 20
+_VALUES_PER_CHUNK = 1 << 20
 
 
 class RecordStream:
-    """Standard normal numbers, as many a record, that seed, ``key`` and capture alone decide.
+    """Standard normal numbers for each record, which depend only on seed, ``key`` and capture.
 
-    Each record has the numbers that it would have if the whole capture were drawn at once. A block that follows the
-    one before goes on where that ended; any other costs what is drawn to get there.
+    A record has the same numbers as if the whole capture were drawn at once. A block that follows the previous one
+    continues the stream; any other block first draws and discards the numbers before it.
     """
 
     def __init__(self, seed: int, key: int) -> None:
@@ -22,12 +22,12 @@ class RecordStream:
         self._rng = np.random.default_rng(0)
 
     def begin(self, capture: Capture, numbers: int) -> np.random.Generator:
-        """Return a generator that stands at the first record of ``capture``; draw ``numbers`` for each of them."""
+        """Return a generator positioned at the first record of ``capture``; draw ``numbers`` for each record."""
         if self._next != (capture.index, capture.first_record):
             sequence = np.random.SeedSequence(self._seed, spawn_key=(self._key, capture.index))
             self._rng = np.random.default_rng(sequence)
-            passed = capture.first_record * numbers
-            for first in range(0, passed, _VALUES_AT_ONCE):
-                self._rng.standard_normal(min(_VALUES_AT_ONCE, passed - first))
+            skipped = capture.first_record * numbers
+            for first in range(0, skipped, _VALUES_PER_CHUNK):
+                self._rng.standard_normal(min(_VALUES_PER_CHUNK, skipped - first))
         self._next = capture.index, capture.first_record + len(capture.first_sample_ps)
         return self._rng

@@ -1,8 +1,11 @@
 """Timing errors: trigger jitter of the generators, aperture jitter and offset of the digitizer's sample clock.
 
-Trigger jitter is a function of seed, capture, and time since the master's edge, not a stream of random numbers: a burst
-keeps its jitter however often, and in whatever order, bursts are worked out, and a run that continues another has the
-jitter that the other would have had.
+    v(t + e) = v(t) + e dv/dt
+
+    e    lateness of a sample, s
+
+Trigger jitter is a function of seed, capture, and time since the master's edge, not a stream of random numbers. A burst
+thus keeps its jitter in any order of evaluation, and a resumed run has the jitter of an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -15,62 +18,63 @@ from sim_backend.arrays import FloatArray, Int64Array, UInt64Array
 from sim_backend.settings import Instruments
 from sim_backend.wiring import PS_PER_S, Bursts
 
-# Central differences, exact for polynomials of degree six: 2e-4 of the slope at 9 MHz and 100 MHz.
+# Central difference, exact for polynomials of degree six: error 2e-4 of the slope at 9 MHz and 100 MHz sampling.
 _SLOPE = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60
 STENCIL = 3
-"""Samples that a slope needs on either side."""
+"""Samples on either side that a slope needs."""
 
 
 def jittered(bursts: Bursts, rms_s: float, seed: int, origin_ps: int = 0, index: int = 0) -> Bursts:
-    """Return ``bursts`` moved by Gaussian trigger jitter of ``rms_s``, onset and end alike; unchanged for 0.
+    """Return ``bursts`` with Gaussian trigger jitter of ``rms_s`` added to onset and end; unchanged for 0.
 
     ``origin_ps`` is the master trigger's edge, ``index`` the capture's.
     """
     if rms_s == 0 or bursts.onset_ps.size == 0:
         return bursts
-    move_ps = np.rint(_normal(bursts.onset_ps - origin_ps, seed, index) * (rms_s * PS_PER_S)).astype(np.int64)
-    return replace(bursts, onset_ps=bursts.onset_ps + move_ps, end_ps=bursts.end_ps + move_ps)
+    jitter_ps = np.rint(_normal(bursts.onset_ps - origin_ps, seed, index) * (rms_s * PS_PER_S)).astype(np.int64)
+    return replace(bursts, onset_ps=bursts.onset_ps + jitter_ps, end_ps=bursts.end_ps + jitter_ps)
 
 
 def _normal(instant_ps: Int64Array, seed: int, index: int) -> FloatArray:
-    """Return a standard normal number for each instant: Box and Muller on two hashed uniform ones."""
-    key = _scrambled(_scrambled(np.full(instant_ps.shape, seed, np.uint64)) + np.uint64(index))
-    first = _scrambled(instant_ps.astype(np.uint64) ^ key)
-    radius, turn = ((_scrambled(first + np.uint64(step)) >> np.uint64(11)).astype(np.float64) for step in (1, 2))
+    """Return a standard normal number for each instant, by Box and Muller from two hashed uniform numbers."""
+    key = _hashed(_hashed(np.full(instant_ps.shape, seed, np.uint64)) + np.uint64(index))
+    word = _hashed(instant_ps.astype(np.uint64) ^ key)
+    radius, angle = ((_hashed(word + np.uint64(step)) >> np.uint64(11)).astype(np.float64) for step in (1, 2))
     unit = 2.0**-53
-    return np.asarray(np.sqrt(-2 * np.log((radius + 0.5) * unit)) * np.cos(2 * np.pi * turn * unit))
+    return np.asarray(np.sqrt(-2 * np.log((radius + 0.5) * unit)) * np.cos(2 * np.pi * angle * unit))
 
 
-def _scrambled(word: UInt64Array) -> UInt64Array:
-    """Return the finaliser of the SplitMix64 generator, each word on its own."""
+def _hashed(word: UInt64Array) -> UInt64Array:
+    """Return the finaliser of the SplitMix64 generator for each word."""
     word = word + np.uint64(0x9E3779B97F4A7C15)
     word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.asarray(word ^ (word >> np.uint64(31)))
 
 
-def samples_late(instruments: Instruments) -> bool:
-    """Return whether the sample clock is anything but perfect."""
+def has_clock_error(instruments: Instruments) -> bool:
+    """Return whether the sample clock has jitter or an offset."""
     return instruments.sample_clock_jitter_s > 0 or instruments.sample_clock_offset != 0
 
 
-def sampled_late(
-    volts: FloatArray, kept: slice, period_s: float, instruments: Instruments, rng: np.random.Generator
+def sampled_with_clock_error(
+    volts: FloatArray, selected: slice, period_s: float, instruments: Instruments, rng: np.random.Generator
 ) -> FloatArray:
-    """Return ``volts`` (record, sample) in ``kept`` as an imperfect clock takes them: (record, kept sample).
+    """Return the ``selected`` samples of ``volts`` (record, sample), sampled by an imperfect clock.
 
-    ``kept`` leaves `STENCIL` samples on either side. To first order in the lateness, whose second order is
-    (2 pi 9 MHz x 0.1 ns)^2 / 2 = 2e-5 for a jitter of 0.1 ns.
+    ``selected`` leaves `STENCIL` samples on either side. The lateness has first order; the second order is
+    (2 pi 9 MHz x 0.1 ns)² / 2 = 2e-5 for a jitter of 0.1 ns.
     """
-    first, last = kept.start, kept.stop
+    first, last = selected.start, selected.stop
     slope = sum(
-        weight * volts[:, first + shift : last + shift : kept.step]
+        weight * volts[:, first + shift : last + shift : selected.step]
         for shift, weight in zip(range(-STENCIL, STENCIL + 1), _SLOPE, strict=True)
         if weight
     )
-    exact = volts[:, kept]
-    step = kept.step or 1
-    late = np.arange(exact.shape[1]) * (step * instruments.sample_clock_offset)
+    exact = volts[:, selected]
+    step = selected.step or 1
+    # Lateness in sample periods.
+    lateness = np.arange(exact.shape[1]) * (step * instruments.sample_clock_offset)
     if instruments.sample_clock_jitter_s:
-        late = late + rng.standard_normal(exact.shape) * (instruments.sample_clock_jitter_s / period_s)
-    return np.asarray(exact + late * slope)
+        lateness = lateness + rng.standard_normal(exact.shape) * (instruments.sample_clock_jitter_s / period_s)
+    return np.asarray(exact + lateness * slope)

@@ -1,15 +1,15 @@
-"""Transducer: the field of its aperture around the focus, and what tracking and force make of it.
+"""Transducer: pressure of its aperture around the focus, echo response for tracking, and force of the push.
 
-    diameter, focal length, apodisation   `sim_backend.settings.Transducer`, the one description
-    P(r, z)                               pressure of the bowl: O'Neil's Rayleigh integral   radiation.py
-    P(r, z), measured                     a hydrophone's scan                                     hydrophone.py
-    |P|^2                                 its intensity as a sum of Gaussians: the push      intensity.py
-    P^2                                   what is heard of a scatterer: tracking             pulse_echo.py
-    dp/dz = beta/(2 rho c^3) dp^2/dt      finite amplitude, one step of it                        burgers.py
-    p_1 ... p_N (r, z)                    the push with its harmonics, through layers             nonlinear.py
-    force, p+, p-, heat over drive        the push as a table                                     push.py
+    diameter, focal length, apodisation   the settings               `sim_backend.settings.Transducer`
+    P(r, z)                               Rayleigh integral          radiation.py
+    P(r, z), measured                     a hydrophone's scan        hydrophone.py
+    |P|²                                  push: sum of Gaussians     intensity.py
+    P²                                    tracking: pulse-echo beam  pulse_echo.py
+    dp/dz = beta/(2 rho c³) dp²/dt        one nonlinear step         burgers.py
+    p_1 ... p_N (r, z)                    harmonics through layers   nonlinear.py
+    force, p+, p-, heat over drive        the push as a table        push.py
 
-The theory, and its error against closed forms, is docs/explanation/transducer.md.
+Theory, and errors relative to closed forms: docs/explanation/transducer.md.
 """
 
 import lazy_loader

@@ -1,11 +1,14 @@
-"""Pulse-echo beam of one transducer that sends and hears: what a scatterer adds to the echo, frequency by frequency.
+"""Pulse-echo beam of a transducer: relative echo of a scatterer at each point and frequency.
 
     G(r, z, f) = (P(r, z, f) / P(0, 0, f))^2 exp(+2 j k z)
 
-Twice the same field, by reciprocity, over the echo of a scatterer in the focus and without the delay 2 z / c that a
-plane wave would have: 1 at the focus, and smooth. Its phase turns along the beam: waves that converge travel obliquely,
-so that a displacement along the axis delays the echo by a little less than 2 u / c. docs/explanation/transducer.md,
-section 2.
+    G       echo relative to that of a scatterer at the focus, without the delay 2 z / c of a plane wave
+    P       pressure of the transducer, squared by reciprocity
+    r, z    distance from the axis and from the focal plane, m
+    f, k    frequency, Hz; wave number, 1/m
+
+G is 1 at the focus, and smooth. Its phase changes along the beam: converging waves travel obliquely, so a displacement
+u along the axis delays the echo by slightly less than 2 u / c. See docs/explanation/transducer.md, section 2.
 """
 
 from __future__ import annotations
@@ -23,21 +26,21 @@ from sim_backend.transducer.intensity import diffraction_width_m
 from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
 Mixture = tuple[tuple[float, ...], ...]
-"""Shares of the frequencies in each table, where a table is not of one frequency."""
+"""Weights (table, frequency), for tables that are weighted sums over frequencies."""
 
-STEPS_A_WIDTH = 25
-"""Steps of the table across over lambda F / D, of the highest frequency."""
-STEPS_A_DEPTH = 60
-"""Steps along over 7.1 lambda (F / D)^2; with cubic splines good to 1e-5 of the focus' echo."""
-LEAST_SENSED, MOST_SENSED = 0.8, 1.2
-"""Bounds of the delay a displacement makes, over 2 u / c: beyond are the beam's dark rings alone."""
-# Steps beyond what is wanted: a spline's mirror at the table's end spoils the first dozen, each a quarter as much.
-_EDGE = 12
+STEPS_PER_WIDTH = 25
+"""Lateral steps of the table per lambda F / D, at the highest frequency."""
+STEPS_PER_DEPTH = 60
+"""Axial steps per 7.1 lambda (F / D)²; with cubic splines exact to 1e-5 of the echo of the focus."""
+MIN_DELAY_RATIO, MAX_DELAY_RATIO = 0.8, 1.2
+"""Bounds of the delay caused by a displacement, over 2 u / c; only the dark rings of the beam exceed them."""
+# Additional steps at the ends: the mirror condition of the spline falsifies the last dozen, by a quarter each.
+_MARGIN_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True)
 class PulseEchoBeam:
-    """Tables of G around the focus, at a few frequencies or of mixtures of them."""
+    """Tables of G around the focus, at a few frequencies or as weighted sums of them."""
 
     frequency_hz: tuple[float, ...]
     lateral_step_m: float
@@ -45,16 +48,18 @@ class PulseEchoBeam:
     axial_reach_m: float
     coefficient: ComplexArray
     """Spline coefficients of G, (table, axial, lateral)."""
-    sensed: FloatArray
-    """Delay that a displacement makes over 2 u / c, at the middle frequency, (axial, lateral)."""
+    delay_ratio: FloatArray
+    """Delay caused by a displacement, over 2 u / c, at the middle frequency, (axial, lateral)."""
 
     def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return G (table, place) and what share of a displacement is sensed, (place,)."""
+        """Return G (table, point) and the delay ratio (point,) at points (point,)."""
         from scipy.ndimage import map_coordinates
 
-        place = np.stack([(axial_m + self.axial_reach_m) / self.axial_step_m, lateral_m / self.lateral_step_m])
-        seen = [map_coordinates(each, place, order=3, prefilter=False, mode="mirror") for each in self.coefficient]
-        return np.stack(seen), np.asarray(map_coordinates(self.sensed, place, order=1, mode="nearest"))
+        index = np.stack([(axial_m + self.axial_reach_m) / self.axial_step_m, lateral_m / self.lateral_step_m])
+        response = [
+            map_coordinates(table, index, order=3, prefilter=False, mode="mirror") for table in self.coefficient
+        ]
+        return np.stack(response), np.asarray(map_coordinates(self.delay_ratio, index, order=1, mode="nearest"))
 
 
 def pulse_echo_beam(
@@ -65,19 +70,19 @@ def pulse_echo_beam(
     mixture: Mixture | None = None,
     of_push: bool = False,
 ) -> PulseEchoBeam:
-    """Return the transducer's beam at ``frequency_hz``, or in mixtures of it, to ``lateral_reach_m`` off its axis.
+    """Return the beam at ``frequency_hz``, or weighted sums over it, to ``lateral_reach_m`` off its axis.
 
-    In the medium of ``settings``, with its attenuation; or as it was measured, alike at all frequencies near that of
-    the scan, that of the push where ``of_push``. Kept: a table for each transducer, medium and band.
+    The beam is computed in the attenuating medium of ``settings``, or measured by a scan and then equal at all
+    frequencies. ``of_push`` selects the scan of the push. Tables are cached by transducer, medium and band.
     """
     scan = settings.beams.excitation_scan if of_push else settings.beams.tracking_scan
-    return _kept(
+    return _tabulated_beam(
         settings.beams.transducer,
         read_scan(scan) if scan is not None and settings.beams.field == "measured" else None,
         settings.sound_speed_m_per_s,
         settings.echo_attenuation_db_per_cm_mhz,
         frequency_hz,
-        # To two digits up, so that places drawn at random share a table.
+        # Rounded up to two digits, so that random scatterers share a table.
         _rounded_up(lateral_reach_m),
         _rounded_up(axial_reach_m),
         mixture,
@@ -85,12 +90,13 @@ def pulse_echo_beam(
 
 
 def _rounded_up(value: float) -> float:
+    """Return ``value`` rounded up to two significant digits."""
     unit = 10.0 ** (math.floor(math.log10(max(value, 1e-5))) - 1)
     return math.ceil(value / unit) * unit
 
 
 @lru_cache(maxsize=8)
-def _kept(
+def _tabulated_beam(
     transducer: Transducer,
     scan: Scan | None,
     sound_speed_m_per_s: float,
@@ -104,31 +110,34 @@ def _kept(
 
     width_m = diffraction_width_m(transducer, max(frequency_hz), sound_speed_m_per_s)
     f_number = transducer.focal_length_m / transducer.diameter_m
-    lateral_step_m, axial_step_m = width_m / STEPS_A_WIDTH, 7.1 * width_m * f_number / STEPS_A_DEPTH
-    across = np.asarray(np.arange(math.ceil(lateral_reach_m / lateral_step_m) + _EDGE) * lateral_step_m, np.float64)
-    steps = math.ceil(axial_reach_m / axial_step_m) + _EDGE
-    along = np.asarray(np.arange(-steps, steps + 1) * axial_step_m, np.float64)
-    table = []
+    lateral_step_m, axial_step_m = width_m / STEPS_PER_WIDTH, 7.1 * width_m * f_number / STEPS_PER_DEPTH
+    lateral_steps = math.ceil(lateral_reach_m / lateral_step_m) + _MARGIN_STEPS
+    lateral_m = np.asarray(np.arange(lateral_steps) * lateral_step_m, np.float64)
+    steps = math.ceil(axial_reach_m / axial_step_m) + _MARGIN_STEPS
+    axial_m = np.asarray(np.arange(-steps, steps + 1) * axial_step_m, np.float64)
+    # G at each frequency, (axial, lateral).
+    tables = []
     for hz in frequency_hz:
         k = wave_number(hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
         if scan is not None:
-            table.append(np.square(round_field(scan, k.real, across, along)))
+            tables.append(np.square(round_field(scan, k.real, lateral_m, axial_m)))
             continue
-        pressure = bowl_pressure(transducer, k, across, along)
-        table.append(np.square(pressure / pressure[steps, 0]) * np.exp(2j * k.real * along)[:, None])
-    middle = len(table) // 2
+        pressure = bowl_pressure(transducer, k, lateral_m, axial_m)
+        tables.append(np.square(pressure / pressure[steps, 0]) * np.exp(2j * k.real * axial_m)[:, None])
+    # Delay of a displacement: 2 u / c minus the change of the phase of G along the axis.
+    middle = len(tables) // 2
     k = 2 * math.pi * frequency_hz[middle] / sound_speed_m_per_s
-    turning = np.gradient(table[middle], axial_step_m, axis=0)
-    size = np.maximum(np.square(np.abs(table[middle])), 1e-12)
-    sensed = 1 - (turning * table[middle].conj()).imag / size / (2 * k)
+    gradient = np.gradient(tables[middle], axial_step_m, axis=0)
+    power = np.maximum(np.square(np.abs(tables[middle])), 1e-12)
+    delay_ratio = 1 - (gradient * tables[middle].conj()).imag / power / (2 * k)
     if mixture is not None:
-        table = list(np.tensordot(np.array(mixture), np.stack(table), axes=1))
+        tables = list(np.tensordot(np.array(mixture), np.stack(tables), axes=1))
     return PulseEchoBeam(
         frequency_hz,
         lateral_step_m,
         axial_step_m,
         steps * axial_step_m,
-        # The mirror at the axis is the beam's own symmetry.
-        np.stack([spline_filter(each, order=3, output=np.complex128, mode="mirror") for each in table]),
-        np.clip(sensed, LEAST_SENSED, MOST_SENSED),
+        # The mirror condition at the axis is the symmetry of the beam.
+        np.stack([spline_filter(table, order=3, output=np.complex128, mode="mirror") for table in tables]),
+        np.clip(delay_ratio, MIN_DELAY_RATIO, MAX_DELAY_RATIO),
     )

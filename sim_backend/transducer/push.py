@@ -1,10 +1,10 @@
-"""Push over drive: what nonlinear propagation makes of force, pressures and heat, tabulated once for a scene.
+"""Force, pressures and heat of the push over drive with nonlinear propagation, tabulated once for a scene.
 
-    surface pressure -> nonlinear_beam -> force field -> the force density F that, with the widths of the push beam,
-                                                         moves the focus as far as that field does at rest
+    surface pressure -> nonlinear_beam -> force field -> equivalent force density F
 
-F replaces drive^2 in the twin's force. The surface's pressure at the reference drive follows from the specimen's
-``force_density_n_per_m3``, which holds there. docs/explanation/nonlinear.md, section 3.
+F is the density of a Gaussian force with the widths of the push beam that causes the same static displacement at the
+focus as the force field. It replaces the square of the drive in the twin's force. The surface pressure at the reference
+drive is the one that gives the specimen's ``force_density_n_per_m3``. See docs/explanation/nonlinear.md, section 3.
 """
 
 from __future__ import annotations
@@ -15,123 +15,126 @@ from functools import lru_cache
 
 import numpy as np
 
-from sim_backend.arrays import FloatArray
+from sim_backend.arrays import BoolArray, FloatArray
 from sim_backend.settings import Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer.burgers import Layer
 from sim_backend.transducer.nonlinear import Accuracy, Beam, largest_table, nonlinear_beam
 
 Triple = tuple[float, float, float]
 
-# Values that the largest table of a march may have foreseen at its focus; those before it take some times as much.
-_MOST_VALUES = 20_000_000
-# Surface pressures over the one that would do without nonlinearity; the lowest is linear to 1e-3.
+# Largest table of a march, in values at the focus; the tables before it take several times as much.
+_MAX_TABLE_VALUES = 20_000_000
+# Surface pressures over the one that gives the reference force without nonlinearity; the lowest is linear to 1e-3.
 LEVELS = (0.02, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """The push at rising surface pressures, every array (level,)."""
+    """The push at ascending surface pressures; every array (level,)."""
 
     surface_pa: FloatArray
-    """Pressure amplitude rho c u0 of the bowl's surface."""
+    """Pressure amplitude rho c u0 at the surface of the bowl."""
     force_n_per_m3: FloatArray
-    """Force density of the Gaussian push beam that moves the focus as far at rest."""
+    """Equivalent force density F of the Gaussian push beam."""
     peak_force_n_per_m3: FloatArray
-    """Largest force density, where the shock is strongest: far above the former."""
+    """Largest force density, at the strongest shock: far above F."""
     positive_pa: FloatArray
     """Peak positive pressure."""
     negative_pa: FloatArray
     """Peak negative pressure."""
     sppa_w_per_m2: FloatArray
-    """Largest intensity while a toneburst is on."""
+    """Largest intensity during a toneburst."""
     heat_w_per_m3: FloatArray
-    """Largest heating rate while a toneburst is on."""
+    """Largest heating rate during a toneburst."""
 
     def at(self, surface_pa: FloatArray) -> Push:
-        """Return the push at these surface pressures (level,): by monotone cubics in logarithms, powers beyond."""
+        """Return the push at these surface pressures (level,): monotone cubics of logarithms, power laws outside."""
         from scipy.interpolate import PchipInterpolator
 
-        known, wanted = np.log(self.surface_pa), np.log(surface_pa)
-        inside = np.clip(wanted, known[0], known[-1])
+        log_table, log_surface = np.log(self.surface_pa), np.log(surface_pa)
+        inside = np.clip(log_surface, log_table[0], log_table[-1])
+        first, last = log_table[1] - log_table[0], log_table[-1] - log_table[-2]
 
-        def there(name: str) -> FloatArray:
+        def interpolated(name: str) -> FloatArray:
             value = np.log(getattr(self, name))
-            slopes = (value[1] - value[0]) / (known[1] - known[0]), (value[-1] - value[-2]) / (known[-1] - known[-2])
-            beyond = np.where(wanted < inside, slopes[0], slopes[1]) * (wanted - inside)
-            return np.asarray(np.exp(PchipInterpolator(known, value)(inside) + beyond))
+            slopes = (value[1] - value[0]) / first, (value[-1] - value[-2]) / last
+            outside = np.where(log_surface < inside, slopes[0], slopes[1]) * (log_surface - inside)
+            return np.asarray(np.exp(PchipInterpolator(log_table, value)(inside) + outside))
 
-        return Push(*(there(each.name) for each in fields(self)))
+        return Push(*(interpolated(field.name) for field in fields(self)))
 
     def relative_force(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
-        """Return the force over ``force_density_n_per_m3`` at ``pressure`` over that of the drive which makes it."""
+        """Return the force over ``force_density_n_per_m3``; ``pressure`` is over the pressure that gives that force."""
         reference_pa = self.surface_for(force_density_n_per_m3)
         with np.errstate(divide="ignore"):
             log_force = self._log_force(np.log(pressure * reference_pa))
         return np.asarray(np.exp(log_force) / force_density_n_per_m3)
 
     def surface_for(self, force_density_n_per_m3: float) -> float:
-        """Return the surface pressure that makes this force; raise ``ValueError`` where none does.
+        """Return the surface pressure that gives this force. Raises ``ValueError`` for a force that no drive reaches.
 
-        Shocks lose what more drive adds: beyond the table the force may stop growing.
+        Loss in shocks can limit the force.
         """
         from scipy.optimize import brentq
 
         low, high = math.log(self.surface_pa[0]) - 20, math.log(self.surface_pa[-1]) + 5
-        wanted, most = math.log(force_density_n_per_m3), float(self._log_force(np.array(high)))
-        if not float(self._log_force(np.array(low))) < wanted < most:
+        target, largest = math.log(force_density_n_per_m3), float(self._log_force(np.array(high)))
+        if not float(self._log_force(np.array(low))) < target < largest:
             raise ValueError(
                 f"no drive makes a force density of {force_density_n_per_m3:.3g} N/m^3 with this nonlinear "
-                f"propagation, which ends at {math.exp(most):.3g} N/m^3"
+                f"propagation, which ends at {math.exp(largest):.3g} N/m^3"
             )
-        return math.exp(brentq(lambda x: float(self._log_force(np.array(x))) - wanted, low, high, xtol=1e-12))
+        return math.exp(brentq(lambda x: float(self._log_force(np.array(x))) - target, low, high, xtol=1e-12))
 
     def exponent(self, force_density_n_per_m3: float) -> float:
-        """Return d ln force / d ln drive^2 where the push makes this force: 1 where propagation is linear."""
-        at, step = math.log(self.surface_for(force_density_n_per_m3)), 0.05
-        low, high = (float(self._log_force(np.array(at + side * step))) for side in (-1, 1))
+        """Return d ln force / d ln drive² at this force; 1 for linear propagation."""
+        log_surface, step = math.log(self.surface_for(force_density_n_per_m3)), 0.05
+        low, high = (float(self._log_force(np.array(log_surface + side * step))) for side in (-1, 1))
         return (high - low) / (4 * step)
 
-    def _log_force(self, log_pressure: FloatArray) -> FloatArray:
+    def _log_force(self, log_surface: FloatArray) -> FloatArray:
+        """Return the logarithm of the force at logarithms of the surface pressure."""
         from scipy.interpolate import PchipInterpolator
 
-        known = np.log(self.surface_pa)
-        gain = np.log(self.force_n_per_m3) - 2 * known
-        # Below the table the push is linear; above, it goes on with its last slope.
-        inside = PchipInterpolator(known, gain)(np.clip(log_pressure, known[0], known[-1]))
-        slope = (gain[-1] - gain[-2]) / (known[-1] - known[-2])
-        return np.asarray(inside + slope * np.maximum(log_pressure - known[-1], 0) + 2 * log_pressure)
+        log_table = np.log(self.surface_pa)
+        # Interpolate force over pressure squared: constant below the table, with the last slope above it.
+        gain = np.log(self.force_n_per_m3) - 2 * log_table
+        inside = PchipInterpolator(log_table, gain)(np.clip(log_surface, log_table[0], log_table[-1]))
+        slope = (gain[-1] - gain[-2]) / (log_table[-1] - log_table[-2])
+        return np.asarray(inside + slope * np.maximum(log_surface - log_table[-1], 0) + 2 * log_surface)
 
 
 def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | None:
-    """Return the push of a scene over drive, None where it asks for no nonlinear propagation; computed once.
+    """Return the push of a scene over drive; None without nonlinear propagation.
 
-    Raises ``ValueError`` where it would take too much memory.
+    Computed once for the same arguments. Raises ``ValueError`` if it would take too much memory.
     """
     specimen, propagation = settings.specimen, settings.propagation
     if specimen is None or propagation is None:
         return None
     beams = settings.beams
     layers = path(specimen, propagation, settings.sound_speed_m_per_s, beams.focus_depth_m)
-    own = beams.transducer, beams.excitation_width_m, carrier_hz
-    return _push(tuple(layers), propagation.harmonics, specimen.force_density_n_per_m3, *own)
+    reference_n_per_m3, width_m = specimen.force_density_n_per_m3, beams.excitation_width_m
+    return _push(tuple(layers), propagation.harmonics, reference_n_per_m3, beams.transducer, width_m, carrier_hz)
 
 
 @dataclass(frozen=True, slots=True)
 class WaterOutput:
-    """Acoustic output in water, as a hydrophone would measure it: nothing derated."""
+    """Acoustic output in water, as a hydrophone would measure it, not derated."""
 
     positive_pa: float
     """Peak positive pressure."""
     negative_pa: float
     """Peak negative pressure."""
     sppa_w_per_m2: float
-    """Largest intensity while a toneburst is on."""
+    """Largest intensity during a toneburst."""
 
 
 def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: float = 3.0e6) -> WaterOutput:
-    """Return the output of a scene's transducer in water, driven to ``surface_pa``; raise ``ValueError`` without one.
+    """Return the output of a scene's transducer in water at a surface pressure of ``surface_pa``.
 
-    With the water of ``settings.propagation``, harmonics and shocks included; computed once for a pressure.
+    It includes harmonics and shocks, in the water of ``settings.propagation``, and is computed once for a pressure.
+    Raises ``ValueError`` without nonlinear propagation in the settings.
     """
     if settings.propagation is None:
         raise ValueError("no nonlinear propagation is declared. Try: [simulation.propagation]")
@@ -142,18 +145,23 @@ def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: fl
 def _water(
     transducer: Transducer, propagation: Propagation, speed_m_per_s: float, surface_pa: float, carrier_hz: float
 ) -> WaterOutput:
-    _refuse_too_many(transducer, speed_m_per_s / carrier_hz, propagation.harmonics)
+    _check_memory(transducer, speed_m_per_s / carrier_hz, propagation.harmonics)
     layer = _water_layer(propagation, speed_m_per_s, math.inf)
     beam = nonlinear_beam(transducer, [layer], carrier_hz, surface_pa, Accuracy(propagation.harmonics))
-    # The bowl's own edge is no place that a hydrophone comes to.
-    near = beam.depth_m > transducer.focal_length_m / 2
+    # A hydrophone does not measure near the rim of the bowl.
+    near_focus = beam.depth_m > transducer.focal_length_m / 2
+    return WaterOutput(*_peaks(beam, near_focus))
+
+
+def _peaks(beam: Beam, selected: BoolArray) -> tuple[float, float, float]:
+    """Return the peak positive and negative pressures and the largest intensity at the ``selected`` depths."""
     positive_pa, negative_pa = beam.extremes_pa()
-    peaks = positive_pa[near].max(), negative_pa[near].max(), beam.intensity_w_per_m2()[near].max()
-    return WaterOutput(*(float(each) for each in peaks))
+    intensity = beam.intensity_w_per_m2()
+    return float(positive_pa[selected].max()), float(negative_pa[selected].max()), float(intensity[selected].max())
 
 
-# Seconds for a table of some hundred bytes: kept for every value of a sweep. By what it depends on alone, so that a
-# sweep of the medium's moduli computes none anew.
+# A table takes seconds to compute and some hundred bytes, so all values of a sweep are cached. The arguments exclude
+# the moduli of the medium, on which it does not depend.
 @lru_cache(maxsize=512)
 def _push(
     layers: tuple[Layer, ...],
@@ -163,59 +171,64 @@ def _push(
     width_m: Triple,
     carrier_hz: float,
 ) -> Push:
-    _refuse_too_many(transducer, layers[0].sound_speed_m_per_s / carrier_hz, harmonics)
+    _check_memory(transducer, layers[0].sound_speed_m_per_s / carrier_hz, harmonics)
     start_m, speed_m_per_s = layers[0].thickness_m, layers[-1].sound_speed_m_per_s
 
     def force(beam: Beam) -> float:
         return equivalent_force(beam, transducer.focal_length_m, width_m, start_m)
 
+    # Surface pressures relative to the one that gives the reference force in linear propagation.
     linear_pa = 1e4
     linear = force(nonlinear_beam(transducer, layers, carrier_hz, linear_pa, Accuracy(harmonics=4)))
     surface_pa = linear_pa * math.sqrt(force_density_n_per_m3 / linear) * np.array(LEVELS)
     rows = []
-    for each_pa in surface_pa:
-        beam = nonlinear_beam(transducer, layers, carrier_hz, float(each_pa), Accuracy(harmonics))
-        inside = beam.depth_m > start_m
-        positive_pa, negative_pa = beam.extremes_pa()
-        heat = beam.heat_w_per_m3[inside].max()
-        peaks = positive_pa[inside].max(), negative_pa[inside].max(), beam.intensity_w_per_m2()[inside].max()
-        rows.append((force(beam), heat / speed_m_per_s, *peaks, heat))
+    for level_pa in surface_pa:
+        beam = nonlinear_beam(transducer, layers, carrier_hz, float(level_pa), Accuracy(harmonics))
+        in_specimen = beam.depth_m > start_m
+        heat = beam.heat_w_per_m3[in_specimen].max()
+        rows.append((force(beam), heat / speed_m_per_s, *_peaks(beam, in_specimen), heat))
     return Push(surface_pa, *np.array(rows).T)
 
 
-def _refuse_too_many(transducer: Transducer, wavelength_m: float, harmonics: int) -> None:
-    """Raise ``ValueError`` where waves are so short beside the bowl, or so many, that memory would not hold them."""
-    more = largest_table(transducer, wavelength_m, harmonics) / _MOST_VALUES
-    if more > 1:
+def _check_memory(transducer: Transducer, wavelength_m: float, harmonics: int) -> None:
+    """Raise ``ValueError`` if waves are too short relative to the bowl, or too many, for the memory limit."""
+    ratio = largest_table(transducer, wavelength_m, harmonics) / _MAX_TABLE_VALUES
+    if ratio > 1:
         raise ValueError(
             f"{harmonics} harmonics of waves {wavelength_m * 1e3:.3g} mm long, from a bowl of "
-            f"{transducer.diameter_m * 1e3:.3g} mm, would take {more:.2g} times the memory that a push may"
+            f"{transducer.diameter_m * 1e3:.3g} mm, would take {ratio:.2g} times the memory that a push may"
         )
 
 
 def path(specimen: Specimen, propagation: Propagation, speed_m_per_s: float, focus_m: float) -> list[Layer]:
-    """Return what the push goes through: water, then the specimen, with one sound speed as everywhere in the twin."""
+    """Return the layers that the push crosses: water, then the specimen, with the twin's common sound speed."""
     water = _water_layer(propagation, speed_m_per_s, focus_m - propagation.specimen_depth_m)
-    loss = specimen.attenuation_db_per_cm_mhz
-    own = specimen.density_kg_per_m3, propagation.nonlinearity, loss, propagation.attenuation_power
-    return [water, Layer(math.inf, speed_m_per_s, *own)]
+    medium = Layer(
+        math.inf,
+        speed_m_per_s,
+        specimen.density_kg_per_m3,
+        propagation.nonlinearity,
+        specimen.attenuation_db_per_cm_mhz,
+        propagation.attenuation_power,
+    )
+    return [water, medium]
 
 
 def _water_layer(propagation: Propagation, speed_m_per_s: float, thickness_m: float) -> Layer:
-    own = propagation.water_density_kg_per_m3, propagation.water_nonlinearity
-    return Layer(thickness_m, speed_m_per_s, *own, propagation.water_attenuation_db_per_cm_mhz2, 2.0)
+    density_kg_per_m3, loss = propagation.water_density_kg_per_m3, propagation.water_attenuation_db_per_cm_mhz2
+    return Layer(thickness_m, speed_m_per_s, density_kg_per_m3, propagation.water_nonlinearity, loss, 2.0)
 
 
 def equivalent_force(beam: Beam, focus_m: float, width_m: Triple, start_m: float) -> float:
-    """Return the force density of a Gaussian of ``width_m`` that moves the focus at rest as far as ``beam`` does.
+    """Return the force density of a Gaussian of ``width_m`` with the static displacement at the focus of ``beam``.
 
-    Both forces on the same nodes from ``start_m`` on, each with what a point force along z moves at a distance R in an
-    incompressible elastic medium, (1 + z^2/R^2) / R (Kelvin): what the nodes leave out of its pole is left out of both.
+    A point force along z at a distance R displaces an incompressible elastic medium by (1 + z²/R²) / R (Kelvin). Both
+    forces are summed over the same nodes from ``start_m`` on, so the error at the pole is common to both.
     """
     depth_m, lateral_m, volume_m3, force = beam.force_at[:, beam.force_at[0] > start_m]
     z = depth_m - focus_m
     distance_m = np.hypot(lateral_m, z)
-    moved = volume_m3 * (1 + (z / distance_m) ** 2) / distance_m
-    x, _, along = width_m
-    gaussian = np.exp(-0.5 * ((lateral_m / x) ** 2 + (z / along) ** 2))
-    return float((moved * force).sum() / (moved * gaussian).sum())
+    displacement = volume_m3 * (1 + (z / distance_m) ** 2) / distance_m
+    lateral_width_m, _, axial_width_m = width_m
+    gaussian = np.exp(-0.5 * ((lateral_m / lateral_width_m) ** 2 + (z / axial_width_m) ** 2))
+    return float((displacement * force).sum() / (displacement * gaussian).sum())

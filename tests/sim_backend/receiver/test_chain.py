@@ -7,7 +7,7 @@ from hypothesis import given, settings, strategies
 from sim_backend.acoustics.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.chain import TRAIL, fast_length, lead_s, receive
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled, switch_gain
-from sim_backend.receiver.timing import jittered, sampled_late
+from sim_backend.receiver.timing import jittered, sampled_with_clock_error
 from sim_backend.settings.simulation import (
     BandFilter,
     Instruments,
@@ -239,7 +239,7 @@ def test_no_jitter_returns_the_bursts_themselves():
 def test_slow_clock_samples_later_and_later():
     volts = np.sin(2 * np.pi * 9e6 * np.arange(2060) * PERIOD_S)[None]
     clock = Instruments(sample_clock_offset=1e-5)
-    out = sampled_late(volts, slice(6, 2054), PERIOD_S, clock, np.random.default_rng(6))
+    out = sampled_with_clock_error(volts, slice(6, 2054), PERIOD_S, clock, np.random.default_rng(6))
     late_s = np.arange(2048) * PERIOD_S * 1e-5
     expected = np.sin(2 * np.pi * 9e6 * (np.arange(6, 2054) * PERIOD_S + late_s))
     # First order in w t = 0.0116 rad: (w t)^2 / 2 = 7e-5; the stencil's slope is 2e-4 of w t off.
@@ -249,7 +249,7 @@ def test_slow_clock_samples_later_and_later():
 def test_aperture_jitter_is_noise_of_the_slope():
     volts = np.sin(2 * np.pi * 9e6 * np.arange(20_012) * PERIOD_S)[None]
     clock = Instruments(sample_clock_jitter_s=10e-12)
-    out = sampled_late(volts, slice(6, 20_006), PERIOD_S, clock, np.random.default_rng(7))
+    out = sampled_with_clock_error(volts, slice(6, 20_006), PERIOD_S, clock, np.random.default_rng(7))
     noise = out - volts[:, 6:20_006]
     assert noise.std() == pytest.approx(2 * np.pi * 9e6 * 10e-12 / np.sqrt(2), rel=5 * np.sqrt(1.5 / 20_000))
 

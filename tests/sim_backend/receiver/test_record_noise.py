@@ -43,7 +43,7 @@ def whole() -> NDArray[np.float64]:
 def test_blocks_have_the_noise_of_the_whole_capture(
     whole: NDArray[np.float64], blocks: list[tuple[int, int]], at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record_noise, "DRAWN_MEANWHILE", at_once)
+    monkeypatch.setattr(record_noise, "MIN_THREAD_SAMPLES", at_once)
     made = noise()
     for first, last in blocks:
         begun = made.begin(capture(slice(first, last)))
@@ -54,7 +54,7 @@ def test_blocks_have_the_noise_of_the_whole_capture(
 
 
 def test_every_capture_has_noise_of_its_own(monkeypatch: pytest.MonkeyPatch, whole: NDArray[np.float64]) -> None:
-    monkeypatch.setattr(record_noise, "DRAWN_MEANWHILE", 1)
+    monkeypatch.setattr(record_noise, "MIN_THREAD_SAMPLES", 1)
     made = noise()
     for first in (0, 100):
         made.begin(capture(slice(first, first + 100)))()

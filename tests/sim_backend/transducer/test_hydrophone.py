@@ -17,7 +17,7 @@ import hpe_rig as hpe
 from hpe_rig.bench import check_declared
 from hpe_rig.measurement.resumption import _refuse_differences
 from hpe_rig.measurement.setup import prepare_text, with_scan_in_folder
-from hpe_rig.prediction import force_of
+from hpe_rig.prediction import push_force
 from hpe_rig.processing import Estimates
 from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import SettingsError, load_scene, scene_text
@@ -115,13 +115,13 @@ def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) 
     broken["pressure_pa"][3] = np.nan
     with pytest.raises(ValueError, match="y_m is missing") as found:
         read_scan(written(broken, tmp_path / "broken.h5"))
-    for words in ("differ in length", "pressure_pa holds a value that is no number", "below 0"):
+    for words in ("differ in length", "pressure_pa contains a value that is not a finite number", "below 0"):
         assert words in str(found.value)
     few = {name: each[tracking["z_m"] > 1.7e-3] for name, each in tracking.items()}
     with pytest.raises(ValueError, match="planes of equal z_m"):
         read_scan(written(few, tmp_path / "few.h5"))
     cut = {name: each[np.abs(tracking["x_m"]) < 0.16e-3] for name, each in tracking.items()}
-    with pytest.raises(ValueError, match="a wider scan"):
+    with pytest.raises(ValueError, match="scan a wider area"):
         read_scan(written(cut, tmp_path / "cut.h5"))
     behind = {name: each[tracking["z_m"] > 0.1e-3] for name, each in tracking.items()}
     with pytest.raises(ValueError, match="from before the focus"):
@@ -129,7 +129,7 @@ def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) 
     (tmp_path / "scan.txt").write_text("x_m\n0\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"\.csv, \.h5"):
         read_scan(str(tmp_path / "scan.txt"))
-    with pytest.raises(ValueError, match="is no file here"):
+    with pytest.raises(ValueError, match="does not exist"):
         read_scan(str(tmp_path / "absent.csv"))
 
 
@@ -169,8 +169,8 @@ def test_a_scan_that_cuts_the_push_or_has_no_focus_is_no_force(tracking, tmp_pat
         "z_m = -0.003",
         "z_m = 0.003",
     ]
-    with pytest.raises(SettingsError, match="the push goes on"):
-        force_of(scene.with_({"beams.excitation_scan": short}))
+    with pytest.raises(SettingsError, match="the push extends beyond the scan"):
+        push_force(scene.with_({"beams.excitation_scan": short}))
     long = written(scanned(3.0e6, 8e-3, 17e-3, (40, 68)), tmp_path / "long.h5")
     assert check_declared(scene.with_({"beams.excitation_scan": long})) == []
     dark = written(tracking | {"pressure_pa": 0 * tracking["pressure_pa"]}, tmp_path / "dark.h5")
@@ -194,8 +194,8 @@ def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:
     ]
     bench_alone = scene.model_copy(update={"simulation": None}).with_({"beams.excitation_scan": absent})
     assert [each.path for each in check_declared(bench_alone)] == ["beams.excitation_scan"]
-    with pytest.raises(SettingsError, match=r"beams\.excitation_scan.*is no file here"):
-        force_of(bench_alone)
+    with pytest.raises(SettingsError, match=r"beams\.excitation_scan.*does not exist"):
+        push_force(bench_alone)
 
 
 @pytest.mark.parametrize("path", ["push.csv", "/gone/push.csv", r"C:\scans\push.csv"])
@@ -215,7 +215,7 @@ def test_a_run_is_resumed_with_the_scan_beside_its_file(tmp_path: Path) -> None:
     text = scene_text(load_scene("bovine-muscle").with_({"beams.excitation_scan": str(lost)}))[1]
     here.parent.mkdir()
     lost.rename(here)
-    with pytest.raises(SettingsError, match="is no file here"):
+    with pytest.raises(SettingsError, match="does not exist"):
         prepare_text("scanned", text)
     beams = prepare_text("scanned", text, stored=here.with_name("run.h5")).scene.scene.beams
     assert beams is not None
@@ -258,12 +258,12 @@ def test_a_run_finds_its_scan_again_beside_the_run_file(tmp_path: Path, monkeypa
     scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": "push.csv", "excitation.burst_count": 5})
     scene = scene.with_({"processing.window_start_s": 0.0})
     hpe.measure(scene, path=tmp_path / "run.h5")
-    before = force_of(scene)
+    before = push_force(scene)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
     run = hpe.open_run(tmp_path / "run.h5")
-    assert force_of(run.scene) == before
+    assert push_force(run.scene) == before
     with (tmp_path / "push.csv").open("rb") as scan:
         assert run.stored.scan_sha256 == hashlib.file_digest(scan, "sha256").hexdigest()
     assert not any("has changed since" in warning for warning in run.estimate().warnings)
@@ -272,4 +272,4 @@ def test_a_run_finds_its_scan_again_beside_the_run_file(tmp_path: Path, monkeypa
     assert any("has changed since" in warning for warning in hpe.open_run(tmp_path / "run.h5").estimate().warnings)
     (tmp_path / "push.csv").rename(tmp_path / "lost.csv")
     with pytest.raises(SettingsError, match="beside the run file"):
-        force_of(hpe.open_run(tmp_path / "run.h5").scene)
+        push_force(hpe.open_run(tmp_path / "run.h5").scene)
