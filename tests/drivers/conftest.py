@@ -1,4 +1,4 @@
-"""Connections that play an instrument by a script, for what the twin does not do, and every real transport to it."""
+"""A scripted instrument, for behaviour that the twin lacks, and the twin over every transport."""
 
 from __future__ import annotations
 
@@ -90,11 +90,11 @@ def reaching(transport: str, instrument: Generator33250A) -> Iterator[Connection
         yield instrument
         return
 
-    def seen(role: str, over_serial: bool) -> GeneratorConnection:
+    def connect(role: str, over_serial: bool) -> GeneratorConnection:
         return GeneratorConnection(instrument, SimulatedClock(), 0.0, over_serial)
 
     with ExitStack() as stack:
-        served = stack.enter_context(Emulator(transport, seen, ("instrument",))).served["instrument"]
+        served = stack.enter_context(Emulator(transport, connect, ("instrument",))).served["instrument"]
         interface = PrologixAdapter(served.interface, TIMEOUT_S) if served.interface else None
         if interface:
             stack.callback(interface.close)

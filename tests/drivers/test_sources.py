@@ -1,4 +1,4 @@
-"""What drivers and twin cite of the instruments stands in the repository, under the number that they cite."""
+"""The sections that drivers and twin cite exist in the repository."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ CITATION = re.compile(rf"{re.escape(PAGE)},\s+(\d(?:\.\d)?(?:(?:,| and| to)\s+\d
 
 def cited() -> dict[str, set[str]]:
     """Return the section numbers by the file that cites them."""
-    found: dict[str, set[str]] = {}
+    citations: dict[str, set[str]] = {}
     for package in ("drivers", "sim_backend"):
         for path in sorted((ROOT / package).rglob("*.py")):
             for numbers in CITATION.findall(path.read_text(encoding="utf-8")):
-                found.setdefault(str(path.relative_to(ROOT)), set()).update(re.findall(r"\d(?:\.\d)?", numbers))
-    return found
+                citations.setdefault(str(path.relative_to(ROOT)), set()).update(re.findall(r"\d(?:\.\d)?", numbers))
+    return citations
 
 
 def test_every_cited_section_is_there() -> None:

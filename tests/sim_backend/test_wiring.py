@@ -113,17 +113,17 @@ def test_records_equal_a_plain_loop(trigger_ps, samples, delay, count, period_ps
         if time_ps >= arming.start_ps and tick_ps >= idle_from and len(expected) < count:
             expected.append(tick_ps + 7 + delay * period_ps)
             idle_from = tick_ps + 7 + (delay + samples) * period_ps
-    taken = accepted_triggers(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0), FAR_PS)
-    assert taken.first_sample_ps.tolist() == expected
+    triggers = accepted_triggers(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0), FAR_PS)
+    assert triggers.first_sample_ps.tolist() == expected
 
 
 def test_a_cable_is_a_delay_and_no_cable_is_no_trigger():
     cables = cables_of([("a.output", "b.trigger", 5e-9)], ["a.output"], ["b.trigger", "c.trigger"])
-    seen = {}
+    arrivals = {}
 
     def listener(role):
         def respond_to(arriving):
-            seen[role] = arriving
+            arrivals[role] = arriving
             return Emission(no_steps(), no_bursts())
 
         return respond_to
@@ -131,8 +131,8 @@ def test_a_cable_is_a_delay_and_no_cable_is_no_trigger():
     propagate(
         cables, {"c": listener("c"), "b": listener("b"), "a": lambda arriving: Emission(ttl([1000]), no_bursts())}
     )
-    assert rises(seen["b"]) == [6000]
-    assert seen["c"].time_ps.size == 0
+    assert rises(arrivals["b"]) == [6000]
+    assert arrivals["c"].time_ps.size == 0
 
 
 def test_steps_of_two_cables_into_one_input_are_sorted_by_time():
@@ -176,10 +176,10 @@ def test_a_level_is_judged_behind_the_sources_50_ohm(open_v, input_ohm, edges):
 
 def test_an_edge_must_start_below_the_level():
     steps = Steps(np.array([1, 2, 3, 4]), np.array([0.0, 2.0, 1.0, 0.5]), np.array([2.0, 0.0, 0.0, 1.0]))
-    # Behind 50 of 50 + 50 ohm half of it is seen: 1 V is at the level of 0.5 V.
+    # A 50 ohm load halves the open-circuit voltage: 1 V reaches the level of 0.5 V.
     assert crossings(steps, 0.5, rising=True, input_ohm=50.0).tolist() == [1, 4]
     assert crossings(steps, 0.5, rising=False, input_ohm=50.0).tolist() == [2, 3]
-    # What is at the level already and goes on rising passes nothing.
+    # A voltage that starts at the level crosses nothing.
     further = Steps(np.array([1]), np.array([1.0]), np.array([2.0]))
     assert crossings(further, 0.5, rising=True, input_ohm=50.0).tolist() == []
 
@@ -291,10 +291,10 @@ def test_a_square_wave_is_high_for_its_duty_cycle_of_each_period() -> None:
 
 def test_bursts_within_10_ms_of_a_record_of_any_length_contribute() -> None:
     onset_ps = np.arange(0, 200, 3, dtype=np.int64) * 10**9
-    every = Bursts(onset_ps, onset_ps + 1000, np.ones(67), np.ones(67), np.ones(67))
+    bursts = Bursts(onset_ps, onset_ps + 1000, np.ones(67), np.ones(67), np.ones(67))
     # 50 ms from 60 ms on.
-    heard = near(every, Capture(0, 0, np.array([60 * 10**9]), 10**6, 50_000))
-    assert heard.onset_ps.tolist() == [time for time in onset_ps.tolist() if 50 * 10**9 <= time < 120 * 10**9]
+    contributing = near(bursts, Capture(0, 0, np.array([60 * 10**9]), 10**6, 50_000))
+    assert contributing.onset_ps.tolist() == [time for time in onset_ps.tolist() if 50 * 10**9 <= time < 120 * 10**9]
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0])

@@ -26,7 +26,7 @@ MASTER = TTL.format(rate=1000) + ";:TRIG:SOUR BUS;:BURS:STAT 1;:OUTP 1"
 
 
 class Counting:
-    """Volts that tell the record number and how often they were asked for; displacement that tells the time."""
+    """Volts encode record number and number of calls; the displacement encodes the time."""
 
     def __init__(self):
         self.captures = []

@@ -1,4 +1,4 @@
-"""The three generator roles against a scripted instrument: what is sent, in which order, and what is refused."""
+"""The generator roles on a scripted instrument: messages, their order, and refused values."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROLES = [(Agilent33250A, PULSE), (Agilent33250A, TRAIN), (Agilent33250A, BURST)]
 
 
 def answer_everything(connection) -> None:
-    """Have the script answer as well what was not programmed."""
+    """Add replies for settings that were not programmed."""
     connection.replies |= {item.header: "0" for item in READABLE if item.header not in connection.held}
 
 
@@ -71,7 +71,7 @@ def test_the_toneburst_is_a_counted_sine_burst_on_external_trigger(scripted) -> 
     assert float(connection.held["VOLT"]) == 0.5
     assert float(connection.held["VOLT:OFFS"]) == 0.0
     assert connection.held["BURS:NCYC"] == "600"
-    # From its rising zero crossing: what the twin emits, and does not ask for.
+    # Phase 0: the burst starts at a rising zero crossing.
     assert float(connection.held["BURS:PHAS"]) == 0.0
     assert connection.held["TRIG:SOUR"] == "EXT"
     assert float(connection.held["OUTP:LOAD"]) == 50.0
@@ -113,10 +113,10 @@ def test_bursts_are_never_gated_nor_endless_and_enabled_last(scripted, role_type
 def test_every_changed_setting_is_read_back_with_the_error_queue(scripted, role_type, program) -> None:
     connection = scripted()
     role_type(connection, "x").configure(program)
-    for place, message in enumerate(connection.messages):
+    for index, message in enumerate(connection.messages):
         if "?" not in message and "*RST" not in message:
             headers = [part.lstrip(":").split()[0] for part in message.split(";")]
-            assert connection.messages[place + 1].split(";:") == [*(f"{header}?" for header in headers), "SYST:ERR?"]
+            assert connection.messages[index + 1].split(";:") == [*(f"{header}?" for header in headers), "SYST:ERR?"]
 
 
 @pytest.mark.parametrize("width_s", [1e-6, 100e-6, 150e-6])
@@ -156,7 +156,7 @@ def test_a_missing_identity_is_queried_once_more_and_nothing_else_is_sent(script
     generator = Agilent33250A(connection, "toneburst")
     assert generator.identify().model == "33250A"
     assert connection.messages == ["*IDN?", "*IDN?"]
-    # A late first reply would be the answer to what is asked next.
+    # A late first reply would answer the next query.
     generator.configure(BURST)
 
 

@@ -21,7 +21,7 @@ COUNT = Register("count", "BURS:NCYC", 20)
 class LateConnection:
     """Answers each query with its own text; the reply to ``lost`` is ``stale`` and only comes after ``late`` reads.
 
-    A connection keeps its order: what is asked later is answered behind the late reply.
+    A connection keeps its order: the replies to later queries follow the late reply.
     """
 
     def __init__(self, lost: str, late: int, stale: str) -> None:
@@ -62,24 +62,24 @@ def test_a_group_goes_out_as_one_message_and_comes_back_with_the_error_queue_in_
     assert connection.messages == ["FREQ 1.000000000000E+02;:BURS:NCYC 20", "FREQ?;:BURS:NCYC?;:SYST:ERR?"]
 
 
-@pytest.mark.parametrize("place", range(3))
-def test_an_error_at_each_position_of_a_group_is_an_error_that_names_it(place: int) -> None:
+@pytest.mark.parametrize("index", range(3))
+def test_an_error_at_each_position_of_a_group_is_an_error_that_names_it(index: int) -> None:
     """The instrument stops at the first command that it does not know; what stands before it has been carried out."""
     registers = [RATE, COUNT, Register("delay_s", "TRIG:DEL", 1e-3)]
-    registers[place] = Register("nonsense", "NON:SENS", 1.0)
+    registers[index] = Register("nonsense", "NON:SENS", 1.0)
     session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
     with pytest.raises(InstrumentError) as caught:
         session.program("train", registers)
     assert "NON:SENS" in str(caught.value)
-    assert "-113" in str(caught.value) or place == 0
-    assert float(session.query("FREQ?")) == (1000.0 if place == 0 else 100.0)
+    assert "-113" in str(caught.value) or index == 0
+    assert float(session.query("FREQ?")) == (1000.0 if index == 0 else 100.0)
 
 
-@pytest.mark.parametrize("place", range(4))
-def test_a_coercion_at_each_position_of_a_group_is_found(scripted, place: int) -> None:
+@pytest.mark.parametrize("index", range(4))
+def test_a_coercion_at_each_position_of_a_group_is_found(scripted, index: int) -> None:
     registers = [Register(f"key_{index}", f"HEAD:NUM{index}", 1.0) for index in range(4)]
-    connection = scripted(replies={f"HEAD:NUM{place}": "+2.0000000000000E+00"})
-    with pytest.raises(RefusedError, match=f"key_{place} "):
+    connection = scripted(replies={f"HEAD:NUM{index}": "+2.0000000000000E+00"})
+    with pytest.raises(RefusedError, match=f"key_{index} "):
         ScpiSession(connection, "master").program("group", registers)
 
 

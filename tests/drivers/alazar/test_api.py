@@ -142,7 +142,7 @@ def test_every_other_code_is_an_error_naming_call_number_name_and_role(code: int
     ],
 )
 def test_the_likely_cause_matches_the_codes_name(name: str, cause: str) -> None:
-    [code] = [code for code, each in RETURN_CODES.items() if each == name]
+    [code] = [code for code, code_name in RETURN_CODES.items() if code_name == name]
     with pytest.raises(InstrumentError, match=f"(?i){cause}"):
         check(code, "AlazarStartCapture", "digitizer")
 

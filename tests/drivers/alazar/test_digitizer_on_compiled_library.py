@@ -40,10 +40,10 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the compiled li
 
 def compiler() -> str:
     configured = (os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc").split()[0]
-    found = shutil.which(configured) or shutil.which("cc") or shutil.which("gcc")
-    if found is None:
+    path = shutil.which(configured) or shutil.which("cc") or shutil.which("gcc")
+    if path is None:
         pytest.fail("no C compiler: these tests build a stand-in for the vendor's library; install gcc, or set CC")
-    return found
+    return path
 
 
 def build(folder: Path, *flags: str) -> Path:

@@ -40,7 +40,7 @@ CAPTURE = Capture(
 )
 # 32 KiB a record: AutoDMA takes 12 of them a buffer, so that 96 come in eight. Each fits the pulse period.
 LONG_CAPTURE = dataclasses.replace(CAPTURE, record_samples=16384, trigger_delay_samples=0, record_count=96)
-BOTH = pytest.mark.parametrize("dual", [False, True], ids=["single_port", "dual_port"])
+SINGLE_AND_DUAL_PORT = pytest.mark.parametrize("dual", [False, True], ids=["single_port", "dual_port"])
 
 
 def volts(records: int, samples: int, amplitude_v: float = 0.5) -> np.ndarray:
@@ -131,10 +131,10 @@ class Rig:
 
 @pytest.fixture(params=[False, True], ids=["single_port", "dual_port"])
 def rig(request) -> Iterator[Rig]:
-    made = Rig(request.param)
-    yield made
-    made.digitizer.close()
-    assert made.memory.held == 0
+    new_rig = Rig(request.param)
+    yield new_rig
+    new_rig.digitizer.close()
+    assert new_rig.memory.held == 0
 
 
 def test_the_driver_satisfies_its_interface(rig: Rig) -> None:
@@ -210,7 +210,7 @@ def test_delays_and_pre_triggers_give_the_same_records_in_both_captures(delay: i
     np.testing.assert_array_equal(single[0], dual[0])
 
 
-@BOTH
+@SINGLE_AND_DUAL_PORT
 @pytest.mark.parametrize(("amplitude_v", "clipped"), [(0.5, False), (1.2, True)])
 def test_an_input_beyond_its_range_is_reported(dual: bool, amplitude_v: float, clipped: bool) -> None:
     rig = Rig(dual, amplitude_v)
@@ -339,7 +339,7 @@ def test_memory_of_a_failed_abort_outlives_the_driver() -> None:
     assert buffers
     for buffer in buffers:
         assert buffer() is not None
-        # What the board would do; on memory given back it would end the process.
+        # As by the board; writing to freed memory would end the process.
         ctypes.memset(buffer().address, 0xEE, buffer().size_bytes)
 
 
@@ -364,9 +364,9 @@ def test_buffers_are_posted_before_the_capture_starts_and_the_abort_comes_last()
     rig = Rig(dual=True)
     rig.shot(LONG_CAPTURE)
     calls = rig.library.calls
-    begin, start = calls.index("AlazarBeforeAsyncRead"), calls.index("AlazarStartCapture")
-    assert calls[begin:start].count("AlazarPostAsyncBuffer") >= 2
-    assert calls.index("AlazarSetRecordSize") < begin
+    begin_call, start_call = calls.index("AlazarBeforeAsyncRead"), calls.index("AlazarStartCapture")
+    assert calls[begin_call:start_call].count("AlazarPostAsyncBuffer") >= 2
+    assert calls.index("AlazarSetRecordSize") < begin_call
     assert calls[-1] == "AlazarAbortAsyncRead"
 
 
@@ -538,7 +538,7 @@ def through_c(library) -> SimpleNamespace:
     return SimpleNamespace(**table)
 
 
-@BOTH
+@SINGLE_AND_DUAL_PORT
 def test_through_the_c_calling_convention_the_records_are_the_same(dual: bool) -> None:
     direct, in_c = Rig(dual), Rig(dual)
     in_c.digitizer = AlazarDigitizer(AlazarBoard(through_c(in_c.library)), in_c.world.clock)

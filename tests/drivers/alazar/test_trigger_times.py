@@ -1,7 +1,7 @@
-"""Trigger times against the clock on the wall, for driver, simulated board and compiled stand-in each on its own.
+"""Trigger times against the pulse rate, for driver, simulated board and compiled library separately.
 
 Driver and twin once misread the unit of single-port trigger times alike, so that no test of one on the other saw it.
-Here each is held against what no reading of a manual can change: pulses programmed at 5 kHz come every 200 us.
+Here each is compared with a fact that needs no manual: pulses programmed at 5 kHz come every 200 us.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def test_the_simulated_board_states_the_times_of_a_thousand_records_and_no_more(
 
 
 class Board:
-    """The smallest board that a driver can capture with: records of zeros, triggered every 200 us of its own clock."""
+    """The smallest board that a driver can capture with: records of zeros, triggered every 200 us."""
 
     def __init__(self) -> None:
         self.record_count = 0
@@ -108,8 +108,8 @@ class Board:
         return SUCCESS
 
 
-class Still:
-    """A clock that nobody asks."""
+class FixedClock:
+    """A clock at time zero that must not sleep."""
 
     def now_s(self) -> float:
         return 0.0
@@ -119,7 +119,7 @@ class Still:
 
 
 def captured(pulses: int) -> np.ndarray:
-    digitizer = AlazarDigitizer(AlazarBoard(Board()), Still(), mode="single_port")
+    digitizer = AlazarDigitizer(AlazarBoard(Board()), FixedClock(), mode="single_port")
     digitizer.configure(dataclasses.replace(CAPTURE, record_count=pulses))
     digitizer.arm()
     blocks = list(digitizer.records(1.0))

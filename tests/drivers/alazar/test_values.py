@@ -56,7 +56,7 @@ def test_the_rows_of_driver_and_twin_agree_for_every_board(model: BoardModel) ->
     assert board.trigger_ranges_v[model.trigger_range_id] == model.trigger_range_v
     sizes = (model.record_minimum, model.record_multiple, model.npt_record_multiple, model.pre_trigger_multiple)
     assert sizes == (board.min_record, board.record_multiple, board.npt_multiple, board.pre_trigger_multiple)
-    # Coarser than the twin's where what the board takes is not known for certain.
+    # Coarser than the twin's if the board's multiple is uncertain.
     assert model.trigger_delay_multiple % board.delay_multiple == 0
 
 

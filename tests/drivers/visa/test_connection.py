@@ -79,7 +79,7 @@ def with_shutdown(peer: socket.socket) -> None:
 
 
 @pytest.fixture
-def opened() -> Iterator[Callable[[str], VisaConnection]]:
+def open_connection() -> Iterator[Callable[[str], VisaConnection]]:
     connections: list[VisaConnection] = []
 
     def open_connection(address: str) -> VisaConnection:
@@ -91,19 +91,19 @@ def opened() -> Iterator[Callable[[str], VisaConnection]]:
         connection.close()
 
 
-def test_a_reply_arrives_without_its_line_end(scripted, opened) -> None:
+def test_a_reply_arrives_without_its_line_end(scripted, open_connection) -> None:
     with served(scripted()) as address:
-        connection = opened(address)
+        connection = open_connection(address)
         connection.write("*IDN?")
         assert connection.read() == "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"
         connection.close()
 
 
-def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly(opened) -> None:
+def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly(open_connection) -> None:
     direct, remote = (Generator33250A(SimulatedClock(), 100e-9) for _ in range(2))
     generators = [Agilent33250A(direct, "burst_train")]
     with served(remote) as address:
-        generators.append(Agilent33250A(opened(address), "burst_train"))
+        generators.append(Agilent33250A(open_connection(address), "burst_train"))
         for generator in generators:
             generator.configure(TRAIN)
             generator.verify()
@@ -116,23 +116,23 @@ def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly
     assert remote.registers == direct.registers
 
 
-def test_silence_is_a_timeout_after_the_time_that_was_set(scripted, opened) -> None:
+def test_silence_is_a_timeout_after_the_time_that_was_set(scripted, open_connection) -> None:
     with served(scripted()) as address:
-        connection = opened(address)
+        connection = open_connection(address)
         connection.write("*OPT?")
         started = time.monotonic()
         with pytest.raises(TimeoutError, match=r"within 0\.15 s"):
             connection.read()
-        # The upper bound only has to tell 0.15 s from the default of 2 s on a busy machine.
+        # The upper bound distinguishes 0.15 s from the default of 2 s on a busy machine.
         assert TIMEOUT_S * 0.9 < time.monotonic() - started < 1.5
         connection.close()
 
 
 @pytest.mark.parametrize("delay_s", [0.2, 0.45])
-def test_a_reply_that_is_late_on_the_socket_is_discarded(scripted, opened, delay_s: float) -> None:
+def test_a_reply_that_is_late_on_the_socket_is_discarded(scripted, open_connection, delay_s: float) -> None:
     instrument = scripted(replies={"VOLT": "late", "FREQ": "+1.0E+03"})
     with served(instrument, {"VOLT?": delay_s}) as address:
-        session = ScpiSession(opened(address), "toneburst")
+        session = ScpiSession(open_connection(address), "toneburst")
         with pytest.raises(InstrumentError, match=r"no reply to 'VOLT\?'"):
             session.query("VOLT?")
         replies = set()
@@ -145,11 +145,11 @@ def test_a_reply_that_is_late_on_the_socket_is_discarded(scripted, opened, delay
         session.close()
 
 
-def test_a_closed_port_is_an_instrument_error_that_names_the_address(opened) -> None:
+def test_a_closed_port_is_an_instrument_error_that_names_the_address(open_connection) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises((ConnectionError, InstrumentError), match=f"127.0.0.1::{port}"):
-        ScpiSession(opened(f"TCPIP0::127.0.0.1::{port}::SOCKET"), "master").query("*IDN?")
+        ScpiSession(open_connection(f"TCPIP0::127.0.0.1::{port}::SOCKET"), "master").query("*IDN?")
 
 
 @pytest.mark.parametrize("address", ["NOSUCH::1::INSTR", "not an address", "ASRL/dev/no-such-tty::INSTR"])
@@ -158,9 +158,9 @@ def test_an_address_that_cannot_be_opened_is_named(address: str) -> None:
         VisaConnection(address, TIMEOUT_S, backend="@py")
 
 
-def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted, opened) -> None:
+def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted, open_connection) -> None:
     with served(scripted()) as address:
-        session = ScpiSession(opened(address), "master")
+        session = ScpiSession(open_connection(address), "master")
         assert session.query("*IDN?").startswith("Agilent")
     for _ in range(3):
         with pytest.raises(InstrumentError, match="master"):

@@ -85,7 +85,7 @@ def test_a_serial_line_is_a_tcp_socket_on_systems_without_pseudo_terminals(monke
     monkeypatch.delattr(os, "openpty", raising=False)
     bench = Bench("serial")
     assert bench.connection.address.startswith("ASRLsocket://127.0.0.1:")
-    bench.instrument.query, bench.instrument.mishap = "VOLT?", late(0.3)
+    bench.instrument.query, bench.instrument.mishap = "VOLT?", delayed(0.3)
     with pytest.raises(InstrumentError, match="no reply"):
         bench.session.query("VOLT?")
     assert {bench.session.query("FREQ?") for _ in range(5)} == {"+1.0000000000000E+03"}
@@ -100,12 +100,12 @@ def test_a_serial_line_is_a_tcp_socket_on_systems_without_pseudo_terminals(monke
 
 @pytest.fixture(params=[pytest.param(name, id=name) for name in TRANSPORTS])
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
-    opened = Bench(request.param)
-    yield opened
-    opened.close()
+    new_bench = Bench(request.param)
+    yield new_bench
+    new_bench.close()
 
 
-def late(delay_s: float) -> Callable[[str], str]:
+def delayed(delay_s: float) -> Callable[[str], str]:
     def wait(reply: str) -> str:
         time.sleep(delay_s)
         return reply
@@ -115,8 +115,8 @@ def late(delay_s: float) -> Callable[[str], str]:
 
 @pytest.mark.parametrize("delay_s", [0.3, 0.5, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_a_late_reply_is_never_the_answer_to_a_later_query(bench: Bench, delay_s: float) -> None:
-    """A VXI-11 gateway keeps the time-out itself; pyvisa-py waits another second for what it says."""
-    bench.instrument.query, bench.instrument.mishap = "VOLT?", late(delay_s)
+    """A VXI-11 gateway applies the time-out; pyvisa-py waits one second longer for its answer."""
+    bench.instrument.query, bench.instrument.mishap = "VOLT?", delayed(delay_s)
     if bench.transport == "vxi11" and delay_s < TIMEOUT_S + 1.0:
         assert bench.session.query("VOLT?") == "+1.0000000000000E-01"
     else:
@@ -191,21 +191,21 @@ REFUSED = {
 @pytest.mark.parametrize("address", REFUSED.values(), ids=REFUSED)
 def test_a_refused_connection_is_an_error_that_names_the_address(address: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        here = address.format(port=listener.getsockname()[1])
-    with pytest.raises(ConnectionError, match=re.escape(here)):
-        VisaConnection(here, TIMEOUT_S, "@py")
+        address = address.format(port=listener.getsockname()[1])
+    with pytest.raises(ConnectionError, match=re.escape(address)):
+        VisaConnection(address, TIMEOUT_S, "@py")
 
 
 def test_a_refused_adapter_is_an_error_that_names_it() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        here = f"PRLGX-TCPIP0::127.0.0.1::{listener.getsockname()[1]}::INTFC"
+        address = f"PRLGX-TCPIP0::127.0.0.1::{listener.getsockname()[1]}::INTFC"
     with pytest.raises(ConnectionError, match="PRLGX"):
-        PrologixAdapter(here, TIMEOUT_S)
+        PrologixAdapter(address, TIMEOUT_S)
 
 
 def test_a_gateway_without_an_instrument_at_the_address_is_an_error() -> None:
     instrument = Unreliable()
     with Emulator("vxi11", lambda role, serial: instrument, ("x",)) as emulator:
-        here = emulator.served["x"].address.replace("gpib0,10", "gpib0,29")
+        address = emulator.served["x"].address.replace("gpib0,10", "gpib0,29")
         with pytest.raises(ConnectionError, match="gpib0,29"):
-            VisaConnection(here, TIMEOUT_S, "@py")
+            VisaConnection(address, TIMEOUT_S, "@py")

@@ -17,7 +17,7 @@ SAMPLES, RECORDS, PER_BUFFER = 256, 12, 4
 
 
 class Ramps:
-    """Every record a ramp of its own, in volts; ``gain`` of the last run can clip."""
+    """Every record is another ramp, in volts; ``gain`` above 1 clips."""
 
     def __init__(self, gain=0.5):
         self.gain = gain
@@ -185,10 +185,10 @@ def test_time_stamps_reset_once_count_on_through_later_captures():
 
 
 def test_pre_trigger_moves_the_record_and_not_the_trigger():
-    early, late = world_of(), world_of()
-    single_port(early, pre=64)
-    single_port(late)
-    first = [world.triggers(world.clock.now_ps).first_sample_ps[0] for world in (early, late)]
+    first_world, second_world = world_of(), world_of()
+    single_port(first_world, pre=64)
+    single_port(second_world)
+    first = [world.triggers(world.clock.now_ps).first_sample_ps[0] for world in (first_world, second_world)]
     assert first[1] - first[0] == 64 * 10_000
 
 
@@ -430,8 +430,8 @@ def test_a_trigger_timeout_makes_the_board_trigger_itself():
 
 
 # A pulse of 4 V, on a scale on which 127 steps are 5 V: 229.6.
-@pytest.mark.parametrize(("level", "taken"), [(128 + 127 * 39 // 50, RECORDS), (229, RECORDS), (230, 0)])
-def test_a_trigger_must_reach_the_programmed_level(level, taken):
+@pytest.mark.parametrize(("level", "accepted"), [(128 + 127 * 39 // 50, RECORDS), (229, RECORDS), (230, 0)])
+def test_a_trigger_must_reach_the_programmed_level(level, accepted):
     world = world_of()
     library = loaded(world)
     library.AlazarSetTriggerOperation(BOARD, 0, 0, 2, 1, level, 1, 3, 1, 128)
@@ -440,7 +440,7 @@ def test_a_trigger_must_reach_the_programmed_level(level, taken):
     world.clock.sleep(1.0)
     captured = c_int32()
     library.AlazarGetParameter(BOARD, 0, 0x10000045, byref(captured))
-    assert captured.value == taken
+    assert captured.value == accepted
 
 
 def test_the_board_reports_its_identity():

@@ -1,6 +1,6 @@
-"""Examples of every command: what is sent, what is asked then, and the reply that the manual lets one expect.
+"""Examples of every command: message, query, and the reply expected from the manual.
 
-docs/reference/command-tree.md shows them beside the forms.
+docs/reference/command-tree.md shows them with the forms.
 """
 
 from __future__ import annotations

@@ -52,14 +52,16 @@ def spellings(form: str) -> list[str]:
         return [form, form.lower()]
     long = [(bool(bracket), node) for bracket, node, _ in NODE.findall(form)]
     short = [(optional, "".join(letter for letter in node if not letter.islower())) for optional, node in long]
-    kept = list(itertools.product(*((True, False) if optional else (True,) for optional, _ in long)))
-    found = [
+    selections = list(itertools.product(*((True, False) if optional else (True,) for optional, _ in long)))
+    spellings = [
         ":".join(node for keep, (_, node) in zip(mask, of, strict=True) if keep)
         for of in (long, short)
-        for mask in kept
+        for mask in selections
     ]
     return [
-        *dict.fromkeys([*found, *(spelling.lower() for spelling in found), *(f":{spelling}" for spelling in found)])
+        *dict.fromkeys(
+            [*spellings, *(spelling.lower() for spelling in spellings), *(f":{spelling}" for spelling in spellings)]
+        )
     ]
 
 
@@ -229,7 +231,7 @@ CHANGES = st.lists(
 
 
 def settings_in(learned: str) -> list[tuple[str, object]]:
-    """Return headers and values of a learn string, levels to the resolution at which they can be set again."""
+    """Return headers and values of a learn string, levels rounded to their resolution."""
     pairs = [part.strip(":").partition(" ")[::2] for part in learned.split(";")]
     return [(header, close(header, text) if text[:1] in ("+", "-") else text) for header, text in pairs]
 
@@ -277,7 +279,7 @@ def test_an_unknown_or_empty_memory_location_is_an_error() -> None:
     assert errors(generator) == [-222, -222, 810, -112]
 
 
-# Waveforms that are kept and never put out
+# Waveforms are stored and have no output
 
 
 def test_waveform_memory_holds_four_and_deletes_neither_built_in_nor_selected_ones() -> None:
@@ -323,7 +325,7 @@ def test_a_function_that_is_not_simulated_is_off_and_an_error_when_switched_on(s
     assert ask(generator, f"{switch}?;:OUTP?") == "0;1"
 
 
-# What no instrument can take
+# Invalid messages
 
 
 @pytest.mark.parametrize(
@@ -384,7 +386,7 @@ def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> Non
     program(settings)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    # What is remembered: some thousand states of half a kilobyte, and the triggers.
+    # The history holds some thousand states of half a kilobyte, and the triggers.
     assert grown < 4e6
 
 

@@ -133,10 +133,10 @@ def ask_terminal(descriptor: int, message: bytes) -> bytes:
 
 
 def identity(transport: str, emulator: Emulator) -> bytes:
-    """Return what a well-behaved client is answered that comes now."""
+    """Return the reply to a well-behaved client."""
     if transport == "serial":
         with opened_terminal(emulator) as descriptor:
-            # What others left on the line ends with this, and so do their replies.
+            # The line feed ends incomplete messages of other clients.
             while select.select([descriptor], [], [], 0.1)[0]:
                 os.read(descriptor, 4096)
             reply = ask_terminal(descriptor, b"\n*IDN?\n")
@@ -332,9 +332,9 @@ def lock(peer: socket.socket, number: int, timeout_ms: int = 0) -> int:
 
 
 def test_one_vxi11_link_holds_the_lock_and_others_get_an_error() -> None:
-    with served("vxi11") as emulator, connected(emulator) as ours, connected(emulator) as theirs:
-        mine, yours = link(ours), link(theirs)
-        assert [lock(ours, mine), lock(theirs, yours, 60), lock(ours, mine)] == [0, 11, 11]
+    with served("vxi11") as emulator, connected(emulator) as client, connected(emulator) as theirs:
+        mine, yours = link(client), link(theirs)
+        assert [lock(client, mine), lock(theirs, yours, 60), lock(client, mine)] == [0, 11, 11]
         write = struct.pack("!iIIi", yours, 100, 50, 1 | 8) + xdr(b"FREQ 5E3\n")
         assert struct.unpack_from("!i", call(theirs, 11, write))[0] == 11
         for procedure in (12, 13, 14, 15):
@@ -343,15 +343,15 @@ def test_one_vxi11_link_holds_the_lock_and_others_get_an_error() -> None:
         assert struct.unpack("!i", call(theirs, 19, struct.pack("!i", yours)))[0] == 12
         request = struct.pack("!iII", 1, 1, 0) + xdr(b"gpib0,10")
         assert struct.unpack_from("!i", call(theirs, 10, request))[0] == 11
-        assert struct.unpack("!i", call(ours, 19, struct.pack("!i", mine)))[0] == 0
+        assert struct.unpack("!i", call(client, 19, struct.pack("!i", mine)))[0] == 0
         assert struct.unpack_from("!i", call(theirs, 11, write))[0] == 0
 
 
 def test_a_lock_goes_with_the_client_that_held_it() -> None:
     with served("vxi11") as emulator, connected(emulator) as theirs:
         yours = link(theirs)
-        with connected(emulator) as ours:
-            assert lock(ours, link(ours)) == 0
+        with connected(emulator) as client:
+            assert lock(client, link(client)) == 0
             assert lock(theirs, yours) == 11
         assert lock(theirs, yours, 5000) == 0
 
@@ -378,18 +378,18 @@ def test_one_of_many_simultaneous_clients_gets_the_lock() -> None:
 
 
 def test_a_hislip_lock_makes_the_messages_of_others_wait() -> None:
-    with served("hislip") as emulator, connected(emulator) as ours, connected(emulator) as beside:
-        ours.sendall(hislip(0, b"hislip0", 0, 0x01007878))
-        session = hislip_message(ours)[2] & 0xFFFF
-        beside.sendall(hislip(17, b"", 0, session) + hislip(4, b"", 1, 0))
-        assert [hislip_message(beside)[:2] for _ in range(2)] == [(18, 0), (5, 1)]
+    with served("hislip") as emulator, connected(emulator) as client, connected(emulator) as other_client:
+        client.sendall(hislip(0, b"hislip0", 0, 0x01007878))
+        session = hislip_message(client)[2] & 0xFFFF
+        other_client.sendall(hislip(17, b"", 0, session) + hislip(4, b"", 1, 0))
+        assert [hislip_message(other_client)[:2] for _ in range(2)] == [(18, 0), (5, 1)]
         with connected(emulator) as theirs:
             theirs.sendall(hislip(0, b"hislip0", 0, 0x01007878) + hislip(7, b"FREQ 5E3;FREQ?\n"))
             hislip_message(theirs)
-            ours.sendall(hislip(7, b"FREQ?\n"))
-            assert hislip_message(ours)[3] == b"+1.0000000000000E+03\n"
-            beside.sendall(hislip(4, b"", 0, 0))
-            assert hislip_message(beside)[:2] == (5, 1)
+            client.sendall(hislip(7, b"FREQ?\n"))
+            assert hislip_message(client)[3] == b"+1.0000000000000E+03\n"
+            other_client.sendall(hislip(4, b"", 0, 0))
+            assert hislip_message(other_client)[:2] == (5, 1)
             assert hislip_message(theirs)[3] == b"+5.0000000000000E+03\n"
 
 
@@ -400,8 +400,8 @@ def test_a_hislip_lock_makes_the_messages_of_others_wait() -> None:
 @pytest.mark.parametrize("transport", ["vxi11", pytest.param("serial", marks=needs_pty), "socket"])
 def test_ctrl_c_ends_an_emulator_that_is_under_attack(transport: str) -> None:
     command = [sys.executable, "-m", "hpe_rig", "emulate", "--transport", transport]
-    here = Path(__file__).parents[3]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=here, start_new_session=True) as process:
+    root = Path(__file__).parents[3]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root, start_new_session=True) as process:
         assert process.stdout is not None
         address = next(text for text in process.stdout if text.strip().startswith("address"))
         port = [part for part in address.replace(",", "::").replace('"', "").split("::") if part.strip().isdigit()]
@@ -419,13 +419,13 @@ def test_ctrl_c_ends_an_emulator_that_is_under_attack(transport: str) -> None:
                         peer.send(b"*LRN?\n")
             peers.append(peer)
         process.send_signal(signal.SIGINT)
-        # What a person would call at once; the goal is 2 s, the rest is for a busy machine.
+        # The goal is 2 s; the remaining time is for a busy machine.
         assert process.wait(timeout=10) == 0
         for peer in peers:
             peer.close()
 
 
-# Fuzzing: hypothesis on what a message may be made of, and plain bytes
+# Fuzzing: words and characters of messages, and plain bytes
 
 WORDS = b"""*IDN? OUTP 1E400 ; : ? , VOLT DBM #0 ' " ++addr ++read ++ HS DATA VOLATILE, *RCL 0 """.split()
 HEADS = (b" ", b"\xb2", b"\n", b"\x1b", b"\x00\x00\x00\x01", b"\x80\x00\x00\x30")
@@ -442,7 +442,7 @@ MESSAGES: dict[str, Callable[[bytes], bytes]] = {
 
 
 def throw(emulator: Emulator, data: bytes) -> None:
-    """Send ``data`` on a connection of its own and leave."""
+    """Send ``data`` on a new connection and close it."""
     # The server may have closed the connection by then.
     with connected(emulator) as peer, suppress(OSError):
         peer.sendall(data)

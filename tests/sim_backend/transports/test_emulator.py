@@ -1,4 +1,4 @@
-"""The servers byte by byte, without a VISA library, and what they share: one world, loopback, nothing left behind."""
+"""The servers byte by byte, without a VISA library; they share one world, use loopback and close completely."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def line(peer: socket.socket) -> bytes:
 def test_every_generator_has_an_address_and_nothing_is_left_when_it_closes(world: World, transport: str) -> None:
     before = threading.active_count()
     with served(world, transport) as emulator:
-        addresses = [there.address for there in emulator.served.values()]
+        addresses = [served_generator.address for served_generator in emulator.served.values()]
         assert len(set(addresses)) == len(GENERATORS)
         assert threading.active_count() > before
     assert threading.active_count() == before
@@ -77,9 +77,9 @@ def test_every_generator_has_an_address_and_nothing_is_left_when_it_closes(world
 @pytest.mark.parametrize("transport", [name for name in TRANSPORTS if name != "serial"])
 def test_only_loopback_is_listened_on(world: World, transport: str) -> None:
     with served(world, transport) as emulator:
-        there = emulator.served["master"]
-        assert "127.0.0.1" in (there.interface or there.address)
-        port = tcp_port(there.interface or there.address)
+        served_generator = emulator.served["master"]
+        assert "127.0.0.1" in (served_generator.interface or served_generator.address)
+        port = tcp_port(served_generator.interface or served_generator.address)
         with pytest.raises(ConnectionRefusedError), socket.create_connection(("127.0.0.2", port), timeout=1):
             pass
 
@@ -286,6 +286,6 @@ def test_prologix_forwards_escaped_bytes_unchanged(world: World) -> None:
 @pytest.mark.parametrize("cut", range(12))
 def test_an_escaped_line_end_ends_no_line_wherever_the_data_are_cut(cut: int) -> None:
     data = b"A\x1b\nB\nC\r\n\x1b\x1b\nD"
-    lines, rest = unescaped_lines(data[:cut])
-    more, rest = unescaped_lines(rest + data[cut:])
-    assert ([*lines, *more], rest) == ([b"A\x1b\nB", b"C", b"\x1b\x1b"], b"D")
+    lines, incomplete = unescaped_lines(data[:cut])
+    further_lines, incomplete = unescaped_lines(incomplete + data[cut:])
+    assert ([*lines, *further_lines], incomplete) == ([b"A\x1b\nB", b"C", b"\x1b\x1b"], b"D")
