@@ -1,22 +1,28 @@
-"""Command line: the commands, a few lines each, and what they print.
+"""Command line: the commands, a few lines each, and their output.
 
-Files, from what is typed to what is shown::
+Modules, from the typed command to its output::
 
-    entry.py    ``main``: what Ctrl-C does before a command begins
-    app.py      commands that plan, measure, process and look at a bench
-    studies.py  commands that study scenes and estimators by simulation
-    keys.py     keys pressed while a run goes on
-    queue.py    several runs, one after another
-    watch.py    stop request, pause, log and live page around a run
-    bench.py    the report of a bench, and its comparison with another
-    listing.py  the runs of a folder; what other packages bring
-    stored.py   damage, comparisons, moduli and maps of stored runs and recordings
-    study.py    workers, progress and closing table of a study
-    tables.py   a result in one sentence and as tables
-    terminal.py its width; progress; which log records it shows
-    console.py  exit codes, error messages, progress, arguments that several commands share
+    entry.py        ``main``: Ctrl-C while the program loads
+    app.py          the program with all commands
+    options.py      arguments and options of several commands
+    measuring.py    commands that measure: run, resume, queue, live, align
+    stored_runs.py  commands on stored runs: process, report, compare, moduli, verify, list
+    recordings.py   commands on recordings of other programs: import, map
+    scenes.py       commands on settings: check, scenes, new, schema, extensions
+    benches.py      commands on benches: bench, emulate
+    studies.py      commands that study by simulation: accuracy, design, study
+    watch.py        stop request, pause, log and live page of a run
+    keys.py         keys pressed during a run
+    queue.py        several runs, one after another
+    bench.py        state of a bench, and its comparison with another
+    listing.py      runs of a folder; extensions of other packages
+    stored.py       damage, comparisons, moduli and maps
+    study.py        workers, progress and closing tables of a study
+    tables.py       a result as one sentence and tables
+    terminal.py     width of the terminal; progress; logging
+    console.py      exit codes, error messages, printed results
 
-Each command imports what it runs when it is called, which keeps ``hpe-rig --help`` as fast as typer.
+Each command imports its implementation when it is called, which keeps ``hpe-rig --help`` fast.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Command ``bench``: a bench as it stands, or as a run file records it, printed and compared."""
+"""Command ``bench``: the state of a bench, or its record in a run file, printed and compared."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 
 from hpe_rig.bench import (
     BenchReport,
-    Difference,
     InstrumentReport,
     Settings,
     file_differences,
@@ -20,7 +19,7 @@ from hpe_rig.bench import (
     switch_off,
 )
 from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
-from hpe_rig.cli.tables import Page, wide_console
+from hpe_rig.cli.tables import Printer, wide_console
 from hpe_rig.measurement import prepare_text, program_shot
 from hpe_rig.result import rich_table
 from hpe_rig.runs import open_run
@@ -30,7 +29,7 @@ from hpe_rig.store import read_snapshots
 
 @dataclass(frozen=True, slots=True)
 class BenchState:
-    """A bench's file and settings, from the bench itself (``report``, its file at ``path``) or from a run file."""
+    """Bench file and settings, read from the bench (``report``, bench file ``path``) or from a run file."""
 
     name: str
     tables: Mapping[str, Any]
@@ -40,10 +39,7 @@ class BenchState:
 
 
 def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
-    """Return the state of the bench in the bench file ``path``, or of the bench that a run file records.
-
-    See ``survey`` for ``self_test``.
-    """
+    """Return the state of the bench of a bench file or run file ``path``; see ``survey`` for ``self_test``."""
     if path is not None and path.suffix == ".h5":
         return _state_of_run(path)
     text = read_bench(path)
@@ -51,48 +47,48 @@ def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
     return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report, path)
 
 
-def all_off(path: Path | None) -> int:
-    """Switch every output of a bench off, print how each is known to be, and return the exit code."""
+def switch_all_off(path: Path | None) -> int:
+    """Switch every output of a bench off, print the verified state of each, and return the exit code."""
     bench = read_bench(path, any_title=True).bench
-    switched = switch_off(bench, announce)
+    instruments = switch_off(bench, announce)
     console = wide_console()
     console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")
     rows = [
         (item.role, item.address, "off" if item.proven else "NOT PROVEN", item.reason.removeprefix(f"{item.role}: "))
-        for item in switched
+        for item in instruments
     ]
-    console.print(rich_table(("role", "address", "output", "known because"), rows, words=4))
-    left = [item.role for item in switched if not item.proven]
-    outputs = [role for role in left if role != "digitizer"]
+    console.print(rich_table(("role", "address", "output", "evidence"), rows, words=4))
+    unproven = [item.role for item in instruments if not item.proven]
+    outputs = [role for role in unproven if role != "digitizer"]
     if outputs:
         console.print(f"NOT PROVEN OFF: {', '.join(outputs)}: switch them off by hand, now", style="bold")
         return EXIT_UNSAFE
-    # The board drives nothing by itself: what it triggers is a generator whose output is off.
-    return EXIT_INSTRUMENT if left else 0
+    # The board only triggers a generator, and the output of that generator is off.
+    return EXIT_INSTRUMENT if unproven else 0
 
 
 def compare_with(path: Path, state: BenchState) -> str:
     """Return the differences between the bench of the run file ``path`` and ``state`` as text, one a line."""
-    run, found = _state_of_run(path), list[Difference]()
-    found += file_differences(run.tables, state.tables)
-    left = ""
+    run = _state_of_run(path)
+    differences = list(file_differences(run.tables, state.tables))
+    note = ""
     if state.report is None:
-        found += settings_differences(run.settings, state.settings)
+        differences += settings_differences(run.settings, state.settings)
     elif run.settings and state.report.complete:
-        found += settings_differences(run.settings, _programmed_as(path, state))
+        differences += settings_differences(run.settings, _settings_of_last_shot(path, state))
     else:
         why = "not every instrument answers" if run.settings else "the run holds none"
-        left = f"\nwhat the instruments are set to is not compared: {why}"
-    if not found:
-        return f"{run.name} and {state.name} do not differ{left}"
-    lines = "\n".join(f"  {difference.text(run.name, state.name)}" for difference in found)
-    return f"{len(found)} differences\n{lines}{left}"
+        note = f"\nthe settings of the instruments are not compared: {why}"
+    if not differences:
+        return f"{run.name} and {state.name} do not differ{note}"
+    lines = "\n".join(f"  {difference.text(run.name, state.name)}" for difference in differences)
+    return f"{len(differences)} differences\n{lines}{note}"
 
 
-def _programmed_as(path: Path, state: BenchState) -> Mapping[str, Settings]:
-    """Return the settings of the bench once it is programmed as for the last shot of the run in ``path``.
+def _settings_of_last_shot(path: Path, state: BenchState) -> Mapping[str, Settings]:
+    """Return the settings of the bench after it is programmed for the last shot of the run in ``path``.
 
-    An idle bench differs from one that measures in nearly everything. No output is enabled, and all are verified off.
+    The settings of an idle bench would differ in nearly everything. No output is enabled, and all are verified off.
     """
     stored, shots = open_run(path).stored, len(read_snapshots(path))
     setup = prepare_text(stored.scene_name, stored.scene_toml, state.path, refuse=False, stored=path)
@@ -109,17 +105,18 @@ def _state_of_run(path: Path) -> BenchState:
 
 
 def print_report(report: BenchReport, wide: bool = False) -> None:
-    """Print the table of instruments, then each problem with its remedy, then the addresses found.
+    """Print the table of instruments, then each problem with its remedy, then the VISA addresses.
 
-    A narrow terminal gets no serial numbers, firmware and self-tests, but with ``wide``.
+    A narrow terminal gets no serial numbers and firmware, unless ``wide``.
     """
-    console, page = wide_console(), Page(wide)
+    console, printer = wide_console(), Printer(wide)
     console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
     headers = ("role", "address", "model", "serial", "firmware", "found", "self-test", "round trip\nms")
     rows = [_row(item) for item in report.instruments]
     tested = any(row[6] != "-" for row in rows)
-    kept = [0, 1, 2, 5, *([6] if tested else []), 7] if page.narrow else range(len(headers))
-    page.show(rich_table([headers[at] for at in kept], [[row[at] for at in kept] for row in rows], words=len(kept) - 1))
+    columns = [0, 1, 2, 5, *([6] if tested else []), 7] if printer.narrow else range(len(headers))
+    cells = [[row[column] for column in columns] for row in rows]
+    printer.table(rich_table([headers[column] for column in columns], cells, words=len(columns) - 1))
     for item in report.instruments:
         for problem in item.problems:
             console.print(f"{item.role}: {problem.removeprefix(f'{item.role}: ')}", style="bold")
@@ -131,11 +128,12 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
         console.print("every instrument that answered is safe: outputs off, digitizer idle, verified")
 
 
-def _row(found: InstrumentReport) -> tuple[str, ...]:
-    state = "on" if found.settings.get("output_on") else "off" if "output_on" in found.settings else "idle"
-    if found.identity is None or found.latency_s is None:
-        return found.role, found.address, "-", "-", "-", "problem", "-", "-"
-    who = found.identity
-    tested = {None: "-", True: "passed", False: "FAILED"}[found.self_test]
-    latency = f"{found.latency_s * 1e3:.2f}"
-    return found.role, found.address, who.model, who.serial, who.firmware, state, tested, latency
+def _row(instrument: InstrumentReport) -> tuple[str, ...]:
+    role, address, identity = instrument.role, instrument.address, instrument.identity
+    if identity is None or instrument.latency_s is None:
+        return role, address, "-", "-", "-", "problem", "-", "-"
+    output_on = instrument.settings.get("output_on")
+    state = "idle" if output_on is None else "on" if output_on else "off"
+    self_test = {None: "-", True: "passed", False: "FAILED"}[instrument.self_test]
+    latency = f"{instrument.latency_s * 1e3:.2f}"
+    return role, address, identity.model, identity.serial, identity.firmware, state, self_test, latency

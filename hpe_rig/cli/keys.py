@@ -1,4 +1,4 @@
-"""Keys pressed at the terminal while a run goes on, without waiting for them and without Enter."""
+"""Keys pressed at the terminal during a run, read without waiting and without Enter."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-Pressed = Callable[[], str]
-"""Returns the keys pressed since it was asked last, "" where there is none or no terminal."""
+ReadKeys = Callable[[], str]
+"""Returns the keys pressed since the last call, "" for none."""
 
 
 @contextmanager
-def keyboard() -> Iterator[Pressed]:
-    """Yield what tells which keys were pressed; the terminal is as it was when the block ends."""
+def keyboard() -> Iterator[ReadKeys]:
+    """Yield a function that reads the pressed keys; the settings of the terminal are restored at the end."""
     if not sys.stdin.isatty():
         yield lambda: ""
         return
-    with _listening() as pressed:
-        yield pressed
+    with _terminal_keys() as read_keys:
+        yield read_keys
 
 
 if sys.platform == "win32":
     import msvcrt
 
     @contextmanager
-    def _listening() -> Iterator[Pressed]:
-        def pressed() -> str:
+    def _terminal_keys() -> Iterator[ReadKeys]:
+        def read_keys() -> str:
             keys = ""
             while msvcrt.kbhit():
                 keys += msvcrt.getwch()
             return keys
 
-        yield pressed
+        yield read_keys
 
 else:
     import os
@@ -40,20 +40,20 @@ else:
     import tty
 
     @contextmanager
-    def _listening() -> Iterator[Pressed]:
-        number = sys.stdin.fileno()
-        before = termios.tcgetattr(number)
+    def _terminal_keys() -> Iterator[ReadKeys]:
+        descriptor = sys.stdin.fileno()
+        settings = termios.tcgetattr(descriptor)
 
-        def pressed() -> str:
+        def read_keys() -> str:
             keys = b""
-            # Read past Python's own buffer, which would keep keys from select.
-            while select.select([number], [], [], 0)[0] and (more := os.read(number, 64)):
+            # `os.read` bypasses Python's buffer, which would hide keys from `select`.
+            while select.select([descriptor], [], [], 0)[0] and (more := os.read(descriptor, 64)):
                 keys += more
             return keys.decode("utf-8", "replace")
 
         try:
-            # Ctrl-C still interrupts: only the waiting for a whole line ends.
-            tty.setcbreak(number)
-            yield pressed
+            # In this mode a key needs no Enter, and Ctrl-C still interrupts.
+            tty.setcbreak(descriptor)
+            yield read_keys
         finally:
-            termios.tcsetattr(number, termios.TCSADRAIN, before)
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, settings)

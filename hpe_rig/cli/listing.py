@@ -1,45 +1,57 @@
-"""Commands ``list`` and ``extensions``: the runs of a folder, and what other packages bring."""
+"""Commands ``list`` and ``extensions``: the runs of a folder, and the extensions of other packages."""
 
 from __future__ import annotations
 
-import json as json_format
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from hpe_rig.cli.console import announce
+from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, installed, origin
 from hpe_rig.result import csv_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 from hpe_rig.store import RunEntry, chosen, list_runs
 
-LONGEST_NOTE = 40
+MAX_NOTE = 40
+"""Characters of a note in the table."""
 
 
-def print_runs(
-    folder: Path, below: bool, words: Sequence[str], since: str | None, until: str | None, json: bool, csv: bool
-) -> None:
-    """Print the runs of ``folder`` that ``words`` and dates leave, and say which files cannot be read."""
-    first, last = _instant(since, "--since"), _instant(until, "--until", end=True)
+@dataclass(frozen=True, slots=True)
+class RunFilter:
+    """Selection of runs: those that contain all ``words``, from ``since`` to ``until``."""
+
+    words: Sequence[str]
+    since: datetime | None
+    until: datetime | None
+
+    @classmethod
+    def of_options(cls, words: Sequence[str], since: str | None, until: str | None) -> RunFilter:
+        """Return the filter of the command line; raise ``SettingsError`` for invalid dates."""
+        return cls(words, _time(since, "--since"), _time(until, "--until", end=True))
+
+
+def print_runs(folder: Path, below: bool, run_filter: RunFilter, json: bool, csv: bool) -> None:
+    """Print the selected runs of ``folder``, with those ``below`` it; announce unreadable files."""
     entries, unreadable = list_runs(folder, below)
-    found = chosen(entries, words, first, last)
+    selected = chosen(entries, run_filter.words, run_filter.since, run_filter.until)
     for text in unreadable:
         announce(f"hpe-rig: {printable(text)}")
     if json:
-        typer.echo(json_format.dumps([entry.as_dict() for entry in found], indent=2))
+        print_json([entry.as_dict() for entry in selected])
     elif csv:
-        typer.echo(csv_text(_alike([_flat(entry) for entry in found])), nl=False)
-    elif not found:
-        typer.echo(f"none of {len(entries)} runs in {folder} is asked for" if entries else f"no run in {folder}")
+        typer.echo(csv_text(_with_all_columns([_csv_row(entry) for entry in selected])), nl=False)
+    elif not selected:
+        typer.echo(f"none of {len(entries)} runs in {folder} matches" if entries else f"no run in {folder}")
     else:
         headers = ("date", "file", "title", "state", "result", "notes")
         console = wide_console()
-        console.print(rich_table(headers, [_row(entry, folder) for entry in found], words=6))
+        console.print(rich_table(headers, [_row(entry, folder) for entry in selected], words=6))
 
 
 def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
@@ -53,7 +65,7 @@ def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
 
 def _short(note: Any) -> str:
     text = " ".join(str(note).split())
-    return text if len(text) <= LONGEST_NOTE else f"{text[:LONGEST_NOTE]}..."
+    return text if len(text) <= MAX_NOTE else f"{text[:MAX_NOTE]}..."
 
 
 def _result(entry: RunEntry) -> str:
@@ -65,43 +77,43 @@ def _result(entry: RunEntry) -> str:
     return f"{amplitude}, {phase} at {lead.frequency_hz:g} Hz"
 
 
-def _flat(entry: RunEntry) -> dict[str, Any]:
-    """Return the entry as one row: result and notes as columns of their own."""
+def _csv_row(entry: RunEntry) -> dict[str, Any]:
+    """Return the entry as one row, with a column for each value of the result and each note."""
     row = entry.as_dict()
     lead, notes = row.pop("lead") or {}, row.pop("notes")
     return {**row, **lead, **{f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}}
 
 
-def _alike(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return ``rows`` with the columns of all."""
+def _with_all_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return ``rows`` with the union of their columns."""
     columns = dict.fromkeys(name for row in rows for name in row)
     return [{name: row.get(name) for name in columns} for row in rows]
 
 
-def _instant(text: str | None, option: str, end: bool = False) -> datetime | None:
-    """Return a date or time of the command line, a date alone as its first or, at the ``end``, its last moment."""
+def _time(text: str | None, option: str, end: bool = False) -> datetime | None:
+    """Return the time in ``text``; for a date the begin or, with ``end``, the end of the day."""
     if text is None:
         return None
     try:
-        found = datetime.fromisoformat(text)
+        time = datetime.fromisoformat(text)
     except ValueError:
         what = f"{text!r} is no date"
         raise SettingsError(
             "command line", [Mistake(option, what, "one such as 2026-03-05 or 2026-03-05T14:30")]
         ) from None
     if end and len(text) <= len("2026-03-05"):
-        found = found.replace(hour=23, minute=59, second=59, microsecond=999_999)
-    return found.astimezone()
+        time = time.replace(hour=23, minute=59, second=59, microsecond=999_999)
+    return time.astimezone()
 
 
 def extension_lines() -> tuple[list[str], bool]:
-    """Return a line for every installed extension, and whether all of them load and are what their groups take."""
+    """Return a line for every installed extension, and whether all of them load and fit their entry point group."""
     from hpe_rig.medium import law_of
     from hpe_rig.processing import spec_of
     from hpe_rig.recordings import foreign_importer
 
     checks: dict[str, Callable[[str], object]] = {ESTIMATORS: spec_of, MEDIA: law_of, IMPORTERS: foreign_importer}
-    lines, sound = list[str](), True
+    lines, all_load = list[str](), True
     for group, check in checks.items():
         for name in installed(group):
             try:
@@ -109,5 +121,5 @@ def extension_lines() -> tuple[list[str], bool]:
                 lines.append(origin(group, name))
             except ValueError as error:
                 lines.append(f"FAILS {error}")
-                sound = False
-    return lines or ["no package brings an extension; docs/how-to/extend.md says how one does"], sound
+                all_load = False
+    return lines or ["no extension is installed; docs/how-to/extend.md explains how to write one"], all_load

@@ -1,81 +1,93 @@
-"""Command ``queue``: several runs one after another, each with its progress, and what became of all of them."""
+"""Command ``queue``: several runs one after another, the progress of each, and a closing table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, progress
+from hpe_rig.cli.options import WatchOptions
 from hpe_rig.cli.tables import wide_console
-from hpe_rig.cli.watch import PageOptions, live_page, watched
-from hpe_rig.measurement import Mover, Observer, QueueRun, Setup, Watching, listed, new_queue, read_queue, run_queue
+from hpe_rig.cli.watch import live_page, supervise
+from hpe_rig.measurement import (
+    Mover,
+    Observer,
+    QueueHooks,
+    QueueRun,
+    Setup,
+    new_queue,
+    queue_entries,
+    read_queue,
+    run_queue,
+)
 from hpe_rig.result import Result, rich_table
+from hpe_rig.runs import process
 from hpe_rig.scene import Mistake, SettingsError, printable
 
-LONGEST_WHY = 120
-"""Characters of a failure in the closing table; the whole of it was said when it came, and is in ``queue.json``."""
+MAX_REASON = 120
+"""Characters of a failure in the closing table; ``queue.json`` holds the whole message."""
 
 
-def queue_command(
-    sources: Sequence[str],
-    bench: Path | None,
-    output: Path | None,
-    resume: Path | None,
-    stops: bool,
-    live: PageOptions | None,
-    verbose: bool,
-    yes: bool,
-) -> int:
-    """Measure the runs of a queue, print what became of each, and return the exit code."""
-    if (resume is None) == (not sources):
-        what = "a queue is of scenes, or goes on with --resume FOLDER"
+def start_queue(
+    sources: Sequence[str], bench: Path | None, output: Path | None
+) -> tuple[Path, tuple[QueueRun, ...], bool]:
+    """Check all ``sources``; return the folder of the new queue, its runs, and whether a failure stops it."""
+    if not sources:
+        what = "a queue needs scenes, or --resume FOLDER"
         raise SettingsError("command line", [Mistake("", what, "hpe-rig queue a.toml b.toml --bench bench.toml")])
-    if resume is not None:
-        if bench is not None or output is not None:
-            what = "a queue that goes on has its benches and its folder already"
-            raise SettingsError("command line", [Mistake("--resume", what, "--resume FOLDER alone")])
-        folder, queue = resume, read_queue(resume)
-    else:
-        runs, list_stops = listed(sources, bench)
-        stops = stops or list_stops
-        folder = output or _free_folder()
-        queue = new_queue(runs, folder)
+    entries, stop_on_failure = queue_entries(sources, bench)
+    folder = output or _free_folder()
+    return folder, new_queue(entries, folder), stop_on_failure
+
+
+def continue_queue(folder: Path, is_alone: bool) -> tuple[Path, tuple[QueueRun, ...], bool]:
+    """Return the queue in ``folder`` as ``start_queue``; refuse --resume unless it ``is_alone``."""
+    if not is_alone:
+        what = "a continued queue has its scenes, benches and folder already"
+        raise SettingsError("command line", [Mistake("--resume", what, "--resume FOLDER alone")])
+    return folder, read_queue(folder), False
+
+
+def measure_queue(folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool, watch: WatchOptions) -> int:
+    """Measure the runs of a queue, print the state of each, and return the exit code."""
     announce(f"{len(queue)} runs into {folder}, all of them checked")
 
     @contextmanager
-    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:
-        run = watched(setup, path, run_id, None, verbose, announce, yes, live is not None)
-        with run as watching, progress(setup, quiet=False) as observer:
-            yield watching.observed(observer), watching.move
+    def supervise_run(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:
+        supervision_of_run = supervise(setup, path, run_id, watch, announce, in_queue=True)
+        with supervision_of_run as supervision, progress(setup, quiet=False) as observer:
+            yield supervision.observed(observer), supervision.move
 
-    with live_page(folder, live, announce):
-        ended, results = run_queue(folder, queue, Watching(announce, watch), stops)
-        _print(ended, results)
-        left = [run for run in ended if run.state != "done"]
-        if left:
-            again = f"hpe-rig queue --resume {folder} takes them up again"
-            announce(f"{len(left)} of {len(ended)} runs are not done: {again}")
-    return EXIT_INSTRUMENT if left else 0
+    with live_page(folder, watch, announce):
+        hooks = QueueHooks(announce, supervise_run, process)
+        runs, results = run_queue(folder, queue, hooks, stop_on_failure)
+        _print_table(runs, results)
+        unfinished = sum(run.state != "done" for run in runs)
+        if unfinished:
+            remedy = f"hpe-rig queue --resume {folder} measures them"
+            announce(f"{unfinished} of {len(runs)} runs are not done: {remedy}")
+    return EXIT_INSTRUMENT if unfinished else 0
 
 
-def _print(queue: Sequence[QueueRun], results: dict[int, Result]) -> None:
+def _print_table(runs: Sequence[QueueRun], results: Mapping[int, Result]) -> None:
     rows = [
-        (f"{index + 1}", run.name, run.state, run.run_file, _words(run, results.get(index)))
-        for index, run in enumerate(queue)
+        (f"{index + 1}", run.name, run.state, run.run_file, _result_text(run, results.get(index)))
+        for index, run in enumerate(runs)
     ]
-    table = rich_table(("run", "scene", "state", "file", "strongest harmonic, or why there is none"), rows, words=5)
+    table = rich_table(("run", "scene", "state", "file", "strongest harmonic, or reason"), rows, words=5)
     wide_console().print(table)
 
 
-def _words(run: QueueRun, result: Result | None) -> str:
+def _result_text(run: QueueRun, result: Result | None) -> str:
+    """Return the largest amplitude of a run, or the reason why it has no result."""
     if result is None:
-        why = printable(run.why.partition("\n")[0].partition(". Try")[0])
-        return why[:LONGEST_WHY] or ("from before" if run.state == "done" else "")
-    found = [(each.headline, each.frequency_hz) for shot in result.shots for each in shot.estimates]
-    if not found:
-        return "no frequency is wanted"
-    lead, frequency_hz = max(found, key=lambda each: each[0].amplitude_m)
+        reason = printable(run.why.partition("\n")[0].partition(". Try")[0])
+        return reason[:MAX_REASON] or ("measured earlier" if run.state == "done" else "")
+    headlines = [(estimate.headline, estimate.frequency_hz) for shot in result.shots for estimate in shot.estimates]
+    if not headlines:
+        return "the scene has no frequency"
+    lead, frequency_hz = max(headlines, key=lambda item: item[0].amplitude_m)
     amplitude = f"{lead.amplitude_m * 1e9:.4g} +- {lead.amplitude_uncertainty_m * 1e9:.2g} nm"
     return f"{amplitude} at {frequency_hz:g} Hz"
 

@@ -1,22 +1,22 @@
-"""Command ``study``: workers, progress bar and closing table around ``run_study``."""
+"""Command ``study``: workers, progress bar and closing tables of ``run_study``."""
 
 from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from hpe_rig.bench import interruptible
 from hpe_rig.cli.console import announce
-from hpe_rig.cli.terminal import told
+from hpe_rig.cli.studies import SchedulerOptions
+from hpe_rig.cli.terminal import progress_reporter
 from hpe_rig.result import text_table
 from hpe_rig.study import (
-    NO_TLS,
     SUMMARY_FILE,
-    OnProgress,
     StudyResult,
     TlsFiles,
     cluster,
@@ -28,44 +28,42 @@ from hpe_rig.study import (
     untrusted_network,
 )
 
-MOST_ROWS = 16
-"""Rows that a study prints; of more it prints the least and the largest."""
+MAX_ROWS = 16
+"""Rows of a study that are all printed; of more, the ranges are printed."""
+CLUSTER_CASES_AHEAD = 64
+"""Cases sent to a cluster before their results arrive."""
 
 
-def study_command(
-    name: str,
-    output: Path,
-    workers: int | None,
-    scheduler: str | None,
-    replaced: Mapping[str, Any],
-    show: Callable[[str], None],
-    report: bool = False,
-    tls: TlsFiles = NO_TLS,
+def run_and_print(
+    name: str, output: Path, scheduling: SchedulerOptions, replaced: Mapping[str, Any], report: bool
 ) -> None:
-    """Run the study ``name``, print what it found and how long it took, and write its report if asked."""
-    count = workers or os.cpu_count() or 1
+    """Run the study ``name`` with ``replaced`` settings, print its errors and run times, and write its report."""
+    count, scheduler = scheduling.workers or os.cpu_count() or 1, scheduling.scheduler
+    tls = TlsFiles(scheduling.tls_ca, scheduling.tls_cert, scheduling.tls_key)
     open_pool = functools.partial(cluster, scheduler, count, tls) if scheduler else functools.partial(processes, count)
-    if scheduler and (danger := untrusted_network(scheduler)):
-        announce(danger)
-    ahead = 64 if scheduler else 2 * count + 2
-    with interruptible(), _progress(name) as watch:
-        results = run_study(name, output, open_pool, ahead, replaced, watch, announce)
+    if scheduler and (warning := untrusted_network(scheduler)):
+        announce(warning)
+    cases_ahead = CLUSTER_CASES_AHEAD if scheduler else 2 * count + 2
+    with interruptible(), progress_reporter(f"{name}: realisations") as progress:
+        results = run_study(
+            name, output, open_pool, cases_ahead, replaced, lambda done, total: progress(done, total, ""), announce
+        )
     for result in results:
-        show(f"{result.name}: {result.definition.title}\n{physics(result)}\n")
-        if words := refused_text(result.rows):
-            show(f"{words}\n")
-    show(table(results, output))
+        typer.echo(f"{result.name}: {result.definition.title}\n{error_table(result)}\n")
+        if text := refused_text(result.rows):
+            typer.echo(f"{text}\n")
+    typer.echo(run_time_table(results, output))
     if report:
         from hpe_rig.study import write_study_report
         from hpe_rig.validation import reproduction_part
 
-        compared = reproduction_part(results)
-        page = write_study_report(Path(name).stem, results, output, [compared] if compared else [])
-        show(f"{page}: open it in any browser")
+        comparison = reproduction_part(results)
+        page = write_study_report(Path(name).stem, results, output, [comparison] if comparison else [])
+        typer.echo(f"{page}: open it in any browser")
 
 
-def table(results: list[StudyResult], output: Path) -> str:
-    """Return what every study computed and in what time, a row a study."""
+def run_time_table(results: Sequence[StudyResult], output: Path) -> str:
+    """Return cases, realisations and run time, one row per study."""
     headers = ("study", "results", "cases", "realisations", "processor time", "peak memory")
     rows = (
         (
@@ -77,33 +75,27 @@ def table(results: list[StudyResult], output: Path) -> str:
     return text_table(headers, rows, words=2)
 
 
-def physics(result: StudyResult) -> str:
-    """Return what a study found, in % of the true amplitude and in degrees, with Monte Carlo standard errors.
+def error_table(result: StudyResult) -> str:
+    """Return bias and jitter in % of the true amplitude and in degrees, with Monte Carlo standard errors.
 
-    A small study has a row for each case and estimator. Of a large one there is a row for each estimator, with the
-    least and the largest value over its cases.
+    A small study has one row per case and estimator; a large one has one row per estimator, with the range over its
+    cases.
     """
     axes = [axis.name for axis in result.definition.axes]
-    told_apart = [name for name in ("reading", "frequency_hz") if len({row[name] for row in result.rows}) > 1]
-    figures = ("amplitude bias\n%", "jitter\n%", "phase bias\ndeg", "jitter\ndeg")
-    if len(result.rows) <= MOST_ROWS:
+    varied = [name for name in ("reading", "frequency_hz") if len({row[name] for row in result.rows}) > 1]
+    headers = ("amplitude bias\n%", "jitter\n%", "phase bias\ndeg", "jitter\ndeg")
+    if len(result.rows) <= MAX_ROWS:
         rows = []
         for row in result.rows:
-            found = [f"{value:.2f} +- {error:.2f}" for value, error in error_figures(row)]
-            rows.append((row["estimator"], *(_shown(row[name]) for name in (*axes, *told_apart)), *found))
-        return text_table(("estimator\n", *(f"{name}\n" for name in (*axes, *told_apart)), *figures), rows)
+            errors = [f"{value:.2f} +- {error:.2f}" for value, error in error_figures(row)]
+            rows.append((row["estimator"], *(_cell(row[name]) for name in (*axes, *varied)), *errors))
+        return text_table(("estimator\n", *(f"{name}\n" for name in (*axes, *varied)), *headers), rows)
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in result.rows:
-        groups.setdefault((row["estimator"], *(f"{row[name]}" for name in told_apart)), []).append(row)
-    rows = [(*key, *spans(found)) for key, found in groups.items()]
-    return text_table(("estimator\n", *(f"{name}\n" for name in told_apart), *figures), rows)
+        groups.setdefault((row["estimator"], *(f"{row[name]}" for name in varied)), []).append(row)
+    rows = [(*key, *spans(group_rows)) for key, group_rows in groups.items()]
+    return text_table(("estimator\n", *(f"{name}\n" for name in varied), *headers), rows)
 
 
-def _shown(value: object) -> str:
+def _cell(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) else str(value)
-
-
-@contextmanager
-def _progress(name: str) -> Iterator[OnProgress]:
-    with told(f"{name}: realisations") as tell:
-        yield lambda done, total: tell(done, total, "")

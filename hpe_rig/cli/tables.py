@@ -1,4 +1,4 @@
-"""Result on the terminal: one sentence, then tables that fit the width; nm, degrees, Hz."""
+"""Printed result: one sentence, then tables that fit the width of the terminal; nm, degrees, Hz."""
 
 from __future__ import annotations
 
@@ -29,78 +29,78 @@ from hpe_rig.result import (
 
 TABLE_WIDTH = 110
 FULL_WIDTH = 92
-"""Columns that the widest table of one shot takes."""
-MOST_MEANS = 2
-"""Settings whose means over repeats have a table each; more have a line each."""
+"""Width of the widest table of one shot."""
+MAX_MEAN_TABLES = 2
+"""Largest number of settings for which the means over repeats have a table each; else they have a line each."""
 NM = 1e-9
-LEAST_S = 0.005
-"""Shorter stages would show as 0.00."""
-LEAST_SHARE = 0.01
-"""Share of the variance below which a source of uncertainty is not named."""
+MIN_STAGE_S = 0.005
+"""Shorter stages would be printed as 0.00."""
+MIN_VARIANCE_FRACTION = 0.01
+"""Fraction of the variance below which a source of uncertainty is not listed."""
 
 
 def print_result(result: Result, wide: bool = False) -> None:
-    """Print the result in one sentence, then tables, warnings, what was omitted, and the run time by stage.
+    """Print the result: one sentence, tables, warnings, omitted steps, and the run time by stage.
 
-    One shot is a table of its frequencies. Of several there are the means over repeats and a line each; with ``wide``
-    every column, and a table for every shot.
+    A single shot has a table of its frequencies. Several shots have means over repeats and a line each; ``wide`` prints
+    every column and a table for every shot.
     """
-    page = Page(wide)
-    page.say(f"\n{headline_sentence(result)}", bold=True)
-    page.say(f"\n{result.title}")
-    page.say(f"{result.origin}, {result.run_file}, estimator {result.estimator}")
+    printer = Printer(wide)
+    printer.text(f"\n{headline_sentence(result)}", bold=True)
+    printer.text(f"\n{result.title}")
+    printer.text(f"{result.origin}, {result.run_file}, estimator {result.estimator}")
     if result.provenance.started:
-        page.say(f"{times_text(result.provenance)}, {result.provenance.host}")
+        printer.text(f"{times_text(result.provenance)}, {result.provenance.host}")
     for name, note in result.notes.items():
-        page.say(f"{name}: {note}")
+        printer.text(f"{name}: {note}")
     if result.simulated_specimen:
-        page.say(f"simulated specimen: {result.simulated_specimen}")
-    _print_means(result, page)
+        printer.text(f"simulated specimen: {result.simulated_specimen}")
+    _print_means(result, printer)
     if len(result.shots) > 1 and not wide:
-        _print_shots(result, page)
+        _print_shots(result, printer)
     else:
         for shot in result.shots:
-            page.say(f"\n{_shot_title(shot)}", bold=True)
-            page.show(_shot_table(shot, page))
+            printer.text(f"\n{_shot_title(shot)}", bold=True)
+            printer.table(_shot_table(shot, printer))
             if shot.estimates:
-                page.say(_budget_line(shot))
-    _print_profile(result, page)
-    page.say(f"\nphase: {result.phase_reference}\n{_legend(result)}")
+                printer.text(_budget_line(shot))
+    _print_profile(result, printer)
+    printer.text(f"\nphase: {result.phase_reference}\n{_legend(result)}")
     for warning in (*result.warnings, *shot_warnings(result.shots)):
-        page.say(f"WARNING {warning}", bold=True)
+        printer.text(f"WARNING {warning}", bold=True)
     if result.omitted:
-        page.say("omitted: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
+        printer.text("omitted: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
     total_s = sum(result.run_time_s.values())
-    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= LEAST_S)
-    page.say(f"run time: {total_s:.2f} s ({stages})")
+    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= MIN_STAGE_S)
+    printer.text(f"run time: {total_s:.2f} s ({stages})")
 
 
 @final
-class Page:
-    """Where a result is printed: as wide as the terminal, `TABLE_WIDTH` columns where there is none or all is wanted.
+class Printer:
+    """Printer of a result, as wide as the terminal; `TABLE_WIDTH` columns without a terminal or with ``wide``.
 
-    ``narrow``: too few columns for the whole table, so that what can be derived is left out.
+    ``narrow``: the terminal is too narrow for the whole table, so that derived columns are left out.
     """
 
     def __init__(self, wide: bool = False) -> None:
-        """Find out how wide the terminal is."""
+        """Determine the width of the terminal."""
         self.wide = wide
         self._columns = None if wide else terminal_columns()
         self._console = wide_console() if self._columns else _console(TABLE_WIDTH)
         self.narrow = self._columns is not None and self._columns < FULL_WIDTH
 
-    def say(self, text: str, bold: bool = False) -> None:
-        """Print text, broken between words where it is wider than the terminal."""
+    def text(self, text: str, bold: bool = False) -> None:
+        """Print text, wrapped to the width of the terminal."""
         shown = wrapped(text, self._columns) if self._columns else text
         self._console.print(shown, style="bold" if bold else "", soft_wrap=True)
 
-    def show(self, table: Table) -> None:
+    def table(self, table: Table) -> None:
         """Print a table."""
         self._console.print(table)
 
 
 def wide_console() -> Console:
-    """Return a console as wide as the terminal; where there is none, of `TABLE_WIDTH`: a pipe has no width."""
+    """Return a console as wide as the terminal, or of `TABLE_WIDTH` for a file or pipe."""
     return _console(terminal_columns() or TABLE_WIDTH)
 
 
@@ -108,19 +108,19 @@ def _console(columns: int) -> Console:
     return Console(soft_wrap=True, highlight=False, markup=False, width=columns)
 
 
-def _print_means(result: Result, page: Page) -> None:
-    """Print a table for every setting that was repeated; of more than `MOST_MEANS` a line each."""
+def _print_means(result: Result, printer: Printer) -> None:
+    """Print a table for every repeated setting, or a line each if there are more than `MAX_MEAN_TABLES`."""
     groups = [list(group) for _, group in groupby(result.means, key=lambda mean: mean.shots)]
-    if len(groups) <= MOST_MEANS or page.wide:
+    if len(groups) <= MAX_MEAN_TABLES or printer.wide:
         for group in groups:
-            # A title of the table's own would be broken at the table's width.
-            page.say(f"\n{_mean_title(group[0])}", bold=True)
-            page.show(_mean_table(group, page))
+            # A title inside the table would be wrapped to the width of the table.
+            printer.text(f"\n{_mean_title(group[0])}", bold=True)
+            printer.table(_mean_table(group, printer))
         return
     frequency_hz = lead_frequency_hz([shot for shot in result.shots if shot.estimates])
     leads = [min(group, key=lambda mean: abs(mean.frequency_hz - frequency_hz)) for group in groups]
     headers, settings = _varied(leads)
-    page.say(f"\nMEANS over repeats at {frequency_hz:g} Hz{_common(leads)}", bold=True)
+    printer.text(f"\nMEANS over repeats at {frequency_hz:g} Hz{_common(leads)}", bold=True)
     name = "peak" if leads[0].corrected else "tracked"
     scale, unit = _unit([mean.amplitude_m for mean in leads])
     headers = ["repeats\n", *headers, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "p\n"]
@@ -131,11 +131,11 @@ def _print_means(result: Result, page: Page) -> None:
         )
         for mean, cells in zip(leads, settings, strict=True)
     ]
-    page.show(rich_table(headers, rows, words=0))
+    printer.table(rich_table(headers, rows, words=0))
 
 
-def _print_shots(result: Result, page: Page) -> None:
-    """Print one line a shot, at the frequency that moves most."""
+def _print_shots(result: Result, printer: Printer) -> None:
+    """Print one line per shot, at the frequency with the largest amplitude."""
     shots = [shot for shot in result.shots if shot.estimates]
     if not shots:
         return
@@ -143,21 +143,21 @@ def _print_shots(result: Result, page: Page) -> None:
     estimates = [estimate_at(shot, frequency_hz) for shot in shots]
     varied, settings = _varied(shots)
     name = "peak" if estimates[0].headline.corrected else "tracked"
-    scale, unit = _unit([each.headline.amplitude_m for each in estimates])
+    scale, unit = _unit([item.headline.amplitude_m for item in estimates])
     headers = ["shot\n", *varied, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "residual\nnm"]
     rows = []
     for shot, estimate, cells in zip(shots, estimates, settings, strict=True):
         peak = estimate.headline
         row = [f"{shot.shot + 1}", *cells, *_polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)]
-        row += [*_angle(peak.phase_rad, peak.phase_uncertainty_rad), _figure(shot.residual_m * 1e9, 3)]
+        row += [*_angle(peak.phase_rad, peak.phase_uncertainty_rad), _digits(shot.residual_m * 1e9, 3)]
         rows.append((*row, " ".join(_flags(shot))))
     if any(row[-1] for row in rows):
         table = rich_table([*headers, "\n"], rows, words=0)
     else:
         table = rich_table(headers, [row[:-1] for row in rows], words=0)
-    page.say(f"\n{len(shots)} shots at {frequency_hz:g} Hz{_common(shots)}", bold=True)
-    page.show(table)
-    page.say("other frequencies: --wide, --csv, or the report")
+    printer.text(f"\n{len(shots)} shots at {frequency_hz:g} Hz{_common(shots)}", bold=True)
+    printer.table(table)
+    printer.text("other frequencies: --wide, --csv, or the report")
 
 
 def _flags(shot: ShotResult) -> Iterator[str]:
@@ -174,10 +174,10 @@ _SETTINGS = {
     "F\nF_0": ("force_fraction", 1.0),
     "f_prf\nHz": ("pulse_rate_hz", 1.0),
     "T_s\nms": ("window_length_s", 1e3),
-    "beside\nmm": ("lateral_offset_m", 1e3),
-    "deep\nmm": ("axial_offset_m", 1e3),
+    "lateral\nmm": ("lateral_offset_m", 1e3),
+    "axial\nmm": ("axial_offset_m", 1e3),
 }
-"""What can differ between shots, by header: what it is called, and its unit."""
+"""Settings that can differ between shots, by header: attribute and scale."""
 
 
 def _scaled(value: float | None, factor: float) -> str:
@@ -185,7 +185,7 @@ def _scaled(value: float | None, factor: float) -> str:
 
 
 def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
-    """Return the headers of the settings that are not the same in all ``items``, and their cells, item by item."""
+    """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
     cells = {
         header: [_scaled(getattr(item, name), factor) for item in items] for header, (name, factor) in _SETTINGS.items()
     }
@@ -196,42 +196,42 @@ def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[st
 
 
 def _common(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
-    """Return the settings that all ``items`` share, for a title."""
+    """Return the settings that are equal in all ``items``, for a title."""
     shared = set(_settings(items[0])).intersection(*(set(_settings(item)) for item in items))
     return "".join(f", {setting}" for setting in _settings(items[0]) if setting in shared)
 
 
 def _unit(amplitudes_m: Sequence[float]) -> tuple[float, str]:
-    """Return the unit of a column of amplitudes: nm, or um where the largest has five digits in nm."""
+    """Return scale and unit of a column of amplitudes: nm, or um if the largest has five digits in nm."""
     scale, unit = scale_of(max(amplitudes_m, default=0.0))
     return (scale, unit) if scale > NM else (NM, "nm")
 
 
 def times_text(provenance: Provenance) -> str:
-    """Return in words when a run was: 2026-03-05 14:02:11+01:00 to 14:10:07."""
+    """Return begin and end of a run: 2026-03-05 14:02:11+01:00 to 14:10:07."""
     started, ended = provenance.started.replace("T", " "), provenance.ended.replace("T", " ")
     day, _, time = ended.partition(" ")
     until = time[:8] if ended[:10] == started[:10] and ended[19:] == started[19:] else f"{day} {time}".strip()
     return f"{started} to {until}" if ended else started
 
 
-def _shot_table(shot: ShotResult, page: Page) -> Table:
+def _shot_table(shot: ShotResult, printer: Printer) -> Table:
     known = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
     corrected = any(estimate.headline.corrected for estimate in shot.estimates)
-    scale, unit = _unit([each.headline.amplitude_m for each in shot.estimates])
+    scale, unit = _unit([item.headline.amplitude_m for item in shot.estimates])
     headers = ["f\nHz"]
     headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
     headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
     headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if known else []
     rows = [_row(estimate, known, corrected, scale) for estimate in shot.estimates]
-    if page.narrow and corrected:
-        # What the tracked values were, their phase and u, and the truth beside its error: --wide has them.
-        kept = [0, 1, 2, 3, 4, 5, 9, *([11, 12] if known else [])]
-        headers, rows = [headers[at] for at in kept], [[row[at] for at in kept] for row in rows]
+    if printer.narrow and corrected:
+        # Without the tracked values and the truth, which --wide prints.
+        columns = [0, 1, 2, 3, 4, 5, 9, *([11, 12] if known else [])]
+        headers, rows = [headers[column] for column in columns], [[row[column] for column in columns] for row in rows]
     return rich_table(headers, rows, words=0)
 
 
-def _mean_table(means: Sequence[RepeatMean], page: Page) -> Table:
+def _mean_table(means: Sequence[RepeatMean], printer: Printer) -> Table:
     known = any(mean.true_amplitude_m is not None for mean in means)
     name = "peak" if means[0].corrected else "tracked"
     scale, unit = _unit([mean.amplitude_m for mean in means])
@@ -239,20 +239,20 @@ def _mean_table(means: Sequence[RepeatMean], page: Page) -> Table:
     headers += ["chi-square\n", "p\n"]
     headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if known else []
     rows = [_mean_row(mean, known, scale) for mean in means]
-    if page.narrow:
-        kept = [0, 1, 2, 3, 4, 5, 6, 8, *([10, 11] if known else [])]
-        headers, rows = [headers[at] for at in kept], [[row[at] for at in kept] for row in rows]
+    if printer.narrow:
+        columns = [0, 1, 2, 3, 4, 5, 6, 8, *([10, 11] if known else [])]
+        headers, rows = [headers[column] for column in columns], [[row[column] for column in columns] for row in rows]
     return rich_table(headers, rows, words=0)
 
 
-def _print_profile(result: Result, page: Page) -> None:
-    """Print a table over depth for every shot whose records were taken gate by gate."""
+def _print_profile(result: Result, printer: Printer) -> None:
+    """Print a table over depth for every shot with gates over depth."""
     for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
-        at_place = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
-        for _, of_shot in groupby(at_place, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
-            group_of_gates = list(of_shot)
-            page.say(f"\n{_profile_title(group_of_gates)}", bold=True)
-            page.show(_profile_table(group_of_gates))
+        gates_by_shot = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
+        for _, shot_gates in groupby(gates_by_shot, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
+            profile = list(shot_gates)
+            printer.text(f"\n{_profile_title(profile)}", bold=True)
+            printer.table(_profile_table(profile))
 
 
 def _profile_title(gates: Sequence[GateResult]) -> str:
@@ -261,7 +261,7 @@ def _profile_title(gates: Sequence[GateResult]) -> str:
 
 
 def _profile_table(gates: Sequence[GateResult]) -> Table:
-    """Return a row a gate, of the frequency that moves most in any; the result file has the others."""
+    """Return one row per gate, at the frequency with the largest amplitude; the result file holds the others."""
     hz, corrected = _strongest_hz(gates), any(gate.shot.estimates[0].headline.corrected for gate in gates)
     scale, unit = _unit([gate.shot.estimates[0].headline.amplitude_m for gate in gates])
     headers = ["depth\nmm", "gate\nmm", "pulses\n"]
@@ -269,28 +269,28 @@ def _profile_table(gates: Sequence[GateResult]) -> Table:
     headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
     rows = []
     for gate in gates:
-        [estimate] = [each for each in gate.shot.estimates if each.frequency_hz == hz]
+        [estimate] = [item for item in gate.shot.estimates if item.frequency_hz == hz]
         where = [f"{gate.depth_m * 1e3:.4g}", f"{gate.length_m * 1e3:.3g}", str(gate.shot.pulses_used)]
         rows.append([*where, *_row(estimate, False, corrected, scale)[1:]])
     return rich_table(headers, rows, words=0)
 
 
 def _strongest_hz(gates: Sequence[GateResult]) -> float:
-    every = [estimate for gate in gates for estimate in gate.shot.estimates]
-    return max(every, key=lambda estimate: estimate.amplitude_m).frequency_hz
+    estimates = [estimate for gate in gates for estimate in gate.shot.estimates]
+    return max(estimates, key=lambda estimate: estimate.amplitude_m).frequency_hz
 
 
 def _mean_title(mean: RepeatMean) -> str:
     shots = [shot + 1 for shot in mean.shots]
-    in_a_row = shots[-1] - shots[0] == len(shots) - 1
-    numbers = f"{shots[0]} to {shots[-1]}" if in_a_row else ", ".join(map(str, shots))
+    is_range = shots[-1] - shots[0] == len(shots) - 1
+    numbers = f"{shots[0]} to {shots[-1]}" if is_range else ", ".join(map(str, shots))
     return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *_settings(mean)])
 
 
 def _mean_row(mean: RepeatMean, known: bool, scale: float) -> list[str]:
     row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m, scale)]
     row += _angle(mean.phase_rad, mean.phase_uncertainty_rad)
-    row += [_figure(mean.amplitude_sd_m / scale), _figure(math.degrees(mean.phase_sd_rad))]
+    row += [_digits(mean.amplitude_sd_m / scale), _digits(math.degrees(mean.phase_sd_rad))]
     row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
     if known and mean.true_amplitude_m and mean.true_phase_rad is not None:
         error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)
@@ -301,7 +301,7 @@ def _mean_row(mean: RepeatMean, known: bool, scale: float) -> list[str]:
 
 def _shot_title(shot: ShotResult) -> str:
     words = [f"shot {shot.shot + 1}", *_settings(shot)]
-    words += [f"{shot.pulses_used} pulses", f"residual {_figure(shot.residual_m * 1e9, 3)} nm rms", *_flags(shot)]
+    words += [f"{shot.pulses_used} pulses", f"residual {_digits(shot.residual_m * 1e9, 3)} nm rms", *_flags(shot)]
     return ", ".join(words)
 
 
@@ -315,9 +315,9 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
     if of.window_length_s is not None:
         yield f"T_s = {of.window_length_s * 1e3:g} ms"
     if of.lateral_offset_m:
-        yield f"{of.lateral_offset_m * 1e3:g} mm beside the push"
+        yield f"{of.lateral_offset_m * 1e3:g} mm lateral offset"
     if of.axial_offset_m:
-        yield f"{of.axial_offset_m * 1e3:+g} mm deep"
+        yield f"{of.axial_offset_m * 1e3:+g} mm axial offset"
     yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
@@ -336,47 +336,48 @@ def _row(estimate: Estimate, known: bool, corrected: bool, scale: float) -> list
 
 
 def _budget_line(shot: ShotResult) -> str:
-    """Return where the uncertainty of the strongest frequency of ``shot`` comes from, largest source first."""
+    """Return the sources of the uncertainty of the largest amplitude of ``shot``, the largest source first."""
     lead = max(shot.estimates, key=lambda item: item.amplitude_m)
-    parts = sorted(lead.budget, key=lambda each: _share(each, lead), reverse=True)
+    parts = sorted(lead.budget, key=lambda item: _variance_fraction(item, lead), reverse=True)
     words = [
-        f"{each.source} {_figure(each.amplitude_m * 1e9)} nm"
-        + (f" {_figure(math.degrees(each.phase_rad))} deg" if each.phase_rad else "")
-        for each in parts
-        if _share(each, lead) >= LEAST_SHARE
+        f"{item.source} {_digits(item.amplitude_m * 1e9)} nm"
+        + (f" {_digits(math.degrees(item.phase_rad))} deg" if item.phase_rad else "")
+        for item in parts
+        if _variance_fraction(item, lead) >= MIN_VARIANCE_FRACTION
     ]
     return f"u at {lead.frequency_hz:g} Hz: {', '.join(words)}"
 
 
-def _share(component: Component, estimate: Estimate) -> float:
-    """Return the larger of the shares that ``component`` has in the variances of amplitude and phase."""
-    whole = estimate.headline
+def _variance_fraction(component: Component, estimate: Estimate) -> float:
+    """Return the fraction of ``component`` in the variance of the amplitude or the phase, the larger of the two."""
+    total = estimate.headline
     pairs = (
-        (component.amplitude_m, whole.amplitude_uncertainty_m),
-        (component.phase_rad, whole.phase_uncertainty_rad),
+        (component.amplitude_m, total.amplitude_uncertainty_m),
+        (component.phase_rad, total.phase_uncertainty_rad),
     )
     return max((part / u) ** 2 if u > 0 and math.isfinite(u) else 0.0 for part, u in pairs)
 
 
 def _legend(result: Result) -> str:
     if not any(item.headline.corrected for shot in result.shots for item in shot.estimates):
-        return "u: by the fit; SNR: amplitude over u; no [beams] says how much of the peak displacement is tracked"
+        return "u: of the fit; SNR: amplitude over u; without [beams] the peak displacement is not corrected"
     return (
-        "peak: corrected for what beams average and for what is told of aliasing, u combined from all sources\n"
-        "tracked: as it is, u by the fit (noise, and aliasing where it knows it); SNR: tracked amplitude over that u"
+        "peak: corrected for beam averaging and predicted aliasing, u combined from all sources\n"
+        "tracked: not corrected, u of the fit: noise, plus aliasing for estimators with a prior\n"
+        "SNR: tracked amplitude over that u"
     )
 
 
 def _polar(amplitude_m: float, uncertainty_m: float, scale: float) -> list[str]:
-    return [_figure(amplitude_m / scale, 4), _figure(uncertainty_m / scale)]
+    return [_digits(amplitude_m / scale, 4), _digits(uncertainty_m / scale)]
 
 
 def _angle(phase_rad: float, uncertainty_rad: float) -> list[str]:
     return [f"{math.degrees(phase_rad):z.2f}", f"{math.degrees(uncertainty_rad):.2f}"]
 
 
-def _figure(value: float, digits: int = 2) -> str:
-    """Return ``value`` with that many digits, without an exponent where a reader does not need one."""
+def _digits(value: float, digits: int = 2) -> str:
+    """Return ``value`` with ``digits`` significant digits, without an exponent below 1e6."""
     if 10**digits <= abs(value) < 1e6:
         return f"{value:.0f}"
     return format(value, f"#.{digits}g").removesuffix(".")

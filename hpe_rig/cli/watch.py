@@ -1,4 +1,4 @@
-"""Observers of a run: stop request, log and live page, each loaded only when asked for."""
+"""Supervision of a run: stop request, pause, log and live page, each loaded only if an option requires it."""
 
 from __future__ import annotations
 
@@ -10,70 +10,56 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpe_rig.cli.keys import Pressed, keyboard
+from hpe_rig.cli.keys import ReadKeys, keyboard
+from hpe_rig.cli.options import WatchOptions
 from hpe_rig.measurement import (
     Mover,
     Observer,
     Setup,
-    clear_leftover,
     clear_pause,
+    clear_stale_stop,
     clear_stop,
-    pausable,
     pause_requested,
-    stoppable,
     toggle_pause,
-    wait_at_place,
+    wait_for_move,
+    with_pauses,
+    with_stop_requests,
 )
 from hpe_rig.store import StoreError, extra
 
-LOOK_EVERY_S = 0.1
-GO_ON = "\r\np"
-"""Keys with which a run goes on where the tracking transducer has been moved."""
-Watch = Callable[[Observer], Observer]
+POLL_INTERVAL_S = 0.1
+CONFIRM_KEYS = "\r\np"
+"""Keys that confirm a movement of the tracking transducer."""
 
 
 @dataclass(frozen=True, slots=True)
-class Watched:
-    """How a run is watched: ``observed`` wraps its observer, ``move`` asks for the tracking transducer to be moved."""
+class Supervision:
+    """Supervision of a run: ``observed`` wraps its observer, ``move`` asks for movements of the transducer."""
 
-    observed: Watch
+    observed: Callable[[Observer], Observer]
     move: Mover
 
 
-@dataclass(frozen=True, slots=True)
-class PageOptions:
-    """Live page of a run: its port, 0 for any; ``opened`` in the browser; it ``closes`` with the run."""
-
-    port: int = 0
-    opened: bool = False
-    closes: bool = False
-
-
-def page_options(live: bool, port: int, opened: bool, closes: bool) -> PageOptions | None:
-    """Return the live page that the command line asks for; None where it asks for none. Each option asks for one."""
-    return PageOptions(port, opened, closes) if live or port or opened or closes else None
-
-
 @contextmanager
-def live_page(path: Path, live: PageOptions | None, announce: Callable[[str], None]) -> Iterator[None]:
-    """Serve the page of a run, or of a queue in the folder ``path``; afterwards wait until it is closed, or close it.
+def live_page(path: Path, options: WatchOptions, announce: Callable[[str], None]) -> Iterator[None]:
+    """Serve the live page of a run file, or of a queue in the folder ``path``, if the options request one.
 
-    Where what it watches ended well it stays until Ctrl-C or its own button. Raises ``StoreError`` where it cannot
-    start.
+    After the block has ended without an error, wait for Ctrl-C or the button of the page, unless ``options.close``.
+    Raises ``StoreError`` if the page cannot start.
     """
-    if live is None:
+    if not options.has_page:
         yield
         return
     with extra("live"):
         from hpe_rig.live import live_page_of, open_page
 
-    with live_page_of(path, live.port) as page:
+    with live_page_of(path, options.port) as page:
         announce(f"live page: {page.address}")
-        if live.opened and not open_page(page.address):
-            announce("there is no browser to open here: open the address yourself")
+        if options.open and not open_page(page.address):
+            announce("no browser can be opened here: open the address yourself")
         yield
-        if not live.closes:
-            # What was printed must be read before anybody is waited for, also where it goes to a file.
+        if not options.close:
+            # The results must be readable before the program waits, also if they are written to a file.
             sys.stdout.flush()
             announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
             with suppress(KeyboardInterrupt):
@@ -82,78 +68,91 @@ def live_page(path: Path, live: PageOptions | None, announce: Callable[[str], No
 
 
 @contextmanager
-def watched(
+def supervise(
     setup: Setup,
     path: Path,
     run_id: str,
-    live: PageOptions | None,
-    verbose: bool,
+    options: WatchOptions,
     announce: Callable[[str], None],
-    yes: bool = False,
-    paged: bool = False,
-) -> Iterator[Watched]:
-    """Yield how the run ``run_id`` into ``path`` is watched: it can be stopped and is logged.
+    in_queue: bool = False,
+) -> Iterator[Supervision]:
+    """Yield the supervision of the run ``run_id`` into ``path``: it can be stopped and paused, and is logged.
 
-    The key p, and the ``live`` page, pause it between two shots; where the tracking transducer is to be moved, unless
-    ``yes``, it waits for Enter or the page. ``paged``: it has a page already. Raises ``StoreError`` where the log or
-    the page cannot start.
+    The key p and the live page pause it between two shots. Before a movement of the tracking transducer it waits for
+    Enter or the page, unless ``options.yes``. With ``in_queue`` the page of the queue serves the run. Raises
+    ``StoreError`` if log or page cannot start.
     """
     with ExitStack() as stack:
-        # Before the run file is there nobody can ask for a stop of this run.
-        clear_leftover(path)
-        log: Watch | None = None
-        if verbose:
-            from hpe_rig.measurement import log_path, logged
+        # No request can concern this run before its run file exists.
+        clear_stale_stop(path)
+        log: Callable[[Observer], Observer] = _unlogged
+        if options.verbose:
+            from hpe_rig.measurement import log_path, run_log
 
-            log = stack.enter_context(logged(setup, log_path(path)))
-        stack.enter_context(live_page(path, live, announce))
-        stack.callback(_forget_stop, path, run_id)
+            log = stack.enter_context(run_log(setup, log_path(path)))
+        if not in_queue:
+            stack.enter_context(live_page(path, options, announce))
+        stack.callback(_clear_stop, path, run_id)
         stack.callback(clear_pause, path, run_id)
-        pressed = stack.enter_context(keyboard())
-        pauses, paged = _pauses(path, run_id, pressed, announce), paged or live is not None
-        answers = pressed if paged or sys.stdin.isatty() else None
-        yield Watched(
-            lambda observer: pausable(stoppable(log(observer) if log else observer, path, run_id), pauses, announce),
-            _asking(path, run_id, answers, announce, yes, paged),
+        read_keys = stack.enter_context(keyboard())
+        is_paused = _pause_poller(path, run_id, read_keys, announce)
+        has_page = options.has_page
+        confirmation_keys = read_keys if has_page or sys.stdin.isatty() else None
+        move = (
+            _announce_moves(announce)
+            if options.yes
+            else _ask_for_moves(path, run_id, confirmation_keys, announce, has_page)
+        )
+        yield Supervision(
+            lambda observer: with_pauses(with_stop_requests(log(observer), path, run_id), is_paused, announce), move
         )
 
 
-def _asking(
-    path: Path, run_id: str, pressed: Pressed | None, announce: Callable[[str], None], yes: bool, paged: bool
-) -> Mover:
-    """Return what asks for the tracking transducer to be moved and waits; with ``yes`` it only says where to.
+def _unlogged(observer: Observer) -> Observer:
+    return observer
 
-    ``pressed`` is None where neither terminal nor live page can answer: then a line of standard input does.
+
+def _announce_moves(announce: Callable[[str], None]) -> Mover:
+    """Return a mover that announces each movement without waiting for it."""
+    return lambda lateral_m: announce(_move_text(lateral_m))
+
+
+def _ask_for_moves(
+    path: Path, run_id: str, read_keys: ReadKeys | None, announce: Callable[[str], None], has_page: bool
+) -> Mover:
+    """Return a mover that announces each movement and waits for its confirmation.
+
+    ``read_keys`` is None without terminal and live page: then a line of standard input confirms.
     """
 
     def move(lateral_m: float) -> None:
-        where = f"move the tracking transducer to {lateral_m * 1e3:g} mm beside the push"
-        if yes:
-            announce(where)
-            return
-        if pressed is not None:
-            # What was pressed before, during a shot, is no answer.
-            pressed()
-        page = ", or Go on at the live page," if paged else ""
-        announce(f"{where}; all outputs are off. Enter{page} when it stands there")
-        if pressed is None:
+        if read_keys is not None:
+            # Keys pressed before, during a shot, confirm nothing.
+            read_keys()
+        page = ', or "Go on" on the live page,' if has_page else ""
+        announce(f"{_move_text(lateral_m)}; all outputs are off. Enter{page} after the movement")
+        if read_keys is None:
             input()
         else:
-            wait_at_place(path, run_id, lateral_m, lambda: any(key in GO_ON for key in pressed()))
+            wait_for_move(path, run_id, lateral_m, lambda: any(key in CONFIRM_KEYS for key in read_keys()))
 
     return move
 
 
-def _pauses(path: Path, run_id: str, pressed: Pressed, announce: Callable[[str], None]) -> Callable[[], bool]:
-    """Return what says whether the run pauses: as the key p says, or whoever puts the request beside the run file."""
-    looked_s, paused = -math.inf, False
+def _move_text(lateral_m: float) -> str:
+    return f"move the tracking transducer to a lateral offset of {lateral_m * 1e3:g} mm from the push"
 
-    def asked() -> bool:
-        nonlocal looked_s, paused
-        if time.monotonic() - looked_s < LOOK_EVERY_S:
+
+def _pause_poller(path: Path, run_id: str, read_keys: ReadKeys, announce: Callable[[str], None]) -> Callable[[], bool]:
+    """Return a function that reports whether the run is paused, by the key p or by a file beside the run file."""
+    last_poll_s, paused = -math.inf, False
+
+    def is_paused() -> bool:
+        nonlocal last_poll_s, paused
+        if time.monotonic() - last_poll_s < POLL_INTERVAL_S:
             return paused
-        looked_s = time.monotonic()
-        for _ in range(pressed().lower().count("p")):
+        last_poll_s = time.monotonic()
+        for _ in range(read_keys().lower().count("p")):
             try:
                 if toggle_pause(path, run_id):
                     announce("a pause follows after this shot")
@@ -162,10 +161,10 @@ def _pauses(path: Path, run_id: str, pressed: Pressed, announce: Callable[[str],
         paused = pause_requested(path, run_id)
         return paused
 
-    return asked
+    return is_paused
 
 
-def _forget_stop(path: Path, run_id: str) -> None:
-    # How the run ended matters more than a file that stays.
+def _clear_stop(path: Path, run_id: str) -> None:
+    # An error about a request that cannot be removed must not hide how the run ended.
     with suppress(StoreError):
         clear_stop(path, run_id)

@@ -1,14 +1,14 @@
 """Measurement: a scene becomes a run file.
 
-    setup.py          scene and bench file -> plan and the results of its checks
-    run.py            plan -> a run file with the records of every shot
-    mover.py          moving the tracking transducer between shots
+    setup.py          scene and bench file -> plan and the findings of its checks
+    run.py            setup -> run file with the records of every shot
+    mover.py          movement of the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
-    recording.py      blocks of the sequencer -> run file
+    recording.py      events of the sequencer -> run file
     pause.py          a pause between two shots, from the terminal or the live page
     stop_request.py   a safe stop requested by another process
+    resumption.py     a stopped run continued with its missing shots
     queue.py          several runs one after another under one lock
-    resumption.py     a stopped run continued with the shots that it lacks
     provenance.py     operator, time and place of a measurement
     log.py            the log beside the run file
 

@@ -1,26 +1,26 @@
-from .log import log_path as log_path, logged as logged
+from .log import log_path as log_path, run_log as run_log
 from .mover import Mover as Mover
 from .pause import (
-    awaited_place_m as awaited_place_m,
+    awaited_offset_m as awaited_offset_m,
     clear_pause as clear_pause,
-    pausable as pausable,
     pause_requested as pause_requested,
     toggle_pause as toggle_pause,
-    wait_at_place as wait_at_place,
+    wait_for_move as wait_for_move,
+    with_pauses as with_pauses,
 )
 from .provenance import provenance_now as provenance_now
 from .queue import (
     QUEUE_FILE as QUEUE_FILE,
+    QueueHooks as QueueHooks,
     QueueList as QueueList,
     QueueRun as QueueRun,
-    Watching as Watching,
-    listed as listed,
     new_queue as new_queue,
+    queue_entries as queue_entries,
     read_queue as read_queue,
     run_queue as run_queue,
     time_left_s as time_left_s,
 )
-from .resumption import prepare_rest as prepare_rest, resume as resume
+from .resumption import Resumption as Resumption, prepare_resumption as prepare_resumption, resume as resume
 from .run import record_run as record_run
 from .sequencer import (
     Observer as Observer,
@@ -28,27 +28,28 @@ from .sequencer import (
     ShotBlock as ShotBlock,
     Step as Step,
     acquire as acquire,
-    programmed as programmed,
-    unobserved as unobserved,
+    ignore_progress as ignore_progress,
+    program_shot as program_shot,
 )
 from .setup import (
     BenchSource as BenchSource,
     Setup as Setup,
     as_path as as_path,
     bench_path as bench_path,
-    planned as planned,
+    plan_and_check as plan_and_check,
     prepare as prepare,
     prepare_text as prepare_text,
+    setup_of_run as setup_of_run,
     source_text as source_text,
-    with_scan_beside as with_scan_beside,
+    with_scan_in_folder as with_scan_in_folder,
 )
 from .stop_request import (
     StopRequested as StopRequested,
-    clear_leftover as clear_leftover,
+    clear_stale_stop as clear_stale_stop,
     clear_stop as clear_stop,
     request_stop as request_stop,
     stop_path as stop_path,
     stop_requested as stop_requested,
-    stoppable as stoppable,
+    with_stop_requests as with_stop_requests,
     write_stop as write_stop,
 )

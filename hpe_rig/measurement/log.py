@@ -1,4 +1,4 @@
-"""Log of every step of a run beside its file, written line by line, so that a crash keeps it."""
+"""Log file of a run, beside its run file; each line is flushed, so that a crash keeps it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ from hpe_rig.store import StoreError, reason, versions
 
 
 def log_path(run_file: Path) -> Path:
-    """Return the log beside a run file, under a name that is not the run file's own."""
+    """Return the path of the log of a run file; it never equals the run file's path."""
     stem = run_file.name if run_file.suffix == ".log" else run_file.stem
     return run_file.parent / f"{stem}.log"
 
 
 @contextlib.contextmanager
-def logged(setup: Setup, log_file: Path) -> Iterator[Callable[[Observer], Observer]]:
-    """Yield a function that wraps an observer so that every step is written to ``log_file``, with how the run ended.
+def run_log(setup: Setup, log_file: Path) -> Iterator[Callable[[Observer], Observer]]:
+    """Yield a function that wraps an observer so that ``log_file`` gets a line for every step of the sequencer.
 
-    An existing log is appended to: it may tell of the run because of which this one is refused.
-
-    Raises ``StoreError`` where the file cannot be written.
+    The last line states how the run ended. An existing log is extended: it may explain why this run is refused.
+    Raises ``StoreError`` if the file cannot be written.
     """
     try:
         file = log_file.open("a", encoding="utf-8", buffering=1)
@@ -36,44 +35,44 @@ def logged(setup: Setup, log_file: Path) -> Iterator[Callable[[Observer], Observ
         ) from None
     start_s = time.monotonic()
 
-    def put(text: str) -> None:
-        # A disk that fills up ends the run by its own file, with a message; a log alone ends none.
+    def write(text: str) -> None:
+        # A full disk ends the run when its run file is written. The log alone must not end it.
         with contextlib.suppress(OSError):
             file.write(text)
 
-    def write(text: str) -> None:
-        put(f"{time.monotonic() - start_s:10.4f} s  {text}\n")
+    def write_line(text: str) -> None:
+        write(f"{time.monotonic() - start_s:10.4f} s  {text}\n")
 
-    def log(observer: Observer) -> Observer:
-        said = ""
+    def with_log(observer: Observer) -> Observer:
+        last_line = ""
 
         def observe(progress: Progress) -> None:
-            nonlocal said
-            if (words := _words(progress)) != said:
-                write(words)
-            said = words
+            nonlocal last_line
+            if (line := _step_text(progress)) != last_line:
+                write_line(line)
+            last_line = line
             observer(progress)
 
         return observe
 
-    put(f"{datetime.now(UTC).isoformat(timespec='seconds')}  {setup.scene.scene.title}\n")
-    put(f"scene {setup.scene.name}, bench {setup.bench.name}: {setup.bench.bench.title}\n")
-    put(", ".join(f"{name} {text}" for name, text in versions().items()) + "\n")
-    put("".join(f"{finding.level}: {finding}\n" for finding in setup.findings))
+    write(f"{datetime.now(UTC).isoformat(timespec='seconds')}  {setup.scene.scene.title}\n")
+    write(f"scene {setup.scene.name}, bench {setup.bench.name}: {setup.bench.bench.title}\n")
+    write(", ".join(f"{name} {version}" for name, version in versions().items()) + "\n")
+    write("".join(f"{finding.level}: {finding}\n" for finding in setup.findings))
     try:
-        yield log
-        write("complete")
+        yield with_log
+        write_line("complete")
     except BaseException as error:
-        write(f"ended by {type(error).__name__}: {error}")
-        put(traceback.format_exc())
+        write_line(f"ended by {type(error).__name__}: {error}")
+        write(traceback.format_exc())
         raise
     finally:
         with contextlib.suppress(OSError):
             file.close()
 
 
-def _words(progress: Progress) -> str:
-    shot, step = f"shot {progress.shot.index + 1}", progress.step
-    if step is Step.COLLECT and progress.records:
+def _step_text(progress: Progress) -> str:
+    shot = f"shot {progress.shot.index + 1}"
+    if progress.step is Step.COLLECT and progress.records:
         return f"{shot}: {progress.records} of {progress.shot.capture.record_count} records"
-    return f"{shot}: {step.value}"
+    return f"{shot}: {progress.step.value}"

@@ -1,4 +1,4 @@
-"""Provenance of a run that starts now: the time with its offset from UTC, host, user and drivers."""
+"""Provenance of a run: start time with its offset from UTC, host, user and drivers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VISA_PACKAGES = ("pyvisa", "pyvisa-py", "pyserial")
 
 
 def provenance_now(bench: BenchFile) -> Provenance:
-    """Return when and where a run on ``bench`` starts; the user's name only where the bench file lets it be stored."""
+    """Return the provenance of a run that starts now; with the user's name only if the bench file permits it."""
     return Provenance(
         started=datetime.now().astimezone().isoformat(timespec="seconds"),
         host=_printable(socket.gethostname()),
@@ -26,7 +26,7 @@ def provenance_now(bench: BenchFile) -> Provenance:
 
 
 def _drivers(bench: BenchFile) -> Iterator[str]:
-    """Yield the packages that the generators are reached through; the twin in process needs none."""
+    """Yield the packages that connect to the generators; the twin in process uses none."""
     if bench.simulated and bench.transport is None:
         return
     for name in VISA_PACKAGES:
@@ -35,7 +35,7 @@ def _drivers(bench: BenchFile) -> Iterator[str]:
 
 
 def _user() -> str:
-    # An account without a name, as in a container, is no reason not to measure.
+    # An account may have no name, as in a container. That must not prevent a measurement.
     with suppress(OSError, KeyError, ImportError):
         return _printable(getpass.getuser())
     return ""

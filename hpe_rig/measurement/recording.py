@@ -1,7 +1,7 @@
-"""Recording of a run: what the sequencer yields goes into a run file, which replaces another only with its own records.
+"""Recording of a run: the events of the sequencer are written to a run file.
 
-A run file that is to be overwritten stays what it is until the first record has arrived, and a new one is removed again
-where not even a shot was programmed: a wrong address costs nobody a run and leaves nothing behind.
+An existing run file that is to be replaced stays untouched until the first record arrives. A new run file is removed if
+not even one shot was programmed. So a wrong address neither destroys a run nor leaves an empty file.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from hpe_rig.result import Stages
 from hpe_rig.scene import Scene
 from hpe_rig.store import RunWriter, StoredRun
 
-NOTHING_LEFT = "nothing was measured, and no run file is left"
+NOTHING_MEASURED = "nothing was measured, and there is no run file"
 
 
 @final
-class Recording:
-    """Run file of a measurement; ``create`` makes its writer, at once or, where ``late``, with the first record."""
+class RunRecorder:
+    """Writes the events of a run to the file that ``create`` opens: at once or, with ``defer``, at the first record."""
 
-    def __init__(self, path: Path, create: Callable[[], RunWriter], late: bool) -> None:
+    def __init__(self, path: Path, create: Callable[[], RunWriter], defer: bool) -> None:
         self._path = path
         self._create = create
-        self._late = late
+        self._defer = defer
         self._writer: RunWriter | None = None
-        self._ready: ShotReady | None = None
-        self._programmed = self._arrived = False
+        self._first_settings: ShotReady | None = None
+        self._has_event = self._has_record = False
 
     def __enter__(self) -> Self:
-        if not self._late:
+        if not self._defer:
             try:
-                self._begin()
+                self._open()
             except INTERRUPTS as interrupt:
                 if not self._path.exists():
-                    interrupt.add_note(NOTHING_LEFT)
+                    interrupt.add_note(NOTHING_MEASURED)
                 raise
         return self
 
@@ -48,66 +48,68 @@ class Recording:
     ) -> None:
         if self._writer is not None:
             self._writer.__exit__(kind, error, trace)
-        if error is None:
-            return
-        error.add_note(self._left())
+        if error is not None:
+            error.add_note(self._content_after_error())
 
-    def take_over(self, earlier: StoredRun, shots: int) -> None:
+    def copy_shots(self, earlier: StoredRun, shots: int) -> None:
         """Copy the first ``shots`` shots of an earlier run of the same plan."""
-        self._begin().take_over(earlier, shots)
-        self._arrived = self._arrived or shots > 0
+        self._open().take_over(earlier, shots)
+        self._has_record = self._has_record or shots > 0
 
-    def take(self, event: Event, scene: Scene, bench: Bench, stages: Stages) -> None:
-        """Write what ``event`` brings; a shot counts as complete only once everything of it is in the file."""
-        self._programmed = True
+    def write(self, event: Event, scene: Scene, bench: Bench, stages: Stages) -> None:
+        """Write ``event``; a shot is marked as complete after all of its data."""
+        self._has_event = True
         match event:
             case ShotReady() if self._writer is None:
-                self._ready = event
+                self._first_settings = event
             case ShotReady(shot, settings):
-                self._begin().settings(shot, settings)
+                self._open().settings(shot, settings)
             case ShotBlock(shot, block):
-                self._begin().append(shot, block)
-                self._arrived = self._arrived or block.codes.size > 0
+                self._open().append(shot, block)
+                self._has_record = self._has_record or block.codes.size > 0
             case ShotUntrusted(shot, why):
-                self._begin().untrusted(shot, why)
-            case ShotDone(shot, clipped):
-                writer = self._begin()
-                writer.clipped(shot, clipped)
-                if bench.world is not None:
-                    with stages("truth"):
-                        pulses_m = bench.world.true_displacement_m()
-                        harmonics_m = true_harmonics_m(scene, shot, bench.world.true_motion_m)
-                    writer.ground_truth(shot, pulses_m)
-                    writer.true_harmonics(shot, harmonics_m)
-                writer.finish(shot)
+                self._open().untrusted(shot, why)
+            case ShotDone():
+                self._finish_shot(event, scene, bench, stages)
 
-    def look(self) -> None:
-        """Raise ``StoreError`` where the file was lost, also while nothing is written."""
+    def _finish_shot(self, event: ShotDone, scene: Scene, bench: Bench, stages: Stages) -> None:
+        writer = self._open()
+        writer.clipped(event.shot, event.clipped)
+        if bench.world is not None:
+            with stages("truth"):
+                displacement_m = bench.world.true_displacement_m()
+                harmonics_m = true_harmonics_m(scene, event.shot, bench.world.true_motion_m)
+            writer.ground_truth(event.shot, displacement_m)
+            writer.true_harmonics(event.shot, harmonics_m)
+        writer.finish(event.shot)
+
+    def check_file_present(self) -> None:
+        """Raise ``StoreError`` if the run file was removed or replaced."""
         if self._writer is not None:
             self._writer.look()
 
-    def run_time(self, stages: Stages) -> None:
+    def write_run_time(self, stages: Stages) -> None:
         """Write the wall time of each stage so far."""
-        self._begin().run_time(stages.run_time_s)
+        self._open().run_time(stages.run_time_s)
 
-    def _left(self) -> str:
-        """Return in words what a run that ended early leaves; remove a file in which there is nothing at all."""
-        if self._arrived:
-            then = f"hpe-rig process {self._path} estimates them, hpe-rig resume {self._path} measures the rest"
-            return f"{self._path} holds the records that had arrived: {then}"
+    def _content_after_error(self) -> str:
+        """Return what the file of a run that ended early contains; remove a file without any event."""
+        if self._has_record:
+            commands = f"hpe-rig process {self._path} estimates them, hpe-rig resume {self._path} measures the others"
+            return f"{self._path} holds the records that had arrived: {commands}"
         if self._writer is None:
-            return f"no record had arrived: {self._path} is what it was before"
-        if self._programmed:
+            return f"no record had arrived: {self._path} is unchanged"
+        if self._has_event:
             return f"{self._path} holds no records: none had arrived"
         self._writer.remove()
-        return NOTHING_LEFT
+        return NOTHING_MEASURED
 
-    def _begin(self) -> RunWriter:
-        """Return the writer, made now where it was not before."""
+    def _open(self) -> RunWriter:
+        """Return the writer; create the run file at the first call."""
         if self._writer is None:
             with uninterrupted():
-                # A signal between the file's appearance and this would leave it "running" for ever.
+                # A signal between the creation of the file and this assignment would leave its status at "running".
                 self._writer = self._create()
-            if self._ready is not None:
-                self._writer.settings(self._ready.shot, self._ready.settings)
+            if self._first_settings is not None:
+                self._writer.settings(self._first_settings.shot, self._first_settings.settings)
         return self._writer

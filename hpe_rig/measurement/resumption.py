@@ -1,4 +1,4 @@
-"""Resumption of a stopped run: a new file takes over its complete shots and measures the others."""
+"""Resumption of a stopped run: its complete shots are copied to a new file, the others are measured."""
 
 from __future__ import annotations
 
@@ -7,86 +7,98 @@ from pathlib import Path
 
 from hpe_rig.measurement.mover import Mover
 from hpe_rig.measurement.run import record_run
-from hpe_rig.measurement.sequencer import Observer, unobserved
-from hpe_rig.measurement.setup import Setup, prepare_text, source_text
+from hpe_rig.measurement.sequencer import Observer, ignore_progress
+from hpe_rig.measurement.setup import Setup, prepare_text, setup_of_run, source_text
 from hpe_rig.result import Stages
-from hpe_rig.runs import Run, open_run
 from hpe_rig.scene import SceneSource
-from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, is_taken, sha256_of_scan
+from hpe_rig.store import (
+    Predecessor,
+    StoredRun,
+    StoreError,
+    WriteOptions,
+    free_path,
+    is_taken,
+    read_run,
+    sha256_of_scan,
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
-    """What is left of a run: the measurement, the run that stopped, and how many of its shots are complete."""
+class Resumption:
+    """A stopped run and the setup that continues it after its first ``complete`` shots."""
 
     setup: Setup
-    earlier: Run
+    earlier: StoredRun
     complete: int
 
 
-def prepare_rest(
+def prepare_resumption(
     path: Path, scene: SceneSource | None = None, bench_path: Path | None = None, stages: Stages | None = None
-) -> Rest:
-    """Return what is left of the run in ``path``; ``scene``: one to compare with, None: the run's own.
+) -> Resumption:
+    """Return the resumption of the run in ``path``; ``scene`` must equal the run's scene, None uses that.
 
-    The bench is the caller's, never the file's: a run file decides neither which instruments are addressed nor their
-    limits. A shot that fails its checksums is measured again, and all behind it. Raises ``StoreError`` where the run
-    goes on, where scene or bench differ from the run's or nothing is left, else as ``prepare``.
+    The bench is the caller's, never the file's: a run file must not decide which instruments are addressed, nor their
+    limits. A shot with wrong checksums is measured again, with all shots after it. Raises ``StoreError`` if the run is
+    still being written, its scene or bench differ, or all shots are complete; else raises as ``prepare``.
     """
-    earlier = open_run(path)
-    if earlier.bench.recording is not None:
-        source = earlier.bench.recording.source
+    earlier = read_run(path)
+    earlier_setup = setup_of_run(earlier)
+    recording = earlier_setup.bench.bench.recording
+    if recording is not None:
         raise StoreError(
-            f"{path} was imported from {source}: no instrument can go on with it. Try: hpe-rig import {source} anew."
+            f"{path} was imported from {recording.source}: no instrument can continue it. "
+            f"Try: hpe-rig import {recording.source} again."
         )
     if is_taken(path):
-        raise StoreError(f"{path} is being written by a run that goes on. Try: wait for its end, or stop it.")
+        raise StoreError(f"{path} is being written by a run. Try: wait for its end, or stop it.")
     if scene is None:
-        setup = prepare_text(earlier.stored.scene_name, earlier.stored.scene_toml, bench_path, stages, stored=path)
+        setup = prepare_text(earlier.scene_name, earlier.scene_toml, bench_path, stages, stored=path)
     else:
         setup = prepare_text(*source_text(scene), bench_path, stages)
-    _refuse_other(earlier, setup)
-    complete = _sound_shots(earlier.stored)
+    _refuse_differences(earlier, earlier_setup, setup)
+    complete = _count_sound_shots(earlier)
     if complete == len(setup.plan.shots):
         raise StoreError(f"{path} has all of its {complete} shots. Try: hpe-rig process {path}.")
-    return Rest(setup, earlier, complete)
+    return Resumption(setup, earlier, complete)
 
 
 def resume(
-    rest: Rest,
+    resumption: Resumption,
     path: Path | None = None,
-    observer: Observer = unobserved,
+    observer: Observer = ignore_progress,
     stages: Stages | None = None,
     options: WriteOptions | None = None,
+    *,
     move: Mover | None = None,
 ) -> Path:
-    """Copy the complete shots into a new run file, measure the others, and return its path; as ``record_run``."""
-    old = rest.earlier.path
-    path = path or free_path(old.stem, old.parent)
-    going_on = replace(options or WriteOptions(), predecessor=Predecessor(old.name, rest.complete))
-    return record_run(rest.setup, path, observer, stages, going_on, rest.earlier.stored, move)
+    """Copy the complete shots into a new run file, measure the others, and return its path; see ``record_run``."""
+    earlier = resumption.earlier
+    path = path or free_path(earlier.path.stem, earlier.path.parent)
+    predecessor = Predecessor(earlier.path.name, resumption.complete)
+    options = replace(options or WriteOptions(), predecessor=predecessor)
+    return record_run(resumption.setup, path, observer, stages, options, earlier=earlier, move=move)
 
 
-def _sound_shots(stored: StoredRun) -> int:
-    """Return how many shots from the first on are complete and as their checksums say: no other is taken over."""
+def _count_sound_shots(stored: StoredRun) -> int:
+    """Return how many shots, from the first on, are complete and match their checksums."""
     shots = range(stored.shot_complete.size)
     return next((shot for shot in shots if not stored.shot_complete[shot] or not stored.is_sound(shot)), len(shots))
 
 
-def _refuse_other(earlier: Run, setup: Setup) -> None:
-    """Raise ``StoreError`` where scene, bench or scan are not those of the run, comments and order apart."""
-    if earlier.scene != setup.scene.scene:
+def _refuse_differences(earlier: StoredRun, earlier_setup: Setup, setup: Setup) -> None:
+    """Raise ``StoreError`` if scene, bench or scan differ; comments and the order of keys do not matter."""
+    if earlier_setup.scene.scene != setup.scene.scene:
         raise StoreError(
             f"{earlier.path} was measured with another scene than {setup.scene.name} is now. "
-            "Try: resume without a scene, which takes the run's own, or measure anew."
+            "Try: resume without a scene, which uses the scene of the run, or measure anew."
         )
-    if earlier.bench != setup.bench.bench:
+    if earlier_setup.bench.bench != setup.bench.bench:
         raise StoreError(
-            f"{earlier.path} was measured on bench {earlier.stored.bench_name}, which is not what bench "
-            f"{setup.bench.name} says now. Try: --bench with the bench file of that run, or measure anew."
+            f"{earlier.path} was measured on bench {earlier.bench_name}, which differs from bench {setup.bench.name}. "
+            "Try: --bench with the bench file of that run, or measure anew."
         )
-    if earlier.stored.scan_sha256 not in ("", sha256_of_scan(setup.scene.scene)):
+    if earlier.scan_sha256 not in ("", sha256_of_scan(setup.scene.scene)):
         raise StoreError(
-            f"{earlier.path} was measured when beams.excitation_scan named another file than it is now, and one run "
+            f"{earlier.path} was measured with another content of the file beams.excitation_scan, and one run "
             "has one scan. Try: put that file back, or measure anew."
         )

@@ -1,8 +1,7 @@
-"""Setup -> run file: the measurement as planned, acquired and recorded."""
+"""Record a run: the measurement as planned by a setup, acquired shot by shot and written to a run file."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -10,9 +9,9 @@ from functools import partial
 from pathlib import Path
 
 from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
-from hpe_rig.measurement.mover import Mover, mover_of, require_mover
-from hpe_rig.measurement.recording import Recording
-from hpe_rig.measurement.sequencer import Observer, Progress, ShotDone, Step, acquire, unobserved
+from hpe_rig.measurement.mover import Mover, choose_mover, require_mover
+from hpe_rig.measurement.recording import RunRecorder
+from hpe_rig.measurement.sequencer import Observer, Progress, ShotDone, Step, acquire, ignore_progress
 from hpe_rig.measurement.setup import Setup
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.result import Stages
@@ -23,53 +22,44 @@ from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_
 def record_run(
     setup: Setup,
     path: Path | None = None,
-    observer: Observer = unobserved,
+    observer: Observer = ignore_progress,
     stages: Stages | None = None,
     options: WriteOptions | None = None,
+    *,
     earlier: StoredRun | None = None,
     move: Mover | None = None,
 ) -> Path:
     """Acquire every shot into a new run file and return its path; every output is off when it returns or raises.
 
-    ``move`` moves the tracking transducer between places on a bench that has no stage of its own. ``earlier`` is a run
-    of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where ``stages`` are given their
-    times stand in the file, which is otherwise the same bit for bit at every simulated run.
+    ``move`` moves the tracking transducer on a bench without a stage. ``earlier`` is a run of the same plan: its first
+    ``options.predecessor.shots`` shots are copied. The times of ``stages`` are stored if they are given; without them
+    a simulated run gives the same file bit for bit.
     """
-    taken, options = stages or Stages(), options or WriteOptions()
+    options = options or WriteOptions()
     refuse_conflicts(setup.findings)
     require_mover(setup.plan, setup.bench.bench.simulated, move)
     path = path or free_path(setup.scene.name, Path())
-    first = options.predecessor.shots
-    late = options.overwrite and path.exists()
-    if late:
+    replaces = options.overwrite and path.exists()
+    if replaces:
         refuse_to_replace(path)
-    # Interrupts end what is in the innermost block, and are held back while file and bench are left in order.
+    timer = stages or Stages()
+    # Interrupts end the innermost block. They are held back while the file is closed and the bench is made safe.
     with uninterrupted(), ExitStack() as stack:
         create = partial(RunWriter, path, setup.scene, setup.bench, setup.plan, options)
-        recording = stack.enter_context(Recording(path, create, late))
+        recorder = stack.enter_context(RunRecorder(path, create, defer=replaces))
         stack.enter_context(interruptible())
         if earlier is not None:
-            with taken("take over"):
-                recording.take_over(earlier, first)
-        watching = _timed(_looking(observer, recording), taken)
-        for part in _parts(setup, first):
-            with ExitStack() as opened:
-                with taken("open bench"):
-                    here = open_bench(part.scenes[0], part.bench, setup.plan.roles, part.plan.shots[0].index)
-                    bench = opened.enter_context(here)
-                mover = mover_of(setup.plan, bench, move)
-                with taken("configure"), closing(acquire(part.plan, bench, watching, mover)) as events:
-                    for event in events:
-                        with taken("store"):
-                            recording.take(event, part.scenes[event.shot.point - part.first_point], bench, taken)
-                        if stages is not None and isinstance(event, ShotDone):
-                            recording.run_time(stages)
+            with timer("take over"):
+                recorder.copy_shots(earlier, options.predecessor.shots)
+        acquisition = _Acquisition(recorder, _timed(_checking_file(observer, recorder), timer), move, timer)
+        for segment in _segments(setup, options.predecessor.shots):
+            acquisition.record(segment, setup.plan, store_times=stages is not None)
     return path
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """Shots that one opened bench takes: ``scenes`` are those of its points, from ``first_point`` on."""
+class _Segment:
+    """Shots acquired on one opened bench; ``scenes``: those of the sweep's points from ``first_point`` on."""
 
     scenes: tuple[Scene, ...]
     bench: BenchFile
@@ -77,42 +67,68 @@ class _Part:
     first_point: int
 
 
-def _parts(setup: Setup, first_shot: int) -> Iterator[_Part]:
-    """Yield the shots from ``first_shot`` on, apart where a sweep changes the bench file or what the twin is made of.
+def _segments(setup: Setup, first_shot: int) -> Iterator[_Segment]:
+    """Split the shots from ``first_shot`` on where a sweep changes the bench file or the settings of the twin.
 
-    A run without such a sweep has one part: its bench is opened once.
+    A run without such a sweep is one segment: its bench is opened once.
     """
     base, points = setup.bench.bench, setup.scene.scene.points
-    benches = [base.with_(point.bench) for point in points]
-    twins = [twin_tables(point.scene) if base.simulated else None for point in points]
+    settings = [(base.with_(point.bench), twin_tables(point.scene) if base.simulated else None) for point in points]
     start = setup.plan.shots[first_shot].point
     while start < len(points):
-        alike = zip(benches[start:], twins[start:], strict=True)
-        same = itertools.takewhile(lambda each, like=(benches[start], twins[start]): each == like, alike)  # type: ignore[misc]
-        end = start + len(list(same))
+        end = start
+        while end < len(points) and settings[end] == settings[start]:
+            end += 1
         shots = tuple(shot for shot in setup.plan.shots[first_shot:] if start <= shot.point < end)
         scenes = tuple(point.scene for point in points[start:end])
-        yield _Part(scenes, benches[start], replace(setup.plan, shots=shots), start)
+        yield _Segment(scenes, settings[start][0], replace(setup.plan, shots=shots), start)
         start = end
 
 
+@dataclass(frozen=True, slots=True)
+class _Acquisition:
+    """Where the events of a run go: file, observer and timer; ``move`` moves the tracking transducer."""
+
+    recorder: RunRecorder
+    observer: Observer
+    move: Mover | None
+    timer: Stages
+
+    def record(self, segment: _Segment, plan: Plan, store_times: bool) -> None:
+        """Acquire and write the shots of ``segment``; ``plan`` is that of the whole run."""
+        timer = self.timer
+        with ExitStack() as stack:
+            with timer("open bench"):
+                opening = open_bench(segment.scenes[0], segment.bench, plan.roles, segment.plan.shots[0].index)
+                bench = stack.enter_context(opening)
+            mover = choose_mover(plan, bench, self.move)
+            events = acquire(segment.plan, bench, self.observer, mover)
+            with timer("configure"), closing(events):
+                for event in events:
+                    with timer("store"):
+                        scene = segment.scenes[event.shot.point - segment.first_point]
+                        self.recorder.write(event, scene, bench, timer)
+                    if store_times and isinstance(event, ShotDone):
+                        self.recorder.write_run_time(timer)
+
+
 def _timed(observer: Observer, stages: Stages) -> Observer:
-    """Return ``observer`` such that the time of every step of the sequencer is charged to a stage of its name."""
+    """Wrap ``observer`` so that each step of the sequencer is timed as a stage."""
 
     def observe(progress: Progress) -> None:
         observer(progress)
         if progress.step is not Step.SAFE:
-            # This step is announced once the outputs are off: its time is part of the step before.
+            # SAFE is announced after the outputs are off: its time belongs to the step before.
             stages.rename(progress.step.value)
 
     return observe
 
 
-def _looking(observer: Observer, recording: Recording) -> Observer:
-    """Return ``observer`` such that it also looks whether the run's file is still there, where nothing is written."""
+def _checking_file(observer: Observer, recorder: RunRecorder) -> Observer:
+    """Wrap ``observer`` so that each step checks that the run file still exists."""
 
     def observe(progress: Progress) -> None:
         observer(progress)
-        recording.look()
+        recorder.check_file_present()
 
     return observe

@@ -1,4 +1,4 @@
-"""Sequence of a shot: configure, verify, arm, enable, fire, collect, recheck, off; yields records, stores nothing."""
+"""Sequence of a shot: configure, verify, arm, enable, fire, collect, recheck, off. It yields records, stores none."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from enum import StrEnum
 
 from drivers.interfaces import DeadlineError, InstrumentError, RecordBlock, Setting
 from hpe_rig.bench import Bench
-from hpe_rig.measurement.mover import Mover, mover_of
+from hpe_rig.measurement.mover import Mover, choose_mover
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
 _LOG = logging.getLogger("hpe_rig")
-LONGEST_SLEEP_S = 0.2
-WATCH_S = 1.0
-"""How often a long shot looks whether outputs and settings are still as verified."""
+MAX_SLEEP_S = 0.2
+RECHECK_INTERVAL_S = 1.0
+"""Interval at which outputs and settings are verified again during a long shot."""
 
 
 class Step(StrEnum):
-    """What the sequencer is about to do."""
+    """Step that the sequencer begins."""
 
     MOVE = "move tracking transducer"
     CONFIGURE = "configure"
@@ -35,7 +35,7 @@ class Step(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where the sequencer stands: ``records`` of the shot's planned records have arrived."""
+    """Step of the sequencer; ``records`` of the shot's planned records have arrived."""
 
     step: Step
     shot: Shot
@@ -44,7 +44,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class ShotReady:
-    """A shot is programmed and verified; ``settings`` are those of every instrument, read back, by role."""
+    """A shot is programmed and verified; ``settings``: read back from every instrument, by role."""
 
     shot: Shot
     settings: Mapping[str, Mapping[str, Setting]]
@@ -52,7 +52,7 @@ class ShotReady:
 
 @dataclass(frozen=True, slots=True)
 class ShotBlock:
-    """Records of one shot, as they arrive."""
+    """Records of one shot that have just arrived."""
 
     shot: Shot
     block: RecordBlock
@@ -60,7 +60,7 @@ class ShotBlock:
 
 @dataclass(frozen=True, slots=True)
 class ShotUntrusted:
-    """A shot has ended, and ``why`` its records are not to be trusted; every output is off."""
+    """A shot has ended with all outputs off, but settings changed during it: ``why``."""
 
     shot: Shot
     why: str
@@ -68,18 +68,18 @@ class ShotUntrusted:
 
 @dataclass(frozen=True, slots=True)
 class ShotDone:
-    """A shot has ended and every output is off; ``clipped`` says whether the digitizer's input left its range."""
+    """A shot has ended with all outputs off; ``clipped``: whether the digitizer's input left its range."""
 
     shot: Shot
     clipped: bool
 
 
 class UntrustedShotError(InstrumentError):
-    """A shot during which settings changed, and with which a run ends unless the scene says otherwise."""
+    """Settings changed during a shot, and the scene does not accept that."""
 
     def __init__(self, shot: Shot, why: str) -> None:
-        remedy = 'hpe-rig resume, which measures it again; acquisition.changed_settings = "continue" goes on regardless'
-        cause = "its records are kept, marked as untrusted"
+        remedy = 'hpe-rig resume, which measures it again; acquisition.changed_settings = "continue" accepts changes'
+        cause = "its records are stored and marked as untrusted"
         super().__init__("bench", f"shot {shot.index + 1} is not to be trusted: {why}", cause, remedy)
 
 
@@ -87,12 +87,48 @@ Event = ShotReady | ShotBlock | ShotUntrusted | ShotDone
 Observer = Callable[[Progress], None]
 
 
-def unobserved(progress: Progress) -> None:
-    """Ignore every step."""
+def ignore_progress(progress: Progress) -> None:
+    """Do nothing."""
 
 
-def _heard(observer: Observer) -> Observer:
-    """Return ``observer`` with every step but the arriving records written to the log as well."""
+def acquire(
+    plan: Plan, bench: Bench, observer: Observer = ignore_progress, move: Mover | None = None
+) -> Generator[Event, None, None]:
+    """Yield the events of every shot of ``plan``; every output is off after each shot and after any exception.
+
+    If records stop before the deadline, those that arrived are yielded; ``DeadlineError`` is raised if none did.
+    Outputs and settings are read back before the first and after the last record. If one has changed, the shot yields
+    ``ShotUntrusted`` and, unless the plan accepts changes, ends with ``UntrustedShotError``.
+    The tracking transducer is moved to the lateral offset of a shot before anything is programmed.
+    """
+    observer = _with_step_logging(observer)
+    next_start_s = bench.clock.now_s()
+    mover, lateral_offset_m = move or choose_mover(plan, bench, None), None
+    for shot in plan.shots:
+        if shot.lateral_offset_m != lateral_offset_m:
+            observer(Progress(Step.MOVE, shot))
+            mover(shot.lateral_offset_m)
+            lateral_offset_m = shot.lateral_offset_m
+        try:
+            yield ShotReady(shot, _configure(shot, bench, observer))
+            _enable(shot, bench, observer)
+            _wait_until(next_start_s, shot, bench, observer)
+            observer(Progress(Step.FIRE, shot))
+            next_start_s = bench.clock.now_s() + plan.shot_period_s
+            bench.master.fire()
+            changes = yield from _collect(shot, bench, observer)
+        finally:
+            bench.make_safe()
+        observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+        if changes:
+            yield ShotUntrusted(shot, changes)
+            if plan.stops_on_changed_settings:
+                raise UntrustedShotError(shot, changes)
+        yield ShotDone(shot, bench.digitizer.clipped())
+
+
+def _with_step_logging(observer: Observer) -> Observer:
+    """Wrap ``observer`` so that each step is logged; arrivals of records are not."""
 
     def observe(progress: Progress) -> None:
         if not progress.records:
@@ -102,45 +138,9 @@ def _heard(observer: Observer) -> Observer:
     return observe
 
 
-def acquire(
-    plan: Plan, bench: Bench, observer: Observer = unobserved, move: Mover | None = None
-) -> Generator[Event, None, None]:
-    """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
-
-    A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
-    Outputs and settings are read back after the last record as before the first: a shot in which one has changed yields
-    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on. Where the tracking transducer
-    stands elsewhere in a shot than in the one before, it is moved before anything is programmed.
-    """
-    observer = _heard(observer)
-    next_start_s = bench.clock.now_s()
-    mover, place_m = move or mover_of(plan, bench, None), None
-    for shot in plan.shots:
-        if shot.lateral_offset_m != place_m:
-            observer(Progress(Step.MOVE, shot))
-            mover(shot.lateral_offset_m)
-            place_m = shot.lateral_offset_m
-        try:
-            yield ShotReady(shot, _configure(shot, bench, observer))
-            _enable(shot, bench, observer)
-            _wait_until(next_start_s, shot, bench, observer)
-            observer(Progress(Step.FIRE, shot))
-            next_start_s = bench.clock.now_s() + plan.shot_period_s
-            bench.master.fire()
-            why = yield from _collect(shot, bench, observer)
-        finally:
-            bench.make_safe()
-        observer(Progress(Step.SAFE, shot, shot.capture.record_count))
-        if why:
-            yield ShotUntrusted(shot, why)
-            if plan.stops_when_changed:
-                raise UntrustedShotError(shot, why)
-        yield ShotDone(shot, bench.digitizer.clipped())
-
-
-def programmed(shot: Shot, bench: Bench) -> Mapping[str, Mapping[str, Setting]]:
-    """Return every instrument's settings as read back once ``shot`` is programmed, by role; no output is enabled."""
-    return _configure(shot, bench, unobserved)
+def program_shot(shot: Shot, bench: Bench) -> Mapping[str, Mapping[str, Setting]]:
+    """Program ``shot`` without enabling an output; return the settings read back, by role."""
+    return _configure(shot, bench, ignore_progress)
 
 
 def _configure(shot: Shot, bench: Bench, observer: Observer) -> Mapping[str, Mapping[str, Setting]]:
@@ -161,41 +161,41 @@ def _enable(shot: Shot, bench: Bench, observer: Observer) -> None:
     observer(Progress(Step.ARM, shot))
     bench.digitizer.arm()
     observer(Progress(Step.ENABLE, shot))
-    # Downstream first: nothing may trigger an output that is not ready for it.
+    # Downstream first: no generator may trigger an output that is not ready.
     for generator in reversed(bench.generators):
         generator.enable_output()
 
 
 def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) -> None:
-    """Return at ``start_s``; meanwhile the observer is asked again and again, since it may want to end the run."""
+    """Sleep until ``start_s``; the observer is called every ``MAX_SLEEP_S``, so that it can end the run."""
     wait_s = start_s - bench.clock.now_s()
-    for _ in range(math.floor(wait_s / LONGEST_SLEEP_S)):
+    for _ in range(math.floor(wait_s / MAX_SLEEP_S)):
         observer(Progress(Step.WAIT, shot))
-        bench.clock.sleep(LONGEST_SLEEP_S)
+        bench.clock.sleep(MAX_SLEEP_S)
     bench.clock.sleep(max(0.0, start_s - bench.clock.now_s()))
 
 
 def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBlock, None, str]:
-    """Yield the records as they arrive, and return in words what of outputs and settings changed, "" for nothing.
+    """Yield the records that arrive; return a description of changed outputs and settings, "" without changes.
 
-    Raises ``DeadlineError`` where no record came and nothing changed that could explain it.
+    Raises ``DeadlineError`` if no record arrived and no change explains that.
     """
-    looked_s = bench.clock.now_s()
-    deadline_s = looked_s + shot.train_end_s + SAFETY_MARGIN_S
-    arrived = 0
+    checked_s = bench.clock.now_s()
+    deadline_s = checked_s + shot.train_end_s + SAFETY_MARGIN_S
+    record_count = 0
     observer(Progress(Step.COLLECT, shot))
     try:
         for block in bench.digitizer.records(deadline_s):
-            arrived += block.codes.shape[0]
+            record_count += block.codes.shape[0]
             yield ShotBlock(shot, block)
-            observer(Progress(Step.COLLECT, shot, arrived))
-            if bench.clock.now_s() - looked_s >= WATCH_S:
-                if changed := bench.recheck():
-                    return " ".join(changed)
-                looked_s = bench.clock.now_s()
+            observer(Progress(Step.COLLECT, shot, record_count))
+            if bench.clock.now_s() - checked_s >= RECHECK_INTERVAL_S:
+                if changes := bench.recheck():
+                    return " ".join(changes)
+                checked_s = bench.clock.now_s()
     except DeadlineError:
-        changed = bench.recheck()
-        if not arrived and not changed:
+        changes = bench.recheck()
+        if not record_count and not changes:
             raise
-        return " ".join(changed)
+        return " ".join(changes)
     return " ".join(bench.recheck())

@@ -1,16 +1,18 @@
-"""Scene and bench file -> the measurement as planned and checked. Nothing is opened, no run file but as a scene."""
+"""Setup of a measurement: scene and bench file -> plan and the results of its checks. No instrument is opened."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING
 
 from hpe_rig.bench import (
     BenchFile,
     BenchText,
     check_declared,
     check_simulation,
+    parse_bench,
     read_bench,
     with_transducers,
 )
@@ -27,15 +29,18 @@ from hpe_rig.scene import (
     with_default_specimen,
 )
 
-RUN_FILE = ".h5"
-"""Ending by which a run file is told from a scene where either is taken."""
+if TYPE_CHECKING:
+    from hpe_rig.store import StoredRun
+
+RUN_FILE_SUFFIX = ".h5"
+"""Where a scene or a run file is accepted, a path with this suffix is a run file."""
 BenchSource = str | os.PathLike[str] | None
-"""What is taken as a bench: the path of its TOML file; None: the simulated bench."""
+"""Path of a bench file; None: the simulated bench."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """A measurement ready to run: scene and bench file with their texts, the plan and what its checks found."""
+    """A measurement ready to run: scene and bench file with their texts, the plan and the findings of its checks."""
 
     scene: SceneText
     bench: BenchText
@@ -46,19 +51,19 @@ class Setup:
 def prepare(
     scene: SceneSource, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
 ) -> Setup:
-    """Return the planned measurement of ``scene`` on the bench file ``bench_path``, None: the simulated bench.
+    """Return the planned measurement of ``scene`` on the bench file ``bench_path``; None: the simulated bench.
 
-    ``scene``: also the path of a run file, whose scene is measured again, by the rules that hold for scenes now.
-    Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is off, and
-    ``TypeError`` for what is no scene.
+    If ``scene`` is the path of a run file, its scene is planned again by the current rules for scenes.
+    Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is False, and
+    ``TypeError`` if ``scene`` has another type.
     """
     return prepare_text(*source_text(scene), bench_path, stages, refuse)
 
 
 def source_text(scene: SceneSource) -> tuple[str, str]:
-    """Return name and text of a scene, or of that which the run file ``scene`` was measured with."""
-    if isinstance(scene, str | os.PathLike) and Path(scene).suffix == RUN_FILE:
-        # here: a scene of its own needs no HDF5
+    """Return name and text of a scene, or of the scene stored in the run file ``scene``."""
+    if isinstance(scene, str | os.PathLike) and Path(scene).suffix == RUN_FILE_SUFFIX:
+        # Imported here: a scene file needs no HDF5.
         from hpe_rig.store import read_run
 
         stored = read_run(Path(scene))
@@ -74,59 +79,76 @@ def prepare_text(
     refuse: bool = True,
     stored: Path | None = None,
 ) -> Setup:
-    """Return the planned measurement of a scene's text, which may be that of a run file; raises as ``prepare``.
+    """Return the planned measurement of the scene ``text``; raises as ``prepare``.
 
-    ``stored`` is the path of that file.
+    ``stored`` is the path of the run file that holds the text, if any.
     """
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
         if bench.bench.recording is not None:
-            what = "this bench stands for an imported recording, no instrument of it is known"
-            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
+            what = "this bench file describes an imported recording, without instruments"
+            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file with instruments")])
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored is not None)
-        if stored is not None:
-            scene = replace(scene, scene=with_scan_beside(scene.scene, stored.parent))
-        scene = replace(scene, scene=with_transducers(scene.scene, bench.bench))
-        if bench.bench.simulated:
-            # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
-            scene = replace(scene, scene=with_default_specimen(scene.scene))
+        scene = replace(scene, scene=_completed(scene.scene, bench.bench, None if stored is None else stored.parent))
         if check and (mistakes := _twin_mistakes(scene.scene)):
             raise SettingsError(f"scene {name}", mistakes)
-        plan, found = planned(scene.scene, bench.bench)
-        found = (*likely_causes(scene.scene, found), *found)
+        plan, findings = plan_and_check(scene.scene, bench.bench)
+        findings = (*likely_causes(scene.scene, findings), *findings)
         if refuse:
-            refuse_conflicts(found)
-    return Setup(scene, bench, plan, found)
+            refuse_conflicts(findings)
+    return Setup(scene, bench, plan, findings)
 
 
-def with_scan_beside(scene: Scene, folder: Path) -> Scene:
-    """Return ``scene`` with the scan of its push taken from ``folder`` where its own path leads to none."""
+def setup_of_run(stored: StoredRun) -> Setup:
+    """Return the setup with which ``stored`` was measured, planned again from its scene and bench file.
+
+    Raises ``StoreError`` if the records do not fit the plan, and ``SettingsError`` if there is no plan.
+    """
+    bench = parse_bench(stored.bench_name, stored.bench_toml)
+    scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True)
+    scene = replace(scene, scene=_completed(scene.scene, bench.bench, stored.path.parent))
+    plan, findings = plan_and_check(scene.scene, bench.bench)
+    stored.refuse_unlike(plan)
+    return Setup(scene, bench, plan, findings)
+
+
+def _completed(scene: Scene, bench: BenchFile, folder: Path | None) -> Scene:
+    """Return ``scene`` with the scan in ``folder``, the bench's transducers and, if simulated, a specimen."""
+    if folder is not None:
+        scene = with_scan_in_folder(scene, folder)
+    scene = with_transducers(scene, bench)
+    # Later steps rely on this: the scene of a simulated measurement always describes a specimen.
+    return with_default_specimen(scene) if bench.simulated else scene
+
+
+def with_scan_in_folder(scene: Scene, folder: Path) -> Scene:
+    """Return ``scene`` with the scan of its push replaced by the file in ``folder`` if its path does not exist."""
     beams = scene.beams
     if beams is None or beams.excitation_scan is None or Path(beams.excitation_scan).is_file():
         return scene
-    # a path of Windows may be read elsewhere, and takes either slash
-    beside = folder / PureWindowsPath(beams.excitation_scan).name
-    if not beside.is_file():
+    # A path written on Windows may be read elsewhere. `PureWindowsPath` accepts both slashes.
+    scan = folder / PureWindowsPath(beams.excitation_scan).name
+    if not scan.is_file():
         return scene
-    return scene.model_copy(update={"beams": beams.model_copy(update={"excitation_scan": str(beside)})})
+    return scene.model_copy(update={"beams": beams.model_copy(update={"excitation_scan": str(scan)})})
 
 
 def _twin_mistakes(scene: Scene) -> list[Mistake]:
-    """Return what the twin finds wrong at any point of a sweep, each mistake once.
+    """Return the mistakes in the settings of the twin at any point of a sweep, each once.
 
-    What the scene declares of beams and sound speed may contradict its [simulation].
+    The scene's beams and sound speed may contradict its [simulation].
     """
-    found: list[Mistake] = []
+    mistakes: list[Mistake] = []
     for point in scene.points:
         if scene.sweep.axes:
-            found += check_simulation({"simulation": point.scene.simulation or {}})
-        found += check_declared(point.scene) if not found else []
-    return list(dict.fromkeys(found))
+            mistakes += check_simulation({"simulation": point.scene.simulation or {}})
+        mistakes += check_declared(point.scene) if not mistakes else []
+    return list(dict.fromkeys(mistakes))
 
 
-def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ...]]:
-    """Return the plan and what its checks found; raise ``SettingsError`` where numbers go out of all bounds."""
+def plan_and_check(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ...]]:
+    """Return the plan and the findings of its checks; raise ``SettingsError`` if the numbers allow no plan."""
     try:
         plan = make_plan(scene, bench)
         return plan, tuple(check_plan(scene, bench, plan))
@@ -137,12 +159,12 @@ def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ..
 
 
 def bench_path(bench: BenchSource) -> Path | None:
-    """Return the path of a bench file; raise ``TypeError`` for what is no path."""
-    return as_path(bench, "a bench is taken as the path of its TOML file")
+    """Return the path of a bench file; raise ``TypeError`` for other types."""
+    return as_path(bench, "the path of a bench file")
 
 
-def as_path(path: str | os.PathLike[str] | None, taken: str) -> Path | None:
-    """Return ``path`` as one; raise ``TypeError`` with ``taken``, which says what is taken, for what is none."""
+def as_path(path: str | os.PathLike[str] | None, meaning: str) -> Path | None:
+    """Return ``path`` as a ``Path``; raise ``TypeError``, which names its ``meaning``, for other types."""
     if path is not None and not isinstance(path, str | os.PathLike):
-        raise TypeError(f"{taken} or None, not as {type(path).__name__}")
+        raise TypeError(f"expected {meaning} or None, not {type(path).__name__}")
     return None if path is None else Path(path)

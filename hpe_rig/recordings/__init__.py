@@ -1,19 +1,19 @@
-"""Recordings that another program made: a file becomes samples on named axes, with what is known of them.
+"""Recordings of other programs: a file becomes samples on named dimensions, with the settings of the recording.
 
 In the order of the flow::
 
-    settings.py      what a sidecar file or an option may say of a recording
-    contents.py      what an importer finds in a file: arrays and statements; ``Importer``
+    settings.py      settings of a recording, from a sidecar file or options
+    contents.py      content of a file as an importer reads it: arrays and stated settings; ``Importer``
     arrays.py        NPY, NPZ, MATLAB, HDF5, CSV and raw samples
-    matlab.py        MATLAB's version 5, read by a program of its own
+    matlab.py        MATLAB's version 5, read in a separate process
     alazar.py        AlazarTech's binary records
-    importers.py     which importer reads a file; those of other packages too
-    statements.py    who says what of a recording, and what is inferred
-    recording.py     contents and settings -> samples (line, shot, pulse, sample), every inference said
-    lines.py         lines chosen, or their mean
+    importers.py     the importer of a file, also of other packages
+    statements.py    settings from options, sidecar, file and scene, and the inferred ones
+    lines.py         selected lines, or their mean
     baseband.py      I and Q -> samples around the carrier
+    recording.py     contents and settings -> samples (line, shot, pulse, sample)
 
-``read_recording`` is what others use. ``acquire`` makes a run file of it.
+``read_recording`` is the entry point. ``hpe_rig.runs`` writes a run file of its result.
 """
 
 import lazy_loader

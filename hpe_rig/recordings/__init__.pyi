@@ -1,10 +1,9 @@
 from .contents import Contents as Contents, Importer as Importer
-from .importers import foreign_importer as foreign_importer, importer_names as importer_names
-from .lines import chosen_lines as chosen_lines
+from .importers import foreign_importer as foreign_importer
 from .recording import Recording as Recording, read_recording as read_recording
 from .settings import (
     RecordingSettings as RecordingSettings,
     parse_options as parse_options,
     read_settings as read_settings,
 )
-from .statements import Known as Known
+from .statements import StatedSettings as StatedSettings

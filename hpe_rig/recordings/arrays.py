@@ -16,10 +16,10 @@ from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.matlab import PREFIX, TEMPORARY_REMEDY, matlab_to_npz
 from hpe_rig.recordings.settings import RecordingSettings
 
-MOST_STATED = 1_000_000
-"""Most entries of an array that is taken for a statement, such as the times of the pulses."""
+MAX_STATED_ENTRIES = 1_000_000
+"""Largest array that may be a stated setting, such as the times of the pulses."""
 
-# Names that common programs give to what a recording needs, lower case, by our key; the unit is that of the key.
+# Names of settings in common programs, in lower case, by the key of ``RecordingSettings``; same unit as the key.
 NAMES: Mapping[str, tuple[str, ...]] = {
     "sample_rate_hz": ("fs", "sampling_frequency", "samplingfrequency", "sample_rate", "samplerate"),
     "pulse_rate_hz": ("prf", "pulse_repetition_frequency", "pulserepetitionfrequency"),
@@ -30,11 +30,11 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "pulse_time_s": ("pulse_time", "pulse_times", "t_slow"),
     "line_position_m": ("line_positions", "xl", "lateral"),
 }
-LISTS = ("pulse_time_s", "line_position_m")
+LIST_KEYS = ("pulse_time_s", "line_position_m")
 
 
 class Npy:
-    """NumPy's format for one array."""
+    """NumPy files of one array."""
 
     suffixes = (".npy",)
 
@@ -48,14 +48,14 @@ class Npy:
 
 
 class Npz:
-    """NumPy's format for several arrays."""
+    """NumPy files of several arrays."""
 
     suffixes = (".npz",)
 
     def read(self, path: Path, settings: RecordingSettings) -> Contents:
         """Return the arrays of ``path``."""
         try:
-            # Opened here, since NumPy leaves a file open that is no archive.
+            # Opened here: NumPy would not close a file that is no archive.
             with path.open("rb") as file:
                 loaded = np.load(file, allow_pickle=False)
                 if isinstance(loaded, np.ndarray):
@@ -67,12 +67,12 @@ class Npz:
 
 
 class Matlab:
-    """MATLAB's files: version 5 through SciPy, version 7.3 as HDF5, whose axes stand in reverse order."""
+    """MATLAB files: version 5 through SciPy, version 7.3 as HDF5 with its axes in reverse order."""
 
     suffixes = (".mat",)
 
     def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the variables of ``path``, and the fields of its structures."""
+        """Return the variables of ``path`` and the fields of its structures."""
         import h5py
 
         if h5py.is_hdf5(path):
@@ -90,45 +90,45 @@ class Matlab:
 
 
 class Hdf5:
-    """HDF5; complex numbers as h5py and MATLAB write them."""
+    """HDF5 files; complex numbers in the notation of h5py or MATLAB."""
 
     suffixes = (".h5", ".hdf5", ".hdf")
 
     def __init__(self, reverse: bool = False) -> None:
-        """Read arrays with their axes in ``reverse`` where MATLAB wrote them."""
+        """``reverse`` the order of axes, for files of MATLAB."""
         self._reverse = reverse
 
     def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the datasets and attributes of ``path``; of the large ones that which ``settings`` name."""
+        """Return the datasets and attributes of ``path``; if ``settings`` name a dataset, no other large one."""
         import h5py
 
-        found: dict[str, NDArray[Any]] = {}
+        values: dict[str, NDArray[Any]] = {}
         try:
             with h5py.File(path, "r") as file:
-                wanted = settings.variable
+                variable = settings.variable
 
                 def visit(name: str, item: Any) -> None:
                     for key, value in item.attrs.items():
-                        found.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
+                        values.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
                     if isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
-                        large = item.size > MOST_STATED and wanted is not None
-                        if not large or _same(name, wanted or ""):
-                            found[name] = _plain(item[()], self._reverse)
+                        is_large = item.size > MAX_STATED_ENTRIES
+                        if variable is None or not is_large or name.strip("/") == variable.strip("/"):
+                            values[name] = _plain(item[()], self._reverse)
 
                 visit("", file)
                 file.visititems(visit)
         except (OSError, RuntimeError, KeyError) as error:
-            raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): a whole copy of it") from error
-        return contents(found)
+            raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
+        return contents(values)
 
 
 class Csv:
-    """Text with a row a line, numbers separated by commas, semicolons, tabs or blanks."""
+    """Text files with one row per line, numbers separated by commas, semicolons, tabs or blanks."""
 
     suffixes = (".csv", ".txt", ".tsv")
 
     def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the numbers of ``path`` as (row, column); lines that begin with # and one of names are passed over."""
+        """Return the numbers of ``path`` as (row, column); lines that begin with # and a header line are skipped."""
         try:
             text = path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError:
@@ -137,15 +137,17 @@ class Csv:
         lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
         if not lines:
             raise ValueError("it holds no line of numbers: rows of values separated by commas")
-        separator = next((each for each in ";\t," if each in lines[0][1]), None)
+        separator = next((character for character in ";\t," if character in lines[0][1]), None)
         rows = list[list[complex] | list[float]]()
         start = 0 if _numbers(lines[0][1], separator) is not None else 1
         for number, line in lines[start:]:
             values = _numbers(line, separator)
             if values is None:
-                raise ValueError(f"line {number} holds something else than numbers: {line[:40]!r}")
+                raise ValueError(f"line {number} has values that are not numbers, {line[:40]!r}: numbers alone")
             if rows and len(values) != len(rows[0]):
-                raise ValueError(f"line {number} has {len(values)} values, those before it {len(rows[0])}: equal rows")
+                raise ValueError(
+                    f"line {number} has {len(values)} values, earlier lines {len(rows[0])}: rows of equal length"
+                )
             rows.append(values)
         if not rows:
             raise ValueError("it holds no line of numbers: rows of values separated by commas")
@@ -164,7 +166,7 @@ def _numbers(line: str, separator: str | None) -> list[complex] | list[float] | 
 
 
 class Raw:
-    """Values without anything around them, described by a sidecar file."""
+    """Files of raw values, described by a sidecar file."""
 
     suffixes = (".raw", ".bin", ".dat", ".i16", ".f32", ".rf")
 
@@ -173,31 +175,31 @@ class Raw:
         if settings.dtype is None or settings.shape is None:
             absent = [name for name in ("dtype", "shape") if getattr(settings, name) is None]
             raise ValueError(
-                f"raw values say nothing of themselves, {' and '.join(absent)} is not stated: a sidecar file "
+                f"a file of raw values needs {' and '.join(absent)}: a sidecar file "
                 f'{path.name}.toml with dtype = "int16", shape = [60, 512], axes = "pulse,sample" and the rates'
             )
         dtype = np.dtype(settings.dtype).newbyteorder("<" if settings.byte_order == "little" else ">")
-        size, wanted = path.stat().st_size, math.prod(settings.shape) * dtype.itemsize + settings.header_bytes
-        if size != wanted:
+        size, expected = path.stat().st_size, math.prod(settings.shape) * dtype.itemsize + settings.header_bytes
+        if size != expected:
             raise ValueError(
                 f"it has {size} bytes, {settings.shape} values of {settings.dtype} and a header of "
-                f"{settings.header_bytes} bytes take {wanted}: the right shape, dtype or header_bytes"
+                f"{settings.header_bytes} bytes take {expected}: the right shape, dtype or header_bytes"
             )
         values = np.fromfile(path, dtype, offset=settings.header_bytes).reshape(settings.shape)
         return contents({path.stem: values.astype(dtype.newbyteorder("="), copy=False)})
 
 
-def contents(found: Mapping[str, NDArray[Any]]) -> Contents:
-    """Return ``found`` sorted into samples and statements; a number or list by a common name is one."""
+def contents(values: Mapping[str, NDArray[Any]]) -> Contents:
+    """Return ``values`` divided into possible samples and stated settings: numbers and lists with a name in `NAMES`."""
     arrays, stated = dict[str, NDArray[Any]](), dict[str, tuple[Any, str]]()
-    for name, value in found.items():
+    for name, value in values.items():
         if not _is_numbers(value.dtype):
             continue
         key = _key(name)
         squeezed = value.reshape(-1) if value.ndim and value.size == max(value.shape) else value
-        if key in LISTS and squeezed.ndim == 1 and squeezed.size > 1:
+        if key in LIST_KEYS and squeezed.ndim == 1 and squeezed.size > 1:
             stated.setdefault(key, (tuple(map(float, np.real(squeezed).tolist())), name))
-        elif key is not None and key not in LISTS and value.size == 1:
+        elif key is not None and key not in LIST_KEYS and value.size == 1:
             stated.setdefault(key, (float(np.real(value.reshape(-1)[0])), name))
         elif squeezed.ndim >= 2:
             arrays[name] = value
@@ -205,13 +207,9 @@ def contents(found: Mapping[str, NDArray[Any]]) -> Contents:
 
 
 def _key(name: str) -> str | None:
-    """Return the key of ours that ``name`` stands for: its last part counts, in capitals or not."""
+    """Return the key of ``RecordingSettings`` with the meaning of ``name``: its last part, in lower case."""
     last = name.replace("/", ".").rpartition(".")[2].lower()
     return next((key for key, names in NAMES.items() if last == key or last in names), None)
-
-
-def _same(name: str, wanted: str) -> bool:
-    return name.strip("/") == wanted.strip("/")
 
 
 def _is_numbers(dtype: np.dtype[Any]) -> bool:

@@ -1,8 +1,8 @@
-"""I and Q back to samples around the carrier: interpolated, mixed up, the real part taken.
+"""Conversion of I and Q to real samples around the carrier: interpolate, mix up, take the real part.
 
     r(t) = Re[ (I(t) + j Q(t)) exp(2 pi j f_d t) ],    f_d the demodulation frequency
 
-A constant phase of the mixer turns every pulse alike and tells nothing of motion, so that its zero does not matter.
+The phase of the mixer is unknown, but it is the same for all pulses and does not affect the estimated motion.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from hpe_rig.arrays import SingleArray
 
-LEAST_RATE = 4.0
-"""Samples a period of the highest frequency in the band, after interpolation."""
+MIN_SAMPLES_PER_PERIOD = 4.0
+"""Samples per period of the highest frequency in the band, after interpolation."""
 BAND_END = 1.5
-"""Upper end of the band that the estimators look at, in units of the carrier."""
+"""Upper end of the band that the estimators use, in units of the carrier."""
 
 
 def to_radio_frequency(
@@ -26,13 +26,13 @@ def to_radio_frequency(
 ) -> tuple[SingleArray, float]:
     """Return real samples (..., sample) of complex ``values`` (..., sample), and their rate.
 
-    The rate is the smallest whole multiple of ``rate_hz`` that holds the band of the carrier twice over.
+    The rate is the smallest integer multiple of ``rate_hz`` at which the band is sampled twice as fast as needed.
     """
     from scipy.signal import resample_poly
 
     highest_hz = max(BAND_END * carrier_hz, demodulation_hz + rate_hz / 2)
-    factor = max(1, math.ceil(LEAST_RATE * highest_hz / rate_hz / 2))
-    finer = values if factor == 1 else resample_poly(values, factor, 1, axis=-1)
-    out_hz = rate_hz * factor
-    carrier = np.exp(2j * np.pi * demodulation_hz / out_hz * np.arange(finer.shape[-1]))
-    return np.asarray((finer * carrier).real, np.float32), out_hz
+    factor = max(1, math.ceil(MIN_SAMPLES_PER_PERIOD * highest_hz / rate_hz / 2))
+    interpolated = values if factor == 1 else resample_poly(values, factor, 1, axis=-1)
+    output_hz = rate_hz * factor
+    carrier = np.exp(2j * np.pi * demodulation_hz / output_hz * np.arange(interpolated.shape[-1]))
+    return np.asarray((interpolated * carrier).real, np.float32), output_hz

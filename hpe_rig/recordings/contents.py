@@ -1,4 +1,4 @@
-"""Contents of a foreign file, as an importer finds them: arrays by name, and what the file states of them."""
+"""Content of a foreign file as an importer reads it: arrays by name, and the settings that the file states."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ from typing import Any, Protocol, runtime_checkable
 
 from numpy.typing import NDArray
 
-from hpe_rig.recordings.settings import Axis, RecordingSettings
+from hpe_rig.recordings.settings import Dimension, RecordingSettings
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a file holds.
+    """Content of a file.
 
-    ``arrays``: by name, all that may be the samples: real, or complex for I and Q, of two axes or more. ``stated``:
-    what the file says, by the keys of ``RecordingSettings``, each with the name of its place there, such as "fs".
-    ``axes``: those of the samples, where the format fixes them; None where it does not. ``board``: the name of the
-    digitizer whose codes the samples are; None where they are values of any kind.
+    ``arrays``: possible samples by name, real, or complex for I and Q, with two axes or more. ``stated``: settings that
+    the file states, by the keys of ``RecordingSettings``; each value with its name in the file, such as "fs". ``axes``:
+    of the samples, if the format defines them. ``board``: the digitizer whose codes the samples are, if known.
     """
 
     arrays: Mapping[str, NDArray[Any]]
     stated: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
-    axes: tuple[Axis, ...] | None = None
+    axes: tuple[Dimension, ...] | None = None
     board: str | None = None
 
 
@@ -32,10 +31,10 @@ class Contents:
 class Importer(Protocol):
     """Reader of one format; an object at an entry point of the group ``hpe_rig.importers``.
 
-    ``suffixes``: endings of the files that it takes where no ``format`` is given, in small letters with their dot.
-    ``read`` returns the contents of a file; whatever is wrong with the file it raises as ``ValueError`` or ``OSError``
-    with words that say what, and what to try. The file's name and the importer's are put before them. What is stated
-    in ``settings`` (sidecar or options) need not be looked for in the file.
+    ``suffixes``: lower-case suffixes, with dot, of the files that it reads if no ``format`` is given. ``read`` returns
+    the content of a file. It raises ``ValueError`` or ``OSError`` with a message "what is wrong: what to try" if the
+    file cannot be read; the names of file and importer are added. Settings that are stated in ``settings`` (sidecar or
+    options) need not be read from the file.
     """
 
     @property

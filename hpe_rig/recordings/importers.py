@@ -1,4 +1,4 @@
-"""Importers by name: ours, and those that other packages bring."""
+"""Importers by name: built-in ones, and those of other packages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hpe_rig.recordings.contents import Contents, Importer
 from hpe_rig.recordings.settings import RecordingSettings
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-OURS: dict[str, Importer] = {
+BUILT_IN: dict[str, Importer] = {
     "npy": arrays.Npy(),
     "npz": arrays.Npz(),
     "mat": arrays.Matlab(),
@@ -23,15 +23,15 @@ OURS: dict[str, Importer] = {
 
 
 def importer_names() -> tuple[str, ...]:
-    """Return the names of all importers, ours first."""
-    return (*OURS, *(name for name in installed(IMPORTERS) if name not in OURS))
+    """Return the names of all importers, built-in ones first."""
+    return (*BUILT_IN, *(name for name in installed(IMPORTERS) if name not in BUILT_IN))
 
 
 def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Contents]:
-    """Return the format of ``path`` and its contents; raise ``ValueError`` or ``OSError`` where it cannot be read."""
-    name = settings.format or _by_file(path, settings)
-    if name in OURS:
-        return name, OURS[name].read(path, settings)
+    """Return the format of ``path`` and its content; raise ``ValueError`` or ``OSError`` for an unreadable file."""
+    name = settings.format or _infer_format(path, settings)
+    if name in BUILT_IN:
+        return name, BUILT_IN[name].read(path, settings)
     if name not in importer_names():
         close = difflib.get_close_matches(name, importer_names(), n=1)
         raise ValueError(
@@ -40,7 +40,7 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
         )
     importer = foreign_importer(name)
     try:
-        found = importer.read(path, settings)
+        contents = importer.read(path, settings)
     except (OSError, MemoryError):
         raise
     except ValueError as error:
@@ -48,35 +48,35 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         raise ExtensionError(f"importer {origin(IMPORTERS, name)} failed ({why}): report it to its authors") from error
-    if not isinstance(found, Contents):
+    if not isinstance(contents, Contents):
         raise ExtensionError(
-            f"importer {origin(IMPORTERS, name)} returned {type(found).__name__} instead of Contents: report it to its "
-            "authors"
+            f"importer {origin(IMPORTERS, name)} returned {type(contents).__name__} instead of Contents: "
+            "report it to its authors"
         )
-    return name, found
+    return name, contents
 
 
 def foreign_importer(name: str) -> Importer:
-    """Return the importer of another package; raise ``ExtensionError`` where it does not load or is none."""
-    found = load(IMPORTERS, name)
-    importer = found() if isinstance(found, type) else found
+    """Return the importer of another package; raise ``ExtensionError`` if it does not load or is no importer."""
+    loaded = load(IMPORTERS, name)
+    importer = loaded() if isinstance(loaded, type) else loaded
     if not isinstance(importer, Importer):
         raise ExtensionError(f"importer {origin(IMPORTERS, name)} has no suffixes or no read(path, settings)")
     return importer
 
 
-def _by_file(path: Path, settings: RecordingSettings) -> str:
-    """Return the format by what was said of the file, its ending or its first bytes."""
+def _infer_format(path: Path, settings: RecordingSettings) -> str:
+    """Return the format from the settings, the suffix of the file or its first bytes."""
     if settings.board is not None:
         return "alazar"
     if settings.dtype is not None:
         return "raw"
-    ending = path.suffix.lower()
-    for name, importer in OURS.items():
-        if ending in importer.suffixes:
+    suffix = path.suffix.lower()
+    for name, importer in BUILT_IN.items():
+        if suffix in importer.suffixes:
             return name
     for name in importer_names():
-        if name not in OURS and ending in foreign_importer(name).suffixes:
+        if name not in BUILT_IN and suffix in foreign_importer(name).suffixes:
             return name
     with path.open("rb") as file:
         start = file.read(8)
@@ -85,6 +85,6 @@ def _by_file(path: Path, settings: RecordingSettings) -> str:
     if start[:6] == b"\x93NUMPY":
         return "npy"
     raise ValueError(
-        f"the ending {ending or 'of a file without one'} tells no format: format = one of "
+        f"{f'the suffix {suffix}' if suffix else 'a file without suffix'} implies no format: format = one of "
         f"{', '.join(importer_names())}, and for raw values dtype and shape"
     )

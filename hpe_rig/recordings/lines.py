@@ -1,4 +1,4 @@
-"""Lines of a recording: one, several, each a place, or their mean."""
+"""Selection of the lines of a recording: one, several, or their mean."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ import re
 from hpe_rig.scene import Mistake
 
 
-def chosen_lines(text: str | None, count: int) -> tuple[slice, bool] | Mistake:
-    """Return which of ``count`` lines are taken, and whether their mean is; a mistake for what names none.
+def select_lines(text: str | None, count: int) -> tuple[slice, bool] | Mistake:
+    """Return the range of the selected of ``count`` lines, and whether to average them; a mistake for invalid text.
 
-    Lines count from 1 in ``text``: "12", "10-20", "all", "mean", "mean:10-20"; None takes the only one.
+    Lines count from 1 in ``text``: "12", "10-20", "all", "mean", "mean:10-20". None selects the only line.
     """
     if text is None:
         if count == 1:
             return slice(0, 1), False
-        what = f"the recording has {count} lines and none is chosen"
-        return Mistake("lines", what, f'"{(count + 1) // 2}" for one, "mean" for their mean, "all" for each as a place')
+        what = f"the recording has {count} lines and none is selected"
+        return Mistake("lines", what, f'"{(count + 1) // 2}" for one, "mean" for their mean, "all" for each')
     words = text.strip().lower().replace(" ", "")
     mean = words.startswith("mean")
-    rest = words.removeprefix("mean").removeprefix(":") if mean else words
-    if rest in ("", "all"):
-        if not (mean or rest):
-            return Mistake("lines", f"{text!r} names no line", '"12", "10-20", "all" or "mean"')
+    numbers = words.removeprefix("mean").removeprefix(":") if mean else words
+    if numbers == "all" or (mean and not numbers):
         return slice(0, count), mean
-    match = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", rest)
+    match = re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", numbers)
     if match is None:
         return Mistake("lines", f"{text!r} names no line", '"12", "10-20", "all", "mean" or "mean:10-20"')
     first = int(match[1])

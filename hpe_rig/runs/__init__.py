@@ -1,8 +1,10 @@
 """Stored runs: open, estimate, process again, sweep, import and map; the functions of the public API.
 
+estimation.py       stored records -> estimates of every shot and of every gate over depth
+result_warnings.py  warnings of a result
+reprocessing.py     scene and plan at several values of the processing settings
 run.py              an open run file: ``open_run(path) -> Run``
 checked_scene.py    predictions for a scene before it is measured
-reprocessing.py     estimates at several values of the processing settings
 importing.py        a recording of another program -> run file
 mapping.py          a recording of many lines -> map of its motion
 settings_files.py   schemas of scene, bench and simulation; files with every key

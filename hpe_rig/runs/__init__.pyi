@@ -6,14 +6,15 @@ from .api import (
     sweep as sweep,
 )
 from .checked_scene import CheckedScene as CheckedScene, check as check
+from .estimation import chosen_estimator as chosen_estimator
 from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .mapping import map_motion as map_motion, map_recording as map_recording
-from .reprocessing import (
+from .run import (
+    Run as Run,
     StoredPoint as StoredPoint,
-    estimate_over as estimate_over,
     estimate_points as estimate_points,
-    parse_axes as parse_axes,
+    open_run as open_run,
     points_over as points_over,
+    process as process,
 )
-from .run import Run as Run, chosen_estimator as chosen_estimator, open_run as open_run, process as process
 from .settings_files import full_text as full_text, json_schema as json_schema, settings_tables as settings_tables

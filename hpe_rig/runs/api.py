@@ -1,4 +1,4 @@
-"""Public functions of ``hpe_rig``: a scene as a name, a path or a ``Scene``, a bench as the path of its file."""
+"""Public functions of ``hpe_rig``. A scene is a name, a path or a ``Scene``; a bench is the path of its file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.measurement import BenchSource, as_path, bench_path, prepare, provenance_now, record_run, source_text
 from hpe_rig.result import Result, ShotResult, Stages
-from hpe_rig.runs.run import Run, chosen_estimator, incomplete_warnings, open_run
+from hpe_rig.runs.estimation import chosen_estimator
+from hpe_rig.runs.result_warnings import incomplete_warnings
+from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
 from hpe_rig.store import StoreError, WriteOptions, versions
 
@@ -25,15 +27,15 @@ if TYPE_CHECKING:
 def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLike[str] | None = None) -> Run:
     """Measure ``scene`` and return the run; every output is off when this returns or raises.
 
-    ``path``: the run file, never overwritten; absent: the scene's name here, numbered where that is taken. Raises
-    ``SettingsError`` with every mistake of scene or bench file, ``PlanError`` with every conflict, ``StoreError`` where
-    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for a wrong type.
+    ``path`` is the run file, never overwritten; default: SCENE.h5 in the current folder, numbered if it exists. Raises
+    ``SettingsError`` with every mistake of scene or bench file, ``PlanError`` with every conflict, ``StoreError`` if
+    the file cannot be written, ``InstrumentError`` if an instrument fails, and ``TypeError`` for a wrong type.
 
     >>> run = measure("bovine-muscle")
     >>> run.displacement_m(0).shape
     >>> print(run.estimate("coherent").to_frame())
     """
-    setup, run_file = prepare(scene, bench_path(bench)), as_path(path, "a run file is taken as its path")
+    setup, run_file = prepare(scene, bench_path(bench)), as_path(path, "the path of a run file")
     options = WriteOptions(provenance=provenance_now(setup.bench.bench))
     return open_run(record_run(setup, run_file, options=options))
 
@@ -46,25 +48,25 @@ def sweep(
     bench: BenchSource = None,
     path: str | os.PathLike[str] | None = None,
 ) -> Run:
-    """Measure ``scene`` at every value of the ``axes`` and return the run, one file of all shots; as ``measure``.
+    """Measure ``scene`` at every value of the ``axes`` and return the run, one file with all shots; see ``measure``.
 
-    ``axes``: values by the name of a number of the scene, or of the bench file as "bench.PATH"; each value with each
-    or, where ``together``, the first values of all axes, then the second ones. Every point is checked before the first
-    shot. Raises as ``measure``.
+    ``axes``: values by the key of a number of the scene, or of the bench file as "bench.PATH". Each value is combined
+    with each; with ``together`` the n-th values of all axes are combined. All points are checked before the first shot.
+    Raises as ``measure``.
 
     >>> run = sweep("bovine-muscle", {"tracking.delay_s": [0.0, 50e-6], "simulation.receiver.snr_db": [20.0, 40.0]})
     >>> run.estimate().to_frame()[["tracking.delay_s", "simulation.receiver.snr_db", "amplitude_m"]]
     """
     if not isinstance(axes, Mapping):
-        raise TypeError(f"axes are taken as a mapping from name to values, not as {type(axes).__name__}")
-    values = {str(name): _listed(each) for name, each in axes.items()}
-    taken = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
-    return measure(_scene(scene).with_(taken), bench, path)
+        raise TypeError(f"expected axes as a mapping from key to values, not {type(axes).__name__}")
+    values = {str(key): _as_list(numbers) for key, numbers in axes.items()}
+    settings = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
+    return measure(_scene(scene).with_(settings), bench, path)
 
 
 @contextmanager
 def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]:
-    """Yield the instruments that ``scene`` needs, by role; off and verified off on every way out.
+    """Yield the instruments that ``scene`` needs, by role. At the end every output is switched off and verified.
 
     Raises as ``measure``.
 
@@ -84,13 +86,13 @@ def fit_moduli(
     common_amplitude: bool = True,
     profile_step_m: float | None = None,
 ) -> ModuliResult:
-    """Return the moduli of the medium that explain the vibrations of one or more runs, at all their places.
+    """Return the moduli of the medium fitted to the vibrations of one or more runs at all lateral offsets.
 
-    ``laws``: the media tried, absent all; ``estimator`` in place of the scenes' own; ``width_uncertainty``: relative,
-    of the widths of the force; ``common_amplitude``: whether the force was the same at all places, so that how the
-    amplitude falls with distance counts; ``profile_step_m``: gates so far apart over the depth of the records, whatever
-    the scenes say of such. Raises as ``open_run``, ``SettingsError`` where a scene has no tonebursts, no
-    [beams], or runs push differently, and ``StoreError`` where nothing can be estimated.
+    ``laws``: media to try, default all; ``estimator``: default the scene's; ``width_uncertainty``: relative
+    uncertainty of the widths of the force; ``common_amplitude``: the force was the same at all lateral offsets, so that
+    the decay of the amplitude is fitted; ``profile_step_m``: step of gates over depth, replacing those of the scenes.
+    Raises as ``open_run``, ``SettingsError`` if a scene has no tonebursts or no [beams] or the runs' pushes differ, and
+    ``StoreError`` if nothing can be estimated.
 
     >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
     """
@@ -99,16 +101,16 @@ def fit_moduli(
 
     if unknown := [law for law in laws if law not in law_names()]:
         raise SettingsError(
-            "moduli", [Mistake("law", f"there is no {each} medium", ", ".join(law_names())) for each in unknown]
+            "moduli", [Mistake("law", f"there is no {law} medium", ", ".join(law_names())) for law in unknown]
         )
-    chosen = [law for law in law_names() if law in laws] or list(law_names())
+    fitted_laws = [law for law in law_names() if law in laws] or list(law_names())
     opened = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
     if not opened:
         raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])
     chosen_estimator(estimator, opened[0].scene)
     try:
         sources = [Source(run.path.name, run.scene, run.plan, run.stored) for run in opened]
-        return moduli_of(sources, chosen, estimator, width_uncertainty, common_amplitude)
+        return moduli_of(sources, fitted_laws, estimator, width_uncertainty, common_amplitude)
     except ValueError as error:
         raise StoreError(f"{opened[0].path}: {error}") from error
 
@@ -124,16 +126,15 @@ def estimate(
     estimator: str = "coherent",
     margin: tuple[int, int] = (0, 0),
 ) -> Result:
-    """Return amplitude and phase of the motion in anybody's gated echoes.
+    """Return amplitude and phase of the motion in gated echoes of any program.
 
-    ``rf`` (..., pulse, sample), real: the samples of the gate, pulses ``1 / pulse_rate_hz`` apart; integers of a
-    digitizer do as well as volts. ``margin``: how many of the samples come before the gate and how many behind it; with
-    six carrier periods on either side the gate's edges cost nothing. A pulse with a sample that is not finite counts as
-    missing; where there are leading axes each of their entries becomes a shot of the result, in C order. Phases are
-    those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer.
-    An entry that carries no estimate is left out, with a warning that says why. Raises ``TypeError`` where ``rf`` is
-    not real, ``SettingsError`` for an unknown estimator, ``ValueError`` for settings that cannot be and where no entry
-    carries an estimate.
+    ``rf`` (..., pulse, sample), real: the samples of the gate in volts or codes, with pulses ``1 / pulse_rate_hz``
+    apart. ``margin``: number of samples before and after the gate; six carrier periods on either side avoid edge
+    effects. A pulse with a sample that is not finite is missing. Each entry of the leading axes becomes a shot of the
+    result, in C order. Phases are those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive
+    away from the transducer. An entry without an estimate is left out, with a warning that states the reason. Raises
+    ``TypeError`` if ``rf`` is not real, ``SettingsError`` for an unknown estimator, and ``ValueError`` for invalid
+    settings and if no entry has an estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
@@ -146,7 +147,7 @@ def estimate(
     acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
     acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
     with stages("process"):
-        found = _shots(volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, chosen)
+        estimates = _shots(volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, chosen)
     return Result(
         title=f"Echoes of shape {volts.shape}",
         run_file="",
@@ -154,12 +155,12 @@ def estimate(
         status="complete",
         estimator=chosen,
         phase_reference="of sin(2 pi f t + phase), with t from the first pulse",
-        shots=found.shots,
-        warnings=tuple(incomplete_warnings(found)),
+        shots=estimates.shots,
+        warnings=tuple(incomplete_warnings(estimates)),
         omitted=(),
         versions=versions(),
         run_time_s=stages.run_time_s,
-        shots_without_result=tuple(found.without.items()),
+        shots_without_result=tuple(estimates.failures.items()),
     )
 
 
@@ -170,18 +171,18 @@ def _shots(
     frequencies_hz: Sequence[float],
     estimator: Estimator,
 ) -> Estimates:
-    """Return the estimates of ``trains`` (train, pulse, sample); raise the first ``ValueError`` where none has one."""
+    """Return the estimates of ``trains`` (train, pulse, sample); raise the first ``ValueError`` if no train has one."""
     from hpe_rig.processing import Estimates
 
-    shots, refused = list[ShotResult](), dict[int, ValueError]()
+    shots, errors = list[ShotResult](), dict[int, ValueError]()
     for index, volts in enumerate(trains):
         try:
             shots.append(_shot(index, volts, pulse_rate_hz, acquired, frequencies_hz, estimator))
         except ValueError as error:
-            refused[index] = error
-    if refused and not shots:
-        raise refused[0]
-    return Estimates(tuple(shots), {index: str(error) for index, error in refused.items()})
+            errors[index] = error
+    if errors and not shots:
+        raise errors[0]
+    return Estimates(tuple(shots), {index: str(error) for index, error in errors.items()})
 
 
 def _shot(
@@ -194,39 +195,39 @@ def _shot(
 ) -> ShotResult:
     from hpe_rig.processing import (
         EchoGate,
-        Known,
+        ErrorSources,
         estimate as estimate_motion,
         estimates_of,
-        gate_edge_relative,
+        gate_edge_uncertainty,
         spec_of,
     )
 
     valid = np.isfinite(volts).all(axis=-1)
-    # A constant offset, such as a digitizer's, is no echo; one number for all pulses keeps their resting echo.
+    # Subtract the digitizer's offset. One mean for all pulses preserves the stationary part of the echo.
     centred = volts - volts[valid].mean() if valid.any() else volts
     pulse_time_s = np.arange(valid.size) / pulse_rate_hz
     echoes = EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired)
-    edge = gate_edge_relative(echoes, spec_of(estimator).gate_window)
+    edge = gate_edge_uncertainty(echoes, spec_of(estimator).gate_window)
     fit = estimate_motion(echoes, frequencies_hz, estimator)
     return ShotResult(
         shot=index,
         repeat=0,
         burst_length_s=None,
         force_fraction=None,
-        pulses_used=fit.pulses,
+        pulses_used=fit.quality.pulses,
         pulses_missing=int((~valid).sum()),
-        residual_m=float(fit.residual_rms_m),
-        estimates=estimates_of(fit, Known(acquired["sound_speed_m_per_s"], gate_edge=edge)),
+        residual_m=float(fit.quality.residual_rms_m),
+        estimates=estimates_of(fit, ErrorSources(acquired["sound_speed_m_per_s"], gate_edge=edge)),
         warnings=(),
         pulse_rate_hz=pulse_rate_hz,
     )
 
 
 def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Return ``rf`` as float32 where it is that, else as float64."""
+    """Return ``rf`` as float32 if it is float32, else as float64."""
     values = np.asarray(rf)
     if values.dtype.kind not in "iuf":
-        raise TypeError(f"rf is taken as real numbers (..., pulse, sample), not as {values.dtype}")
+        raise TypeError(f"expected rf as real numbers (..., pulse, sample), not {values.dtype}")
     if values.ndim < 2:
         raise ValueError(f"rf has shape {values.shape}: it needs the axes (..., pulse, sample)")
     if not values.size:
@@ -234,11 +235,11 @@ def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
     return values if values.dtype == np.float32 else values.astype(np.float64)
 
 
-def _listed(values: Any) -> Any:
-    """Return ``values`` as plain numbers; what is no row of numbers as it is, for the scene's own message."""
+def _as_list(values: Any) -> Any:
+    """Return an array or a number as a list. Other types are returned unchanged: the scene reports them."""
     return np.atleast_1d(values).tolist() if isinstance(values, np.ndarray | int | float) else values
 
 
 def _scene(source: SceneSource) -> Scene:
-    """Return the scene that is meant, also that of a run file."""
+    """Return the scene of a name, of the path of a scene or run file, or ``source`` itself."""
     return source if isinstance(source, Scene) else parse_scene(*source_text(source)).scene

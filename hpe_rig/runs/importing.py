@@ -1,8 +1,8 @@
-"""Import: a recording of any other program becomes a run file, processed and reported like a measured one.
+"""Import of a recording of another program: it becomes a run file, processed and reported like a measured one.
 
-The scene says what is measured; the recording says how it was recorded, and its rates, counts and ranges take the place
-of the scene's. The bench file in the run file stands for a bench that nobody here knows: it holds the recording's name
-and hash, and every value that was taken from the file or the scene without being stated. Nothing is resumed.
+The scene states what is measured. The recording states how it was recorded: its rates, counts and ranges replace those
+of the scene. The bench file in the run file describes no real bench. It holds the name and hash of the recording and
+every value that was inferred from the file or the scene. An imported run cannot be resumed.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -22,15 +22,14 @@ from numpy.typing import ArrayLike, NDArray
 from drivers.interfaces import RecordBlock
 from hpe_rig.arrays import Int16Array
 from hpe_rig.bench import BenchText, parse_bench
-from hpe_rig.measurement import planned
+from hpe_rig.measurement import plan_and_check
 from hpe_rig.plan import Plan, refuse_conflicts
-from hpe_rig.recordings import Known, Recording, read_recording, read_settings
+from hpe_rig.recordings import Recording, StatedSettings, read_recording, read_settings
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import (
     KeyPath,
     Mistake,
     SceneSource,
-    SceneText,
     SettingsError,
     edited_text,
     parse_scene,
@@ -40,26 +39,35 @@ from hpe_rig.scene import (
 )
 from hpe_rig.store import RunWriter, WriteOptions, free_path
 
-HIGHEST_CODE = 32766
-"""Code of the largest value: one below full scale, which would count as clipped."""
-FEWEST_CODES = 30.0
-"""Root mean square of the gate in codes below which their steps add noticeably to the noise."""
-LEAST_RANGE_V, MOST_RANGE_V = 1e-6, 1e4
-SAID_BY_SCENE: Mapping[str, str] = {
+MAX_CODE = 32766
+"""Code of the largest value: one below full scale, which counts as clipped."""
+MIN_GATE_RMS_CODES = 30.0
+"""RMS of the gate in codes below which quantisation adds noticeably to the noise."""
+MIN_RANGE_V, MAX_RANGE_V = 1e-6, 1e4
+SCENE_KEYS: Mapping[str, str] = {
     "sample_rate_hz": "acquisition.sample_rate_hz",
     "pulse_rate_hz": "tracking.pulse_rate_hz",
     "carrier_hz": "tracking.carrier_hz",
     "sound_speed_m_per_s": "acquisition.sound_speed_m_per_s",
     "first_pulse_s": "tracking.delay_s",
 }
-"""Where a scene states what a recording needs."""
+"""Key of a scene for each setting of a recording."""
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A run file that was imported, and in words every value that was not stated, with where it was taken from."""
+    """An imported run file; ``inferred`` describes every value that was not stated, with its source."""
 
     path: Path
+    inferred: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """Samples as ``codes`` (line, shot, pulse, sample) of ``scale_v`` volts each; ``inferred``: assumptions made."""
+
+    codes: Int16Array
+    scale_v: float
     inferred: tuple[str, ...]
 
 
@@ -71,21 +79,21 @@ def import_records(
     sidecar: str | os.PathLike[str] | None = None,
     **settings: Any,
 ) -> Run:
-    """Return ``recording``, a file or an array of anybody's echoes, as a run; its file is written to ``path``.
+    """Return ``recording``, a file or array of echoes from any program, as a run; its run file is written to ``path``.
 
     ``settings`` are those of a sidecar file (docs/how-to/import.md), such as ``axes="line,pulse,sample"`` and
-    ``lines="12"``; they count before the sidecar's, these before what the file says, this before the scene.
-    ``run.bench.recording`` says what was inferred, with the file's SHA-256. Raises ``SettingsError`` with every mistake
-    of recording, sidecar or scene, ``PlanError`` where the records do not hold the scene's gate or frequencies, and
-    ``StoreError`` where the run file cannot be written.
+    ``lines="12"``. They take precedence over the sidecar, then the file, then the scene. ``run.bench.recording``
+    states what was inferred and the file's SHA-256. Raises ``SettingsError`` with every mistake of recording, sidecar
+    or scene, ``PlanError`` if the records do not contain the scene's gate or frequencies, and ``StoreError`` if the run file
+    cannot be written.
 
     >>> run = import_records("rf.npy", "my-scene.toml", axes="pulse,sample", sample_rate_hz=50e6, pulse_rate_hz=4e3)
     >>> print(run.estimate())
     """
     source = Path(recording) if isinstance(recording, str | os.PathLike) else np.asarray(recording)
-    where = None if path is None else Path(path)
-    beside = None if sidecar is None else Path(sidecar)
-    return open_run(import_recording(source, scene, where, beside, settings).path)
+    run_file = None if path is None else Path(path)
+    sidecar_file = None if sidecar is None else Path(sidecar)
+    return open_run(import_recording(source, scene, run_file, sidecar_file, settings).path)
 
 
 def import_recording(
@@ -96,50 +104,50 @@ def import_recording(
     options: Mapping[str, Any] | None = None,
     write: WriteOptions | None = None,
 ) -> Imported:
-    """Write the run file of ``source`` and return its path with what was inferred; raises as ``import_records``."""
+    """Write the run file of ``source`` and return its path and what was inferred; raises as ``import_records``."""
     name, text = scene_text(scene)
     tables = parse_toml(text, f"scene {name}")
-    settings, where = read_settings(source if isinstance(source, Path) else None, sidecar, options)
-    recording = read_recording(source, settings, where, known_of_scene(name, text))
-    codes, scale_v, said = _coded(recording)
-    limits = parse_bench("imported", _bench_text(recording, ())).bench.digitizer.board_model.code_limits
-    range_v = scale_v * (2 * limits[1] + 1) / 2
-    replaced = dict(_replaced(tables, recording, range_v))
-    changes = [f"{'.'.join(map(str, key))} = {new}, not {old} as in the scene" for key, (old, new) in replaced.items()]
-    values = _values(tables, recording, range_v)
-    _refuse_other_sweeps(tables, f"scene {name}")
-    own = parse_scene(name, edited_text(text, values))
-    inferred = (*recording.inferred, *said, *changes)
+    settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
+    recording = read_recording(source, settings, origins, stated_by_scene(name, text))
+    samples = _to_codes(recording)
+    code_limits = parse_bench("imported", _bench_text(recording, ())).bench.digitizer.board_model.code_limits
+    values = _scene_values(tables, recording, samples.scale_v * (2 * code_limits[1] + 1) / 2)
+    _refuse_sweeps(tables, f"scene {name}")
+    scene_as_recorded = parse_scene(name, edited_text(text, values))
+
+    inferred = (*recording.inferred, *samples.inferred, *_replacements(tables, values))
     bench = parse_bench("imported", _bench_text(recording, inferred))
-    plan, findings = planned(own.scene, bench.bench)
+    plan, findings = plan_and_check(scene_as_recorded.scene, bench.bench)
     refuse_conflicts(findings)
-    _refuse_other_shots(plan, codes, f"recording {recording.name}")
-    inferred = (*inferred, *_few_codes(recording, codes, plan))
+    _refuse_other_shot_count(plan, samples.codes, f"recording {recording.name}")
+    inferred = (*inferred, *_quantisation_warnings(recording, samples.codes, plan))
     bench = parse_bench("imported", _bench_text(recording, inferred))
-    written = path or free_path(recording.name.partition(".")[0] or "recording", Path())
-    _write(written, own, bench, _at_times(plan, recording), recording, codes, scale_v, write or WriteOptions())
-    return Imported(written, inferred)
+
+    path = path or free_path(recording.name.partition(".")[0] or "recording", Path())
+    plan = _with_recorded_times(plan, recording)
+    with RunWriter(path, scene_as_recorded, bench, plan, write or WriteOptions()) as writer:
+        _write_records(writer, plan, bench, recording, samples)
+    return Imported(path, inferred)
 
 
-def known_of_scene(name: str, text: str) -> Known:
-    """Return what the scene's ``text`` itself states, not what it would assume."""
+def stated_by_scene(name: str, text: str) -> StatedSettings:
+    """Return the settings that the scene's ``text`` states, without defaults."""
     tables = parse_toml(text, f"scene {name}")
-    tracking, acquisition = (tables.get(name, {}) for name in ("tracking", "acquisition"))
-    if not isinstance(tracking, Mapping) or not isinstance(acquisition, Mapping):
-        return Known()
-    sections = {"tracking": tracking, "acquisition": acquisition}
+    sections = {section: tables.get(section, {}) for section in ("tracking", "acquisition")}
+    if not all(isinstance(section, Mapping) for section in sections.values()):
+        return StatedSettings()
     values = {}
-    for key, place in SAID_BY_SCENE.items():
-        section, _, last = place.partition(".")
+    for key, scene_key in SCENE_KEYS.items():
+        section, _, last = scene_key.partition(".")
         if isinstance(value := sections[section].get(last), int | float) and not isinstance(value, bool):
             values[key] = float(value)
-    counts = (tracking.get("pulse_count"), acquisition.get("record_samples"))
+    counts = (sections["tracking"].get("pulse_count"), sections["acquisition"].get("record_samples"))
     pulses, samples = (count if isinstance(count, int) else None for count in counts)
-    return Known(pulses, samples, values)
+    return StatedSettings(pulses, samples, values)
 
 
-def _values(tables: Mapping[str, Any], recording: Recording, range_v: float) -> dict[KeyPath, Any]:
-    """Return what the recording says of its scene, by key."""
+def _scene_values(tables: Mapping[str, Any], recording: Recording, range_v: float) -> dict[KeyPath, Any]:
+    """Return the values of the recording that belong in its scene, by key."""
     lines, shots, pulses, samples = recording.values.shape
     values: dict[str, Any] = {
         "tracking.pulse_rate_hz": recording.pulse_rate_hz,
@@ -149,7 +157,7 @@ def _values(tables: Mapping[str, Any], recording: Recording, range_v: float) -> 
         "acquisition.sample_rate_hz": recording.sample_rate_hz,
         "acquisition.record_samples": samples,
         "acquisition.input_range_v": range_v,
-        "acquisition.repeats": max(1, shots // _settings_of(tables)),
+        "acquisition.repeats": max(1, shots // _setting_count(tables)),
     }
     if recording.sound_speed_m_per_s is not None:
         values["acquisition.sound_speed_m_per_s"] = recording.sound_speed_m_per_s
@@ -160,83 +168,90 @@ def _values(tables: Mapping[str, Any], recording: Recording, range_v: float) -> 
     return {path_of(key): value for key, value in values.items()}
 
 
-def _replaced(tables: Mapping[str, Any], recording: Recording, range_v: float) -> Any:
-    """Yield the settings that the scene states otherwise than the recording: both values, by key."""
-    for key, new in _values(tables, recording, range_v).items():
+def _replacements(tables: Mapping[str, Any], values: Mapping[KeyPath, Any]) -> Iterator[str]:
+    """Yield a line for each setting of the scene that differs from the recording's."""
+    for key, value in values.items():
         section = tables.get(str(key[0]), {})
-        old = section.get(key[1]) if isinstance(section, Mapping) else None
-        if key[1] != "input_range_v" and isinstance(old, int | float) and not math.isclose(old, new, rel_tol=1e-9):
-            yield key, (old, new)
+        stated = section.get(key[1]) if isinstance(section, Mapping) else None
+        if key[1] == "input_range_v" or not isinstance(stated, int | float):
+            continue
+        if not math.isclose(stated, value, rel_tol=1e-9):
+            yield f"{'.'.join(map(str, key))} = {value}, not {stated} as in the scene"
 
 
-def _settings_of(tables: Mapping[str, Any]) -> int:
-    """Return how many forces times burst lengths the scene lists: that many shots are no repeats."""
+def _setting_count(tables: Mapping[str, Any]) -> int:
+    """Return the number of forces times that of burst lengths in the scene: as many shots are no repeats."""
     excitation = tables.get("excitation", {})
-    lists = (
-        [excitation.get(key) for key in ("burst_length_s", "force_fraction")] if isinstance(excitation, dict) else []
-    )
-    return math.prod(len(each) for each in lists if isinstance(each, list) and each)
+    if not isinstance(excitation, dict):
+        return 1
+    lists = [excitation.get(key) for key in ("burst_length_s", "force_fraction")]
+    return math.prod(len(values) for values in lists if isinstance(values, list) and values)
 
 
-def _refuse_other_sweeps(tables: Mapping[str, Any], source: str) -> None:
-    swept = tables.get("sweep", {})
-    if not isinstance(swept, Mapping):
+def _refuse_sweeps(tables: Mapping[str, Any], source: str) -> None:
+    """Raise ``SettingsError`` if the scene sweeps a setting of the acquisition."""
+    sweep = tables.get("sweep", {})
+    if not isinstance(sweep, Mapping):
         return
-    others = [key for key in swept if key not in ("window_length_s", "lateral_offset_m")]
     what = "a recording has one value of it"
-    remedy = "a scene without it, one recording a value; hpe-rig process RUN.h5 --sweep varies what is made of records"
-    mistakes = [Mistake(f"sweep.{key}", what, remedy) for key in others]
-    if mistakes:
-        raise SettingsError(source, mistakes)
+    remedy = "one scene and recording per value; hpe-rig process RUN.h5 --sweep varies the processing"
+    keys = [key for key in sweep if key not in ("window_length_s", "lateral_offset_m")]
+    if keys:
+        raise SettingsError(source, [Mistake(f"sweep.{key}", what, remedy) for key in keys])
 
 
-def _refuse_other_shots(plan: Plan, codes: Int16Array, source: str) -> None:
-    found = codes.shape[0] * codes.shape[1]
-    if len(plan.shots) != found:
-        what = (
-            f"the scene asks for {len(plan.shots)} shots, the recording has {codes.shape[0]} lines of {codes.shape[1]}"
-        )
-        remedy = "as many forces and burst lengths as the recording's axis shot holds, times repeats"
+def _refuse_other_shot_count(plan: Plan, codes: Int16Array, source: str) -> None:
+    lines, shots = codes.shape[:2]
+    if len(plan.shots) != lines * shots:
+        what = f"the scene has {len(plan.shots)} shots, the recording {lines} lines of {shots}"
+        remedy = "forces times burst lengths times repeats equal to the length of the recording's axis shot"
         raise SettingsError(source, [Mistake("axes", what, remedy)])
 
 
-def _coded(recording: Recording) -> tuple[Int16Array, float, tuple[str, ...]]:
-    """Return the samples as int16 codes, volts a code, and what was assumed about these."""
-    values, scale_v = recording.values, recording.scale_v
+def _to_codes(recording: Recording) -> _Samples:
+    """Return the samples as int16 codes: integers of up to 16 bits are kept, other values are quantised."""
+    values = recording.values
     if values.dtype.kind in "iu" and values.dtype.itemsize <= 2:
-        zero = 0 if values.dtype.kind == "i" else 1 << (8 * values.dtype.itemsize - 1)
-        centred = values.astype(np.int32) - zero
-        codes = np.maximum(centred, -HIGHEST_CODE - 1).astype(np.int16)
-        lost = int((centred < -HIGHEST_CODE - 1).sum())
-        said = [f"{lost} samples of the lowest code count as its neighbour"] if lost else []
-        if zero:
-            said.append(f"whole numbers without sign: {zero} is zero volts")
-        if scale_v is None:
-            scale_v = 2.0 / (2 * (HIGHEST_CODE + 1) + 1)
-            said.append("volts are not stated: the codes of 16 bits span plus and minus 1 V")
-        return codes, scale_v, tuple(said)
+        return _shifted_codes(recording)
     largest = float(np.abs(values).max())
-    unit_v = 1.0 if scale_v is None else scale_v
-    range_v = largest * unit_v * (2 * HIGHEST_CODE + 3) / (2 * HIGHEST_CODE)
-    said = []
-    if not LEAST_RANGE_V <= range_v <= MOST_RANGE_V:
-        said.append(f"values up to {largest:.3g} are taken as shares of 1 V: they are no volts at any input")
-        range_v = (2 * HIGHEST_CODE + 3) / (2 * HIGHEST_CODE)
-    elif scale_v is None:
-        said.append("volts are not stated: a value of 1 counts as 1 V")
-    codes = np.rint(values * (HIGHEST_CODE / largest)).astype(np.int16)
-    return codes, 2 * range_v / (2 * HIGHEST_CODE + 3), tuple(said)
+    unit_v = 1.0 if recording.scale_v is None else recording.scale_v
+    # The largest value gets the code MAX_CODE. Full scale is one and a half codes above it.
+    range_v = largest * unit_v * (2 * MAX_CODE + 3) / (2 * MAX_CODE)
+    inferred = []
+    if not MIN_RANGE_V <= range_v <= MAX_RANGE_V:
+        inferred.append(f"values up to {largest:.3g} are scaled to 1 V: they are no plausible volts")
+        range_v = (2 * MAX_CODE + 3) / (2 * MAX_CODE)
+    elif recording.scale_v is None:
+        inferred.append("volts are not stated: a value of 1 counts as 1 V")
+    codes = np.rint(values * (MAX_CODE / largest)).astype(np.int16)
+    return _Samples(codes, 2 * range_v / (2 * MAX_CODE + 3), tuple(inferred))
 
 
-def _few_codes(recording: Recording, codes: Int16Array, plan: Plan) -> tuple[str, ...]:
-    """Return that the gate's echoes take few codes of 16 bits, where they do: their steps are noise."""
+def _shifted_codes(recording: Recording) -> _Samples:
+    """Return integers of up to 16 bits as codes around zero."""
+    values, scale_v = recording.values, recording.scale_v
+    zero = 0 if values.dtype.kind == "i" else 1 << (8 * values.dtype.itemsize - 1)
+    centred = values.astype(np.int32) - zero
+    codes = np.maximum(centred, -MAX_CODE - 1).astype(np.int16)
+    raised = int((centred < -MAX_CODE - 1).sum())
+    inferred = [f"{raised} samples of the lowest code are replaced by the next higher code"] if raised else []
+    if zero:
+        inferred.append(f"integers without sign: {zero} is zero volts")
+    if scale_v is None:
+        scale_v = 2.0 / (2 * (MAX_CODE + 1) + 1)
+        inferred.append("volts are not stated: the codes of 16 bits span plus and minus 1 V")
+    return _Samples(codes, scale_v, tuple(inferred))
+
+
+def _quantisation_warnings(recording: Recording, codes: Int16Array, plan: Plan) -> tuple[str, ...]:
+    """Return a warning if quantisation adds noticeable noise to the echoes of the gate."""
     gate = codes[..., plan.shots[0].gate].astype(np.float32)
     rms = float(np.sqrt(np.mean((gate - gate.mean()) ** 2)))
-    if recording.values.dtype.kind != "f" or rms >= FEWEST_CODES:
+    if recording.values.dtype.kind != "f" or rms >= MIN_GATE_RMS_CODES:
         return ()
     return (
-        f"WARNING the gate's echoes take {rms:.2g} codes of 16 bits, root mean square, since the largest value of the "
-        "record lies elsewhere: samples = [first, end] around the gate keeps more of them",
+        f"WARNING the gate's echoes have an rms of {rms:.2g} codes of 16 bits, since the largest value of the record "
+        "lies elsewhere: samples = [first, end] around the gate reduces the quantisation noise",
     )
 
 
@@ -245,19 +260,19 @@ def _bench_text(recording: Recording, inferred: tuple[str, ...]) -> str:
     text = shipped.read_text(encoding="utf-8")
     if recording.board is not None:
         text = text.replace('model = "ATS9462"', f"model = {json.dumps(recording.board)}")
-    stated = {
+    values = {
         "source": recording.name[:1000],
         "sha256": recording.sha256,
         "format": recording.format,
         "first_sample_s": recording.first_sample_s,
         "inferred": list(inferred),
     }
-    # JSON's texts, numbers and lists are TOML's.
-    return text + "".join(f"{key} = {json.dumps(value)}\n" for key, value in stated.items())
+    # Strings, numbers and lists have the same notation in JSON and TOML.
+    return text + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
 
 
-def _at_times(plan: Plan, recording: Recording) -> Plan:
-    """Return ``plan`` with the pulses at the times that the recording states."""
+def _with_recorded_times(plan: Plan, recording: Recording) -> Plan:
+    """Return ``plan`` with the pulse times of the recording, unless they are regular."""
     if recording.regular:
         return plan
     shots = (
@@ -266,27 +281,18 @@ def _at_times(plan: Plan, recording: Recording) -> Plan:
     return replace(plan, shots=tuple(shots))
 
 
-def _write(
-    path: Path,
-    scene: SceneText,
-    bench: BenchText,
-    plan: Plan,
-    recording: Recording,
-    codes: Int16Array,
-    scale_v: float,
-    options: WriteOptions,
-) -> None:
+def _write_records(writer: RunWriter, plan: Plan, bench: BenchText, recording: Recording, samples: _Samples) -> None:
     limits = bench.bench.digitizer.board_model.code_limits
-    of_shots = codes.reshape(-1, *codes.shape[2:])
-    recorded = recording.recorded.reshape(-1, codes.shape[2])
-    with RunWriter(path, scene, bench, plan, options) as writer:
-        for shot, values, there in zip(plan.shots, of_shots, recorded, strict=True):
-            writer.settings(shot, {})
-            # Without times a block counts on from its first record: one block a row of records that are there.
-            for rows in np.split(np.arange(there.size), np.flatnonzero(np.diff(there.astype(np.int8))) + 1):
-                if there[rows[0]]:
-                    block = np.ascontiguousarray(values[rows])
-                    times = np.full(rows.size, np.nan)
-                    writer.append(shot, RecordBlock(int(rows[0]), block, times, scale_v, scale_v / 2, limits))
-            writer.clipped(shot, bool((values <= limits[0]).any() or (values >= limits[1]).any()))
-            writer.finish(shot)
+    shot_codes = samples.codes.reshape(-1, *samples.codes.shape[2:])
+    shot_recorded = recording.recorded.reshape(-1, samples.codes.shape[2])
+    for shot, codes, recorded in zip(plan.shots, shot_codes, shot_recorded, strict=True):
+        writer.settings(shot, {})
+        # The records of a block without times are consecutive. So each run of existing records is one block.
+        for rows in np.split(np.arange(recorded.size), np.flatnonzero(np.diff(recorded.astype(np.int8))) + 1):
+            if recorded[rows[0]]:
+                block = np.ascontiguousarray(codes[rows])
+                times = np.full(rows.size, np.nan)
+                scale_v = samples.scale_v
+                writer.append(shot, RecordBlock(int(rows[0]), block, times, scale_v, scale_v / 2, limits))
+        writer.clipped(shot, bool((codes <= limits[0]).any() or (codes >= limits[1]).any()))
+        writer.finish(shot)

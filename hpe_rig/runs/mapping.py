@@ -1,4 +1,4 @@
-"""Map: a recording of many lines becomes amplitude, phase and velocity over lines and depths, without a run file."""
+"""Map of a recording with many lines: amplitude, phase and velocity over lines and depths, without a run file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from hpe_rig.recordings import Recording, read_recording, read_settings
 from hpe_rig.result import MotionMap
-from hpe_rig.runs.importing import known_of_scene
+from hpe_rig.runs.importing import stated_by_scene
 from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, edited_text, parse_scene, path_of, scene_text
 
 
@@ -27,20 +27,19 @@ def map_motion(
 ) -> MotionMap:
     """Return amplitude, phase and velocity with their uncertainties at every line and depth of ``recording``.
 
-    A file or an array of anybody's echoes, described as for ``import_records``; all lines where none are chosen. Gates
-    of the scene's ``acquisition.gate_length_m`` follow each other from the first sample on; of I and Q, whose samples
-    are pixels already, a gate shorter than one sample is one sample. Frequencies are the scene's. ``progress`` is told
-    how many lines are done, of how many. A pixel without echo or with noise alone is marked and NaN. Where Numba has
-    been imported the passes over pixels are compiled, and results differ by rounding. Raises ``SettingsError`` with
-    every mistake of recording, sidecar or scene.
+    ``recording`` is a file or an array of echoes, described as for ``import_records``; by default all lines are mapped.
+    Gates of the scene's ``acquisition.gate_length_m`` follow each other from the first sample on. I and Q are pixels:
+    a gate has at least one sample. Frequencies are the scene's. ``progress`` gets the number of lines done and the
+    total. A pixel without an echo above the noise is marked and NaN. If Numba has been imported, compiled functions are
+    used, and results differ by rounding. Raises ``SettingsError`` with every mistake of recording, sidecar or scene.
 
-    >>> found = map_motion("rf.npz", "my-scene.toml", axes="line,pulse,sample", line_pitch_m=0.3e-3)
-    >>> found.to_xarray().amplitude_m.sel(frequency=200.0)
-    >>> found.figure().savefig("map.png")
+    >>> motion_map = map_motion("rf.npz", "my-scene.toml", axes="line,pulse,sample", line_pitch_m=0.3e-3)
+    >>> motion_map.to_xarray().amplitude_m.sel(frequency=200.0)
+    >>> motion_map.figure().savefig("map.png")
     """
     source = Path(recording) if isinstance(recording, str | os.PathLike) else np.asarray(recording)
-    beside = None if sidecar is None else Path(sidecar)
-    return map_recording(source, scene, beside, settings, progress)[0]
+    sidecar_file = None if sidecar is None else Path(sidecar)
+    return map_recording(source, scene, sidecar_file, settings, progress)[0]
 
 
 def map_recording(
@@ -50,25 +49,25 @@ def map_recording(
     options: dict[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[MotionMap, tuple[str, ...]]:
-    """Return the map of ``source`` and what was inferred of it; raises as ``map_motion``."""
+    """Return the map of ``source`` and a description of all inferred values; raises as ``map_motion``."""
     from hpe_rig.processing import map_pixels
 
     name, text = scene_text(scene)
-    settings, where = read_settings(source if isinstance(source, Path) else None, sidecar, options)
-    recording = read_recording(source, settings, where, known_of_scene(name, text), for_map=True)
+    settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
+    recording = read_recording(source, settings, origins, stated_by_scene(name, text), for_map=True)
     if recording.values.shape[1] != 1:
-        what = f"a map is of one shot, the recording has {recording.values.shape[1]}"
+        what = f"a map needs one shot, the recording has {recording.values.shape[1]}"
         raise SettingsError(f"recording {recording.name}", [Mistake("axes", what, "one of them, or hpe-rig import")])
-    own = _as_recorded(name, text, recording)
-    if not own.wanted_frequencies_hz:
-        what = "the scene wants no vibration frequency"
+    recorded_scene = _as_recorded(name, text, recording)
+    if not recorded_scene.wanted_frequencies_hz:
+        what = "the scene has no vibration frequency"
         raise SettingsError(f"scene {name}", [Mistake("processing.frequencies_hz", what, "[200.0]")])
     try:
-        found = map_pixels(
+        motion_map = map_pixels(
             recording.values[:, 0],
             recording.pulse_time_s,
-            own.wanted_frequencies_hz,
-            _map_settings(own, recording),
+            recorded_scene.wanted_frequencies_hz,
+            _map_settings(recorded_scene, recording),
             recording.line_position_m,
             progress,
         )
@@ -76,7 +75,7 @@ def map_recording(
         what, _, remedy = str(error).rpartition(": ")
         mistake = Mistake("", what or str(error), remedy if what else "other settings")
         raise SettingsError(f"recording {recording.name}", [mistake]) from error
-    return replace(found, origin=f"IMPORTED from {recording.name}, SHA-256 {recording.sha256}"), recording.inferred
+    return replace(motion_map, origin=f"IMPORTED from {recording.name}, SHA-256 {recording.sha256}"), recording.inferred
 
 
 def _as_recorded(name: str, text: str, recording: Recording) -> Scene:

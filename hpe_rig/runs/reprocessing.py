@@ -1,4 +1,4 @@
-"""Sweep over what is made of records that are there: a stored run, measured or imported, at every value of the axes."""
+"""Reprocessing of a stored run at several values of its processing settings; nothing is acquired."""
 
 from __future__ import annotations
 
@@ -6,115 +6,60 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from hpe_rig.plan import Plan, check_plan, make_plan, refuse_conflicts
+from hpe_rig.bench import BenchFile
+from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
 from hpe_rig.result import Result
-from hpe_rig.runs.run import Run
-from hpe_rig.scene import Mistake, Scene, ScenePoint, SettingsError, with_default_specimen
-from hpe_rig.store import StoreError
+from hpe_rig.scene import Axis, Mistake, Scene, ScenePoint, SettingsError, with_default_specimen
 
-PROCESSED = ("acquisition.gate_depth_m", "acquisition.gate_length_m")
-PROCESSED_SECTIONS = ("processing", "beams")
-"""Keys, and sections of keys, that only say what is made of records."""
-What = TypeVar("What")
-PROFILE = "processing.gate_profile_step_m"
+GATE_KEYS = ("acquisition.gate_depth_m", "acquisition.gate_length_m")
+PROCESSING_SECTIONS = ("processing", "beams")
+PROFILE_KEY = "processing.gate_profile_step_m"
+PROCESSING_TIMES = ("gate_offset_s", "reference_offset_s", "push_delay_s")
+"""Times of a shot that depend on gates and beams, and not on the acquisition."""
+Text = TypeVar("Text")
 
 
 @dataclass(frozen=True, slots=True)
-class StoredPoint:
-    """A run as if its scene had asked for the ``values`` of one point."""
+class ProcessingPoint:
+    """Scene and plan of a stored run with the settings ``values``, by key, of one point."""
 
     values: Mapping[str, float]
-    run: Run
+    scene: Scene
+    plan: Plan
+    findings: tuple[CheckResult, ...]
 
 
-def estimate_over(
-    run: Run, axes: Mapping[str, Sequence[float]], estimator: str | None = None, together: bool = False
-) -> Result:
-    """Return the estimates of ``run`` at every point of ``axes``, of the same records, a row a shot and point.
+def processing_points(
+    scene: Scene, bench: BenchFile, plan: Plan, axes: Sequence[Axis], together: bool, source: str
+) -> Iterator[ProcessingPoint]:
+    """Yield scene and plan at every point of ``axes``.
 
-    Every point is checked before the first is estimated. Raises ``SettingsError`` with every axis that is no number of
-    the processing and every value that cannot be, ``PlanError`` where a point's window or gate is not in the records,
-    and ``StoreError`` where no point carries an estimate.
+    ``together`` combines the n-th values of all axes, else each value is combined with each. Raises ``SettingsError``
+    about the run file ``source`` for axes that vary the acquisition and for invalid values, and ``PlanError`` if the
+    records do not contain a point's window or gate.
     """
-    return estimate_points(points_over(run, axes, together), estimator)
-
-
-def points_over(run: Run, axes: Mapping[str, Sequence[float]], together: bool = False) -> tuple[StoredPoint, ...]:
-    """Return ``run`` at every point of ``axes``, all checked; raises as ``estimate_over``."""
-    return tuple(_points(run, axes, together))
-
-
-def estimate_points(points: Sequence[StoredPoint], estimator: str | None = None) -> Result:
-    """Return the estimates at all ``points`` as one result; raise ``StoreError`` where none carries an estimate."""
-    found, lost = list[tuple[StoredPoint, Result]](), list[str]()
-    for point in points:
-        try:
-            found.append((point, point.run.estimate(estimator)))
-        except StoreError as error:
-            if len(points) == 1:
-                raise
-            lost.append(f"at {_words(point.values)}: {error}")
-    if not found:
-        raise StoreError("; ".join(lost))
-    first = found[0][1]
-    shots = (replace(shot, swept={**shot.swept, **point.values}) for point, result in found for shot in result.shots)
-    said = [(text, point) for point, result in found for text in result.warnings]
-    without = [(pair, point) for point, result in found for pair in result.shots_without_result]
-    return replace(
-        first,
-        shots=tuple(shots),
-        warnings=(*(f"{where}{text}" for text, where in _where(said, len(found))), *lost),
-        shots_without_result=tuple((at, f"{where}{why}") for (at, why), where in _where(without, len(found))),
-        profile=(),
-    )
-
-
-def _where(said: Sequence[tuple[What, StoredPoint]], points: int) -> Iterator[tuple[What, str]]:
-    """Yield each of what was ``said`` once, and the points that say it, in words; none where all do."""
-    by = dict[What, list[str]]()
-    for what, point in said:
-        by.setdefault(what, []).append(_words(point.values))
-    for what, places in by.items():
-        yield what, "" if len(places) == points else f"at {'; '.join(places)}: "
-
-
-def parse_axes(texts: Sequence[str]) -> dict[str, list[float]]:
-    """Return axes from options such as "gate_length_m=0.5e-3,1e-3"; raise ``SettingsError`` with all that are none."""
-    found: dict[str, list[float]] = {}
-    mistakes = []
-    for text in texts:
-        name, _, listed = text.partition("=")
-        try:
-            values = [float(each) for each in listed.split(",")]
-        except ValueError:
-            mistakes.append(Mistake("--sweep", f"{text!r} is no axis", "KEY=NUMBER,NUMBER without spaces"))
-            continue
-        if name in found:
-            mistakes.append(Mistake("--sweep", f"{name} is given twice", "all its values at once"))
-        found[name] = values
-    if mistakes:
-        raise SettingsError("command line", mistakes)
-    return found
-
-
-def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> Iterator[StoredPoint]:
-    taken = {"sweep.axes": dict(axes), "sweep.combine": "zip" if together else "product"}
-    # windows that the run's scene takes in turn stand for another axis than the window's: see `_one_estimate`
-    sweep = type(run.scene.sweep)(**run.scene.sweep.model_dump(exclude={"window_length_s"}, exclude_unset=True))
-    asked = run.scene.model_copy(update={"sweep": sweep}).with_(taken).points
-    _refuse_acquired(asked[0], run.path.name)
-    for point in asked:
-        scene = _one_estimate(run.scene.with_(point.values), point.values)
-        if run.bench.simulated:
-            scene = with_default_specimen(scene)
-        plan = _regated(run, make_plan(scene, run.bench))
-        findings = tuple(check_plan(scene, run.bench, plan))
+    for point in _scene_points(scene, axes, together, source):
+        varied = _without_other_windows(scene.with_(point.values), point.values)
+        if bench.simulated:
+            varied = with_default_specimen(varied)
+        varied_plan = _with_gates_of(make_plan(varied, bench), plan, scene, source)
+        findings = tuple(check_plan(varied, bench, varied_plan))
         refuse_conflicts(findings)
-        yield StoredPoint(point.values, replace(run, scene=scene, plan=plan, findings=findings))
+        yield ProcessingPoint(point.values, varied, varied_plan, findings)
 
 
-def _one_estimate(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """Return the scene without gates over depth, and without a list of windows where ``values`` have the window."""
+def _scene_points(scene: Scene, axes: Sequence[Axis], together: bool, source: str) -> tuple[ScenePoint, ...]:
+    # Windows that the scene sweeps would count as another axis. They are dropped: see `_without_other_windows`.
+    sweep = type(scene.sweep)(**scene.sweep.model_dump(exclude={"window_length_s"}, exclude_unset=True))
+    values = {axis.name: list(axis.labels) for axis in axes}
+    swept = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
+    points = scene.model_copy(update={"sweep": sweep}).with_(swept).points
+    _refuse_acquisition_keys(points[0], source)
+    return points
+
+
+def _without_other_windows(scene: Scene, values: Mapping[str, float]) -> Scene:
+    """Return the scene without gates over depth, and without its list of windows if ``values`` set the window."""
     processing = scene.processing.model_copy(update={"gate_profile_step_m": None, "gates": ()})
     sweep = scene.sweep
     if "processing.window_length_s" in values:
@@ -122,41 +67,77 @@ def _one_estimate(scene: Scene, values: Mapping[str, float]) -> Scene:
     return scene.model_copy(update={"processing": processing, "sweep": sweep})
 
 
-def _refuse_acquired(point: ScenePoint, source: str) -> None:
-    """Raise ``SettingsError`` for every axis that says how records are taken: those of ``source`` have been."""
+def _refuse_acquisition_keys(point: ScenePoint, source: str) -> None:
+    """Raise ``SettingsError`` for every axis that varies how records are acquired."""
+    what = "cannot be swept after the measurement: the records hold one value"
+    sections = "], [".join(PROCESSING_SECTIONS)
+    remedy = f"numbers of [{sections}], {' or '.join(GATE_KEYS)}; hpe-rig run measures a [sweep]"
     mistakes = [
-        Mistake(f"sweep.{name}", "the records are there, and were taken with one value of it", _REMEDY)
-        for name in point.values
-        if name not in PROCESSED and name.partition(".")[0] not in PROCESSED_SECTIONS
+        Mistake(f"sweep.{key}", what, remedy)
+        for key in point.values
+        if key not in GATE_KEYS and key.partition(".")[0] not in PROCESSING_SECTIONS
     ]
-    if PROFILE in point.values:
-        what = "no depth profile is made at the points of a sweep"
-        mistakes.append(Mistake(f"sweep.{PROFILE}", what, "values of acquisition.gate_depth_m"))
+    if PROFILE_KEY in point.values:
+        what = "a sweep has no depth profile"
+        mistakes.append(Mistake(f"sweep.{PROFILE_KEY}", what, "values of acquisition.gate_depth_m"))
     if mistakes:
         raise SettingsError(source, mistakes)
 
 
-_REMEDY = f"numbers of [{'], ['.join(PROCESSED_SECTIONS)}], {' or '.join(PROCESSED)}; hpe-rig run measures a [sweep]"
-
-
-_OF_SCENE = ("gate_offset_s", "reference_offset_s", "push_later_s")
-"""What of a shot's instants gates and beams say, and no instrument."""
-
-
-def _regated(run: Run, asked: Plan) -> Plan:
-    """Return the run's plan with the gates of the ``asked`` one; raise where they are not in the records."""
+def _with_gates_of(varied: Plan, plan: Plan, scene: Scene, source: str) -> Plan:
+    """Return ``plan`` with the gates of the plan ``varied``; raise ``SettingsError`` if they leave the records."""
     shots = tuple(
-        replace(shot, timeline=replace(shot.timeline, **{name: getattr(other.timeline, name) for name in _OF_SCENE}))
-        for shot, other in zip(run.plan.shots, asked.shots, strict=True)
+        replace(
+            shot,
+            timeline=replace(shot.timeline, **{name: getattr(other.timeline, name) for name in PROCESSING_TIMES}),
+        )
+        for shot, other in zip(plan.shots, varied.shots, strict=True)
     )
-    outside = [s for s in shots if s.gate.start < 0 or s.gate.stop > s.capture.record_samples]
+    outside = [shot for shot in shots if shot.gate.start < 0 or shot.gate.stop > shot.capture.record_samples]
     if outside:
-        half_speed = run.scene.acquisition.sound_speed_m_per_s / 2
+        half_speed = scene.acquisition.sound_speed_m_per_s / 2
         start_mm, end_mm = (1e3 * half_speed * offset_s for offset_s in outside[0].timeline.record_offset_s)
         what = f"a gate leaves the records, which go from {start_mm:.4g} to {end_mm:.4g} mm"
-        raise SettingsError(run.path.name, [Mistake("acquisition.gate_depth_m", what, "a depth or length inside")])
-    return replace(run.plan, shots=shots)
+        raise SettingsError(source, [Mistake("acquisition.gate_depth_m", what, "a depth or length inside")])
+    return replace(plan, shots=shots)
 
 
-def _words(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:g}" for name, value in values.items())
+def combine_results(results: Sequence[tuple[Mapping[str, float], Result]], failures: Mapping[str, str]) -> Result:
+    """Return the ``results`` at several points, with the values of each, as one result.
+
+    Each warning occurs once, with the points that it concerns unless it concerns all. ``failures`` are the errors of
+    points without a result, by the text of the point.
+    """
+    shots = (replace(shot, swept={**shot.swept, **values}) for values, result in results for shot in result.shots)
+    warnings = [(text, values) for values, result in results for text in result.warnings]
+    without = [
+        (shot_and_reason, values) for values, result in results for shot_and_reason in result.shots_without_result
+    ]
+    return replace(
+        results[0][1],
+        shots=tuple(shots),
+        warnings=(
+            *(f"{where}{text}" for text, where in _with_points(warnings, len(results))),
+            *(f"at {point}: {error}" for point, error in failures.items()),
+        ),
+        shots_without_result=tuple(
+            (shot, f"{where}{why}") for (shot, why), where in _with_points(without, len(results))
+        ),
+        profile=(),
+    )
+
+
+def _with_points(
+    occurrences: Sequence[tuple[Text, Mapping[str, float]]], point_count: int
+) -> Iterator[tuple[Text, str]]:
+    """Yield each item once, with the text "at <its points>: ", or "" if it occurs at all points."""
+    points_of = dict[Text, list[str]]()
+    for item, values in occurrences:
+        points_of.setdefault(item, []).append(point_text(values))
+    for item, points in points_of.items():
+        yield item, "" if len(points) == point_count else f"at {'; '.join(points)}: "
+
+
+def point_text(values: Mapping[str, float]) -> str:
+    """Return "KEY = VALUE, ..."."""
+    return ", ".join(f"{key} = {value:g}" for key, value in values.items())

@@ -19,10 +19,11 @@ from hpe_rig.plan import (
     Plan,
     gates_over_depth,
     omissions,
-    places_of,
+    phase_reference,
+    plans_at_offsets,
     reference_gate,
     refuse_conflicts,
-    scene_of,
+    scene_of_shot,
     select,
 )
 from hpe_rig.result import Result, Stages
@@ -85,7 +86,7 @@ class Run:
         count = len(self.plan.shots)
         if not -count <= shot < count:
             raise IndexError(f"shot {shot} does not exist: the run has {count}, counted from 0")
-        scene = scene_of(self.scene, self.plan.shots[shot])
+        scene = scene_of_shot(self.scene, self.plan.shots[shot])
         estimator = spec_of(scene.processing.estimator)
         motion = shot_motion(scene, self.plan.shots[shot], self._echoes(shot), estimator.motion)
         reference = reference_gate(scene, self.plan.shots[shot])
@@ -112,14 +113,14 @@ class Run:
             simulated=self.stored.simulated,
             status=self.stored.status,
             estimator=chosen,
-            phase_reference=_phase_reference(self.scene),
+            phase_reference=phase_reference(self.scene).words,
             shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
             warnings=(*warnings, *profile.failures),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, chosen), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
-            shots_without_result=tuple(estimates.without.items()),
+            shots_without_result=tuple(estimates.failures.items()),
             imported=None if self.bench.recording is None else self.bench.recording.words,
             notes=self.scene.notes,
             provenance=self.stored.provenance,
@@ -165,7 +166,7 @@ class Run:
         scene = self.scene.model_copy(update={"processing": processing})
         findings = dict.fromkeys(
             finding
-            for place_scene, place_plan in places_of(scene, self.plan)
+            for place_scene, place_plan in plans_at_offsets(scene, self.plan)
             for finding in gates_over_depth(place_scene, self.bench, place_plan)
         )
         refuse_conflicts(list(findings))
@@ -183,7 +184,7 @@ class Run:
 
         whole_train = {"window_start_s": 0.0, "window_length_s": None}
         planned_shot = self.plan.shots[shot]
-        scene = scene_of(self.scene, planned_shot)
+        scene = scene_of_shot(self.scene, planned_shot)
         whole = scene.model_copy(update={"processing": scene.processing.model_copy(update=whole_train)})
         samples = gate or samples_needed(scene, planned_shot)
         records = self.records.gated(shot, samples, margin=margin_needed(scene, planned_shot))
@@ -282,9 +283,3 @@ def estimate_points(points: Sequence[StoredPoint], estimator: str | None = None)
 
 def _with_estimator(scene: Scene, estimator: Estimator) -> Scene:
     return scene.model_copy(update={"processing": scene.processing.model_copy(update={"estimator": estimator})})
-
-
-def _phase_reference(scene: Scene) -> str:
-    """Return the definition of phase zero; the travel time from transducer to gate is accounted for."""
-    start = "the first toneburst's arrival at the gate" if scene.excitation else "the master trigger's edge"
-    return f"of sin(2 pi f t + phase), the motion at the gate, with t from {start}"

@@ -1,4 +1,4 @@
-"""Settings files as a whole: scene with the twin's ``[simulation]``, bench; their schemas, and files with every key."""
+"""Schemas and complete descriptions of settings files: scene with ``[simulation]``, bench, queue."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from hpe_rig.scene import (
     settings_schema,
 )
 
-SIMULATION = "What the twin simulates; read by the simulated bench alone. Without it the default muscle is measured."
+SIMULATION = "Settings of the twin, used on the simulated bench alone. Without them the default muscle is simulated."
 
 
 def json_schema(of: str, others: Mapping[str, Callable[[], dict[str, Any]]] | None = None) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file, the twin's settings, a queue's list or what --json prints.
+    """Return the JSON schema of a settings file or of an output of --json.
 
-    ``others`` are known besides. Raises ``SettingsError`` for one that is not known.
+    ``others`` are additional schemas by name. Raises ``SettingsError`` for an unknown name.
     """
     from hpe_rig.measurement import QueueList
     from hpe_rig.moduli import moduli_schema
@@ -49,16 +49,16 @@ def json_schema(of: str, others: Mapping[str, Callable[[], dict[str, Any]]] | No
 
 
 def settings_tables(of: str) -> list[DescribedTable]:
-    """Return every table and key of a ``"scene"``, a ``"bench"`` file or the scene's ``"simulation"``, described."""
+    """Return the descriptions of all tables and keys of a ``"scene"``, a ``"bench"`` file or ``"simulation"``."""
     if of == "simulation":
         return described(json_schema(of), ("simulation",), SIMULATION)
-    top, *rest = described(json_schema(of))
-    # A scene knows [simulation] as a table of the twin's own: `settings_tables("simulation")`.
-    kept = tuple(key for key in top.keys if key.name != "simulation")
-    return [dataclasses.replace(top, keys=kept), *rest]
+    top, *sections = described(json_schema(of))
+    # The keys of [simulation] belong to the twin: `settings_tables("simulation")` describes them.
+    keys = tuple(key for key in top.keys if key.name != "simulation")
+    return [dataclasses.replace(top, keys=keys), *sections]
 
 
 def full_text(of: str, text: str) -> str:
-    """Return the settings file ``text``, a ``"scene"`` or a ``"bench"``, with every other key in a comment."""
+    """Return the text of a ``"scene"`` or ``"bench"`` file with all its missing keys added as comments."""
     tables = settings_tables(of) + (settings_tables("simulation") if of == "scene" else [])
     return annotated(tables, parse_toml(text, of))

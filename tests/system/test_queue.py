@@ -20,7 +20,7 @@ import hpe_rig as hpe
 from hpe_rig.bench import BenchInUseError, hold, read_bench
 from hpe_rig.bench.lock import locked
 from hpe_rig.cli.app import app
-from hpe_rig.cli.watch import _asking
+from hpe_rig.cli.watch import _announce_moves, _ask_for_moves
 from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.measurement import (
     QUEUE_FILE,
@@ -171,7 +171,7 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
 
         yield observe, None
 
-    run_queue(folder, queue, QueueHooks(lambda text: None, watch))
+    run_queue(folder, queue, QueueHooks(lambda text: None, watch, process))
     assert [(state["status"], state["file"], state["shot"]) for state in seen] == [
         ("running", "01-scene-0.h5", 1),
         ("running", "02-scene-1.h5", 1),
@@ -204,7 +204,7 @@ def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten
             source.stop()
 
     with pytest.raises(StopRequested):
-        run_queue(folder, queue, QueueHooks(tell, told.watch))
+        run_queue(folder, queue, QueueHooks(tell, told.watch, process))
     assert [run.state for run in read_queue(folder)] == ["done", "stopped"]
     assert {name for name, _, _ in told.steps} == {"01-scene-0.h5"}
     ended, _ = run_queue(folder, read_queue(folder), Watcher().watching)
@@ -229,7 +229,7 @@ def test_the_page_of_a_queue_that_was_stopped_ends_once_no_run_follows(tmp_path:
 def test_a_failure_ends_the_queue_where_that_is_asked_for(tmp_path: Path) -> None:
     (path,) = scenes(tmp_path, 1)
     queue = new_queue([(str(path), absent_bench(tmp_path)), (str(path), None)], tmp_path / "queue")
-    ended, results = run_queue(tmp_path / "queue", queue, Watcher().watching, stops=True)
+    ended, results = run_queue(tmp_path / "queue", queue, Watcher().watching, stop_on_failure=True)
     assert [run.state for run in ended] == ["failed", "waiting"]
     assert results == {}
 
@@ -307,12 +307,12 @@ def test_a_pause_waits_before_a_shot_with_every_output_off(tmp_path: Path) -> No
 
 def test_at_a_place_enter_goes_on_and_yes_only_says_where_to(tmp_path: Path) -> None:
     path, said, keys = tmp_path / "run.h5", list[str](), iter(["\n", "x", "\n"])
-    _asking(path, "one", lambda: next(keys), said.append, yes=False, paged=False)(2.25e-3)
-    _asking(path, "one", None, said.append, yes=True, paged=False)(3e-3)
-    where = "move the tracking transducer to {} mm beside the push"
-    assert said[0] == f"{where.format(2.25)}; all outputs are off. Enter when it stands there"
+    _ask_for_moves(path, "one", lambda: next(keys), said.append, has_page=False)(2.25e-3)
+    _announce_moves(said.append)(3e-3)
+    where = "move the tracking transducer to a lateral offset of {} mm from the push"
+    assert said[0] == f"{where.format(2.25)}; all outputs are off. Enter after the movement"
     assert said[1] == where.format(3)
-    # The first Enter came before it was asked for.
+    # The first Enter was pressed before the request.
     assert next(keys, None) is None
     assert not list(tmp_path.iterdir())
 

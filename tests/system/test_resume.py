@@ -135,7 +135,7 @@ def test_resume_from_the_command_line_logs_and_stops_like_run(
 
     with monkeypatch.context() as patched:
         patched.setattr(Agilent33250A, "fire", fire_and_ask)
-        patched.setattr(live_stop, "LOOK_EVERY_S", 0.0)
+        patched.setattr(live_stop, "POLL_INTERVAL_S", 0.0)
         done = CliRunner().invoke(app, ["resume", str(path), "--verbose"])
     assert done.exit_code == 130, done.output
     assert "2 of 4 shots are complete" in done.output

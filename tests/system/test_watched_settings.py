@@ -95,7 +95,7 @@ def test_an_output_switched_off_by_another_program_is_found(
 def test_looking_at_the_instruments_during_a_shot_changes_no_record(
     prepared: Prepare, tmp_path: Path, undisturbed: StoredRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sequencer, "WATCH_S", 0.02)
+    monkeypatch.setattr(sequencer, "RECHECK_INTERVAL_S", 0.02)
     watched = read_run(record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "watched.h5"))
     for one, other in zip(watched.records, undisturbed.records, strict=True):
         assert (one.codes == other.codes).all()
@@ -104,7 +104,7 @@ def test_looking_at_the_instruments_during_a_shot_changes_no_record(
 def test_a_change_in_a_long_shot_ends_it_before_its_last_record(
     prepared: Prepare, tmp_path: Path, worlds: list[World], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sequencer, "WATCH_S", 0.02)
+    monkeypatch.setattr(sequencer, "RECHECK_INTERVAL_S", 0.02)
     meddler = another_program(worlds, "toneburst", "VOLT 2")
     with pytest.raises(InstrumentError, match="shot 1 is not to be trusted: toneburst"):
         record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5", meddler)

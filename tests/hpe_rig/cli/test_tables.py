@@ -104,7 +104,7 @@ def test_without_beams_the_tracked_values_stand_alone_and_the_legend_says_so(
     lines = printed(capsys, replace(SHOT, estimates=(bare,), complete=False))
     assert not any("peak" in line for line in lines if line.startswith(("   f", "  Hz")))
     assert any("INCOMPLETE" in line for line in lines)
-    assert any("no [beams]" in line for line in lines)
+    assert any("without [beams]" in line for line in lines)
     assert any("(as tracked" in line for line in lines)
 
 

@@ -1,4 +1,4 @@
-"""Text fits the terminal, progress reaches a file, and what ends a program early is said plainly."""
+"""Text fits the terminal, progress is reported without a terminal, and an early interrupt ends with one line."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli import terminal
 from hpe_rig.cli.app import app
-from hpe_rig.cli.terminal import in_words, told, wrapped
+from hpe_rig.cli.terminal import duration_text, progress_reporter, wrapped
 from hpe_rig.scene import engineering
 
 ROOT = Path(__file__).parents[3]
 
 
-def test_a_long_line_is_broken_between_words_and_stands_in_by_its_own_text() -> None:
+def test_a_long_line_is_wrapped_and_indented_like_its_text() -> None:
     broken = wrapped("  WARNING aliasing: " + "word " * 20, 40).splitlines()
     assert len(broken) > 2
     assert max(map(len, broken)) <= 40
@@ -33,12 +33,12 @@ def test_an_address_is_never_broken() -> None:
     assert address in wrapped(f"live page: {address}", 60)
 
 
-def test_text_for_a_file_is_left_as_it_is() -> None:
+def test_text_for_a_file_is_not_wrapped() -> None:
     assert wrapped("word " * 100, None) == "word " * 100
 
 
 @pytest.mark.parametrize(
-    ("value", "unit", "said"),
+    ("value", "unit", "text"),
     [
         (9e6, "Hz", "9 MHz"),
         (3990.0, "Hz", "3990 Hz"),
@@ -50,34 +50,34 @@ def test_text_for_a_file_is_left_as_it_is() -> None:
         (1.5e8, "B", "150 MB"),
     ],
 )
-def test_numbers_are_in_engineering_notation(value: float, unit: str, said: str) -> None:
-    assert engineering(value, unit) == said
+def test_numbers_are_in_engineering_notation(value: float, unit: str, text: str) -> None:
+    assert engineering(value, unit) == text
 
 
-def test_progress_is_told_in_lines_where_there_is_no_terminal(
+def test_progress_is_reported_in_lines_without_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = 0.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now_s)
-    with told("cases") as tell:
+    with progress_reporter("cases") as report:
         for done in range(1, 101):
             now_s = float(done)
-            tell(done, 100, "")
+            report(done, 100, "")
     lines = capsys.readouterr().err.splitlines()
-    # It began at 0 s and does a case a second.
+    # It begins at 0 s with one case per second.
     assert lines[0] == "cases: 10 of 100, about 2 min left"
     assert len(lines) == 9
 
 
-def test_a_quiet_command_tells_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(terminal, "EVERY_S", 0.0)
-    with told("cases", quiet=True) as tell:
-        tell(5, 10, "")
+def test_a_quiet_command_reports_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "REPORT_INTERVAL_S", 0.0)
+    with progress_reporter("cases", quiet=True) as report:
+        report(5, 10, "")
     assert capsys.readouterr().err == ""
 
 
-def test_durations_are_said_as_people_say_them() -> None:
-    assert [in_words(duration_s) for duration_s in (40.2, 200.0, 7200.0)] == ["40 s", "3 min", "2.0 h"]
+def test_durations_have_a_convenient_unit() -> None:
+    assert [duration_text(duration_s) for duration_s in (40.2, 200.0, 7200.0)] == ["40 s", "3 min", "2.0 h"]
 
 
 def test_check_leads_with_its_verdict_and_lists_what_passed_when_asked() -> None:
@@ -119,8 +119,8 @@ def test_every_package_logs_under_its_own_name(caplog: pytest.LogCaptureFixture,
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to one process")
-def test_an_interrupt_while_the_program_loads_is_said_plainly() -> None:
-    # As soon as the entry has begun, and before anything else is loaded.
+def test_an_interrupt_while_the_program_loads_ends_with_one_line() -> None:
+    # The interrupt comes after the entry point has begun and before other modules are loaded.
     code = "import os, signal; from hpe_rig.cli import entry; import sys\n"
     code += "sys.meta_path.insert(0, type('Hook', (), {'find_spec': staticmethod(lambda name, *_: "
     code += "os.kill(os.getpid(), signal.SIGINT) if name == 'typer' else None)}))\nentry.main()"
@@ -130,8 +130,10 @@ def test_an_interrupt_while_the_program_loads_is_said_plainly() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to one process")
-def test_an_interrupt_while_the_package_itself_loads_is_said_plainly_by_the_program_alone(tmp_path: Path) -> None:
-    # The first package of others that hpe_rig loads interrupts; the folder's own stands before the installed one.
+def test_an_interrupt_while_the_package_loads_ends_the_program_with_one_line_and_raises_in_other_processes(
+    tmp_path: Path,
+) -> None:
+    # lazy_loader is the first package that hpe_rig loads. The one in this folder interrupts, and is found first.
     (tmp_path / "lazy_loader.py").write_text(
         "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(1)\n"
     )

@@ -21,7 +21,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from hpe_rig.cli.app import app
-from hpe_rig.cli.watch import PageOptions, watched
+from hpe_rig.cli.options import WatchOptions
+from hpe_rig.cli.watch import supervise
 from hpe_rig.live import server
 from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
 from hpe_rig.live.history import TimeLeft
@@ -276,7 +277,7 @@ def test_the_page_stays_after_a_run_until_it_is_closed_and_the_address_serves_to
             time.sleep(0.05)
 
     closer = threading.Thread(target=close_it, daemon=True)
-    with watched(prepare("table-1"), run_file, read_run(run_file).run_id, PageOptions(), False, said.append):
+    with supervise(prepare("table-1"), run_file, read_run(run_file).run_id, WatchOptions(live=True), said.append):
         closer.start()
     closer.join(10)
     assert not closer.is_alive()
@@ -532,10 +533,11 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
     code = (
         "import sys\nfrom pathlib import Path\nfrom hpe_rig.measurement import record_run, prepare\n"
         "from hpe_rig.cli.app import app\n"
-        "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
+        "from hpe_rig.cli.options import WatchOptions\nfrom hpe_rig.cli.watch import supervise\n"
+        "setup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"
-        "with watched(setup, path, '', None, False, print) as watching:\n"
-        "    record_run(setup, path, watching.observed(lambda progress: None))\n"
+        "with supervise(setup, path, '', WatchOptions(), print) as supervision:\n"
+        "    record_run(setup, path, supervision.observed(lambda progress: None))\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

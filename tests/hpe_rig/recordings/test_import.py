@@ -20,9 +20,10 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.measurement import prepare_rest
-from hpe_rig.recordings import chosen_lines, matlab
-from hpe_rig.result import shown_shot
+from hpe_rig.measurement import prepare_resumption
+from hpe_rig.recordings import matlab
+from hpe_rig.recordings.lines import select_lines
+from hpe_rig.result import main_shot
 from hpe_rig.runs import import_recording
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import StoreError, verify
@@ -191,13 +192,13 @@ def test_an_imported_run_is_whole_says_where_it_comes_from_and_is_not_resumed(sc
     path = tmp_path / "rf.npz"
     npz(tmp_path / "rf")
     made = import_recording(path, scene, tmp_path / "run.h5")
-    assert any("carrier_hz = 5e+06, by 'fc' of the file" in text for text in made.inferred)
+    assert any("carrier_hz = 5e+06, from 'fc' of the file" in text for text in made.inferred)
     assert verify(made.path).as_dict()["sound"]
     result = hpe.open_run(made.path).estimate()
     assert result.origin.startswith("IMPORTED from rf.npz, SHA-256 ")
     assert str(result.as_dict()["imported"]) in result.origin
-    with pytest.raises(StoreError, match=r"imported from rf\.npz: no instrument can go on"):
-        prepare_rest(made.path)
+    with pytest.raises(StoreError, match=r"imported from rf\.npz: no instrument can continue it"):
+        prepare_resumption(made.path)
 
 
 def test_an_imported_run_is_swept_over_what_is_made_of_its_records(scene: Path) -> None:
@@ -263,7 +264,7 @@ def test_options_of_a_sweep_that_would_say_nothing_are_refused(scene: Path) -> N
         ({"pulse_rate_hz": [1e3], "carrier_hz": [1e6]}, r"(?s)2 mistakes.*pulse_rate_hz.*carrier_hz.*hpe-rig run"),
         ({"gate_depth_m": [1.2e-3, 20e-3]}, "a gate leaves the records, which go from 0 to 2.464 mm"),
         ({"background_order": [-3]}, "background_order"),
-        ({"gate_profile_step_m": [1e-3]}, "no depth profile is made"),
+        ({"gate_profile_step_m": [1e-3]}, "a sweep has no depth profile"),
         ({"gate_length_m": []}, "gate_length_m"),
     ],
 )
@@ -327,13 +328,13 @@ def test_the_report_of_a_stored_runs_sweep_follows_its_axes(scene: Path) -> None
         html.count('<th scope="col">acquisition.gate_length_m</th><th scope="col">processing.background_order</th>')
         == 1
     )
-    shown = shown_shot(hpe.open_run(path).sweep({"gate_length_m": [0.6e-3, 0.8e-3, 1e-3], "background_order": [0, 1]}))
+    shown = main_shot(hpe.open_run(path).sweep({"gate_length_m": [0.6e-3, 0.8e-3, 1e-3], "background_order": [0, 1]}))
     length_mm = shown.swept["acquisition.gate_length_m"] * 1e3
     assert f"{length_mm:g} mm at 1.2 mm depth" in html
     assert f"acquisition.gate_length_m = {length_mm * 1e-3:g}." in html
     assert list(path.parent.glob("run.*.h5")) == []
     wrong = CliRunner().invoke(app, ["report", str(path), "--together", "--sweep", "pulse_rate_hz=1e3,2e3"])
-    assert (wrong.exit_code, "the records are there" in " ".join(wrong.output.split())) == (2, True)
+    assert (wrong.exit_code, "the records hold one value" in " ".join(wrong.output.split())) == (2, True)
     alone = CliRunner().invoke(app, ["report", str(path), "--together"])
     assert (alone.exit_code, "no --sweep is given" in alone.output) == (2, True)
 
@@ -371,7 +372,7 @@ def test_records_that_are_not_finite_may_count_as_missing(scene: Path) -> None:
 
 @pytest.mark.parametrize("text", ["", "0", "4", "3-1", "1-9", "x", "mean:7", "1,2", "-1", "1-"])
 def test_lines_that_are_not_there_are_a_mistake(text: str) -> None:
-    assert isinstance(chosen_lines(text, 3), Mistake)
+    assert isinstance(select_lines(text, 3), Mistake)
 
 
 GOOD: Mapping[str, Any] = RATES | {"axes": "pulse,sample"}
@@ -414,7 +415,7 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "iq of three": ("a.npy", RF[0][..., :3, None].repeat(3, -1), {**GOOD, "axes": "pulse,sample,iq"}, "length of 3"),
     "one pulse": ("a.npy", RF[0, :1], GOOD, "no array of numbers with two axes"),
     "seven samples": ("a.npy", RF[0, :, :7], GOOD, "40 pulses of 7 samples"),
-    "three pulses": ("a.npy", RF[0, :3], GOOD, "cannot show a vibration"),
+    "three pulses": ("a.npy", RF[0, :3], GOOD, "do not determine a vibration"),
     "nan": ("a.npy", _with((3, 7), np.nan), GOOD, "1 of 40 records hold values that are not finite"),
     "infinite": ("a.npy", _with(slice(None), np.inf), GOOD, "40 of 40 records"),
     "constant": ("a.npy", np.ones((PULSES, SAMPLES)), GOOD, "hold the same value everywhere"),
@@ -437,14 +438,19 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
         {**_without("pulse_rate_hz"), "pulse_time_s": (TIME_S - 1).tolist()},
         "seconds from 0 on",
     ),
-    "times and rate": ("a.npy", RF[0], {**GOOD, "pulse_time_s": TIME_S.tolist()}, "say the same"),
-    "samples outside": ("a.npy", RF[0], {**GOOD, "samples": [0, 999]}, "reach over the 160 samples"),
+    "times and rate": ("a.npy", RF[0], {**GOOD, "pulse_time_s": TIME_S.tolist()}, "exclude each other"),
+    "samples outside": ("a.npy", RF[0], {**GOOD, "samples": [0, 999]}, "exceeds the 160 samples"),
     "samples backwards": ("a.npy", RF[0], {**GOOD, "samples": [90, 10]}, "ends before it begins"),
     "depth alone": ("a.npy", RF[0], {**GOOD, "first_sample_depth_m": 1e-3}, "a depth needs a sound speed"),
     "gate outside": ("a.npy", RF[0], {**GOOD, "first_sample_s": 1e-4}, "the gate takes samples"),
     "line outside": ("a.npy", RF[0], {**GOOD, "lines": "2"}, "not within the 1 lines"),
-    "no line chosen": ("a.npy", RF, {**GOOD, "axes": "line,pulse,sample"}, "3 lines and none is chosen"),
-    "places unknown": ("a.npy", RF, {**GOOD, "axes": "line,pulse,sample", "lines": "all"}, "nobody says where"),
+    "no line chosen": ("a.npy", RF, {**GOOD, "axes": "line,pulse,sample"}, "3 lines and none is selected"),
+    "positions unknown": (
+        "a.npy",
+        RF,
+        {**GOOD, "axes": "line,pulse,sample", "lines": "all"},
+        "their positions are not stated",
+    ),
     "positions few": (
         "a.npy",
         RF,
@@ -461,14 +467,14 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "mat of another type": ("a.mat", mat_of_another_type(), GOOD, "MATLAB file"),
     "empty mat": ("a.mat", {"mat": {"x": np.array(2.0)}}, GOOD, "no array of numbers"),
     "text as hdf5": ("a.h5", b"\x89HDF\r\n\x1a\n" + b"0" * 100, GOOD, "no readable HDF5 file"),
-    "csv of words": ("a.csv", b"1,2,3\n4,five,6\n", GOOD, "line 2 holds something else"),
+    "csv of words": ("a.csv", b"1,2,3\n4,five,6\n", GOOD, "line 2 has values that are not numbers"),
     "ragged csv": ("a.csv", b"1,2,3\n4,5\n", GOOD, "line 2 has 2 values"),
     "csv of comments": ("a.csv", b"# nothing\n", GOOD, "no line of numbers"),
     "csv of bytes": ("a.csv", b"\xff\xfe\x00", GOOD, "no UTF-8 text"),
-    "raw unsaid": ("a.raw", b"1234", GOOD, "dtype and shape is not stated"),
+    "raw unsaid": ("a.raw", b"1234", GOOD, "needs dtype and shape"),
     "raw too short": ("a.raw", b"1234", {**GOOD, "dtype": "int16", "shape": [40, 160]}, "it has 4 bytes"),
     "raw of no type": ("a.raw", b"1234", {**GOOD, "dtype": "int12", "shape": [2, 1]}, "not one of the choices"),
-    "alazar unsaid": ("a.alz", b"1234", GOOD, "board and record_samples is not stated"),
+    "alazar unsaid": ("a.alz", b"1234", GOOD, "does not state board and record_samples"),
     "alazar cut": ("a.alz", b"1234", {**GOOD, **BOARD}, "no whole records"),
     "alazar other board": ("a.alz", b"1234", {**GOOD, **BOARD, "board": "ATS1"}, "not one of the choices"),
     "alazar channel B": ("a.alz", bytes(320 * 40), {**GOOD, **BOARD, "channel": "B"}, "channels = 2"),
@@ -479,17 +485,17 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
         "the input range is not stated",
     ),
     "alazar buffers": ("a.alz", bytes(320 * 40), {**GOOD, **BOARD, "records_per_buffer": 7}, "no whole buffers"),
-    "no ending": ("a", b"12345678", GOOD, "tells no format"),
-    "unknown ending": ("a.xyz", b"12345678", GOOD, "the ending .xyz tells no format"),
+    "no ending": ("a", b"12345678", GOOD, "a file without suffix implies no format"),
+    "unknown ending": ("a.xyz", b"12345678", GOOD, "the suffix .xyz implies no format"),
     "unknown format": ("a.npy", RF[0], {**GOOD, "format": "npyy"}, "did you mean npy"),
     "absent": ("b.npy", None, GOOD, "does not exist"),
 }
 
 
 def test_a_matlab_file_whose_reading_never_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matlab, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(matlab, "TIMEOUT_S", 0.0)
     (tmp_path / "a.mat").write_bytes(mat_of_another_type())
-    with pytest.raises(ValueError, match=r"no end of it within 0 s\): save it anew"):
+    with pytest.raises(ValueError, match=r"not read within 0 s\): save it anew"):
         matlab.matlab_to_npz(tmp_path / "a.mat", tmp_path / "a.npz")
 
 

@@ -24,7 +24,7 @@ import xarray as xr
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import uninterrupted
-from hpe_rig.cli.app import resume, run
+from hpe_rig.cli.measuring import resume, run
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.result import headline_sentence, symbols

@@ -1,0 +1,68 @@
+"""Commands on benches: ``bench``, ``emulate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hpe_rig.cli.console import EXIT_INSTRUMENT, guarded
+from hpe_rig.cli.options import BenchPath, SceneName
+
+benches = typer.Typer()
+
+
+@benches.command("bench")
+@guarded
+def bench_command(
+    bench: Annotated[
+        Path | None, typer.Argument(metavar="BENCH", help="Bench file or run file. Default: the simulated bench.")
+    ] = None,
+    compare: Annotated[Path | None, typer.Option(help="Run file. Print how its bench differs from this one.")] = None,
+    self_test: Annotated[
+        bool, typer.Option("--self-test", help="Also run each generator's self-test, outputs off.")
+    ] = False,
+    off: Annotated[
+        bool,
+        typer.Option(
+            "--off", help="Only switch every output off and verify it, even if another program uses the bench."
+        ),
+    ] = False,
+    wide: Annotated[bool, typer.Option("--wide", help="Print every column.")] = False,
+) -> None:
+    """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
+    from hpe_rig.cli.bench import bench_state, compare_with, print_report, switch_all_off
+    from hpe_rig.scene import Mistake, SettingsError
+
+    is_run_file = bench is not None and bench.suffix == ".h5"
+    if off:
+        if compare is not None or self_test or is_run_file:
+            what = "it only switches the instruments of a bench file off"
+            raise SettingsError("--off", [Mistake("", what, "hpe-rig bench BENCH.toml --off")])
+        raise typer.Exit(switch_all_off(bench))
+    if bench is not None and is_run_file and (self_test or compare is None):
+        what = "a run file records a bench but gives no access to its instruments"
+        raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
+    state = bench_state(bench, self_test)
+    if state.report is not None:
+        print_report(state.report, wide)
+    if compare is not None:
+        typer.echo(compare_with(compare, state))
+    if state.report is not None and not state.report.complete:
+        raise typer.Exit(EXIT_INSTRUMENT)
+
+
+@benches.command()
+@guarded
+def emulate(
+    scene: SceneName = "bovine-muscle",
+    bench: BenchPath = None,
+    transport: Annotated[str, typer.Option(help="One of socket, serial, hislip, vxi11, prologix.")] = "socket",
+) -> None:
+    """Serve the simulated generators to any VISA program. On loopback; prints the bench file; stop with Ctrl-C."""
+    from hpe_rig.bench import emulate as serve
+    from hpe_rig.measurement import prepare
+
+    setup = prepare(scene, bench, refuse=False)
+    serve(setup.scene.scene, setup.bench, transport, typer.echo)

@@ -1,0 +1,186 @@
+"""Commands that measure: ``run``, ``resume``, ``queue``, ``live``, ``align``."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hpe_rig.cli.console import announce, guarded, progress, show
+from hpe_rig.cli.options import (
+    BenchPath,
+    Compress,
+    Open,
+    Overwrite,
+    Port,
+    ResultOptions,
+    RunFile,
+    SceneName,
+    WatchOptions,
+    check_file_name,
+)
+from hpe_rig.result import Stages
+
+measuring = typer.Typer()
+
+
+@measuring.command()
+@guarded
+def run(
+    scene: SceneName,
+    result: ResultOptions,
+    watch: WatchOptions,
+    bench: BenchPath = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            callback=check_file_name, help="Run file. Default: SCENE.h5 in this folder, numbered if it exists."
+        ),
+    ] = None,
+    compress: Compress = False,
+    overwrite: Overwrite = False,
+    report: Annotated[bool, typer.Option("--report", help="Write the report too, as hpe-rig report does.")] = False,
+) -> None:
+    """Measure a scene, from the plan to the printed result. SCENE may be a run file: its scene is measured again."""
+    stages = Stages()
+    with stages("load"):
+        from hpe_rig.cli.watch import supervise
+        from hpe_rig.measurement import prepare, provenance_now, record_run
+        from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
+        from hpe_rig.runs import chosen_estimator, process
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
+
+    setup = prepare(scene, bench, stages)
+    estimator = chosen_estimator(result.estimator, setup.scene.scene)
+    path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
+    refuse_unwritable(result_path(path, estimator))
+    options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
+    quiet = result.json or result.csv
+    with supervise(setup, path, run_id, watch, announce) as supervision:
+        with progress(setup, quiet) as observer:
+            record_run(setup, path, supervision.observed(observer), stages, options, move=supervision.move)
+        show(process(path, result.estimator, stages), result)
+        if report:
+            from hpe_rig.report import write_report
+
+            announce(f"{write_report(path, result.estimator)}: open it in any browser")
+        elif not quiet:
+            announce(f"figures: hpe-rig report {path}")
+
+
+@measuring.command()
+@guarded
+def resume(
+    run_file: RunFile,
+    result: ResultOptions,
+    watch: WatchOptions,
+    scene: Annotated[
+        str | None, typer.Option(help="Scene that must equal the run's. Default: the scene in the run file.")
+    ] = None,
+    bench: BenchPath = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=check_file_name, help="New run file. Default: beside the old one, numbered."),
+    ] = None,
+    compress: Compress = False,
+) -> None:
+    """Continue a stopped run. Its complete shots are copied to a new file, and the other shots are measured."""
+    stages = Stages()
+    with stages("load"):
+        from hpe_rig.cli.watch import supervise
+        from hpe_rig.measurement import prepare_resumption, provenance_now, resume as resume_run
+        from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
+        from hpe_rig.runs import chosen_estimator, process
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
+
+    resumption = prepare_resumption(run_file, scene, bench, stages)
+    setup = resumption.setup
+    estimator = chosen_estimator(result.estimator, setup.scene.scene)
+    announce(f"{resumption.complete} of {len(setup.plan.shots)} shots are complete")
+    path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
+    refuse_unwritable(result_path(path, estimator))
+    options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(setup.bench.bench))
+    with supervise(setup, path, run_id, watch, announce) as supervision:
+        with progress(setup, quiet=result.json or result.csv) as observer:
+            resume_run(resumption, path, supervision.observed(observer), stages, options, move=supervision.move)
+        show(process(path, result.estimator, stages), result)
+
+
+@measuring.command()
+@guarded
+def queue(
+    watch: WatchOptions,
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCENE ...", help="Scenes or run files in order, or one TOML list: [[run]]."),
+    ] = None,
+    bench: BenchPath = None,
+    output: Annotated[Path | None, typer.Option(help="New folder for the run files. Default: queue, numbered.")] = None,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Continue the queue in FOLDER that was stopped or failed.")
+    ] = None,
+    stop_on_failure: Annotated[
+        bool, typer.Option("--stop-on-failure", help="A failed run ends the queue. Default: the others follow.")
+    ] = False,
+) -> None:
+    """Measure several scenes one after another. All are checked first; p pauses between two shots, Ctrl-C stops."""
+    from hpe_rig.cli.queue import continue_queue, measure_queue, start_queue
+
+    if resume is None:
+        folder, runs, stop = start_queue(scenes or (), bench, output)
+    else:
+        folder, runs, stop = continue_queue(resume, is_alone=not (scenes or bench or output))
+    raise typer.Exit(measure_queue(folder, runs, stop or stop_on_failure, watch))
+
+
+@measuring.command()
+@guarded
+def live(
+    run_file: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5, or the folder of a queue.")
+    ],
+    port: Port = 0,
+    open: Open = False,
+    attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
+) -> None:
+    """Serve the live page of a run or queue, running or ended. On this machine only; ends with Ctrl-C or Close page."""
+    from hpe_rig.store import extra
+
+    with extra("live"):
+        from hpe_rig.live import serve_run
+
+    serve_run(run_file, port, attached, open)
+
+
+@measuring.command()
+@guarded
+def align(
+    scene: SceneName,
+    bench: BenchPath = None,
+    band: Annotated[
+        str, typer.Option(metavar="LOW:HIGH", help="Wanted level of the echo, in percent of full scale.")
+    ] = "10:80",
+    port: Port = 0,
+    open: Open = False,
+) -> None:
+    """Align the focus on a live page, without excitation. Single tracking shots are repeated until stopped."""
+    from hpe_rig.measurement import prepare
+    from hpe_rig.store import extra
+
+    with extra("live"):
+        from hpe_rig.live import align as align_focus, band_percent, without_pushing
+
+    band_limits = band_percent(band)
+    setup = without_pushing(prepare(scene, bench, refuse=False))
+    shots = align_focus(setup, port, partial(_announce_page, open), band_limits)
+    typer.echo(f"stopped after {shots} single shots; all outputs verified off")
+
+
+def _announce_page(open: bool, address: str) -> None:
+    from hpe_rig.live import open_page
+
+    announce(f"live page: {address}")
+    if open and not open_page(address):
+        announce("no browser can be opened here: open the address yourself")

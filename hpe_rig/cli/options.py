@@ -1,0 +1,156 @@
+"""Arguments and options that several commands share.
+
+A command that takes one of the dataclasses below has one option for each of its fields: ``expand_option_groups``
+replaces the parameter in the signature, which typer reads, and combines the values again at a call.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+
+def check_file_name(path: Path | None) -> Path | None:
+    """Return ``path``; refuse a path without a name, such as the empty text of an unset variable."""
+    if path is not None and not path.name:
+        raise typer.BadParameter("no file is named; give a name such as run.h5, or leave the option out")
+    return path
+
+
+def complete_scene(incomplete: str) -> list[str]:
+    """Return the shipped scenes and the TOML files of this folder with names that begin with ``incomplete``."""
+    from hpe_rig.scene import shipped_scenes
+
+    names = [*shipped_scenes(), *(path.name for path in sorted(Path().glob("*.toml")))]
+    return [name for name in names if name.startswith(incomplete)]
+
+
+SceneName = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="Name of a shipped scene, or a TOML file.", autocompletion=complete_scene),
+]
+BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file. Default: the simulated bench.")]
+RunFile = Annotated[Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")]
+ProfileStep = Annotated[
+    str | None,
+    typer.Option("--gate-profile-step", help="Add gates over depth with this step, such as 0.5mm."),
+]
+Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
+Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
+
+
+@dataclass(frozen=True, slots=True)
+class ResultOptions:
+    """Estimator and format of the printed result."""
+
+    estimator: Estimator = None
+    json: Json = False
+    csv: Annotated[
+        bool, typer.Option("--csv", help="Print CSV instead of a table, one row per shot and frequency.")
+    ] = False
+    wide: Annotated[bool, typer.Option("--wide", help="Print every column, and a table for every shot.")] = False
+
+
+@dataclass(frozen=True, slots=True)
+class WatchOptions:
+    """Log, confirmations and live page of a run."""
+
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Do not ask for confirmation that the transducer has been moved.")
+    ] = False
+    live: Annotated[
+        bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")
+    ] = False
+    port: Port = 0
+    open: Open = False
+    close: Annotated[
+        bool, typer.Option("--close", help="Close the live page with the run. Default: it stays until closed.")
+    ] = False
+    verbose: Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")] = False
+
+    @property
+    def has_page(self) -> bool:
+        """Whether a live page is served: each of its options implies it."""
+        return self.live or self.port > 0 or self.open or self.close
+
+
+@dataclass(frozen=True, slots=True)
+class SweepOptions:
+    """Processing of a stored run at several values, or at gates over depth."""
+
+    gate_profile_step: ProfileStep = None
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=V,V",
+            help="Estimate at each value of a number of [processing], [beams] or the gate. Writes no result file.",
+        ),
+    ] = None
+    together: Annotated[
+        bool, typer.Option("--together", help="Several --sweep: combine their first values, their second ones, ...")
+    ] = False
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingOptions:
+    """Settings of a recording of another program."""
+
+    lines: Annotated[
+        str | None, typer.Option(help="Of several lines: 12, 10-20 or all, one result each, or mean, mean:10-20.")
+    ] = None
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", "-s", metavar="KEY=VALUE", help="Of the recording, such as axes=line,pulse,sample; repeatable."
+        ),
+    ] = None
+    sidecar: Annotated[
+        Path | None, typer.Option(help="TOML file about the recording. Default: RECORDING.toml, if any.")
+    ] = None
+
+
+def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return ``command`` with every parameter that is a dataclass replaced by one parameter for each field."""
+    hints = get_type_hints(command, include_extras=True)
+    parameters, groups = list[inspect.Parameter](), dict[str, Any]()
+    for parameter in inspect.signature(command).parameters.values():
+        kind = hints.get(parameter.name)
+        if is_dataclass(kind):
+            groups[parameter.name] = kind
+            parameters += _field_parameters(kind)
+        else:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
+
+    @functools.wraps(command)
+    def expanded(**values: Any) -> None:
+        for name, kind in groups.items():
+            values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+        command(**values)
+
+    signature: Any = expanded
+    signature.__signature__ = inspect.Signature(parameters)
+    expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return expanded
+
+
+def _field_parameters(kind: Any) -> list[inspect.Parameter]:
+    hints = get_type_hints(kind, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(kind)
+    ]

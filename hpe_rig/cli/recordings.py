@@ -1,0 +1,76 @@
+"""Commands on recordings of other programs: ``import``, ``map``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hpe_rig.cli.console import guarded
+from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions
+
+recordings = typer.Typer()
+
+RecordingFile = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="NPY, NPZ, MATLAB, HDF5, CSV, raw or AlazarTech file of echoes.")
+]
+RecordedScene = Annotated[
+    str, typer.Option(help="Scene: gate, frequencies, beams. The recording replaces its rates and counts.")
+]
+
+
+@recordings.command("import")
+@guarded
+def import_command(
+    recording: RecordingFile,
+    scene: RecordedScene,
+    settings: RecordingOptions,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Run file. Default: RECORDING.h5 in this folder, numbered.")
+    ] = None,
+    compress: Compress = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a run file of echoes that another program recorded. Prints what is inferred."""
+    from hpe_rig.runs import import_recording
+    from hpe_rig.store import WriteOptions
+
+    options = WriteOptions(compress, overwrite)
+    imported = import_recording(recording, scene, output, settings.sidecar, _parsed(settings), options)
+    for text in imported.inferred:
+        typer.echo(text)
+    path = imported.path
+    typer.echo(f"{path}: hpe-rig process {path} estimates it, hpe-rig report {path} shows it")
+
+
+@recordings.command("map")
+@guarded
+def map_command(
+    recording: RecordingFile,
+    scene: RecordedScene,
+    settings: RecordingOptions,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="NetCDF file of the map (needs the extra 'frames').")
+    ] = None,
+    figure: Annotated[Path | None, typer.Option(help="Figure of the map, .png, .svg or .pdf.")] = None,
+) -> None:
+    """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
+    from hpe_rig.cli.stored import write_map
+    from hpe_rig.cli.terminal import progress_reporter
+    from hpe_rig.runs import map_recording
+
+    with progress_reporter("lines") as report:
+        motion_map, inferred = map_recording(
+            recording, scene, settings.sidecar, _parsed(settings), lambda done, total: report(done, total, "")
+        )
+    for text in (*inferred, str(motion_map)):
+        typer.echo(text)
+    write_map(motion_map, output, figure)
+
+
+def _parsed(options: RecordingOptions) -> dict[str, Any]:
+    """Return the settings of --set and --lines."""
+    from hpe_rig.recordings import parse_options
+
+    return parse_options(options.setting or []) | ({} if options.lines is None else {"lines": options.lines})

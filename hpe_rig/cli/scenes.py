@@ -1,0 +1,114 @@
+"""Commands on scenes and other settings: ``check``, ``scenes``, ``new``, ``schema``, ``extensions``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hpe_rig.cli.console import EXIT_MISTAKE, announce, guarded, print_json
+from hpe_rig.cli.options import BenchPath, SceneName
+
+scene_commands = typer.Typer()
+
+
+@scene_commands.command()
+@guarded
+def check(
+    scene: SceneName,
+    bench: BenchPath = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="Wanted uncertainty, such as 20nm. Print the pulse count, pulse rate or SNR that reaches it."
+        ),
+    ] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", help="List the checks that passed as well.")] = False,
+) -> None:
+    """Say whether a scene can be measured, with timeline, conflicts and expected errors. No instrument is opened."""
+    from hpe_rig.cli.terminal import terminal_columns, wrapped
+    from hpe_rig.runs import check as check_scene
+
+    checked = check_scene(scene, bench, target)
+    columns = terminal_columns()
+    typer.echo(wrapped(checked.in_words(columns, verbose), columns))
+    if checked.refused:
+        raise typer.Exit(EXIT_MISTAKE)
+
+
+@scene_commands.command()
+@guarded
+def scenes() -> None:
+    """List the shipped scenes."""
+    from hpe_rig.scene import parse_scene, shipped_scenes
+
+    for name, text in shipped_scenes().items():
+        typer.echo(f"{name:26} {parse_scene(name, text).scene.title}")
+
+
+@scene_commands.command()
+@guarded
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
+    like: Annotated[
+        str, typer.Option(help="Scene or run file to copy, or 'bench' for a bench file.")
+    ] = "bovine-muscle",
+    full: Annotated[
+        bool, typer.Option("--full", help="Add every other key in a comment: meaning, unit, bounds, default.")
+    ] = False,
+) -> None:
+    """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
+    from hpe_rig.bench import read_bench, with_title
+    from hpe_rig.measurement import source_text
+
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    is_bench = like == "bench"
+    text = with_title(read_bench().text, f"Bench {path.stem}") if is_bench else source_text(like)[1]
+    if full:
+        from hpe_rig.runs import full_text
+
+        text = full_text("bench" if is_bench else "scene", text)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        announce(f"hpe-rig: {path} already exists and is not overwritten. Try: another name.")
+        raise typer.Exit(EXIT_MISTAKE) from None
+    except (OSError, ValueError) as error:
+        # An impossible file name raises ValueError.
+        why = getattr(error, "strerror", None) or error
+        announce(f"hpe-rig: {path} cannot be written ({why}). Try: another folder.")
+        raise typer.Exit(EXIT_MISTAKE) from None
+    next_step = f"pass --bench {path}" if is_bench else f"run hpe-rig check {path}"
+    typer.echo(f"{path}: edit it, then {next_step}")
+
+
+@scene_commands.command()
+@guarded
+def schema(
+    of: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify, moduli, compare."
+        ),
+    ] = "scene",
+) -> None:
+    """Print the JSON schema of a settings file, for use in editors, or of the output of --json."""
+    from hpe_rig.report import comparison_schema
+    from hpe_rig.runs import json_schema
+
+    print_json(json_schema(of, {"compare": comparison_schema}))
+
+
+@scene_commands.command()
+@guarded
+def extensions() -> None:
+    """List the estimators, media and importers of other packages. Each is loaded and checked."""
+    from hpe_rig.cli.listing import extension_lines
+
+    lines, all_load = extension_lines()
+    for line in lines:
+        typer.echo(line)
+    if not all_load:
+        raise typer.Exit(EXIT_MISTAKE)

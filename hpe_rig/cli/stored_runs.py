@@ -1,0 +1,176 @@
+"""Commands on stored runs: ``process``, ``report``, ``compare``, ``moduli``, ``verify``, ``list``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, guarded, show
+from hpe_rig.cli.options import (
+    Estimator,
+    Json,
+    ProfileStep,
+    ResultOptions,
+    RunFile,
+    SweepOptions,
+    check_file_name,
+)
+from hpe_rig.result import Stages
+
+MAX_STEP_M = 0.1
+
+stored_runs = typer.Typer()
+
+
+@stored_runs.command()
+@guarded
+def process(run_file: RunFile, result: ResultOptions, points: SweepOptions) -> None:
+    """Estimate again from a stored run. The result is printed and written beside the run file."""
+    from hpe_rig.runs import estimate_points, open_run, points_over, process as process_run
+    from hpe_rig.scene import parse_axes
+
+    _refuse_conflicts(points)
+    if points.sweep:
+        run_points = points_over(open_run(run_file), parse_axes(points.sweep), points.together)
+        estimates = estimate_points(run_points, result.estimator)
+    else:
+        estimates = process_run(run_file, result.estimator, Stages(), _step_m(points.gate_profile_step))
+    show(estimates, result)
+
+
+@stored_runs.command()
+@guarded
+def report(
+    run_file: RunFile,
+    points: SweepOptions,
+    estimator: Estimator = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=check_file_name, help="HTML file. Default: RUN.html beside the run file."),
+    ] = None,
+    shot: Annotated[
+        int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
+    ] = None,
+) -> None:
+    """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
+    from hpe_rig.report import StoredAxes, write_report
+    from hpe_rig.scene import parse_axes
+
+    _refuse_conflicts(points)
+    axes = StoredAxes(parse_axes(points.sweep), points.together) if points.sweep else None
+    page = write_report(run_file, estimator, output, shot, _step_m(points.gate_profile_step), axes)
+    typer.echo(f"{page}: open it in any browser")
+
+
+def _refuse_conflicts(points: SweepOptions) -> None:
+    from hpe_rig.scene import Mistake, SettingsError
+
+    mistakes = []
+    if points.together and not points.sweep:
+        mistakes.append(Mistake("--together", "no --sweep is given", "--sweep KEY=V,V"))
+    if points.sweep and points.gate_profile_step is not None:
+        what = "a sweep has no depth profile"
+        mistakes.append(Mistake("--gate-profile-step", what, "--sweep gate_depth_m=V,V, or no --sweep"))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+
+
+def _step_m(text: str | None) -> float | None:
+    from hpe_rig.scene import length_m
+
+    return None if text is None else length_m(text, "--gate-profile-step", MAX_STEP_M)
+
+
+@stored_runs.command()
+@guarded
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A.h5", help="Run file.")],
+    second: Annotated[Path, typer.Argument(metavar="B.h5", help="Run file to compare with it.")],
+    estimator: Estimator = None,
+    figure: Annotated[Path | None, typer.Option(help="Both results and their differences, .svg, .png or .pdf.")] = None,
+    json: Json = False,
+) -> None:
+    """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
+    from hpe_rig.cli.stored import print_comparison
+
+    print_comparison(first, second, estimator, figure, json)
+
+
+@stored_runs.command()
+@guarded
+def moduli(
+    run_files: Annotated[
+        list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each with one lateral offset or more.")
+    ],
+    law: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LAW", help="Medium to try: voigt, zener, power_law, maxwell; repeatable. Default: all."),
+    ] = None,
+    estimator: Estimator = None,
+    width_uncertainty: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Relative uncertainty of the widths of the force.")
+    ] = 0.05,
+    per_place: Annotated[
+        bool, typer.Option("--per-place", help="The force differed between lateral offsets: fit every amplitude.")
+    ] = False,
+    gate_profile_step: ProfileStep = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(callback=check_file_name, help="Measured and fitted vibrations, .svg, .png or .pdf."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Fit the shear modulus and viscosity of the medium to the vibrations of one or more runs."""
+    from hpe_rig.cli.stored import print_moduli
+    from hpe_rig.runs import fit_moduli
+
+    result = fit_moduli(
+        *run_files,
+        laws=law or (),
+        estimator=estimator,
+        width_uncertainty=width_uncertainty,
+        common_amplitude=not per_place,
+        profile_step_m=_step_m(gate_profile_step),
+    )
+    print_moduli(result, figure, json)
+
+
+@stored_runs.command()
+@guarded
+def verify(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Run file or result file.")], json: Json = False
+) -> None:
+    """Compare every byte of a file with its checksums. Exit code 0: sound, 4: damaged, 5: it has no checksums."""
+    from hpe_rig.cli.stored import print_verification
+    from hpe_rig.store import verify as verify_file
+
+    verification = verify_file(file)
+    print_verification(verification, json)
+    if verification.damage:
+        raise typer.Exit(EXIT_DAMAGED)
+    if not verification.checksums:
+        raise typer.Exit(EXIT_NO_CHECKSUMS)
+
+
+@stored_runs.command("list")
+@guarded
+def list_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder with run files. Default: this one.")
+    ] = Path(),
+    find: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Only runs with TEXT in file name, title, state or notes; repeatable."),
+    ] = None,
+    since: Annotated[str | None, typer.Option(metavar="DATE", help="Only runs from this date on.")] = None,
+    until: Annotated[str | None, typer.Option(metavar="DATE", help="Only runs up to this date.")] = None,
+    below: Annotated[bool, typer.Option("--below", help="Include subfolders.")] = False,
+    json: Json = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Print CSV, one row per run, a column per note.")] = False,
+) -> None:
+    """List the runs in a folder with date, title, result and notes."""
+    from hpe_rig.cli.listing import RunFilter, print_runs
+
+    print_runs(folder, below, RunFilter.of_options(find or (), since, until), json, csv)
