@@ -10,7 +10,7 @@ import numpy as np
 from hpe_rig.live.history import ShotHistory, TimeLeft, setting_of, warnings_of
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.measurement import awaited_offset_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
-from hpe_rig.plan import scene_of_shot
+from hpe_rig.plan import phase_reference, scene_of_shot
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
     coherent,
@@ -156,7 +156,7 @@ class RunSource:
             options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))
             fit = fit_motion(motion, shown.wanted_hz, "coherent", shown.driven_hz, options)
             # The same selection and the same fit as the result's, over the pulses that have arrived.
-            estimates = estimates_of(fit)
+            estimates = estimates_of(fit, reference=phase_reference(scene, shot))
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
         except ValueError as error:
             # Not enough pulses yet; the page says so and shows the echoes.

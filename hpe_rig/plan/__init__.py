@@ -1,15 +1,16 @@
 """Plan of a measurement: the scene turned into shots, every edge in absolute time; a function of scene and bench file.
 
-    what the scene does without                              omitted.py
-    shots, their trains, gates and records                   shots.py
-    gates over depth, of the same records                    gate_profile.py
-    when a toneburst disturbs a tracking pulse               interference.py
-    which pulses and frequencies a fit uses                  selection.py
-    what speaks against it, one file a subject               checks/
-    the whole in words and as a drawing                      timeline.py
-    the timing of a shot as a picture                        timing_figure.py
+    parts that the scene does not need               omitted.py
+    shots, their trains, gates and records           shots.py
+    gates over depth in the same records             gate_profile.py
+    disturbance of tracking pulses by tonebursts     interference.py
+    pulses and frequencies that a fit uses           selection.py
+    time zero and sign of the stated phases          phase_reference.py
+    conflicts and warnings, one module a subject     checks/
+    the whole in words and as a drawing              timeline.py
+    the timing of a shot as a picture                timing_figure.py
 
-Others use ``make_plan``, ``check_plan``, ``refuse_conflicts``, and ``select`` for the pulses and frequencies of a fit.
+Other packages use ``make_plan``, ``check_plan``, ``refuse_conflicts``, and ``select`` for the pulses of a fit.
 """
 
 import lazy_loader

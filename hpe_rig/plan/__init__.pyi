@@ -12,15 +12,16 @@ from .checks.checklist import check_plan as check_plan, likely_causes as likely_
 from .checks.depth_gates import gates_over_depth as gates_over_depth
 from .gate_profile import (
     DepthGate as DepthGate,
-    apart as apart,
     depth_gates as depth_gates,
     shots_with_gate as shots_with_gate,
     with_gate as with_gate,
+    without_shared_echoes as without_shared_echoes,
 )
 from .interference import disturbed_pulses as disturbed_pulses
 from .omitted import omissions as omissions
+from .phase_reference import PhaseReference as PhaseReference, phase_reference as phase_reference
 from .selection import (
-    LARGEST_CONDITION as LARGEST_CONDITION,
+    MAX_CONDITION as MAX_CONDITION,
     Selection as Selection,
     driven_frequencies_hz as driven_frequencies_hz,
     select as select,
@@ -31,10 +32,10 @@ from .shots import (
     Plan as Plan,
     Shot as Shot,
     make_plan as make_plan,
-    offsets_beside_m as offsets_beside_m,
-    places_of as places_of,
+    off_axis_offsets_m as off_axis_offsets_m,
+    plans_at_offsets as plans_at_offsets,
     reference_gate as reference_gate,
-    scene_of as scene_of,
+    scene_of_shot as scene_of_shot,
 )
 from .timeline import plan_text as plan_text
-from .timing_figure import timing as timing
+from .timing_figure import timing_pictures as timing_pictures

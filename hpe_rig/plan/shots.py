@@ -1,10 +1,10 @@
-"""Shots of a scene with every edge in absolute time; a function of scene and bench file alone."""
+"""Shots of a scene with every edge in absolute time; a function of scene and bench file only."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,21 +16,21 @@ from hpe_rig.plan.omitted import Omission, omissions
 from hpe_rig.scene import Mistake, Scene, SettingsError
 
 TTL_HIGH_V = 4.0
-MASTER_PULSE_S = 10e-6
-MOST_SHOTS = 20_000
-MOST_PULSES = 1_000_000
+MAX_TRIGGER_PULSE_S = 10e-6
+"""Length of a trigger pulse; a quarter of the period in fast trains."""
+MAX_SHOTS = 20_000
+MAX_PULSES = 1_000_000
 SAFETY_MARGIN_S = 1.0
-"""How much later than planned the digitizer's deadline stands, beyond the trains themselves."""
+"""Time from the planned end of the trains to the digitizer's deadline."""
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Instants of one shot at the transducer, in seconds after the master trigger's edge.
+    """Times of one shot at the transducer, in seconds after the master trigger's edge.
 
-    ``burst_onset_s`` (burst,), ``pulse_onset_s`` (pulse,); the gate and the record of pulse k stand
-    ``gate_offset_s`` and ``record_offset_s`` (start, end) after ``pulse_onset_s[k]``. ``push_later_s``: how much longer
-    sound takes to the gate from the transducer that pushes than from the one that tracks. ``reference_offset_s``: start
-    and end of the reference gate, where there is one.
+    ``burst_onset_s`` (burst,) and ``pulse_onset_s`` (pulse,). Gate and record of pulse k are from start to end
+    ``gate_offset_s`` and ``record_offset_s`` after ``pulse_onset_s[k]``, the reference gate ``reference_offset_s``.
+    ``push_delay_s`` is the travel time to the gate from the pushing transducer minus that from the tracking one.
     """
 
     burst_onset_s: FloatArray
@@ -39,33 +39,38 @@ class Timeline:
     pulse_length_s: float
     gate_offset_s: tuple[float, float]
     record_offset_s: tuple[float, float]
-    push_later_s: float = 0.0
+    push_delay_s: float = 0.0
     reference_offset_s: tuple[float, float] | None = None
 
     @property
-    def heard_offset_s(self) -> tuple[float, float]:
-        """From when to when after a pulse its echoes count: from the start of the first gate to the end of the last."""
-        own, other = self.gate_offset_s, self.reference_offset_s or self.gate_offset_s
-        return min(own[0], other[0]), max(own[1], other[1])
+    def listening_offset_s(self) -> tuple[float, float]:
+        """Start of the first gate and end of the last one after a pulse, the reference gate included."""
+        gate, reference = self.gate_offset_s, self.reference_offset_s or self.gate_offset_s
+        return min(gate[0], reference[0]), max(gate[1], reference[1])
 
     @property
     def sensing_s(self) -> FloatArray:
-        """When each tracking pulse reaches the middle of the gate and senses its motion, shape (pulse,)."""
-        return self.pulse_onset_s + self._way_s
+        """Time (pulse,) when each tracking pulse reaches the centre of the gate and senses its motion."""
+        return self.pulse_onset_s + self._travel_s
 
     @property
-    def reference_s(self) -> float:
-        """Phase reference: arrival of the first toneburst at the gate, or the master's edge where nothing pushes."""
-        return float(self.burst_onset_s[0]) + self._way_s + self.push_later_s if self.burst_onset_s.size else 0.0
+    def time_zero_s(self) -> float:
+        """Physical time zero: arrival of the first toneburst at the gate, or the master's edge without tonebursts."""
+        return float(self.burst_onset_s[0]) + self._travel_s + self.push_delay_s if self.burst_onset_s.size else 0.0
 
     @property
-    def _way_s(self) -> float:
+    def _travel_s(self) -> float:
+        """One-way travel time between the tracking transducer and the centre of the gate."""
         return sum(self.gate_offset_s) / 4
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One master trigger: what every instrument is programmed to, and when what happens."""
+    """One master trigger: the task of every instrument, and the times that follow.
+
+    ``lateral_offset_m`` and ``axial_offset_m`` are those of the tracking transducer and the gate; ``point`` is the
+    index of the scene's point in a sweep.
+    """
 
     index: int
     repeat: int
@@ -78,78 +83,76 @@ class Shot:
     capture: Capture
     timeline: Timeline
     lateral_offset_m: float = 0.0
-    """Where the tracking transducer stands beside the push."""
     axial_offset_m: float = 0.0
     point: int = 0
-    """Number of the scene's point that it is of, where the scene sweeps any numbers."""
 
     @property
     def gate(self) -> slice:
-        """Samples of the record that lie in the gate."""
+        """Samples of the record that are in the gate."""
         rate_hz, start_s = self.capture.sample_rate_hz, self.timeline.record_offset_s[0]
         first = round((self.timeline.gate_offset_s[0] - start_s) * rate_hz)
         length = round((self.timeline.gate_offset_s[1] - self.timeline.gate_offset_s[0]) * rate_hz)
         return slice(first, first + length)
 
     def force_fraction_at(self, amplitude_vpp: float) -> float:
-        """Return the force over F_0 when the toneburst generator is set to ``amplitude_vpp``; NaN where nothing pushes.
+        """Return the force over F_0 at the toneburst amplitude that an instrument read back; NaN without tonebursts.
 
-        An instrument rounds what it is sent; the force is proportional to the square of what it holds.
+        Instruments round amplitudes; the force is proportional to the square of the amplitude.
         """
         if self.force_fraction is None or self.toneburst is None:
             return math.nan
-        share = amplitude_vpp / self.toneburst.amplitude_vpp
-        return self.force_fraction if math.isclose(share, 1.0) else self.force_fraction * share**2
+        ratio = amplitude_vpp / self.toneburst.amplitude_vpp
+        return self.force_fraction if math.isclose(ratio, 1.0) else self.force_fraction * ratio**2
 
     @property
     def train_end_s(self) -> float:
         """End of both trains after the master trigger's edge."""
         tracking, burst = self.tracking_train, self.burst_train
-        ends = [tracking.delay_s + tracking.count / tracking.rate_hz]
-        return max(ends + ([burst.count / burst.rate_hz] if burst else []))
+        tracking_end_s = tracking.delay_s + tracking.count / tracking.rate_hz
+        return max(tracking_end_s, burst.count / burst.rate_hz) if burst else tracking_end_s
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything a measurement will do."""
+    """All actions of a measurement."""
 
     roles: tuple[str, ...]
     shots: tuple[Shot, ...]
     shot_period_s: float
     omitted: tuple[Omission, ...]
-    stops_when_changed: bool = True
+    stops_on_changed_settings: bool = True
 
     @property
-    def places_m(self) -> tuple[float, ...]:
-        """Where the tracking transducer stands beside the push, in the order of the shots."""
+    def lateral_offsets_m(self) -> tuple[float, ...]:
+        """Lateral offsets of the tracking transducer, in the order of the shots."""
         return tuple(dict.fromkeys(shot.lateral_offset_m for shot in self.shots))
 
     @property
     def duration_s(self) -> float:
-        """Expected time of the measurement: the shots without the instruments' programming."""
+        """Expected duration of the shots, without programming the instruments."""
         return self.shot_period_s * (len(self.shots) - 1) + self.shots[-1].train_end_s
 
     @property
     def record_bytes(self) -> int:
-        """Expected size of the records in the run file before any compression."""
+        """Expected size of the records in the run file before compression."""
         captures = [shot.capture for shot in self.shots]
-        return sum(2 * one.record_count * one.record_samples * one.channels for one in captures)
+        return sum(2 * item.record_count * item.record_samples * item.channels for item in captures)
 
 
 def make_plan(scene: Scene, bench: BenchFile) -> Plan:
-    """Return the plan of ``scene`` on ``bench``; it may hold conflicts, which ``hpe_rig.plan.checks`` finds.
+    """Return the plan of ``scene`` on ``bench``; it may contain conflicts, which ``check_plan`` finds.
 
-    Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
+    Raises ``SettingsError`` if the scene asks for more than ``MAX_SHOTS`` shots or ``MAX_PULSES`` pulses.
     """
     if scene.sweep.axes:
-        return _of_points(scene, bench)
+        return _plan_of_points(scene, bench)
     if len(scene.places) > 1:
-        return _joined([make_plan(each, bench) for each in scene.places])
+        return _joined([make_plan(offset_scene, bench) for offset_scene in scene.places])
     (scene,) = scene.places
     if len(scene.rates) > 1:
-        return _joined([make_plan(each, bench) for each in scene.rates])
+        return _joined([make_plan(rate_scene, bench) for rate_scene in scene.rates])
     (scene,) = scene.rates
-    _refuse_endless(scene)
+    _refuse_too_many(scene)
     shots = tuple(_shots(scene, bench))
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
     roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
@@ -157,82 +160,77 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     return Plan((*roles, "digitizer"), shots, period_s, tuple(omissions(scene, bench)), stops)
 
 
-def _of_points(scene: Scene, bench: BenchFile) -> Plan:
-    """Return the plan of a sweep over any numbers, as one; raise where its records would not go into one file."""
-    plans, shots = [], 0
-    for number, point in enumerate(scene.points):
+def _plan_of_points(scene: Scene, bench: BenchFile) -> Plan:
+    """Return one plan of all points of a sweep; raise if their records do not fit into one file."""
+    plans, count = [], 0
+    for index, point in enumerate(scene.points):
         plan = make_plan(point.scene, bench.with_(point.bench))
-        plans.append(replace(plan, shots=tuple(replace(shot, point=number) for shot in plan.shots)))
-        shots += len(plan.shots)
-        if shots > MOST_SHOTS:
-            what = f"its points have more than {MOST_SHOTS} shots, which is the most that a run holds"
+        plans.append(replace(plan, shots=tuple(replace(shot, point=index) for shot in plan.shots)))
+        count += len(plan.shots)
+        # Inside the loop, because a plan of too many shots would exhaust the memory.
+        if count > MAX_SHOTS:
+            what = f"its points have more than {MAX_SHOTS} shots, which is the most that a run holds"
             raise SettingsError("the sweep", [Mistake("sweep", what, "fewer values, or several runs")])
-    alike = {_shape(plan.shots[0].capture) for plan in plans}
-    if len(alike) > 1:
-        listed = "; ".join(sorted(f"{count} of {samples} samples" for count, samples, *_ in alike))
+    shapes = {_record_shape(plan.shots[0].capture) for plan in plans}
+    if len(shapes) > 1:
+        listed = "; ".join(sorted(f"{count} of {samples} samples" for count, samples, *_ in shapes))
         what = f"its points differ in the records of a shot ({listed}, or rate or range), and a run file has one kind"
-        remedy = (
-            "tracking.pulse_count and the keys of [acquisition] the same at all points, or a run each: hpe-rig queue"
-        )
+        remedy = "equal tracking.pulse_count and keys of [acquisition] at all points, or a run each: hpe-rig queue"
         raise SettingsError("the sweep", [Mistake("sweep", what, remedy)])
     return _joined(plans)
 
 
-def _shape(capture: Capture) -> tuple[float, ...]:
+def _record_shape(capture: Capture) -> tuple[float, ...]:
     monitor_v = capture.monitor_range_v or 0.0
     return capture.record_count, capture.record_samples, capture.sample_rate_hz, capture.input_range_v, monitor_v
 
 
-def _joined(plans: list[Plan]) -> Plan:
-    """Return one plan of the shots of all; what is omitted is the same in each."""
-    shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
-    return replace(plans[0], shots=shots, shot_period_s=max(plan.shot_period_s for plan in plans))
+def _joined(plans: Sequence[Plan]) -> Plan:
+    """Return one plan with the shots of all plans; their omissions are equal."""
+    shots = (shot for plan in plans for shot in plan.shots)
+    numbered = tuple(replace(shot, index=index) for index, shot in enumerate(shots))
+    return replace(plans[0], shots=numbered, shot_period_s=max(plan.shot_period_s for plan in plans))
 
 
-def places_of(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
-    """Yield the scene at every point and place of the tracking transducer, with the shots that are taken there."""
-    for number, point in enumerate(scene.points):
-        for place in point.scene.places:
-            where = number, place.tracking.lateral_offset_m, place.tracking.axial_offset_m
-            shots = (s for s in plan.shots if (s.point, s.lateral_offset_m, s.axial_offset_m) == where)
-            yield place, replace(plan, shots=tuple(shots))
+def plans_at_offsets(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
+    """Yield the scene at every point and offset of the tracking transducer, with the shots there."""
+    for index, point in enumerate(scene.points):
+        for offset_scene in point.scene.places:
+            offsets = index, offset_scene.tracking.lateral_offset_m, offset_scene.tracking.axial_offset_m
+            shots = (shot for shot in plan.shots if (shot.point, shot.lateral_offset_m, shot.axial_offset_m) == offsets)
+            yield offset_scene, replace(plan, shots=tuple(shots))
 
 
-def offsets_beside_m(plan: Plan) -> tuple[float, ...]:
-    """Return the distances from the axis, in ascending order, at which the plan tracks beside it."""
+def off_axis_offsets_m(plan: Plan) -> tuple[float, ...]:
+    """Return the distances from the axis, without 0 and in ascending order, at which the plan tracks."""
     return tuple(sorted({abs(shot.lateral_offset_m) for shot in plan.shots} - {0.0}))
 
 
-def scene_of(scene: Scene, shot: Shot) -> Scene:
-    """Return ``scene`` as it is at the point of its sweep that ``shot`` is of."""
+def scene_of_shot(scene: Scene, shot: Shot) -> Scene:
+    """Return ``scene`` at the point of its sweep to which ``shot`` belongs."""
     return scene.points[shot.point].scene
 
 
 def pulse_count(scene: Scene) -> int:
-    """Return the number of tracking pulses: as asked, or as many periods as the burst train lasts."""
-    if scene.tracking.pulse_count is not None:
-        return scene.tracking.pulse_count
-    if scene.excitation is None:
-        return 1
-    train_s = scene.excitation.burst_count / scene.excitation.burst_rate_hz
-    return max(1, math.floor(train_s * scene.tracking.pulse_rate_hz + 1e-6))
+    """Return the number of tracking pulses: as set, or as many periods as the burst train lasts."""
+    return scene.tracking.pulse_count or scene.burst_train_pulses or 1
 
 
 def reference_gate(scene: Scene, shot: Shot) -> slice | None:
-    """Return the samples of a record that lie in the reference gate, None where the scene has none."""
+    """Return the samples of a record that are in the reference gate, None if the scene has none."""
     depth_m = scene.processing.reference_gate_depth_m
     if depth_m is None:
         return None
     acquisition = scene.acquisition
     length_m = scene.processing.reference_gate_length_m or acquisition.gate_length_m
-    per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
-    shift = round((depth_m - length_m / 2 - scene.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
+    samples_per_m = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
+    shift = round((depth_m - length_m / 2 - scene.gate_depth_m + acquisition.gate_length_m / 2) * samples_per_m)
     start = shot.gate.start + shift
-    return slice(start, start + round(length_m * per_metre))
+    return slice(start, start + round(length_m * samples_per_m))
 
 
 def tracking_path_s(bench: BenchFile) -> tuple[float, float]:
-    """Return the time from the master's edge, without t_d, to the digitizer's trigger and to the pulse's onset."""
+    """Return the delays, without t_d, from the master's edge to the digitizer's trigger and to the pulse's onset."""
     generators, board = bench.generators, bench.digitizer
     trigger_s = bench.path_delay_s("master.output", "tracking_train.trigger") + generators.tracking_train.latency_s
     trigger_s += bench.path_delay_s("tracking_train.output", "digitizer.trigger")
@@ -242,7 +240,7 @@ def tracking_path_s(bench: BenchFile) -> tuple[float, float]:
 
 
 def burst_path_s(bench: BenchFile) -> float:
-    """Return the time from the master's edge to the first toneburst's onset at the transducer; NaN if not wired."""
+    """Return the delay from the master's edge to the first toneburst's onset at the transducer; NaN if not wired."""
     train, toneburst = bench.generators.burst_train, bench.generators.toneburst
     if train is None or toneburst is None:
         return math.nan
@@ -251,41 +249,43 @@ def burst_path_s(bench: BenchFile) -> float:
     return to_train_s + to_toneburst_s + bench.path_delay_s("toneburst.output", "transducer.drive")
 
 
-def _refuse_endless(scene: Scene) -> None:
+def _refuse_too_many(scene: Scene) -> None:
     excitation, mistakes = scene.excitation, []
     bursts = len(excitation.burst_length_s) * len(excitation.force_fraction) if excitation else 1
     shots = scene.acquisition.repeats * bursts
-    if shots > MOST_SHOTS:
-        what = f"the scene asks for {shots} shots, a run holds at most {MOST_SHOTS}"
+    if shots > MAX_SHOTS:
+        what = f"the scene asks for {shots} shots, a run holds at most {MAX_SHOTS}"
         mistakes.append(Mistake("acquisition.repeats", what, "fewer repeats, or several runs"))
     if excitation and scene.tracking.pulse_count is None:
         pulses = excitation.burst_count / excitation.burst_rate_hz * scene.tracking.pulse_rate_hz
-        if not pulses <= MOST_PULSES:
-            what = f"the burst train lasts {pulses:.3g} pulse periods, a shot has at most {MOST_PULSES} pulses"
+        if not pulses <= MAX_PULSES:
+            what = f"the burst train lasts {pulses:.3g} pulse periods, a shot has at most {MAX_PULSES} pulses"
             mistakes.append(Mistake("tracking.pulse_rate_hz", what, "fewer bursts, or tracking.pulse_count"))
     if mistakes:
         raise SettingsError("the scene", mistakes)
 
 
 def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
+    """Yield a shot for every burst length, force and repeat."""
     excitation, tracking, generators = scene.excitation, scene.tracking, bench.generators
-    lengths: tuple[float | None, ...] = excitation.burst_length_s if excitation else (None,)
+    lengths_s: tuple[float | None, ...] = excitation.burst_length_s if excitation else (None,)
     forces: tuple[float | None, ...] = excitation.force_fraction if excitation else (None,)
-    capture, count = _capture(scene, bench), pulse_count(scene)
-    # One timeline for all shots of a burst length: long sweeps and many repeats stay small.
-    timelines = {length: _timeline(scene, bench, length, capture) for length in lengths}
+    capture = _capture(scene, bench)
+    # All shots of a burst length share one timeline, which keeps long sweeps and many repeats small.
+    timelines = {length_s: _timeline(scene, bench, length_s, capture) for length_s in lengths_s}
     pulser = generators.tracking_pulser
     pulse_vpp = pulser.amplitude_vpp or bench.limits.full_drive_vpp
-    sweep = itertools.product(lengths, forces, range(scene.acquisition.repeats))
-    for index, (burst_length_s, force, repeat) in enumerate(sweep):
+    train_load_ohm = generators.tracking_train.load_ohm
+    settings = itertools.product(lengths_s, forces, range(scene.acquisition.repeats))
+    for index, (burst_length_s, force, repeat) in enumerate(settings):
         yield Shot(
             index=index,
             repeat=repeat,
             force_fraction=force,
-            master=TriggerPulse(MASTER_PULSE_S, TTL_HIGH_V, generators.master.load_ohm),
+            master=TriggerPulse(MAX_TRIGGER_PULSE_S, TTL_HIGH_V, generators.master.load_ohm),
             burst_train=_burst_train(scene, bench),
             toneburst=_toneburst(scene, bench, burst_length_s, force),
-            tracking_train=_train(tracking.pulse_rate_hz, count, tracking.delay_s, generators.tracking_train.load_ohm),
+            tracking_train=_train(tracking.pulse_rate_hz, capture.record_count, tracking.delay_s, train_load_ohm),
             tracking_pulser=Toneburst(tracking.carrier_hz, tracking.cycles, pulse_vpp, 0.0, pulser.load_ohm),
             capture=capture,
             timeline=timelines[burst_length_s],
@@ -295,7 +295,7 @@ def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
 
 
 def _train(rate_hz: float, count: int, delay_s: float, load_ohm: float) -> PulseTrain:
-    return PulseTrain(rate_hz, count, delay_s, min(10e-6, 0.25 / rate_hz), TTL_HIGH_V, load_ohm)
+    return PulseTrain(rate_hz, count, delay_s, min(MAX_TRIGGER_PULSE_S, 0.25 / rate_hz), TTL_HIGH_V, load_ohm)
 
 
 def _burst_train(scene: Scene, bench: BenchFile) -> PulseTrain | None:
@@ -309,7 +309,7 @@ def _toneburst(scene: Scene, bench: BenchFile, length_s: float | None, force: fl
     excitation, generator = scene.excitation, bench.generators.toneburst
     if excitation is None or generator is None or length_s is None or force is None:
         return None
-    # Force is proportional to intensity, so to the square of the drive.
+    # The force is proportional to the intensity, hence to the square of the drive.
     amplitude_vpp = bench.limits.full_drive_vpp * math.sqrt(force)
     cycles = max(1, round(length_s * excitation.carrier_hz))
     return Toneburst(excitation.carrier_hz, cycles, amplitude_vpp, 0.0, generator.load_ohm)
@@ -325,25 +325,17 @@ def _reference_offset_s(scene: Scene) -> tuple[float, float] | None:
 
 
 def _offset_s(scene: Scene, depth_m: float, length_m: float) -> tuple[float, float]:
-    half_s, middle_s = (metres / scene.acquisition.sound_speed_m_per_s for metres in (length_m, 2 * depth_m))
-    return middle_s - half_s, middle_s + half_s
+    """Return start and end of a gate's echoes after the onset of their pulse."""
+    half_s, centre_s = (metres / scene.acquisition.sound_speed_m_per_s for metres in (length_m, 2 * depth_m))
+    return centre_s - half_s, centre_s + half_s
 
 
 def _capture(scene: Scene, bench: BenchFile) -> Capture:
     acquisition, board = scene.acquisition, bench.digitizer
-    trigger_s, onset_s = tracking_path_s(bench)
-    middle_s = sum(_gate_offset_s(scene)) / 2 + onset_s - trigger_s - board.latency_s
-    delay = math.floor(middle_s * acquisition.sample_rate_hz - acquisition.record_samples / 2)
-    # Should the pulser wait for the trigger delay, no delay can bring the record closer to the echo.
-    delay = 0 if board.aux_waits_for_trigger_delay else max(0, delay)
-    # Rounded down: the gate then lies a little later in the record.
-    delay -= delay % board.board_model.trigger_delay_multiple
-    # What was imported begins where it began.
-    delay = delay if bench.recording is None else 0
     return Capture(
         sample_rate_hz=acquisition.sample_rate_hz,
         record_samples=acquisition.record_samples,
-        trigger_delay_samples=delay,
+        trigger_delay_samples=_trigger_delay_samples(scene, bench),
         record_count=pulse_count(scene),
         input_range_v=input_range_v(scene, bench),
         trigger_level_v=board.trigger_level_v,
@@ -351,8 +343,21 @@ def _capture(scene: Scene, bench: BenchFile) -> Capture:
     )
 
 
+def _trigger_delay_samples(scene: Scene, bench: BenchFile) -> int:
+    """Return the delay of the record after its trigger that centres it on the gate, as the board accepts it."""
+    acquisition, board = scene.acquisition, bench.digitizer
+    # A pulser that waits for the trigger delay moves with it, and an imported record begins where it began.
+    if board.aux_waits_for_trigger_delay or bench.recording is not None:
+        return 0
+    trigger_s, onset_s = tracking_path_s(bench)
+    centre_s = sum(_gate_offset_s(scene)) / 2 + onset_s - trigger_s - board.latency_s
+    delay = max(0, math.floor(centre_s * acquisition.sample_rate_hz - acquisition.record_samples / 2))
+    # Rounded down to the board's steps: the gate then is a little later in the record.
+    return delay - delay % board.board_model.trigger_delay_multiple
+
+
 def input_range_v(scene: Scene, bench: BenchFile) -> float:
-    """Return the range of the echoes' input: the scene's, else the board's smallest that holds the usual 0.8 V."""
+    """Return the range of the echoes' input: the scene's, or the board's smallest that includes the default."""
     acquisition = scene.acquisition
     if "input_range_v" in acquisition.model_fields_set:
         return acquisition.input_range_v
@@ -374,5 +379,5 @@ def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capt
         gate_offset_s=_gate_offset_s(scene),
         reference_offset_s=_reference_offset_s(scene),
         record_offset_s=(start_s, start_s + capture.record_samples / capture.sample_rate_hz),
-        push_later_s=0.0 if scene.beams is None else scene.beams.push_farther_m / scene.acquisition.sound_speed_m_per_s,
+        push_delay_s=0.0 if scene.beams is None else scene.beams.push_farther_m / scene.acquisition.sound_speed_m_per_s,
     )

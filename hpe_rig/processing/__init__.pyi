@@ -16,13 +16,12 @@ from .estimators import (
     Estimator as Estimator,
     EstimatorSpec as EstimatorSpec,
     Options as Options,
-    Window as Window,
     estimate as estimate,
     fit_motion as fit_motion,
     motion_of as motion_of,
     spec_of as spec_of,
 )
-from .fitted_motion import FittedMotion as FittedMotion, fitted_motion as fitted_motion
+from .fitted_motion import fitted_motion as fitted_motion
 from .ground_truth import true_harmonics_m as true_harmonics_m
 from .harmonics.harmonic_fit import HarmonicFit as HarmonicFit, least_squares as least_squares
 from .harmonics.kalman_filter import kalman as kalman

@@ -15,6 +15,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
+from hpe_rig.plan import PhaseReference
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.result import PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
@@ -66,15 +67,28 @@ def estimates_of(
     sources: ErrorSources | None = None,
     averaging: Sequence[Averaging | None] | None = None,
     true_m: FloatArray | None = None,
+    reference: PhaseReference | None = None,
 ) -> tuple[Estimate, ...]:
     """Return the estimates of one ``fit`` with their budgets.
 
     ``averaging`` (frequency,): predicted ratio of tracked to peak displacement, None if unknown. ``true_m`` (frequency,
-    2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown.
+    2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown. ``reference``: of the stated phases, None
+    for the physical time zero, from which ``fit`` and ``true_m`` count.
     """
     count = fit.frequency_hz.size
     averagings = averaging if averaging is not None else (None,) * count
-    return tuple(_estimate(fit, index, sources or ErrorSources(), averagings[index], true_m) for index in range(count))
+    estimates = (_estimate(fit, index, sources or ErrorSources(), averagings[index], true_m) for index in range(count))
+    return tuple(estimate if reference is None else _stated(estimate, reference) for estimate in estimates)
+
+
+def _stated(estimate: Estimate, reference: PhaseReference) -> Estimate:
+    """Return ``estimate`` with its phases from the stated time zero."""
+    frequency_hz, true_rad = estimate.frequency_hz, estimate.true_phase_rad
+    return replace(
+        estimate,
+        phase_rad=reference.stated_rad(estimate.phase_rad, frequency_hz),
+        true_phase_rad=None if true_rad is None else reference.stated_rad(true_rad, frequency_hz),
+    )
 
 
 def _estimate(

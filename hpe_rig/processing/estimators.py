@@ -28,7 +28,6 @@ from hpe_rig.scene import (
     BUILT_IN_ESTIMATORS,
     Estimator as Estimator,
     EstimatorProperties,
-    Window as Window,
     checked_estimator,
     estimator_names,
 )

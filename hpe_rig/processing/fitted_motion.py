@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.plan import Selection
+from hpe_rig.plan import PhaseReference, Selection
 from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.result import Estimate, ShotMotion
@@ -28,13 +28,20 @@ class FittedMotion:
 
 
 def fitted_motion(
-    motion: Motion, estimates: Sequence[Estimate], also_hz: FloatArray, background_order: int
+    motion: Motion,
+    estimates: Sequence[Estimate],
+    reference: PhaseReference,
+    also_hz: FloatArray,
+    background_order: int,
 ) -> FittedMotion:
     """Return the harmonics of ``estimates`` plus background and ``also_hz``, fitted to the remaining ``motion``.
 
-    Raises ``ValueError`` if the pulses cannot resolve the frequencies.
+    ``reference``: of the estimates' phases. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
     """
-    columns = [[item.frequency_hz, item.amplitude_m, item.phase_rad] for item in estimates]
+    columns = [
+        [item.frequency_hz, item.amplitude_m, reference.physical_rad(item.phase_rad, item.frequency_hz)]
+        for item in estimates
+    ]
     frequency_hz, amplitude_m, phase_rad = np.array(columns, dtype=np.float64).reshape(-1, 3).T
     matrix = linear_model(
         motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz
@@ -49,6 +56,7 @@ def fitted_motion(
 def stored_motion(
     motion: Motion,
     estimates: Sequence[Estimate],
+    reference: PhaseReference,
     residual_m: float,
     selection: Selection,
     background_order: int,
@@ -62,7 +70,7 @@ def stored_motion(
     variance_m2 = np.where(valid, motion.variance_m2, np.nan)
     if motion.valid.size <= MAX_FITTED_PULSES:
         with suppress(ValueError):
-            fitted = fitted_motion(motion, estimates, selection.driven_hz, background_order)
+            fitted = fitted_motion(motion, estimates, reference, selection.driven_hz, background_order)
             model_m[valid] = fitted.displacement_m
             residual_m2 = float(np.mean((motion.displacement_m[valid] - fitted.displacement_m) ** 2))
             residual_m2 = max(residual_m2, residual_m**2)
@@ -70,7 +78,7 @@ def stored_motion(
             variance_m2 *= max(1.0, residual_m2 / float(np.mean(variance_m2[valid])))
     return ShotMotion(
         pulse=np.flatnonzero(selection.window),
-        time_s=motion.time_s,
+        time_s=motion.time_s - reference.delay_s,
         displacement_m=motion.displacement_m,
         uncertainty_m=np.sqrt(variance_m2),
         model_m=model_m,

@@ -26,11 +26,11 @@ def true_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], 
 
     ``motion_m`` gives the displacement at times after the master trigger's edge. For a specimen the fit covers the
     whole burst periods of the processing window, where the driven harmonics are orthogonal, minus the creep from period
-    to period. Phases as in the result: sine, from ``Timeline.reference_s``.
+    to period. Sine phases from the physical time zero, ``Timeline.time_zero_s``.
     """
     twin = twin_of(scene)
     if twin is not None and twin.prescribed:
-        start_s = shot.timeline.reference_s
+        start_s = shot.timeline.time_zero_s
         phasors_m = np.array(
             [twin.prescribed_phasor_m(hz, start_s) for hz in scene.wanted_frequencies_hz], dtype=complex
         )
@@ -49,7 +49,7 @@ def _specimen_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArr
     displacement_m = motion_m(time_s)
     displacement_m = displacement_m - _creep_m(scene, time_s, displacement_m)
     motion = Motion(
-        time_s - shot.timeline.reference_s, displacement_m, np.zeros(time_s.size), np.ones(time_s.size, bool)
+        time_s - shot.timeline.time_zero_s, displacement_m, np.zeros(time_s.size), np.ones(time_s.size, bool)
     )
     also_hz = _further_frequencies_hz(scene, length_s)
     fit = least_squares(motion, list(scene.wanted_frequencies_hz), also_hz=also_hz)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.plan import Selection, Shot, select
+from hpe_rig.plan import Selection, Shot, phase_reference, select
 from hpe_rig.processing import (
     aliased_hz,
     codes_to_volts,
@@ -116,7 +116,9 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
     valid = motion.valid
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     other_driven_hz, rate_hz = selection.driven_hz, shot.tracking_train.rate_hz
-    fitted = fitted_motion(motion, estimates, other_driven_hz, scene.processing.background_order)
+    fitted = fitted_motion(
+        motion, estimates, phase_reference(scene, shot), other_driven_hz, scene.processing.background_order
+    )
     return MotionView(
         time_s=motion.time_s[valid],
         displacement_m=motion.displacement_m[valid],

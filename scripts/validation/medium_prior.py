@@ -68,12 +68,12 @@ SEEDS = 8
 CONSTANTS: tuple[Mapping[str, float], ...] = (
     {},
     {"members": 480},
-    {"WEIGHT": 2.0},
-    {"FREEDOM": 0.01},
-    {"WEIGHT": 2.0, "FREEDOM": 0.01},
-    {"MISFIT": 0.001},
-    {"MISFIT": 0.006},
-    {"members": 480, "WEIGHT": 2.0},
+    {"PRIOR_WIDENING": 2.0},
+    {"HARMONIC_DEVIATION": 0.01},
+    {"PRIOR_WIDENING": 2.0, "HARMONIC_DEVIATION": 0.01},
+    {"ENSEMBLE_RESIDUAL": 0.001},
+    {"ENSEMBLE_RESIDUAL": 0.006},
+    {"members": 480, "PRIOR_WIDENING": 2.0},
 )
 PRIOR, PLAIN = "#0072B2", "#D55E00"
 
@@ -298,17 +298,26 @@ def quadratures_m2(covariance: FloatArray, fit: HarmonicFit) -> FloatArray:
 
 def constants() -> Iterator[str]:
     """Yield what the prior's constants buy: the muscle scene's worst quadrature, and errors at the synchronous rate."""
-    of_media = sys.modules[medium_fit.__module__]
+    of_fit, of_prior, of_projection = (
+        sys.modules[function.__module__] for function in (medium_fit, medium_prior, project_prior)
+    )
     yield "| changed | worst quadrature | synchronous, Voigt: error |"
     yield "|---|---|---|"
     voigt = [harmonics(*medium) for name, medium in media().items() if name.startswith("Voigt") and medium[1] == 1]
     trains = [measured(*TRAINS["synchronous 4000 Hz"], wave, 23e-9) for wave in voigt]
     for changed in CONSTANTS:
-        made, values = dict(changed), {}
-        if members := made.pop("members", None):
-            values["medium_ensemble"] = lambda *args, count=members: medium_ensemble(*args, members=int(count))
-        with mock.patch.multiple(of_media, **({"WEIGHT": of_media.WEIGHT} | values | made)):
-            for cached in (of_media.medium_prior, of_media._seen):
+        size = {"members": int(changed["members"])} if "members" in changed else {}
+        with (
+            mock.patch.object(of_fit, "PRIOR_WIDENING", changed.get("PRIOR_WIDENING", of_fit.PRIOR_WIDENING)),
+            mock.patch.object(
+                of_projection, "HARMONIC_DEVIATION", changed.get("HARMONIC_DEVIATION", of_projection.HARMONIC_DEVIATION)
+            ),
+            mock.patch.object(
+                of_prior, "ENSEMBLE_RESIDUAL", changed.get("ENSEMBLE_RESIDUAL", of_prior.ENSEMBLE_RESIDUAL)
+            ),
+            mock.patch.object(of_prior, "medium_ensemble", functools.partial(medium_ensemble, **size)),
+        ):
+            for cached in (of_prior.medium_prior, of_projection._projected):
                 cached.cache_clear()
             fit = muscle_fit(0.0, {})
             sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)

@@ -333,7 +333,7 @@ def test_prepare_accepts_a_bench_file(tmp_path: Path) -> None:
     path = tmp_path / "other.toml"
     path.write_text(read_bench().text.replace("delay_s = 10e-9", "delay_s = 1e-6"), encoding="utf-8")
     setup = prepare("bovine-muscle-synchronous", path)
-    assert setup.plan.shots[0].timeline.reference_s == pytest.approx(
+    assert setup.plan.shots[0].timeline.time_zero_s == pytest.approx(
         5e-9 + 100e-9 + 5e-9 + 100e-9 + 1e-6 + 70e-3 / 1540
     )
 

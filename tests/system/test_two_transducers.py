@@ -61,7 +61,7 @@ def test_gates_count_from_the_transducer_that_tracks_and_phases_from_the_push(fi
     [shot] = setup.plan.shots
     way_s = TRACKING_M / SOUND_SPEED_M_PER_S
     assert np.mean(shot.timeline.gate_offset_s) == pytest.approx(2 * way_s)
-    assert shot.timeline.reference_s - shot.timeline.burst_onset_s[0] == pytest.approx(PUSH_M / SOUND_SPEED_M_PER_S)
+    assert shot.timeline.time_zero_s - shot.timeline.burst_onset_s[0] == pytest.approx(PUSH_M / SOUND_SPEED_M_PER_S)
     beams = setup.scene.scene.beams
     assert beams is not None
     assert beams.tracking_width_m == (0.078e-3, 0.078e-3, 0.83e-3)

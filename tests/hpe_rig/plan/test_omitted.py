@@ -34,7 +34,7 @@ def test_noise_chain_and_jitter_are_left_out_where_the_scene_has_none(text, ther
 def test_a_prior_is_missed_only_where_something_pushes():
     free = 'harmonic = "least_squares"'
     pushed = omitted(PLAIN.replace("[processing]", f"[processing]\n{free}"))
-    assert pushed["prior of media"].endswith("the peak is corrected for what the prior tells")
+    assert pushed["prior of media"].endswith("the peak is corrected by the prior")
     one = omitted(PLAIN.replace("[processing]", "[processing]\nfrequencies_hz = [150.0]"))
     assert one["prior of media"].endswith("from the wanted ones")
     still = omitted(shipped_scenes()["table-1"])
@@ -53,4 +53,4 @@ def test_a_stored_run_says_what_the_estimator_that_is_asked_for_omits(tmp_path):
     assert "prior of media" not in dict(run.estimate().omitted)
     why = dict(run.estimate("cross_spectrum").omitted)["prior of media"]
     assert '"cross_spectrum"' in why
-    assert "the peak is corrected for what the prior tells" in why
+    assert "the peak is corrected by the prior" in why

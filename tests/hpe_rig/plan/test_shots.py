@@ -133,14 +133,14 @@ def test_a_scene_without_excitation_needs_no_excitation_generator() -> None:
     plan = make_plan(TABLE_1, BENCH)
     assert plan.roles == ("master", "tracking_train", "tracking_pulser", "digitizer")
     assert any("burst_train and toneburst" in item.what for item in plan.omitted)
-    assert plan.shots[0].timeline.reference_s == 0.0
+    assert plan.shots[0].timeline.time_zero_s == 0.0
 
 
 def test_times_are_those_at_the_gate() -> None:
     line = make_plan(MUSCLE, BENCH).shots[0].timeline
     way_s = 70e-3 / 1540
     np.testing.assert_allclose(line.sensing_s - line.pulse_onset_s, way_s, rtol=1e-9)
-    assert line.reference_s == pytest.approx(line.burst_onset_s[0] + way_s)
+    assert line.time_zero_s == pytest.approx(line.burst_onset_s[0] + way_s)
 
 
 @pytest.mark.parametrize("name", sorted(shipped_scenes()))

@@ -8,7 +8,7 @@ import pytest
 
 from hpe_rig import result
 from hpe_rig.bench import read_bench
-from hpe_rig.plan import make_plan, timing
+from hpe_rig.plan import make_plan, timing_pictures
 from hpe_rig.scene import parse_scene, shipped_scenes
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def test_intervals_are_drawn_when_they_are_and_as_long_as_they_last(name: str, m
     monkeypatch.setattr(result, "picture", lambda figure, *_: figure)
     shot = make_plan(parse_scene(name, shipped_scenes()[name]).scene, read_bench().bench).shots[0]
     line = shot.timeline
-    whole, close = timing(shot)
+    whole, close = timing_pictures(shot)
     pushes = line.burst_onset_s.size > 0
     start_s = float((line.burst_onset_s if pushes else line.pulse_onset_s)[0])
     span_s = 1 / shot.burst_train.rate_hz if shot.burst_train else 8 / shot.tracking_train.rate_hz
@@ -63,7 +63,7 @@ def test_the_words_for_who_cannot_see_the_diagram_hold_the_times() -> None:
     burst_s = line.burst_onset_s[0]
     first_us = 1e6 * min(pulse_s - burst_s for pulse_s in line.pulse_onset_s if pulse_s >= burst_s)
     low_us, high_us = (1e6 * edge for edge in line.gate_offset_s)
-    said = timing(shot)[0].alt
+    said = timing_pictures(shot)[0].alt
     assert f"a toneburst of {line.burst_length_s * 1e6:g} us" in said
     assert f"the first tracking pulse follows after {first_us:.4g} us" in said
     assert f"each gate is open {low_us:.2f} to {high_us:.2f} us after" in said

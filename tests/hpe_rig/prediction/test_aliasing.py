@@ -39,7 +39,7 @@ def test_aliasing_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
     with h5py.File(record_run(setup, tmp_path / "run.h5")) as file:
         motion_m = file["truth/displacement_m"][0]
         in_phase_m, quadrature_m = (file[f"true_harmonics/{part}"][0] for part in TRUE_HARMONICS)
-    period_m, time_s = motion_m[-40:], shot.timeline.sensing_s[-40:] - shot.timeline.reference_s
+    period_m, time_s = motion_m[-40:], shot.timeline.sensing_s[-40:] - shot.timeline.time_zero_s
     angle = 2 * np.pi * np.outer(setup.scene.scene.wanted_frequencies_hz, time_s)
     aliased = (np.sin(angle) + 1j * np.cos(angle)) @ period_m / 20
     ratio = fitted_over_true(setup.scene.scene, shot)

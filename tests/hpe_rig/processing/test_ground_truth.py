@@ -45,7 +45,7 @@ def test_the_phase_of_the_truth_is_that_of_the_motion_at_the_pulses(tmp_path):
     run = open_run(record_run(prepare_text("late", text), tmp_path / "late.h5"))
     shot, truth = run.plan.shots[0], run.stored.true_displacement_m
     ((in_phase_m, quadrature_m),) = truth.harmonics_m(0, 1)
-    angle = 2 * np.pi * 200.0 * (shot.timeline.sensing_s - shot.timeline.reference_s)
+    angle = 2 * np.pi * 200.0 * (shot.timeline.sensing_s - shot.timeline.time_zero_s)
     # instants are whole picoseconds: 2 pi 200 Hz times 1 ps of a phase
     assert in_phase_m * np.sin(angle) + quadrature_m * np.cos(angle) == pytest.approx(truth[0], abs=1e-6 * 2e-9)
 
@@ -65,7 +65,7 @@ def test_tonebursts_do_not_leak_into_a_frequency_that_they_do_not_drive():
     other = scene.model_copy(update={"processing": scene.processing.model_copy(update=asked)})
 
     def motion_m(time_s):
-        angle = 2 * np.pi * np.outer(time_s - shot.timeline.reference_s, 100.0 * np.arange(1, 21))
+        angle = 2 * np.pi * np.outer(time_s - shot.timeline.time_zero_s, 100.0 * np.arange(1, 21))
         return 1e-6 * np.sin(angle).sum(axis=1)
 
     idle, driven = np.hypot(*true_harmonics_m(other, shot, motion_m).T)
@@ -79,7 +79,7 @@ def test_a_medium_that_creeps_leaves_no_trace_in_the_truth():
     scene, shot = setup.scene.scene, setup.plan.shots[0]
 
     def motion_m(time_s):
-        t = time_s - shot.timeline.reference_s
+        t = time_s - shot.timeline.time_zero_s
         return 800e-9 * np.sin(2 * np.pi * 100.0 * t + 0.3) + 200e-9 * np.sin(2 * np.pi * 4200.0 * t)
 
     still, creeping = (

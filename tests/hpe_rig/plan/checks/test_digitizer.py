@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.alazar import BoardModel
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import BenchFile, read_bench
+from hpe_rig.bench import BenchFile, DigitizerBoard, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.sequencer import ShotBlock, acquire
 from hpe_rig.plan.checks.checklist import check_plan
@@ -106,3 +107,25 @@ def test_records_above_a_thousand_are_captured_and_none_is_lost(tmp_path: Path) 
     records = assemble(blocks, plan.shots[0])
     assert records.valid.all()
     assert np.isnan(records.trigger_time_s).tolist() == [False] * 1000 + [True] * 200
+
+
+def test_a_board_with_one_range_and_gigasamples_needs_only_a_row_in_the_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ATS9373 has 12 bits, 100 MS/s to 2 GS/s and a single input range of 0.4 V."""
+    model = BoardModel(
+        "ATS9373",
+        kind=29,
+        code_bits=12,
+        sample_rates_hz=(100e6, 200e6, 500e6, 1e9, 1.5e9, 2e9),
+        input_ranges_v=(0.4,),
+        trigger_range_v=2.5,
+    )
+    monkeypatch.setattr(DigitizerBoard, "board_model", property(lambda board: model))
+    bench = read_bench().bench
+    scene = parse_scene("table-1", edited(TABLE_1, "acquisition", "sample_rate_hz = 2e9")).scene
+    scene = scene.with_({"acquisition.record_samples": 8192})
+    assert make_plan(scene, bench).shots[0].capture.input_range_v == 0.4
+    assert refusals(scene, bench) == []
+    slower = scene.with_({"acquisition.sample_rate_hz": 50e6})
+    assert any("sample rate" in text and "2000 MHz" in text for text in refusals(slower, bench))
+    level = bench.model_copy(update={"digitizer": bench.digitizer.model_copy(update={"trigger_level_v": 3.0})})
+    assert any("digitizer.trigger_level_v" in text for text in refusals(scene, level))

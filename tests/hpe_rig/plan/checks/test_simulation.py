@@ -98,10 +98,10 @@ def test_a_record_that_begins_later_after_its_pulse_than_planned_looks_deeper(la
     planned_s = getattr(setup.bench.bench.digitizer, {"digitizer_latency_s": "latency_s"}.get(latency, latency))
     scene = setup.scene.scene.with_({f"simulation.instruments.{latency}": planned_s + 1e-6})
     (finding,) = [each for each in prepare(scene, refuse=False).findings if each.check == "gate in focus"]
-    assert f"the gate's middle lies {depth_mm} mm deep" in finding.text
+    assert f"the gate's centre is {depth_mm} mm deep" in finding.text
 
 
-@pytest.mark.parametrize(("moving_hz", "seen"), [(3800.0, "at 200 Hz"), (4200.0, "at 200 Hz"), (215.0, "at 215 Hz")])
+@pytest.mark.parametrize(("moving_hz", "seen"), [(3800.0, "to 200 Hz"), (4200.0, "to 200 Hz"), (215.0, "at 215 Hz")])
 def test_motion_that_the_pulses_show_at_a_wanted_frequency_is_named(moving_hz, seen):
     extra = f"\n[[simulation.motion]]\nfrequency_hz = {moving_hz}\namplitude_m = 1e-6\n"
     (finding,) = found(TABLE_1 + extra, "motion aliased")

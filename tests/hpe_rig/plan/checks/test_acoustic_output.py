@@ -14,7 +14,7 @@ from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.plan.checks.acoustic_output import (
     AcousticOutput,
-    _quieter,
+    _reduction,
     derating_db,
     drive_output,
     highest_output,
@@ -102,9 +102,9 @@ def test_shorter_bursts_are_offered_where_the_time_average_alone_is_too_much(to_
     limits = read_bench().bench.limits
     index = limits.max_mechanical_index / to_spare
     sppa = 10 * limits.max_sppa_w_per_m2
-    remedy = _quieter(AcousticOutput(index, sppa, 2 * limits.max_spta_w_per_m2), limits)
+    remedy = _reduction(AcousticOutput(index, sppa, 2 * limits.max_spta_w_per_m2), limits)
     assert ("burst_length_s of 50 %" in remedy) == (to_spare >= 1)
-    assert "burst_length_s" not in _quieter(AcousticOutput(index, sppa, limits.max_spta_w_per_m2), limits)
+    assert "burst_length_s" not in _reduction(AcousticOutput(index, sppa, limits.max_spta_w_per_m2), limits)
 
 
 def test_a_bench_without_calibration_is_told_that_nothing_was_estimated(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.bench import read_bench
-from hpe_rig.plan import DepthGate, apart, check_plan, depth_gates, make_plan, shots_with_gate, with_gate
-from hpe_rig.plan.checks.depth_gates import MOST_GATES
+from hpe_rig.plan import DepthGate, without_shared_echoes, check_plan, depth_gates, make_plan, shots_with_gate, with_gate
+from hpe_rig.plan.checks.depth_gates import MAX_GATES
 from hpe_rig.plan.interference import admissible_delays_s
 from hpe_rig.scene import Scene, SettingsError, load_scene
 
@@ -77,7 +77,7 @@ def test_a_gate_may_begin_with_its_record_and_end_with_it_but_not_a_sample_beyon
 
 def test_gates_that_share_echoes_are_thinned_from_the_nearest_to_the_focus() -> None:
     gates = [DepthGate(70e-3 + k * 0.5e-3, 1e-3) for k in range(-3, 4)]
-    assert [round(gate.depth_m * 1e3, 3) for gate in apart(gates, 70e-3)] == [69.0, 70.0, 71.0]
+    assert [round(gate.depth_m * 1e3, 3) for gate in without_shared_echoes(gates, 70e-3)] == [69.0, 70.0, 71.0]
 
 
 def test_what_speaks_against_gates_is_said_all_at_once() -> None:
@@ -117,12 +117,12 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
 def test_the_longest_profile_has_a_thousand_gates() -> None:
     scene = scene_with(processing__gate_profile_step_m=10e-6, acquisition__record_samples=2048)
     count = len(depth_gates(scene, make_plan(scene, BENCH).shots[0]))
-    assert count > MOST_GATES
-    fits_m = 10e-6 * (count - 1) / (MOST_GATES - 1)
+    assert count > MAX_GATES
+    fits_m = 10e-6 * (count - 1) / (MAX_GATES - 1)
     for step_m, refused in ((fits_m * 1.003, False), (fits_m * 0.997, True)):
         scene = scene.with_({"processing.gate_profile_step_m": step_m})
         count = len(depth_gates(scene, make_plan(scene, BENCH).shots[0]))
-        assert (count > MOST_GATES) == refused
+        assert (count > MAX_GATES) == refused
         assert any("gate_profile_step_m" in each for each in refusals(scene)) == refused
 
 

@@ -11,7 +11,7 @@ import pytest
 from hpe_rig.bench import read_bench
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.checklist import check_plan
-from hpe_rig.plan.selection import LARGEST_CONDITION, select
+from hpe_rig.plan.selection import MAX_CONDITION, select
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.scene import load_scene
@@ -38,8 +38,8 @@ def test_a_background_is_refused_where_least_squares_would_refuse_it(order: int,
     chosen = select(own, make_plan(own, BENCH).shots[0])
     condition = linear_model(chosen.time_s, chosen.used, chosen.wanted_hz, np.inf, background_order=order).condition
     found = found_of(changes)
-    assert ("fit" in found) == (condition > LARGEST_CONDITION)
-    if LARGEST_CONDITION < condition < 1e12:
+    assert ("fit" in found) == (condition > MAX_CONDITION)
+    if MAX_CONDITION < condition < 1e12:
         # Three digits, of a background in other units of time.
         said = re.search(r"\(condition (\S+), limit", found["fit"].text)
         assert said is not None

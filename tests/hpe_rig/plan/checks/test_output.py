@@ -18,15 +18,19 @@ from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.scene import parse_scene, shipped_scenes
+from hpe_rig.scene import mistakes_of, parse_scene, shipped_scenes
 
 MUSCLE = shipped_scenes()["bovine-muscle"]
 
 
 def test_a_bench_file_names_the_models_that_have_a_driver_and_no_others() -> None:
-    generators, boards = (section.model_fields["model"].annotation for section in (Generator, DigitizerBoard))
+    generators = Generator.model_fields["model"].annotation
     assert set(get_args(generators)) == {model.name for model in GENERATOR_MODELS}
-    assert set(get_args(boards)) == {model.name for model in BOARD_MODELS}
+    for model in BOARD_MODELS:
+        assert not mistakes_of(DigitizerBoard, {"model": model.name})
+    (mistake,) = mistakes_of(DigitizerBoard, {"model": "ATS461"})
+    assert all(model.name in mistake.remedy for model in BOARD_MODELS)
+    assert "did you mean 'ATS460'?" in mistake.remedy
 
 
 @pytest.mark.parametrize(
