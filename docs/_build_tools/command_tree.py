@@ -46,9 +46,8 @@ def models_with(form: str) -> str:
 def row(form: str, example: Any) -> str:
     """Return the row of a form; its entry is that of the first model that knows it."""
     entry = next(tree[form] for tree in map(tree_of, MODELS.values()) if form in tree)
-    command, asked = entry.command_arguments, entry.query_arguments
-    takes = "–" if command is None else command or "nothing"
-    query = "–" if asked is None else f"`?` {asked}".strip()
+    takes = "–" if entry.command is None else entry.accepts or "nothing"
+    query = "–" if entry.query is None else f"`?` {getattr(entry, 'query_accepts', '')}".strip()
     return f"| {' | '.join((f'`{form}`', takes, query, models_with(form), exchange(example)))} |"
 
 
