@@ -217,42 +217,34 @@ class Instrument(Protocol):
     def close(self) -> None: ...
 
 
-class MasterTrigger(Instrument, Protocol):
+class Generator(Instrument, Protocol):
+    """A function generator, programmed with its output off."""
+
+    def enable_output(self) -> None: ...
+
+    def recheck(self) -> None:
+        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
+        ...
+
+
+class MasterTrigger(Generator, Protocol):
     """Source of the first edge: one pulse on software command."""
 
     def configure(self, task: TriggerPulse, /) -> None: ...
 
-    def enable_output(self) -> None: ...
-
     def fire(self) -> None: ...
 
-    def recheck(self) -> None:
-        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
-        ...
 
-
-class PulseGenerator(Instrument, Protocol):
+class PulseGenerator(Generator, Protocol):
     """A triggered train of TTL pulses."""
 
     def configure(self, task: PulseTrain, /) -> None: ...
 
-    def enable_output(self) -> None: ...
 
-    def recheck(self) -> None:
-        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
-        ...
-
-
-class ToneburstGenerator(Instrument, Protocol):
+class ToneburstGenerator(Generator, Protocol):
     """A triggered sine burst."""
 
     def configure(self, task: Toneburst, /) -> None: ...
-
-    def enable_output(self) -> None: ...
-
-    def recheck(self) -> None:
-        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
-        ...
 
 
 class Digitizer(Instrument, Protocol):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
@@ -33,40 +34,44 @@ MAX_BUFFERS: Final = 4
 WAIT_SLICE_MS: Final = 100
 
 
+@dataclass(frozen=True, slots=True)
+class CaptureJob:
+    """Arguments of a capture; ``allocate`` makes the memory that the board writes into."""
+
+    board: AlazarBoard
+    clock: Clock
+    settings: Capture
+    channels: tuple[Channel, ...]
+    allocate: Callable[[int], PageBuffer]
+
+
 @final
 class SinglePortCapture:
-    """One capture of ``channels`` with a board that cannot be read while it records."""
+    """One capture with a board that cannot be read while it records."""
 
     name = "single_port"
 
-    def __init__(
-        self,
-        board: AlazarBoard,
-        clock: Clock,
-        capture: Capture,
-        channels: tuple[Channel, ...],
-        allocate: Callable[[int], PageBuffer],
-    ) -> None:
-        self._board, self._clock, self._capture, self._allocate = board, clock, capture, allocate
-        self._channels = channels
+    def __init__(self, job: CaptureJob) -> None:
+        self._job = job
+        self._board, self._settings = job.board, job.settings
         self.armed = False
-        block_records = max(1, BUFFER_TARGET_BYTES // (board.model.sample_bytes * capture.record_samples))
-        self.records_per_block = min(capture.record_count, block_records)
+        record_bytes = job.board.model.sample_bytes * job.settings.record_samples
+        self.records_per_block = min(job.settings.record_count, max(1, BUFFER_TARGET_BYTES // record_bytes))
 
     def prepare(self) -> None:
         """Program record size and count; raise ``InstrumentError`` if the memory does not hold them."""
-        board, capture = self._board, self._capture
-        limit = board.max_records(capture.record_samples)
-        if capture.record_count > limit:
+        board, settings = self._board, self._settings
+        count, samples = settings.record_count, settings.record_samples
+        limit = board.max_records(samples)
+        if count > limit:
             raise InstrumentError(
                 board.role,
-                f"record_count = {capture.record_count} of {capture.record_samples} samples, the memory holds {limit}",
+                f"record_count = {count} of {samples} samples, the memory holds {limit}",
                 "without dual-port memory the whole capture must fit on the board",
                 f"capture at most {limit} records at a time, or shorter ones",
             )
-        pre = pre_trigger_samples(capture)
-        board.call(board.library.AlazarSetRecordSize, pre, capture.record_samples - pre)
-        board.call(board.library.AlazarSetRecordCount, capture.record_count)
+        _set_record_size(board, settings)
+        board.call(board.library.AlazarSetRecordCount, count)
 
     def arm(self) -> None:
         """Start the capture, which waits for triggers; time stamps start at zero."""
@@ -84,8 +89,8 @@ class SinglePortCapture:
         arrived = self._wait(deadline_s)
         self.abort()
         yield from self._read(arrived)
-        if arrived < self._capture.record_count:
-            raise missing_records_error(self._board.role, arrived, self._capture.record_count, deadline_s)
+        if arrived < self._settings.record_count:
+            raise missing_records_error(self._board.role, arrived, self._settings.record_count, deadline_s)
 
     def abort(self) -> None:
         """End the capture if one is running."""
@@ -100,28 +105,28 @@ class SinglePortCapture:
     def _wait(self, deadline_s: float) -> int:
         """Return how many records arrived by the deadline."""
         while self._board.busy():
-            remaining_s = deadline_s - self._clock.now_s()
+            remaining_s = deadline_s - self._job.clock.now_s()
             if remaining_s <= 0:
                 # Read before the abort, after which some SDK versions report 0. A record may arrive in between.
                 return self._board.parameter(Parameter.RECORDS_CAPTURED) or 0
-            self._clock.sleep(min(POLL_S, remaining_s))
-        return self._capture.record_count
+            self._job.clock.sleep(min(POLL_S, remaining_s))
+        return self._settings.record_count
 
     def _read(self, arrived: int) -> Iterator[RawRecords]:
-        samples = self._capture.record_samples
-        buffer = self._allocate(self._board.model.sample_bytes * (samples + READ_MARGIN_SAMPLES))
+        samples = self._settings.record_samples
+        buffer = self._job.allocate(self._board.model.sample_bytes * (samples + READ_MARGIN_SAMPLES))
         try:
             for first in range(0, arrived, self.records_per_block):
                 indices = range(first, min(first + self.records_per_block, arrived))
-                words = [[self._words(buffer, channel, index) for index in indices] for channel in self._channels]
+                words = [[self._words(buffer, channel, index) for index in indices] for channel in self._job.channels]
                 times = np.array([self._trigger_samples(index) for index in indices])
                 yield RawRecords(first, native(np.array(words)), times)
         finally:
             buffer.free()
 
     def _words(self, buffer: PageBuffer, channel: Channel, index: int) -> Words:
-        board, samples = self._board, self._capture.record_samples
-        offset = -pre_trigger_samples(self._capture)
+        board, samples = self._board, self._settings.record_samples
+        offset = -pre_trigger_samples(self._settings)
         # The vendor counts records from 1.
         size = board.model.sample_bytes
         board.call(board.library.AlazarRead, int(channel), buffer.address, size, index + 1, offset, samples)
@@ -143,34 +148,25 @@ class SinglePortCapture:
 
 @final
 class DualPortCapture:
-    """One capture of ``channels`` through a ring of page-aligned buffers.
+    """One capture through a ring of page-aligned buffers.
 
     The buffers live from ``arm`` until ``abort``, which must always follow, also after the last record. If the abort
     fails, they are kept for the life of the process, because the board might still write into them. NPT records have
     no trigger time.
     """
 
-    def __init__(
-        self,
-        board: AlazarBoard,
-        clock: Clock,
-        capture: Capture,
-        channels: tuple[Channel, ...],
-        allocate: Callable[[int], PageBuffer],
-        npt: bool,
-    ) -> None:
-        self._board, self._clock, self._capture, self._allocate = board, clock, capture, allocate
-        self._channels, self._npt = channels, npt
+    def __init__(self, job: CaptureJob, npt: bool) -> None:
+        self._job, self._npt = job, npt
+        self._board, self._settings = job.board, job.settings
         self.name = "npt" if npt else "traditional"
-        self.records_per_block = records_per_buffer(capture, len(channels), board.model)
-        self._buffer_count = capture.record_count // self.records_per_block
+        self.records_per_block = records_per_buffer(job.settings, len(job.channels), job.board.model)
+        self._buffer_count = job.settings.record_count // self.records_per_block
         self.armed = False
         self._buffers: list[PageBuffer] = []
 
     def prepare(self) -> None:
         """Program the record size."""
-        pre = pre_trigger_samples(self._capture)
-        self._board.call(self._board.library.AlazarSetRecordSize, pre, self._capture.record_samples - pre)
+        _set_record_size(self._board, self._settings)
 
     def arm(self) -> None:
         """Post the ring of buffers and start the capture, which waits for triggers; time stamps start at zero."""
@@ -180,10 +176,10 @@ class DualPortCapture:
         try:
             board.call(board.library.AlazarResetTimeStamp, api.TIMESTAMP_RESET_ALWAYS)
             self._begin_transfer()
-            samples, channels = self._capture.record_samples, len(self._channels)
+            samples, channels = self._settings.record_samples, len(self._job.channels)
             size = buffer_bytes(samples, self.records_per_block * channels, not self._npt, board.model)
             for _ in range(min(MAX_BUFFERS, max(MIN_BUFFERS, self._buffer_count))):
-                self._buffers.append(self._allocate(size))
+                self._buffers.append(self._job.allocate(size))
                 self._post(self._buffers[-1])
             board.call(board.library.AlazarStartCapture)
         except BaseException:
@@ -194,7 +190,7 @@ class DualPortCapture:
         """Yield the records of each buffer once it is full; raise ``DeadlineError`` at the deadline."""
         # A copy of the ring: ``abort`` may empty ``_buffers`` while this iterator is suspended.
         ring, model = tuple(self._buffers), self._board.model
-        layout = BufferLayout(len(self._channels), self._capture.record_samples, self._npt, model)
+        layout = BufferLayout(len(self._job.channels), self._settings.record_samples, self._npt, model)
         samples_per_count = 1 if self._npt else self._board.samples_per_timestamp()
         for index in range(self._buffer_count):
             buffer = ring[index % len(ring)]
@@ -226,15 +222,15 @@ class DualPortCapture:
         return len(self._buffers)
 
     def _begin_transfer(self) -> None:
-        board, capture = self._board, self._capture
+        board, settings = self._board, self._settings
         mode = api.ADMA_NPT if self._npt else api.ADMA_RECORD_HEADERS
         board.call(
             board.library.AlazarBeforeAsyncRead,
-            sum(self._channels),
-            -pre_trigger_samples(capture),
-            capture.record_samples,
+            sum(self._job.channels),
+            -pre_trigger_samples(settings),
+            settings.record_samples,
             self.records_per_block,
-            capture.record_count,
+            settings.record_count,
             api.ADMA_EXTERNAL_STARTCAPTURE | mode,
         )
 
@@ -249,7 +245,7 @@ class DualPortCapture:
                 why = "the bench was made safe in the meantime"
                 raise InstrumentError(board.role, "the capture was aborted", why, "start the shot again")
             # In slices, so that Ctrl-C and an abort by another thread are noticed.
-            remaining_ms = max(0, math.ceil((deadline_s - self._clock.now_s()) * 1e3))
+            remaining_ms = max(0, math.ceil((deadline_s - self._job.clock.now_s()) * 1e3))
             timeout_ms = min(WAIT_SLICE_MS, remaining_ms)
             wait = board.library.AlazarWaitAsyncBufferComplete
             code = board.invoke(wait, board.handle, buffer.address, timeout_ms)
@@ -259,7 +255,12 @@ class DualPortCapture:
             if remaining_ms == 0:
                 captured = board.parameter(Parameter.RECORDS_CAPTURED)
                 delivered = index * self.records_per_block
-                raise missing_records_error(board.role, delivered, self._capture.record_count, deadline_s, captured)
+                raise missing_records_error(board.role, delivered, self._settings.record_count, deadline_s, captured)
+
+
+def _set_record_size(board: AlazarBoard, settings: Capture) -> None:
+    pre = pre_trigger_samples(settings)
+    board.call(board.library.AlazarSetRecordSize, pre, settings.record_samples - pre)
 
 
 def missing_records_error(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers.alazar import api, samples
 from drivers.alazar.api import Capability, Channel, Parameter
 from drivers.alazar.board import AlazarBoard
-from drivers.alazar.captures import DualPortCapture, SinglePortCapture
+from drivers.alazar.captures import CaptureJob, DualPortCapture, SinglePortCapture
 from drivers.alazar.limits import Mode, level_code, mistakes
 from drivers.alazar.models import BoardModel
 from drivers.alazar.page_buffer import PageBuffer
@@ -186,8 +186,8 @@ class AlazarDigitizer:
         return mode
 
     def _new_capture(self, mode: Mode, settings: Capture) -> SinglePortCapture | DualPortCapture:
-        arguments = self._board, self._clock, settings, tuple(_input_ranges_v(settings)), self._allocate
-        return SinglePortCapture(*arguments) if mode == "single_port" else DualPortCapture(*arguments, mode == "npt")
+        job = CaptureJob(self._board, self._clock, settings, tuple(_input_ranges_v(settings)), self._allocate)
+        return SinglePortCapture(job) if mode == "single_port" else DualPortCapture(job, npt=mode == "npt")
 
     def _program(self, settings: Capture) -> None:
         board, lib, model = self._board, self._board.library, self._model

@@ -39,16 +39,6 @@ class Action:
     accepts: str = ""
     query_accepts: str = ""
 
-    @property
-    def command_arguments(self) -> str | None:
-        """Description of the command's arguments, None if there is no command."""
-        return None if self.command is None else self.accepts
-
-    @property
-    def query_arguments(self) -> str | None:
-        """Description of the query's arguments, None if there is no query."""
-        return None if self.query is None else self.query_accepts
-
     def execute(self, instrument: Machine, query: bool, arguments: tuple[str, ...]) -> str | None:
         """Return the reply of the query, or execute the command; raise ``ScpiError`` -113 for a missing form."""
         if not (self.query_accepts if query else self.accepts):

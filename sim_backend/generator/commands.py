@@ -45,7 +45,7 @@ def _amplitude() -> SettingCommand:
         lambda state: levels.in_unit(state, state.amplitude_v * load_divider(state)),
         levels.set_amplitude,
     )
-    return replace(shown, write=write)
+    return replace(shown, command=write)
 
 
 DEFAULT_VPP = 0.1

@@ -24,31 +24,21 @@ class SettingCommand:
     ``accepts`` describes the command's arguments.
     """
 
-    write: Write | None
-    read: Read | None
+    command: Write | None
+    query: Read | None
     accepts: str = ""
-
-    @property
-    def command_arguments(self) -> str | None:
-        """Description of the command's arguments, None if there is no command."""
-        return None if self.write is None else self.accepts
-
-    @property
-    def query_arguments(self) -> str | None:
-        """Description of the query's arguments, None if there is no query."""
-        return None if self.read is None else ""
 
     def execute(self, state: Registers, arguments: tuple[str, ...]) -> Coerced:
         """Return the registers after the command; raise ``ScpiError`` -113 if there is a query alone."""
-        if self.write is None:
+        if self.command is None:
             raise ScpiError(-113, "Undefined header")
-        return self.write(state, arguments)
+        return self.command(state, arguments)
 
     def answer(self, state: Registers, arguments: tuple[str, ...]) -> str:
         """Return the reply to the query; raise ``ScpiError`` -113 if there is no query."""
-        if self.read is None:
+        if self.query is None:
             raise ScpiError(-113, "Undefined header")
-        return self.read(state, arguments)
+        return self.query(state, arguments)
 
 
 def numeric(

@@ -29,7 +29,6 @@ class Machine(Protocol):
 
     def program(self, *channels: Registers) -> None:
         """Replace the state of the first channels."""
-        ...
 
     def reset(self) -> None: ...
 

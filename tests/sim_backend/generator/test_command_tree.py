@@ -86,7 +86,7 @@ def test_the_example_of_every_command_holds_on_every_model(name: str, form: str)
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
 def test_every_spelling_of_a_form_has_the_same_effect(name: str, form: str) -> None:
     entry = tree_of(MODELS[name])[form]
-    queried = isinstance(entry, SettingCommand) and entry.read is not None
+    queried = isinstance(entry, SettingCommand) and entry.query is not None
     replies = set()
     for spelling in spellings(form):
         generator = twin(name)
@@ -99,7 +99,7 @@ def test_every_spelling_of_a_form_has_the_same_effect(name: str, form: str) -> N
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
 def test_sending_a_settings_reply_back_changes_nothing(name: str, form: str) -> None:
     entry = tree_of(MODELS[name])[form]
-    if not isinstance(entry, SettingCommand) or None in (entry.read, entry.write):
+    if not isinstance(entry, SettingCommand) or None in (entry.query, entry.command):
         return
     generator, header = twin(name), spellings(form)[-1]
     generator.write(EXAMPLES[form].message)
@@ -111,7 +111,7 @@ def test_sending_a_settings_reply_back_changes_nothing(name: str, form: str) -> 
 
 def is_number(name: str, form: str) -> bool:
     entry = tree_of(MODELS[name])[form]
-    return isinstance(entry, SettingCommand) and entry.read is not None and "MIN" in entry.accepts
+    return isinstance(entry, SettingCommand) and entry.query is not None and "MIN" in entry.accepts
 
 
 NUMBERS = [pair for pair in FORMS if is_number(*pair)]
