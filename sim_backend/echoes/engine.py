@@ -132,7 +132,7 @@ def _to_tolerance(
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
-    """Return the echoes to ``tolerance`` of their own rms, also where scatterers nearly cancel each other.
+    """Return the echoes to ``tolerance`` of their rms, also where scatterers nearly cancel each other.
 
     The error of the series is proportional to the parts of the sum. If the sum is far smaller, it is computed again
     with a tolerance that is finer by the ratio of the two, and exactly where that is below rounding.

@@ -295,7 +295,7 @@ class _AliveRange:
         """
         length = moments.shape[1]
         middle = min(max(self.middle - cut, 0), length)
-        # One empty column at ``middle``, from which the running sums go backwards and forwards.
+        # One empty column at ``middle``, the start of the running sums backwards and forwards.
         running = np.zeros((len(phasor), len(moments), length + 1), dtype=np.complex128)
         np.multiply(phasor[:, None, :middle], moments[:, :middle], out=running[..., :middle])
         np.multiply(phasor[:, None, middle:], moments[:, middle:], out=running[..., middle + 1 :])
@@ -413,7 +413,7 @@ def _correct_ends(
     scatterer, end = ends.scatterer[pair], ends.end[pair]
     after_end_s = sample_time_s[sample] - ends.time_s[pair]
     after_at_rest = sample >= np.where(end == 0, rest_sample[0][scatterer], rest_sample[1][scatterer])
-    # Taylor coefficients (pair, order): the same for all scatterers, or each with its beam's response.
+    # Taylor coefficients (pair, order), common to all scatterers or with each one's beam response.
     if scene.response is None:
         coefficients = taylor.sum(axis=1).real[end]
     else:

@@ -137,7 +137,7 @@ def focus_field(
     axial_m = axial_reach_m * (2 * axial_points - 1 if asymmetric else np.sqrt(axial_points))
     spectrum = _Spectrum(gaussians, lateral_m, axial_m)
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _rotated_contour(spectrum.ray / _RAY))
-    # Modes: singular vectors of the matrix of time by point, of which few are large.
+    # Modes: singular vectors of the matrix of time by point. Few singular values are large.
     degrees, panel_count, points = panels.coefficient.shape
     scale = _error_scale(specimen, panels)[:, None]
     left, size, right = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)

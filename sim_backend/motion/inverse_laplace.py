@@ -75,8 +75,9 @@ class Panels:
         panel = np.clip(np.log(in_table_s / _FIRST_S) / np.log(_PANEL_RATIO), 0, last).astype(np.int64)
         position = 2 * (in_table_s / (_FIRST_S * _PANEL_RATIO**panel) - 1) / (_PANEL_RATIO - 1) - 1
         value = _chebyshev_sum(self.coefficient, panel, position[..., None])
-        early = np.clip(time_s / _FIRST_S, 0.0, 1.0) ** 2
-        return np.asarray(value * early[..., None])
+        # Below the first panel the response grows with the square of time.
+        onset_factor = np.clip(time_s / _FIRST_S, 0.0, 1.0) ** 2
+        return np.asarray(value * onset_factor[..., None])
 
 
 def panels_of(
@@ -88,7 +89,7 @@ def panels_of(
     s, weight = _hyperbola(contour)
     # (panel, node, response): all panels have the same hyperbola, scaled by their begin.
     value = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
-    # Chebyshev points in units of a panel's begin, 1 to 4, so that exp(s t) is the same for all panels.
+    # Chebyshev points in units of a panel's begin, 1 to 4, so that exp(s t) is common to all panels.
     time = 1 + (_PANEL_RATIO - 1) * (chebpts1(degrees) + 1) / 2
     to_time = np.exp(np.outer(time, s)) * weight
     samples = np.einsum("tn,pnr->tpr", to_time, value, optimize=True).real

@@ -47,7 +47,7 @@ def sampled(response: ComplexArray, at_infinity: float) -> ComplexArray:
 
 
 def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
-    """Return the time in which a cascade of band-passes or notches ``bands`` rings down to ``tolerance``."""
+    """Return how long a cascade of band-passes or notches ``bands`` rings above ``tolerance``."""
     slowest_s = 0.0
     for band in bands:
         roots = np.concatenate([np.roots([1.0, -band.bandwidth * pole, 1.0]) for pole in _poles(band.order)])

@@ -1,4 +1,4 @@
-"""Random numbers of a capture's records, independent of the blocks in which records are requested."""
+"""Random numbers of a capture's records, independent of the division into blocks."""
 
 from __future__ import annotations
 

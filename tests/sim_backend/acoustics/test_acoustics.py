@@ -316,7 +316,7 @@ def test_echoes_of_a_periodic_motion_are_made_once_each_and_are_those_of_every_p
     np.testing.assert_allclose(together, alone, rtol=0, atol=3e-8 * np.abs(alone).max())
 
 
-def test_echoes_kept_from_the_records_before_are_those_that_would_be_made():
+def test_stored_echoes_equal_newly_computed_ones():
     # blocks of whole periods: the same echoes; weaker ones; sampled 3 ns later; over a shorter record
     settings = SimulationSettings(seed=2, motion=MOTION, receiver=Receiver(snr_db=None))
     onset_ps = np.arange(40) * 250_000_000
@@ -331,7 +331,7 @@ def test_echoes_kept_from_the_records_before_are_those_that_would_be_made():
         assert made.any()
 
 
-def test_echoes_are_kept_of_few_kinds_of_pulse():
+def test_echoes_of_few_pulses_are_stored():
     onset_ps = np.arange(4) * 250_000_000
     acoustics = Acoustics(SimulationSettings(seed=2, motion=MOTION, receiver=Receiver(snr_db=None)))
     for shot in range(12):
@@ -340,7 +340,7 @@ def test_echoes_are_kept_of_few_kinds_of_pulse():
     assert len(vars(acoustics)["_stored_echoes"]) == 8
 
 
-def test_echoes_count_as_one_only_where_the_tolerance_cannot_tell():
+def test_echoes_count_as_equal_only_within_the_tolerance():
     pulse, shape = hann_pulse(9.0e6, 0.065), np.array([[0.2, -1.0], [1.0, 1.0]])
     highest = 2 * np.pi * max(pulse.frequency_hz)
     # 1e-3 of the tolerance apart in turn are alike, 1 of it are not, in either freedom

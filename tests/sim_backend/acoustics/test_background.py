@@ -34,7 +34,7 @@ def test_background_is_the_sum_of_its_harmonics():
     assert np.abs(background_at([HEART], time_ps) - expected).max() < 1e-15
 
 
-def test_echoes_are_the_plain_sum_over_scatterers_that_the_background_carries_along():
+def test_echoes_are_the_plain_sum_over_scatterers_moved_by_the_background():
     """Delays 2 (z + b + g u) / c at the time at which each pulse passes the focus where that then is."""
     what, origin_ps = settings(HEART), 10**11
     pulses, capture = pulses_and_capture(origin_ps)
@@ -70,7 +70,7 @@ def test_the_true_displacement_is_without_the_background():
 
 
 @pytest.mark.parametrize("amplitude_m", [0.02, -0.02])
-def test_echoes_that_the_background_carries_out_of_the_records_are_silent(amplitude_m):
+def test_echoes_moved_out_of_the_records_are_silent(amplitude_m):
     far = BackgroundMotion(frequency_hz=1e-3, amplitude_m=0.02, phase_rad=np.copysign(np.pi / 2, amplitude_m))
     pulses, capture = pulses_and_capture()
     assert (Acoustics(settings(far)).record_volts(no_bursts(), pulses, capture) == 0.0).all()

@@ -27,9 +27,9 @@ def all_draws(count, seed=0, settings=SETTINGS, displacement_m=CYCLE_M, gate_s=G
 
 
 def exact_row(scene, row, time_s=GATE_S):
-    own = scene.row == row
-    delay_s = scene.rest_s[own] + scene.amplitude_s[row] @ scene.shape[:, own]
-    return running_sum(delay_s, scene.weight[own], PULSE, time_s)
+    in_row = scene.row == row
+    delay_s = scene.rest_s[in_row] + scene.amplitude_s[row] @ scene.shape[:, in_row]
+    return running_sum(delay_s, scene.weight[in_row], PULSE, time_s)
 
 
 def rms_error(ours, expected):
@@ -84,12 +84,12 @@ def test_scatterers_of_no_weight_are_silent():
 
 def test_scatterers_out_of_order_are_refused():
     scene = three_rows()
-    turned = replace(scene, rest_s=scene.rest_s[::-1])
+    reversed_order = replace(scene, rest_s=scene.rest_s[::-1])
     with pytest.raises(ValueError, match=r"numpy\.lexsort\(\(rest_s, row\)\)"):
-        batch(turned, PULSE, GATE_S)
+        batch(reversed_order, PULSE, GATE_S)
 
 
-def test_times_in_single_precision_are_taken_at_their_value():
+def test_times_in_single_precision_give_the_same_echoes():
     scene, single_s = three_rows(), GATE_S.astype(np.float32)
     ours = batch(scene, PULSE, single_s, 1e-9)
     assert np.array_equal(ours, batch(scene, PULSE, single_s.astype(np.float64), 1e-9))
@@ -112,18 +112,18 @@ def test_each_draw_may_have_its_own_motion():
     assert rms_error(ours[10], all_draws(20, displacement_m=same_m)[10]) < 1e-6
 
 
-def test_thinned_draws_have_the_count_and_the_places_of_the_full_ones():
+def test_thinned_draws_have_the_count_and_the_positions_of_full_draws():
     field = draw_thinned(SETTINGS, (-1e-6, 1.5e-6), 0.0, np.random.default_rng(2), 2000)
-    share = (1e-6 + 1.5e-6) * SOUND_SPEED / 2 / 5e-3
+    fraction = (1e-6 + 1.5e-6) * SOUND_SPEED / 2 / 5e-3
     count = np.bincount(field.row, minlength=2000)
     # Binomial of 1593: five standard errors of mean and variance over 2000 draws.
-    sd = np.sqrt(1593 * share * (1 - share))
-    assert count.mean() == pytest.approx(1593 * share, abs=5 * sd / np.sqrt(2000))
+    sd = np.sqrt(1593 * fraction * (1 - fraction))
+    assert count.mean() == pytest.approx(1593 * fraction, abs=5 * sd / np.sqrt(2000))
     assert count.var() == pytest.approx(sd**2, rel=5 * np.sqrt(2 / 2000))
-    place = (field.delay_s + 1e-6) / 2.5e-6
-    assert ((place >= 0) & (place < 1)).all()
-    assert place.mean() == pytest.approx(0.5, abs=5 / np.sqrt(12 * len(place)))
-    assert np.square(place - 0.5).mean() == pytest.approx(1 / 12, abs=5 / np.sqrt(180 * len(place)))
+    position = (field.delay_s + 1e-6) / 2.5e-6
+    assert ((position >= 0) & (position < 1)).all()
+    assert position.mean() == pytest.approx(0.5, abs=5 / np.sqrt(12 * len(position)))
+    assert np.square(position - 0.5).mean() == pytest.approx(1 / 12, abs=5 / np.sqrt(180 * len(position)))
     assert (np.diff(field.delay_s)[np.diff(field.row) == 0] >= 0).all()
 
 

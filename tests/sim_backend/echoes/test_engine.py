@@ -83,7 +83,7 @@ def test_running_sum_over_many_echoes_equals_each_alone():
         assert np.array_equal(together[echo], alone[0])
 
 
-def test_moved_scatterer_echoes_later_by_twice_the_way():
+def test_moved_scatterer_echoes_later_by_the_two_way_delay():
     pulse = hann_pulse(9.0e6, 0.065)
     delays = EchoDelays.of_motion(np.array([2e-7]), np.array([0.5]), np.array([3e-6]), SOUND_SPEED)
     ours = echoes(delays, np.array([0.7]), pulse, GATE_S)
@@ -93,7 +93,7 @@ def test_moved_scatterer_echoes_later_by_twice_the_way():
 
 @pytest.mark.parametrize("bandwidth", [0.065, 0.4, 0.75, 2.0])
 @pytest.mark.parametrize("axial_delay", ["two_way", "none"])
-def test_echoes_meet_the_tolerance_asked_for(bandwidth, axial_delay):
+def test_echoes_meet_their_tolerance(bandwidth, axial_delay):
     pulse = hann_pulse(9.0e6, bandwidth)
     for seed, amplitude_m in enumerate([1e-15, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4]):
         tau, weight, motion_weight = scene(seed, axial_delay)
@@ -163,8 +163,8 @@ def test_a_pulse_may_be_any_sum_of_exponentials():
 def test_mean_echo_power_is_density_times_the_integral_of_squared_weight_and_pulse():
     """E r^2 = n int I^2 dx dy dz <p^2>-average over depth: closed form where the box is wide against beam and pulse."""
     draws, centre_s, pulse = 1500, GATE_S[[64]], hann_pulse(9.0e6, 0.065)
-    drawn = drawn_echoes(SimulationSettings(), np.zeros(1), pulse, centre_s, np.random.default_rng(7), draws)
-    power = np.square(np.concatenate(list(drawn))).mean()
+    draws_of_echoes = drawn_echoes(SimulationSettings(), np.zeros(1), pulse, centre_s, np.random.default_rng(7), draws)
+    power = np.square(np.concatenate(list(draws_of_echoes))).mean()
     density = 1593 / 5e-9
     tx, ty, tz = Beams().tracking_width_m
     z = np.linspace(-2.5e-3, 2.5e-3, 200_001)

@@ -51,11 +51,11 @@ def hann_to_30_digits(time_s, delay_s, bandwidth=0.065):
 def test_every_displacement_from_a_femtometre_to_a_millimetre_meets_the_default_tolerance(amplitude_m):
     tau, weight, g = scene(1)
     motion = moving(tau, g, amplitude_m)
-    made = synthesise(motion, weight, HANN, GATE_S)
-    assert rms_error(made.echo, running_sum(motion.delay_s(), weight, HANN, GATE_S)) < 1e-6
+    synthesis = synthesise(motion, weight, HANN, GATE_S)
+    assert rms_error(synthesis.echo, running_sum(motion.delay_s(), weight, HANN, GATE_S)) < 1e-6
 
 
-def test_a_femtometre_is_seen_against_30_digits():
+def test_a_femtometre_agrees_with_30_digits():
     """d r / d u = 2 w / c = 7e4 per m: a fm changes the echo by 7e-11, rounding by 1e-15."""
     motion = moving(np.array([1e-7]), np.ones(1), 1e-15, np.array([-1.0, 1.0]))
     change = np.diff(synthesise(motion, np.ones(1), HANN, GATE_S, 1e-14).echo, axis=0)[0]
@@ -68,9 +68,9 @@ def test_a_femtometre_is_seen_against_30_digits():
 def direct_at(delay_s, weight, time_s):
     """The direct sum at a few times, each over the scatterers (ascending in delay) whose support can hold it."""
     out = np.empty((len(delay_s), len(time_s)))
-    for place, at_s in enumerate(time_s):
+    for position, at_s in enumerate(time_s):
         near = (delay_s.min(axis=0) <= at_s - HANN.start_s + 1e-9) & (delay_s.max(axis=0) >= at_s - HANN.end_s - 1e-9)
-        out[:, place] = direct_sum(delay_s[:, near], weight[near], HANN, time_s[[place]])[:, 0]
+        out[:, position] = direct_sum(delay_s[:, near], weight[near], HANN, time_s[[position]])[:, 0]
     return out
 
 
@@ -151,9 +151,9 @@ def test_gates_of_one_sample_and_of_a_hundred_thousand(samples):
     tau = np.sort(rng.uniform(time_s[0] - 1e-6, time_s[-1] + 1e-6, max(500, samples // 5)))
     weight, g = rng.standard_normal(len(tau)), rng.random(len(tau))
     motion = moving(tau, g, 1e-6, CYCLE[:4])
-    made = synthesise(motion, weight, HANN, time_s, 1e-9)
+    synthesis = synthesise(motion, weight, HANN, time_s, 1e-9)
     some = np.unique(np.linspace(0, samples - 1, 40).astype(int))
-    assert rms_error(made.echo[:, some], direct_at(motion.delay_s(), weight, time_s[some])) < 1e-9
+    assert rms_error(synthesis.echo[:, some], direct_at(motion.delay_s(), weight, time_s[some])) < 1e-9
 
 
 def test_running_sum_does_not_cancel_however_long_the_gate():
@@ -193,11 +193,11 @@ def test_gate_far_from_the_focus_holds_tiny_weights_to_the_same_relative_error()
     for scale in (1e-100, 1e-280, 1e-308):
         motion = moving(tau, g, 1e-6)
         with np.errstate(under="ignore"):
-            made = synthesise(motion, weight * scale, HANN, GATE_S, 1e-8)
+            synthesis = synthesise(motion, weight * scale, HANN, GATE_S, 1e-8)
         exact = running_sum(motion.delay_s(), weight, HANN, GATE_S)
-        assert np.isfinite(made.echo).all()
+        assert np.isfinite(synthesis.echo).all()
         # Subnormal numbers keep fewer digits: at 1e-308 a weight of 1e-6 has two.
-        assert rms_error(made.echo / scale, exact) < (1e-8 if scale > 1e-300 else 1e-3)
+        assert rms_error(synthesis.echo / scale, exact) < (1e-8 if scale > 1e-300 else 1e-3)
     silent = synthesise(moving(tau, g, 1e-6), weight, HANN, GATE_S + 1e-3)
     assert not silent.echo.any()
 
@@ -206,17 +206,17 @@ def test_gate_far_from_the_focus_holds_tiny_weights_to_the_same_relative_error()
 def test_gate_centimetres_from_the_focus_is_right_until_the_weights_of_eq_8_underflow(depth_m, bound):
     """exp(-z^2 / 2 T_z^2) is 1e-197 at 25 mm, 1e-284 at 30, subnormal (few digits) at 31.5 and 0 at 34."""
     rng = np.random.default_rng(12)
-    place = rng.uniform(-0.5, 0.5, (300, 3)) * np.array([1e-4, 1e-4, 1e-3]) + np.array([0.0, 0.0, depth_m])
-    field = field_at(place, Beams())
+    position = rng.uniform(-0.5, 0.5, (300, 3)) * np.array([1e-4, 1e-4, 1e-3]) + np.array([0.0, 0.0, depth_m])
+    field = field_at(position, Beams())
     tau, gate_s = depth_delay_s(field, "two_way", SOUND_SPEED), GATE_S + 2 * depth_m / SOUND_SPEED
     motion = moving(tau, np.ones(300), 1e-6)
-    made = synthesise(motion, field.tracking_weight, HANN, gate_s, 1e-8).echo
+    synthesis = synthesise(motion, field.tracking_weight, HANN, gate_s, 1e-8).echo
     exact = direct_sum(motion.delay_s(), field.tracking_weight, HANN, gate_s)
     # Scaled up, or the squares of the comparison underflow themselves.
     scale = np.abs(exact).max()
     assert (scale == 0.0) == (bound == 0.0)
-    assert scale == 0.0 or rms_error(made / scale, exact / scale) < bound
-    assert scale > 0.0 or not made.any()
+    assert scale == 0.0 or rms_error(synthesis / scale, exact / scale) < bound
+    assert scale > 0.0 or not synthesis.any()
 
 
 @pytest.mark.parametrize("ratio", [1e-3, 1e-1, 2.19, 10.0, 1e3, np.inf])
@@ -224,8 +224,8 @@ def test_beam_ratios_from_a_thousandth_to_infinite(ratio):
     beams = Beams(width_ratio=(ratio, ratio, ratio))
     tau, weight, g = scene(9, beams)
     motion = moving(tau, g, 1e-6)
-    made = synthesise(motion, weight, HANN, GATE_S, 1e-9)
-    assert rms_error(made.echo, running_sum(motion.delay_s(), weight, HANN, GATE_S)) < 1e-9
+    synthesis = synthesise(motion, weight, HANN, GATE_S, 1e-9)
+    assert rms_error(synthesis.echo, running_sum(motion.delay_s(), weight, HANN, GATE_S)) < 1e-9
     if np.isinf(ratio):
         assert (g == 1.0).all()
     if ratio == 1e-3:
@@ -281,41 +281,41 @@ def test_times_that_do_not_ascend_negative_tolerance_and_unknown_method_are_refu
         synthesise(delays, np.ones(1), HANN, GATE_S, 1e-6, "nufft")
 
 
-def test_scatterers_left_out_are_paid_for_by_the_tolerance_even_where_the_strong_ones_cancel():
+def test_omitted_scatterers_stay_within_the_tolerance_even_if_the_strong_ones_cancel():
     """Two strong scatterers half a wavelength apart all but cancel: the rms the bound hoped for is not there."""
     rng = np.random.default_rng(11)
-    # The same place with opposite weights: what is left is the weak ones alone.
+    # The same position with opposite weights: what is left is the weak ones alone.
     tau = np.concatenate([[1e-7, 1e-7], rng.uniform(-1e-6, 1e-6, 500)])
     weight = np.concatenate([[1.0, -1.0], 1e-12 * rng.standard_normal(500)])
     order = np.argsort(tau, kind="stable")
     motion = moving(tau[order], np.full(502, 0.5), 1e-7)
-    made = synthesise(motion, weight[order], HANN, GATE_S, 1e-6, "running_sum")
-    assert made.scatterers == 502
+    synthesis = synthesise(motion, weight[order], HANN, GATE_S, 1e-6, "running_sum")
+    assert synthesis.scatterers == 502
     usual = synthesise(moving(*scene()[::2], 1e-6), scene()[1], HANN, GATE_S, 1e-3)
     assert usual.scatterers < 600
 
 
 @pytest.mark.parametrize("strength", [1e-6, 1.0, 1e6])
-def test_scatterers_left_out_of_a_nearly_cancelling_scene_are_taken_back(strength):
+def test_scatterers_left_out_of_a_nearly_cancelling_scene_are_included_again(strength):
     """Two of weight 1 leave 1e-9 of each other; the 500 left out are up to 1e-4 of that, a hundred tolerances."""
     rng = np.random.default_rng(13)
     tau = np.concatenate([[1e-7, 1e-7], np.sort(rng.uniform(1e-7, 1e-6, 500))])
     weight = np.concatenate([[1.0, -1.0 + 1e-9], 2e-16 * rng.standard_normal(500)])
     pulse = replace(HANN, amplitude=tuple(strength * amplitude for amplitude in HANN.amplitude))
-    made = synthesise(resting(tau), weight, pulse, GATE_S, 1e-6)
-    assert made.scatterers == 502
+    synthesis = synthesise(resting(tau), weight, pulse, GATE_S, 1e-6)
+    assert synthesis.scatterers == 502
 
 
 @pytest.mark.parametrize("method", [None, "series"])
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
 @pytest.mark.parametrize(("share", "rest"), [(1.0, 1e-6), (0.999, 1e-6), (0.999, 1e-9), (0.5, 1e-6), (0.0, 1e-3)])
-def test_moving_scatterers_that_nearly_cancel_keep_the_tolerance_of_what_they_leave(method, tolerance, share, rest):
-    """Two in one place, of weights 1 and -1 but for a rest, that move by 0.1 nm and by a share of that."""
+def test_moving_scatterers_that_nearly_cancel_keep_the_tolerance_of_their_sum(method, tolerance, share, rest):
+    """Two in one position, of weights 1 and -1 but for a rest, that move by 0.1 nm and by a share of that."""
     amplitude_s = 2 * 1e-10 / 1540 * np.sin(np.arange(400))[:, None]
     delays = EchoDelays(np.zeros(2), np.array([[1.0, share]]), amplitude_s)
     weight = np.array([1.0, -1.0 + rest])
-    made = synthesise(delays, weight, HANN, GATE_S, tolerance, method)
+    synthesis = synthesise(delays, weight, HANN, GATE_S, tolerance, method)
     exact = running_sum(delays.delay_s(), weight, HANN, GATE_S)
     size = np.sqrt(np.mean(exact**2))
     # Either sum rounds to some 1e-16 of the two before they cancel.
-    assert np.sqrt(np.mean((made.echo - exact) ** 2)) <= tolerance * size + 3e-15
+    assert np.sqrt(np.mean((synthesis.echo - exact) ** 2)) <= tolerance * size + 3e-15

@@ -110,7 +110,7 @@ def in_gelatin(depth_m: float | None, **scatterers: object) -> SimulationSetting
     return SimulationSettings.model_validate({"specimen": specimen, "scatterers": scatterers})
 
 
-def test_echoes_lose_what_specimen_and_water_take_on_the_way_there_and_back():
+def test_echoes_have_the_two_way_loss_of_specimen_and_water():
     """0.5 dB/cm/MHz over 1.25 cm of gelatin, 0.0018 dB/cm/MHz^2 over 5.75 cm of water, twice."""
     settings = in_gelatin(12.5e-3)
     assert settings.loss_to_focus_db(9.0e6) == pytest.approx(2 * (0.5 * 1.25 * 9 + 0.0018 * 5.75 * 81), rel=1e-12)

@@ -31,7 +31,7 @@ def rms_error(ours, expected):
 
 
 @pytest.mark.parametrize("pulse", PULSES)
-def test_series_meets_the_tolerance_whatever_the_pulse_does_at_its_ends(pulse):
+def test_series_meets_the_tolerance_for_any_ends_of_the_pulse(pulse):
     for seed, amplitude_m in enumerate([1e-15, 1e-8, 1e-7, 1e-6, 1e-5]):
         tau, weight, g = scene(seed)
         motion = EchoDelays(tau, g[None], 2 / SOUND_SPEED * amplitude_m * CYCLE[:, None])
@@ -40,14 +40,14 @@ def test_series_meets_the_tolerance_whatever_the_pulse_does_at_its_ends(pulse):
             assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance, "series").echo, exact) < tolerance
 
 
-def test_series_is_asked_for_and_too_large_a_motion_is_refused_with_both_numbers():
+def test_series_of_too_large_a_motion_is_refused_with_both_numbers():
     tau, weight, g = scene()
     motion = EchoDelays(tau, g[None], 2 / SOUND_SPEED * 1e-3 * CYCLE[:, None])
     with pytest.raises(ValueError, match=r"'series' cannot serve because .*too large"):
         synthesise(motion, weight, PULSES[0], GATE_S, 1e-6, "series")
-    still = ScattererRows(np.zeros(len(tau), dtype=np.int64), tau, weight, g[None], motion.amplitude_s[None])
+    rows = ScattererRows(np.zeros(len(tau), dtype=np.int64), tau, weight, g[None], motion.amplitude_s[None])
     with pytest.raises(ValueError, match=f"series holds up to {MAX_ANGLE_RAD} rad"):
-        series(still, PULSES[0], GATE_S, 1e-6, np.empty((1, len(CYCLE), len(GATE_S))))
+        series(rows, PULSES[0], GATE_S, 1e-6, np.empty((1, len(CYCLE), len(GATE_S))))
 
 
 @settings(max_examples=60, deadline=None)
@@ -77,19 +77,19 @@ def test_travelling_wave_of_one_frequency_is_two_shapes_and_needs_no_exact_sum()
     motion = EchoDelays(tau, np.stack([field_m.real, field_m.imag]), amplitude_s)
     displacement_m = (field_m * np.exp(2j * np.pi * 200.0 * time_s)[:, None]).real
     assert motion.delay_s() == pytest.approx(tau + 2 * displacement_m / SOUND_SPEED, abs=1e-20)
-    made = synthesise(motion, weight, PULSES[0], GATE_S, 1e-8)
-    assert made.method == "series"
-    assert rms_error(made.echo, running_sum(motion.delay_s(), weight, PULSES[0], GATE_S)) < 1e-8
+    synthesis = synthesise(motion, weight, PULSES[0], GATE_S, 1e-8)
+    assert synthesis.method == "series"
+    assert rms_error(synthesis.echo, running_sum(motion.delay_s(), weight, PULSES[0], GATE_S)) < 1e-8
 
 
 def test_an_offset_of_the_motion_costs_no_terms():
     tau, weight, g = scene(4)
     shifted_s = 2 / SOUND_SPEED * (1e-4 + 1e-6 * CYCLE[:, None])
-    made = synthesise(EchoDelays(tau, g[None], shifted_s), weight, PULSES[0], GATE_S, 1e-9)
+    synthesis = synthesise(EchoDelays(tau, g[None], shifted_s), weight, PULSES[0], GATE_S, 1e-9)
     centred = synthesise(EchoDelays(tau, g[None], shifted_s - shifted_s.mean()), weight, PULSES[0], GATE_S, 1e-9)
-    assert (made.method, made.terms) == ("series", centred.terms)
+    assert (synthesis.method, synthesis.terms) == ("series", centred.terms)
     exact = running_sum(tau + shifted_s @ g[None], weight, PULSES[0], GATE_S)
-    assert rms_error(made.echo, exact) < 1e-9
+    assert rms_error(synthesis.echo, exact) < 1e-9
 
 
 def test_scatterers_in_any_order_give_the_same_echoes():
@@ -138,8 +138,8 @@ def test_too_many_terms_and_too_large_a_motion_have_no_series():
 
 
 @pytest.mark.parametrize("shapes", [4, 10, 40])
-def test_motion_of_many_shapes_meets_the_tolerance_by_whatever_is_cheapest(shapes):
-    """40 shapes and 6 orders are 1.2 million monomials: nobody may count them one by one."""
+def test_motion_of_many_shapes_meets_the_tolerance_by_the_faster_method(shapes):
+    """40 shapes and 6 orders would be 1.2 million monomials."""
     tau, weight, g = scene(6)
     rng = np.random.default_rng(6)
     shape = g * rng.standard_normal((shapes, len(g))) / np.sqrt(shapes)
@@ -165,16 +165,16 @@ def test_samples_that_many_ends_cross_are_corrected_in_bounded_memory():
     time_s = (np.arange(2600) - 1300) / 2e9
     motion = EchoDelays(tau, g[None], 6e-5 / SOUND_SPEED * np.array([[-1.0], [1.0]]))
     tracemalloc.start()
-    made = synthesise(motion, weight, PULSES[0], time_s, 1e-8, "series")
+    synthesis = synthesise(motion, weight, PULSES[0], time_s, 1e-8, "series")
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 40e6
-    assert rms_error(made.echo, running_sum(motion.delay_s(), weight, PULSES[0], time_s)) < 1e-8
+    assert rms_error(synthesis.echo, running_sum(motion.delay_s(), weight, PULSES[0], time_s)) < 1e-8
 
 
 def test_blocks_cover_the_gate_without_overlap_and_are_no_longer_than_the_pulse():
     for pulse in PULSES:
-        found = blocks(GATE_S, pulse)
-        assert [part.start for part in found[1:]] == [part.stop for part in found[:-1]]
-        assert (found[0].start, found[-1].stop) == (0, 130)
-        assert all(np.ptp(GATE_S[part]) <= pulse.end_s - pulse.start_s for part in found)
+        slices = blocks(GATE_S, pulse)
+        assert [part.start for part in slices[1:]] == [part.stop for part in slices[:-1]]
+        assert (slices[0].start, slices[-1].stop) == (0, 130)
+        assert all(np.ptp(GATE_S[part]) <= pulse.end_s - pulse.start_s for part in slices)

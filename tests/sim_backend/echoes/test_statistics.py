@@ -75,11 +75,11 @@ def test_random_reflectivity_has_zero_mean_and_unit_power_and_unit_draws_nothing
     assert one.random() == two.random()
 
 
-def test_lateral_offset_moves_what_is_seen_and_not_what_moves():
-    place = np.array([[1e-4, -5e-5, 0.0]])
-    field = field_at(place, Beams(lateral_offset_m=(1e-4, -5e-5)))
+def test_lateral_offset_moves_the_tracking_beam_and_not_the_motion():
+    point_m = np.array([[1e-4, -5e-5, 0.0]])
+    field = field_at(point_m, Beams(lateral_offset_m=(1e-4, -5e-5)))
     assert field.tracking_weight[0] == 1.0
-    assert field.motion_weight[0] == field_at(place, Beams()).motion_weight[0] < 1.0
+    assert field.motion_weight[0] == field_at(point_m, Beams()).motion_weight[0] < 1.0
 
 
 def test_a_point_reflector_stands_where_it_is_put_with_its_strength_and_may_rest():
@@ -94,8 +94,8 @@ def test_a_point_reflector_stands_where_it_is_put_with_its_strength_and_may_rest
 def test_a_plane_reflector_is_the_integral_over_the_tracking_beam():
     """At rest its strength; moving, each lateral axis averages g: 1 / sqrt(1 + T^2 / E^2) to first order."""
     beams = Beams()
-    place, share = reflector_points(Reflector(kind="plane", strength=3.0), beams)
-    field = field_at(place, beams, share)
+    point_m, share = reflector_points(Reflector(kind="plane", strength=3.0), beams)
+    field = field_at(point_m, beams, share)
     assert field.tracking_weight.sum() == pytest.approx(3.0, rel=1e-12)
     mean = field.tracking_weight @ field.motion_weight / field.tracking_weight.sum()
     w2 = (0.17 / 0.078) ** 2

@@ -168,7 +168,7 @@ def test_points_outside_the_table_and_oval_beams_are_refused(gelatin):
         focus_field(Specimen(), (0.1e-3, 0.2e-3, 1e-3), *REACH_M)
 
 
-def test_scatterers_move_by_the_field_at_their_places():
+def test_scatterers_move_by_the_field_at_their_positions():
     """Records of the twin against the plain sum of eq. (10) with the field's displacement of every scatterer."""
     settings = SimulationSettings(specimen=Specimen(field="medium"), receiver=Receiver(toneburst_leak_v=0.0))
     onset_ps = np.array([0, 2_000_000_000], np.int64)
@@ -195,7 +195,7 @@ def test_scatterers_move_by_the_field_at_their_places():
         assert np.abs(ours[record] - plain).max() < 1e-10 * np.abs(plain).max()
 
 
-def test_a_single_reflector_on_a_tracking_axis_beside_the_push_moves_by_the_field_there():
+def test_a_single_reflector_on_an_offset_tracking_axis_moves_by_the_field_at_it():
     settings = SimulationSettings(specimen=Specimen())
     width_m = settings.beams.excitation_width_m
     motion = medium_motion(settings, np.array([[1.0e-3, 0.0, 0.0]]), 70e-3 / 1540.0, lateral_offset_m=1.0e-3)
@@ -226,7 +226,7 @@ def test_a_pulse_of_force_is_over_when_its_response_is(gelatin):
     assert np.abs(step.panels.at(late_s) - rest).max() < 1e-6 * np.abs(rest).max()
 
 
-def test_what_is_pushed_otherwise_than_by_the_square_moves_so_beside_the_axis():
+def test_a_force_other_than_the_square_also_applies_off_the_axis():
     motion = medium_motion(SimulationSettings(specimen=Specimen()), np.array([[1.0e-3, 0.0, 0.0]]), 0.0, 1.0e-3)
     twice = replace(motion, force_scale=lambda pressure, carrier_hz: 2 * np.square(pressure))
     begin_ps, time_ps = np.array([0], np.int64), np.arange(1, 20) * 10**9

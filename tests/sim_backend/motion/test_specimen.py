@@ -1,4 +1,4 @@
-"""The Voigt medium: table of docs/explanation/medium.md, brute-force integrals, and the transient against Fourier series."""
+"""The Voigt medium: table of docs/explanation/medium.md, double integrals, and the transient against Fourier series."""
 
 import numpy as np
 import pytest

@@ -104,7 +104,7 @@ def test_linear_chain_is_the_product_of_its_filters_whatever_the_route():
     assert np.abs(one - np.fft.irfft(np.fft.rfft(volts) * response)).max() < 1e-13
 
 
-def test_what_came_before_the_lead_does_not_matter():
+def test_samples_before_the_lead_do_not_matter():
     """The chain over a record that begins `lead_s` earlier equals the chain over one that begins ten times earlier."""
     chain = FULL.model_copy(update={"noise_v_per_sqrt_hz": None})
     rng = np.random.default_rng(3)
@@ -162,7 +162,7 @@ def test_switch_shuts_while_something_is_sent_and_opens_with_its_time_constant()
     assert np.abs(gain[0] - expected).max() < 1e-12
 
 
-def test_switch_in_nobodys_way_is_no_factor_at_all():
+def test_a_switch_without_bursts_is_no_factor():
     sent = bursts([0], length_ps=333_000)
     assert switch_gain(sent, capture(first_ps=(90_000_000,)), 2e-6) is None
     assert switch_gain(no_bursts(), capture(), 2e-6) is None
@@ -265,13 +265,13 @@ class Recorded:
         return np.zeros(len(time_ps))
 
 
-def test_without_any_of_it_the_acoustics_stand_alone():
+def test_without_reception_settings_the_acoustics_are_unchanged():
     acoustics = Recorded()
     assert with_reception(acoustics, SimulationSettings()) is acoustics
 
 
 @pytest.mark.parametrize("oversampling", [1, 2, 5])
-def test_the_record_that_leaves_is_the_one_that_was_asked_for(oversampling):
+def test_the_output_has_the_samples_of_the_capture(oversampling):
     """A band-pass leaves its centre frequency alone, so the carrier comes out where it went in."""
     chain = ReceiveChain(band_pass=BandFilter(centre_hz=9.0e6, bandwidth=0.33), oversampling=oversampling)
     what = capture(first_ps=(90_000_000, 340_000_000))

@@ -44,9 +44,9 @@ def test_blocks_have_the_noise_of_the_whole_capture(
     whole: NDArray[np.float64], blocks: list[tuple[int, int]], at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(record_noise, "MIN_THREAD_SAMPLES", at_once)
-    made = noise()
+    block = noise()
     for first, last in blocks:
-        begun = made.begin(capture(slice(first, last)))
+        begun = block.begin(capture(slice(first, last)))
         np.testing.assert_array_equal(begun(), whole[first:last])
         # What is added to it stays, and does not come back with the next block.
         begun()[...] += 1.0
@@ -55,12 +55,12 @@ def test_blocks_have_the_noise_of_the_whole_capture(
 
 def test_every_capture_has_noise_of_its_own(monkeypatch: pytest.MonkeyPatch, whole: NDArray[np.float64]) -> None:
     monkeypatch.setattr(record_noise, "MIN_THREAD_SAMPLES", 1)
-    made = noise()
+    block = noise()
     for first in (0, 100):
-        made.begin(capture(slice(first, first + 100)))()
-    other = made.begin(capture(slice(0, 100), index=1))()
+        block.begin(capture(slice(first, first + 100)))()
+    other = block.begin(capture(slice(0, 100), index=1))()
     assert np.abs(np.corrcoef(other.ravel(), whole[:100].ravel())[0, 1]) < 5 / np.sqrt(other.size)
-    np.testing.assert_array_equal(made.begin(capture(slice(200, 300)))(), whole[200:])
+    np.testing.assert_array_equal(block.begin(capture(slice(200, 300)))(), whole[200:])
 
 
 def test_without_noise_there_are_zeros() -> None:

@@ -65,10 +65,10 @@ def test_a_scan_of_the_bowl_gives_the_bowls_beam(suffix, tracking, tmp_path: Pat
         for each in (beams, {"field": "aperture"})
     )
     rng = np.random.default_rng(3)
-    place = rng.uniform(0, 0.5e-3, 40), rng.uniform(-1.2e-3, 1.2e-3, 40)
+    points_m = rng.uniform(0, 0.5e-3, 40), rng.uniform(-1.2e-3, 1.2e-3, 40)
     # Cubic splines over steps of 25 and 100 um.
-    assert np.abs(measured.at(*place)[0] - own.at(*place)[0]).max() < 2e-3
-    assert np.abs(measured.at(*place)[1] - own.at(*place)[1])[np.abs(own.at(*place)[0][0]) > 0.1].max() < 2e-3
+    assert np.abs(measured.at(*points_m)[0] - own.at(*points_m)[0]).max() < 2e-3
+    assert np.abs(measured.at(*points_m)[1] - own.at(*points_m)[1])[np.abs(own.at(*points_m)[0][0]) > 0.1].max() < 2e-3
 
 
 def test_without_phase_the_amplitude_is_the_beams(tracking, tmp_path: Path) -> None:
@@ -76,9 +76,9 @@ def test_without_phase_the_amplitude_is_the_beams(tracking, tmp_path: Path) -> N
     beams = {"field": "measured", "excitation_scan": path, "tracking_scan": path}
     beam = pulse_echo_beam(SimulationSettings.model_validate({"beams": beams}), (9.0e6,), 0.3e-3, 0.5e-3)
     own = pulse_echo_beam(SimulationSettings.model_validate({"beams": {"field": "aperture"}}), (9.0e6,), 0.3e-3, 0.5e-3)
-    place = np.array([0.0, 0.08e-3]), np.array([0.3e-3, 0.0])
-    assert np.abs(beam.at(*place)[0] - np.abs(own.at(*place)[0])).max() < 2e-3
-    assert beam.at(*place)[1] == pytest.approx(1.0, abs=1e-9)
+    points_m = np.array([0.0, 0.08e-3]), np.array([0.3e-3, 0.0])
+    assert np.abs(beam.at(*points_m)[0] - np.abs(own.at(*points_m)[0])).max() < 2e-3
+    assert beam.at(*points_m)[1] == pytest.approx(1.0, abs=1e-9)
 
 
 def test_a_scan_of_the_push_gives_its_force(tmp_path: Path) -> None:
@@ -89,19 +89,19 @@ def test_a_scan_of_the_push_gives_its_force(tmp_path: Path) -> None:
         push_intensity(SimulationSettings.model_validate({"beams": each, "specimen": specimen}))
         for each in (beams, {"field": "aperture"})
     )
-    place = np.array([0.0, 0.2e-3, 0.5e-3, 0.1e-3, 1.0e-3]), np.array([0.0, 1e-3, -2e-3, 5e-3, -4e-3])
-    assert np.abs(measured.at(*place) - own.at(*place)).max() < 5e-3
+    points_m = np.array([0.0, 0.2e-3, 0.5e-3, 0.1e-3, 1.0e-3]), np.array([0.0, 1e-3, -2e-3, 5e-3, -4e-3])
+    assert np.abs(measured.at(*points_m) - own.at(*points_m)).max() < 5e-3
 
 
-def test_a_scan_that_is_written_anew_is_read_anew(tracking, tmp_path: Path) -> None:
+def test_a_changed_scan_is_read_again(tracking, tmp_path: Path) -> None:
     path = written(tracking, tmp_path / "scan.h5")
     measured = {"field": "measured", "excitation_scan": path, "tracking_scan": path}
     settings = SimulationSettings.model_validate({"beams": measured})
-    place = np.array([0.2e-3]), np.array([0.0])
+    points_m = np.array([0.2e-3]), np.array([0.0])
 
     def seen() -> tuple[float, float]:
         beam = pulse_echo_beam(settings, (9.0e6,), 0.3e-3, 0.5e-3)
-        return float(abs(beam.at(*place)[0][0, 0])), float(push_intensity(settings).at(*place)[0])
+        return float(abs(beam.at(*points_m)[0][0, 0])), float(push_intensity(settings).at(*points_m)[0])
 
     assert read_scan(path) is read_scan(path), "a file that stays is read once"
     before = seen()
@@ -110,13 +110,13 @@ def test_a_scan_that_is_written_anew_is_read_anew(tracking, tmp_path: Path) -> N
     assert all(abs(now - then) > 0.01 for now, then in zip(seen(), before, strict=True))
 
 
-def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) -> None:
+def test_all_mistakes_of_a_scan_are_reported_at_once(tracking, tmp_path: Path) -> None:
     broken = {"x_m": tracking["x_m"], "z_m": tracking["z_m"][:-1], "pressure_pa": -tracking["pressure_pa"]}
     broken["pressure_pa"][3] = np.nan
-    with pytest.raises(ValueError, match="y_m is missing") as found:
+    with pytest.raises(ValueError, match="y_m is missing") as error:
         read_scan(written(broken, tmp_path / "broken.h5"))
     for words in ("differ in length", "pressure_pa contains a value that is not a finite number", "below 0"):
-        assert words in str(found.value)
+        assert words in str(error.value)
     few = {name: each[tracking["z_m"] > 1.7e-3] for name, each in tracking.items()}
     with pytest.raises(ValueError, match="planes of equal z_m"):
         read_scan(written(few, tmp_path / "few.h5"))
@@ -144,7 +144,7 @@ def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) 
         ("binary.csv", bytes(range(256)), "cannot be read as a table with commas between columns"),
     ],
 )
-def test_a_file_that_is_no_scan_is_named_with_what_is_wrong(
+def test_a_file_that_is_no_scan_is_refused_with_the_reason(
     name: str, content: bytes, words: str, tmp_path: Path
 ) -> None:
     (tmp_path / name).write_bytes(content)
@@ -164,8 +164,8 @@ def test_a_spreadsheets_mark_of_the_encoding_is_no_part_of_a_name(tracking, tmp_
 def test_a_scan_that_cuts_the_push_or_has_no_focus_is_no_force(tracking, tmp_path: Path) -> None:
     scene = load_scene("bovine-muscle").model_copy(update={"simulation": None})
     short = written(scanned(3.0e6, 8e-3, 3e-3, (40, 12)), tmp_path / "short.h5")
-    found = check_declared(scene.with_({"beams.excitation_scan": short}))
-    assert [words for each in found for words in ("z_m = -0.003", "z_m = 0.003") if words in each.what] == [
+    error = check_declared(scene.with_({"beams.excitation_scan": short}))
+    assert [words for each in error for words in ("z_m = -0.003", "z_m = 0.003") if words in each.what] == [
         "z_m = -0.003",
         "z_m = 0.003",
     ]
@@ -199,14 +199,14 @@ def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["push.csv", "/gone/push.csv", r"C:\scans\push.csv"])
-def test_a_scan_that_is_lost_is_taken_from_beside_the_run_file(path: str, tmp_path: Path) -> None:
+def test_a_missing_scan_is_read_from_the_folder_of_the_run_file(path: str, tmp_path: Path) -> None:
     scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": path})
     assert with_scan_in_folder(scene, tmp_path) == scene
     (tmp_path / "push.csv").touch()
-    found = with_scan_in_folder(scene, tmp_path)
-    assert found.beams is not None
-    assert found.beams.excitation_scan == str(tmp_path / "push.csv")
-    assert with_scan_in_folder(found, tmp_path / "elsewhere") == found, "it is where it says"
+    error = with_scan_in_folder(scene, tmp_path)
+    assert error.beams is not None
+    assert error.beams.excitation_scan == str(tmp_path / "push.csv")
+    assert with_scan_in_folder(error, tmp_path / "elsewhere") == error, "it is where it says"
 
 
 def test_a_run_is_resumed_with_the_scan_beside_its_file(tmp_path: Path) -> None:

@@ -23,9 +23,9 @@ def bowl_intensity(lateral_m: NDArray[np.float64], axial_m: NDArray[np.float64])
     return np.abs(bowl_pressure(Transducer(), k, lateral_m, axial_m) / focus) ** 2
 
 
-def under(spectrum: NDArray[np.complex128], across: NDArray[np.float64], along: NDArray[np.float64], place):
+def under(spectrum: NDArray[np.complex128], across: NDArray[np.float64], along: NDArray[np.float64], point):
     """Return the displacement of a force of this spectrum (along, across) by the trapezoidal rule, (frequency,)."""
-    lateral_m, axial_m = place
+    lateral_m, axial_m = point
     s = 2j * np.pi * FREQUENCY_HZ
     k2 = across**2 + along[:, None] ** 2
     weight = np.gradient(across) * across * j0(across * lateral_m) * across**2 / k2
@@ -45,20 +45,20 @@ def test_the_sum_of_gaussians_is_near_the_bowls_intensity() -> None:
 def test_one_gaussian_of_a_sum_is_the_closed_form() -> None:
     width_m = (0.34e-3, 0.34e-3, 3.6e-3)
     alone = GaussianSum(width_m[:1], width_m[2], (0.0,), ((1.0,),))
-    made, closed = (focus_transfer(SPECIMEN, each, FREQUENCY_HZ) for each in (alone, width_m))
-    assert np.abs(made / closed - 1).max() < 1e-9
+    result, closed = (focus_transfer(SPECIMEN, each, FREQUENCY_HZ) for each in (alone, width_m))
+    assert np.abs(result / closed - 1).max() < 1e-9
     assert np.array_equal(closed, frequency_response(SPECIMEN, width_m, FREQUENCY_HZ))
 
 
 @pytest.mark.parametrize(
-    "place",
+    "point",
     [
         (0.4e-3, -1.5e-3),
         pytest.param((0.0, 0.0), marks=pytest.mark.slow),
         pytest.param((2e-3, 1e-3), marks=pytest.mark.slow),
     ],
 )
-def test_the_field_under_a_sum_is_that_of_a_plain_quadrature(place: tuple[float, float]) -> None:
+def test_the_field_under_a_sum_is_that_of_a_plain_quadrature(point: tuple[float, float]) -> None:
     force = GaussianSum((0.3e-3, 0.9e-3), 2.0e-3, (-3e-3, 1e-3), ((0.7, 0.1), (0.5, -0.2)))
     across, along = np.linspace(0, 18e3, 2001)[1:], np.linspace(-3e3, 3e3, 801)
     spectrum = np.zeros((len(along), len(across)), np.complex128)
@@ -67,14 +67,14 @@ def test_the_field_under_a_sum_is_that_of_a_plain_quadrature(place: tuple[float,
             volume = (2 * np.pi) ** 1.5 * width**2 * force.axial_width_m
             along_it = np.exp(-0.5 * (along * force.axial_width_m) ** 2 - 1j * along * centre)
             spectrum += share * volume * np.outer(along_it, np.exp(-0.5 * (across * width) ** 2))
-    made = field_transfer(SPECIMEN, force, np.array([place[0]]), np.array([place[1]]), FREQUENCY_HZ)[:, 0, 0]
+    result = field_transfer(SPECIMEN, force, np.array([point[0]]), np.array([point[1]]), FREQUENCY_HZ)[:, 0, 0]
     focus = np.abs(field_transfer(SPECIMEN, force, np.zeros(1), np.zeros(1), FREQUENCY_HZ)[:, 0, 0])
-    assert (np.abs(made - under(spectrum, across, along, place)) < 1e-3 * focus).all()
+    assert (np.abs(result - under(spectrum, across, along, point)) < 1e-3 * focus).all()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3e-3, 1.0e-3), (3.0e-3, 0.0)])
-def test_the_displacement_under_it_is_that_of_the_intensity_itself(place: tuple[float, float]) -> None:
+@pytest.mark.parametrize("point", [(0.0, 0.0), (0.3e-3, 1.0e-3), (3.0e-3, 0.0)])
+def test_the_displacement_under_it_is_that_of_the_intensity_itself(point: tuple[float, float]) -> None:
     """By a Hankel and a Fourier transform of the tabulated intensity, as far along the beam as the sum follows it."""
     step_m, reach_m, edge_m = 0.1e-3, 16.85e-3, 3.18e-3
     axial_m = np.arange(-169, 170) * step_m
@@ -86,7 +86,7 @@ def test_the_displacement_under_it_is_that_of_the_intensity_itself(place: tuple[
     along = np.linspace(-4.5e3, 4.5e3, 1501)
     spectrum = step_m * np.exp(-1j * np.outer(along, axial_m)) @ hankel
     shape = force_shape(APERTURE)
-    made = field_transfer(SPECIMEN, shape, np.array([place[0]]), np.array([place[1]]), FREQUENCY_HZ)[:, 0, 0]
+    result = field_transfer(SPECIMEN, shape, np.array([point[0]]), np.array([point[1]]), FREQUENCY_HZ)[:, 0, 0]
     focus = np.abs(focus_transfer(SPECIMEN, shape, FREQUENCY_HZ))
     # 1e-3 of the fit, and as much of this quadrature.
-    assert (np.abs(made - under(spectrum, across, along, place)) < 3e-3 * focus).all()
+    assert (np.abs(result - under(spectrum, across, along, point)) < 3e-3 * focus).all()

@@ -60,7 +60,7 @@ def test_behind_the_shock_a_plane_wave_is_blackstocks(sigma: float) -> None:
     np.testing.assert_allclose(np.abs(found[:5]), expected, atol=1e-4)
 
 
-def test_what_a_shock_takes_is_what_is_missing() -> None:
+def test_the_loss_of_a_shock_is_the_missing_energy() -> None:
     found, lost = plane_wave(48, 2.0)
     gone = (1 - (np.abs(found) ** 2).sum()) * SOURCE_PA**2 / (2 * LOSSLESS.impedance)
     # Fourth order in steps of at most a radian of the last harmonic, which itself is damped.
@@ -129,7 +129,7 @@ def test_a_force_that_no_drive_makes_is_refused_with_the_largest() -> None:
         saturated.surface_for(1e9)
 
 
-def test_a_scene_that_asks_for_nothing_gets_the_square() -> None:
+def test_without_nonlinear_propagation_the_force_is_the_square() -> None:
     assert force_scale(SimulationSettings(specimen=Specimen())) is None
     assert force_scale(SimulationSettings(beams=Beams(), propagation=Propagation())) is None
 

@@ -28,14 +28,14 @@ def test_the_table_is_the_square_of_the_bowls_field() -> None:
     beam = pulse_echo_beam(APERTURE, (8.0e6, 9.0e6), 0.8e-3, 2.6e-3)
     rng = np.random.default_rng(1)
     lateral_m, axial_m = rng.uniform(0, 0.8e-3, 8), rng.uniform(-2.6e-3, 2.6e-3, 8)
-    seen, _ = beam.at(lateral_m, axial_m)
+    response, _ = beam.at(lateral_m, axial_m)
     for row, frequency_hz in enumerate((8.0e6, 9.0e6)):
         for n in range(8):
-            assert abs(seen[row, n] - plain_share(frequency_hz, lateral_m[n], axial_m[n])) < 2e-6
+            assert abs(response[row, n] - plain_share(frequency_hz, lateral_m[n], axial_m[n])) < 2e-6
     assert np.abs(beam.at(np.zeros(1), np.zeros(1))[0] - 1).max() < 1e-6
 
 
-def test_a_displacement_delays_the_echo_by_what_the_waves_obliquity_leaves() -> None:
+def test_obliquity_reduces_the_delay_of_a_displacement() -> None:
     beam = pulse_echo_beam(APERTURE, (9.0e6,), 0.3e-3, 1.0e-3)
     for lateral_m, axial_m in ((0.0, 0.0), (0.05e-3, 0.4e-3)):
         _, sensed = beam.at(np.array([lateral_m]), np.array([axial_m]))
@@ -47,32 +47,32 @@ def test_a_displacement_delays_the_echo_by_what_the_waves_obliquity_leaves() -> 
 
 
 def test_the_echo_off_the_axis_is_that_of_every_frequency_on_its_own() -> None:
-    pulse, place = gaussian_pulse(9.0e6, 0.3), np.array([[0.12e-3, 0.0, 0.7e-3]])
+    pulse, points_m = gaussian_pulse(9.0e6, 0.3), np.array([[0.12e-3, 0.0, 0.7e-3]])
     time_s = np.arange(-100, 101) * 1e-8
-    beam = beam_response(APERTURE, place, pulse)
-    delays = EchoDelays(2 * place[:, 2] / SPEED, np.zeros((1, 1)), np.zeros((1, 1)), beam.response)
-    made = synthesise(delays, beam.weight, pulse, time_s).echo[0]
+    beam = beam_response(APERTURE, points_m, pulse)
+    delays = EchoDelays(2 * points_m[:, 2] / SPEED, np.zeros((1, 1)), np.zeros((1, 1)), beam.response)
+    echo = synthesise(delays, beam.weight, pulse, time_s).echo[0]
     # The pulse on a long period, every line of its spectrum through the beam.
     grid_s = (np.arange(4096) - 2048) * 2e-9
     lines_hz = np.fft.rfftfreq(4096, 2e-9)
     spectrum = np.fft.rfft(np.fft.ifftshift(waveform(pulse, grid_s)))
-    heard = np.flatnonzero(np.abs(spectrum) > 1e-5 * np.abs(spectrum).max())
+    strong = np.flatnonzero(np.abs(spectrum) > 1e-5 * np.abs(spectrum).max())
     through = np.zeros(len(lines_hz), complex)
-    for line in heard:
+    for line in strong:
         through[line] = spectrum[line] * plain_share(lines_hz[line], 0.12e-3, 0.7e-3)
-    turn = np.exp(2j * np.pi * np.outer(time_s - 2 * 0.7e-3 / SPEED, lines_hz[heard]))
-    expected = 2 / 4096 * (turn @ through[heard]).real
-    assert np.abs(made - expected).max() < 1e-4 * np.abs(expected).max()
+    turn = np.exp(2j * np.pi * np.outer(time_s - 2 * 0.7e-3 / SPEED, lines_hz[strong]))
+    expected = 2 / 4096 * (turn @ through[strong]).real
+    assert np.abs(echo - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_every_evaluation_gives_the_same_echoes_of_an_aperture() -> None:
     rng = np.random.default_rng(2)
-    place = rng.uniform(-0.5, 0.5, (300, 3)) * [1e-3, 1e-3, 3e-3]
-    place = place[np.argsort(place[:, 2])]
+    points_m = rng.uniform(-0.5, 0.5, (300, 3)) * [1e-3, 1e-3, 3e-3]
+    points_m = points_m[np.argsort(points_m[:, 2])]
     pulse, time_s = hann_pulse(9.0e6, 0.065), (np.arange(130) - 65) * 1e-8
-    beam = beam_response(APERTURE, place, pulse)
+    beam = beam_response(APERTURE, points_m, pulse)
     moved_s = 2e-6 / SPEED * np.sin(np.arange(150))[:, None]
-    delays = EchoDelays(2 * place[:, 2] / SPEED, beam.delay_ratio[None], moved_s, beam.response)
+    delays = EchoDelays(2 * points_m[:, 2] / SPEED, beam.delay_ratio[None], moved_s, beam.response)
     exact = synthesise(delays, beam.weight, pulse, time_s, 0.0).echo
     # As written: pulse by pulse, each line of it with the scatterer's own share.
     plain = np.zeros(130)
@@ -86,15 +86,15 @@ def test_every_evaluation_gives_the_same_echoes_of_an_aperture() -> None:
     assert np.sqrt(np.mean((series - exact) ** 2) / np.mean(exact**2)) < 1e-6
 
 
-def test_all_that_an_aperture_cannot_be_is_said_at_once() -> None:
-    with pytest.raises(ValueError, match="centre of curvature") as found:
+def test_all_mistakes_of_an_aperture_are_reported_at_once() -> None:
+    with pytest.raises(ValueError, match="centre of curvature") as error:
         SimulationSettings.model_validate(
             {
                 "beams": {"field": "aperture", "focus_depth_m": 60e-3},
                 "scatterers": {"axial_delay": "none", "reflectors": [{"kind": "plane"}]},
             }
         )
-    assert "plane among" in str(found.value)
-    assert "has no depths" in str(found.value)
+    assert "plane among" in str(error.value)
+    assert "has no depths" in str(error.value)
     with pytest.raises(ValueError, match="half a sphere"):
         SimulationSettings.model_validate({"beams": {"transducer": {"diameter_m": 0.15}}})
