@@ -1,14 +1,14 @@
-"""Extensions: estimators, media and importers that other packages bring by entry points.
+"""Extensions: estimators, media and importers that other packages add by entry points.
 
-    entry_points.py   what is installed in a group, one loaded by its name; what fails names its package
+    entry_points.py   the installed extensions of a group; one loaded by its name; a failure names its package
 
-    group                  object at the entry point                               asked for by
+    group                  object at the entry point                               used by
     hpe_rig.estimators     ``processing.EstimatorSpec``                            scene, processing
     hpe_rig.media          ``moduli.Law``; the twin moves by it too               moduli, sim_backend
     hpe_rig.importers      ``recordings.Importer``                                 recordings
 
-Names are read without loading anything; a package is imported when its name is asked for. A name of ours cannot be
-taken. The page docs/how-to/extend.md has a worked example.
+Names are listed without importing anything; a package is imported when its name is used. Built-in names cannot be
+replaced. The page docs/how-to/extend.md has a worked example.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Entry points of other packages by group and name: listed without loading, loaded one by one, failures named."""
+"""Entry points of other packages by group and name: listed without loading, loaded singly, failures with a name."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ IMPORTERS: Final = "hpe_rig.importers"
 
 
 class ExtensionError(ValueError):
-    """An extension that does not load, is not what its group takes, or fails; the message names its package."""
+    """An extension that does not load, has the wrong type for its group, or fails; the message names its package."""
 
 
 @cache
 def _group(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of ``group`` by name; of one name in two packages the first by package counts."""
-    found = sorted(entry_points(group=group), key=lambda each: (each.name, _package(each)), reverse=True)
-    return {each.name: each for each in found}
+    """Return the entry points of ``group`` by name; of equal names the first by package applies."""
+    points = sorted(entry_points(group=group), key=lambda point: (point.name, _package(point)), reverse=True)
+    return {point.name: point for point in points}
 
 
 def installed(group: str) -> tuple[str, ...]:
@@ -28,21 +28,22 @@ def installed(group: str) -> tuple[str, ...]:
 
 
 def origin(group: str, name: str) -> str:
-    """Return which package brings an extension, with its version, as messages and reports name it."""
+    """Return an extension's name with its package and version, for messages and reports."""
     return f"{name} ({group}, of {_package(_group(group)[name])})"
 
 
 def named(group: str, name: str) -> str:
-    """Return ``name``, with the package that brings it where that is not this one."""
+    """Return ``name``, with its package if it is an extension."""
     return origin(group, name) if name in _group(group) else name
 
 
 @cache
 def load(group: str, name: str) -> Any:
-    """Return the object at the entry point ``name``; raise ``ExtensionError`` where it does not load."""
+    """Return the object at the entry point ``name``; raise ``ExtensionError`` if it does not load."""
     try:
         return _group(group)[name].load()
     except Exception as error:
+        # Any exception may come from the code of another package.
         raise ExtensionError(
             f"extension {origin(group, name)} does not load ({type(error).__name__}: {error}). "
             "Try: its newest version, or uninstall it"

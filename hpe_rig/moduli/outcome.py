@@ -252,7 +252,7 @@ def _fit_lines(fit: Moduli) -> Iterator[str]:
             largest = max(contributions, key=lambda part: part.growth[0])
             yield (
                 f"largest contribution by {kind}: {largest.label}; without it the uncertainty of "
-                f"{next(iter(fit.values))} is {largest.growth[0]:.2f} times as large"
+                f"{_name(next(iter(fit.values)))} is {largest.growth[0]:.2f} times as large"
             )
 
 

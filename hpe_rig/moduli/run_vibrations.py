@@ -23,12 +23,12 @@ from hpe_rig.moduli.vibration_model import Vibration
 from hpe_rig.plan import (
     Plan,
     Shot,
-    without_shared_echoes,
     depth_gates,
     off_axis_offsets_m,
     plans_at_offsets,
     shots_with_gate,
     with_gate,
+    without_shared_echoes,
 )
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import HarmonicFit, displacement_residual_m, shot_fit

@@ -9,7 +9,7 @@ import numpy as np
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.moduli.vibration_model import Push, Vibration
-from hpe_rig.plan import DepthGate, Plan, Shot, without_shared_echoes, depth_gates, shots_with_gate, with_gate
+from hpe_rig.plan import DepthGate, Plan, Shot, depth_gates, shots_with_gate, with_gate, without_shared_echoes
 from hpe_rig.prediction import beam_widths, echo_depth_moments, push_force, tracked_region_spread
 from hpe_rig.result import DETECTED
 from hpe_rig.scene import Mistake, Scene, SettingsError

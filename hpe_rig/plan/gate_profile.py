@@ -1,7 +1,7 @@
-"""Gates over depth: where they lie in the records of a shot, and the scene and shot as if each were the only one.
+"""Gates over depth: their positions in the records of a shot, and scene and shots as if one of them were the only gate.
 
-Centre z_k = z_0 + k d of gates of the scene's own length, or as [[processing.gates]] says. Everything that hangs on a
-gate's depth follows from there: its samples, which pulses a toneburst disturbs in it, when they sense its motion.
+Centres are z_k = z_0 + k d for gates of the scene's length, or those of [[processing.gates]]. The samples of a gate,
+the pulses that a toneburst disturbs in it, and the times of its motion follow from its depth.
 """
 
 from __future__ import annotations
@@ -16,61 +16,63 @@ from hpe_rig.scene import Scene
 
 @dataclass(frozen=True, slots=True, order=True)
 class DepthGate:
-    """A gate by its middle's distance from the transducer and its length, m."""
+    """A gate: distance of its centre from the transducer, and its length, m."""
 
     depth_m: float
     length_m: float
 
     def overlaps(self, other: DepthGate) -> bool:
-        """Return whether echoes are in both."""
+        """Return whether some echoes are in both gates."""
         return abs(self.depth_m - other.depth_m) < (self.length_m + other.length_m) / 2 * (1 - 1e-9)
 
 
 def depth_gates(scene: Scene, shot: Shot) -> tuple[DepthGate, ...]:
-    """Return the gates over depth that ``scene`` asks for, from near to far; none where it asks for none.
+    """Return the gates over depth of ``scene``, from near to far.
 
-    Of a profile those alone that lie in the record of ``shot``, a place's; listed ones wherever they lie.
+    A profile has the gates that are in the record of ``shot``; listed gates may be anywhere.
     """
     processing, length_m = scene.processing, scene.acquisition.gate_length_m
-    listed = (DepthGate(each.depth_m, each.length_m or length_m) for each in processing.gates)
     if processing.gate_profile_step_m is None:
-        return tuple(sorted(set(listed)))
+        return tuple(sorted({DepthGate(gate.depth_m, gate.length_m or length_m) for gate in processing.gates}))
     step_m, gate = processing.gate_profile_step_m, shot.gate
-    per_metre = 2 / scene.acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
-    before = math.floor(gate.start / per_metre / step_m + 1e-9)
-    after = math.floor((shot.capture.record_samples - gate.stop) / per_metre / step_m + 1e-9)
-    return tuple(DepthGate(scene.gate_depth_m + k * step_m, length_m) for k in range(-before, after + 1))
+    samples_per_m = 2 / scene.acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
+    # 1e-9 absorbs the rounding of a gate that ends with the record.
+    count_before = math.floor(gate.start / samples_per_m / step_m + 1e-9)
+    count_after = math.floor((shot.capture.record_samples - gate.stop) / samples_per_m / step_m + 1e-9)
+    steps = range(-count_before, count_after + 1)
+    return tuple(DepthGate(scene.gate_depth_m + step * step_m, length_m) for step in steps)
 
 
 def with_gate(scene: Scene, gate: DepthGate) -> Scene:
-    """Return ``scene`` as if ``gate`` were its only one, and the axis at its depth what is asked for, not the focus."""
-    at_gate = {"gate_depth_m": gate.depth_m, "gate_length_m": gate.length_m}
-    parts = {
-        "acquisition": scene.acquisition.model_copy(update=at_gate),
+    """Return ``scene`` with ``gate`` as its only one, and the focus at the gate's depth."""
+    sections = {
+        "acquisition": scene.acquisition.model_copy(
+            update={"gate_depth_m": gate.depth_m, "gate_length_m": gate.length_m}
+        ),
         "tracking": scene.tracking.model_copy(update={"axial_offset_m": 0.0}),
         "processing": scene.processing.model_copy(update={"gates": (), "gate_profile_step_m": None}),
     }
     if scene.beams is not None:
         foci: dict[str, float | None] = {"focus_depth_m": None}
         if scene.beams.push_focus_depth_m is not None:
-            # Of two transducers that push and track the one stays as much farther away as it is.
+            # The pushing transducer keeps its distance from the tracking one.
             foci = {"focus_depth_m": gate.depth_m, "push_focus_depth_m": gate.depth_m + scene.beams.push_farther_m}
-        parts["beams"] = scene.beams.model_copy(update=foci)
-    return scene.model_copy(update=parts)
+        sections["beams"] = scene.beams.model_copy(update=foci)
+    return scene.model_copy(update=sections)
 
 
 def shots_with_gate(plan: Plan, gate: DepthGate, sound_speed_m_per_s: float) -> Plan:
-    """Return ``plan`` with the gate of every shot at ``gate``, the records as they are."""
-    middle_s, half_s = 2 * gate.depth_m / sound_speed_m_per_s, gate.length_m / sound_speed_m_per_s
-    offset_s = middle_s - half_s, middle_s + half_s
+    """Return ``plan`` with the gate of every shot at ``gate``, the records unchanged."""
+    centre_s, half_s = 2 * gate.depth_m / sound_speed_m_per_s, gate.length_m / sound_speed_m_per_s
+    offset_s = centre_s - half_s, centre_s + half_s
     shots = (replace(shot, timeline=replace(shot.timeline, gate_offset_s=offset_s)) for shot in plan.shots)
     return replace(plan, shots=tuple(shots))
 
 
-def apart(gates: Sequence[DepthGate], depth_m: float) -> tuple[DepthGate, ...]:
-    """Return those of ``gates``, nearest to ``depth_m`` first, that share no echo with one before them; by depth."""
-    kept: list[DepthGate] = []
-    for gate in sorted(gates, key=lambda each: abs(each.depth_m - depth_m)):
-        if not any(gate.overlaps(other) for other in kept):
-            kept.append(gate)
-    return tuple(sorted(kept))
+def without_shared_echoes(gates: Sequence[DepthGate], depth_m: float) -> tuple[DepthGate, ...]:
+    """Return a subset of ``gates`` without overlaps, those nearest to ``depth_m`` first chosen; sorted by depth."""
+    separate: list[DepthGate] = []
+    for gate in sorted(gates, key=lambda item: abs(item.depth_m - depth_m)):
+        if not any(gate.overlaps(other) for other in separate):
+            separate.append(gate)
+    return tuple(sorted(separate))

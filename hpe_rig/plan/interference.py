@@ -10,29 +10,32 @@ from hpe_rig.arrays import BoolArray
 from hpe_rig.plan.shots import Shot
 
 SETTLING_S = 4.5e-6
-"""How long the receiver is not quiet after a toneburst's echo from the gate: 3.2 us of echoes from the focus up to
-2.5 mm behind it, and the filters' ringing down to a thousandth (twin, `hpe_rig.validation.paper.twin`)."""
+"""Time after a toneburst's echo from the gate until the receiver is quiet: 3.2 us of echoes from the focus up to
+2.5 mm behind it, and the filters' ringing down to a thousandth (twin, scripts/validation/paper/twin.py)."""
+MIN_FREE_S = 1e-9
+"""Shortest interval of admissible delays that is reported."""
 
 
 def forbidden_window_s(shot: Shot) -> tuple[float, float]:
-    """Return the start and end, relative to a toneburst's onset, between which no tracking pulse may be fired.
+    """Return start and end, relative to a toneburst's onset, of the window in which no tracking pulse may be fired.
 
-    A pulse is disturbed when it is fired into the toneburst, or when its gate or reference gate meets the toneburst or
-    an echo of it from any depth down to the far end of both, or what follows it within ``SETTLING_S``.
+    A pulse is disturbed if it is fired during the toneburst, or if its gate or reference gate receives the toneburst
+    or an echo of it: from any depth down to the far end of both, and during ``SETTLING_S`` after that.
     """
-    gate_start_s, gate_end_s = shot.timeline.heard_offset_s
-    quiet_s = shot.timeline.burst_length_s + gate_end_s + shot.timeline.push_later_s - gate_start_s + SETTLING_S
+    gate_start_s, gate_end_s = shot.timeline.listening_offset_s
+    quiet_s = shot.timeline.burst_length_s + gate_end_s + shot.timeline.push_delay_s - gate_start_s + SETTLING_S
     return -(gate_end_s + shot.timeline.pulse_length_s), quiet_s
 
 
 def disturbed_pulses(shot: Shot) -> BoolArray:
-    """Return which tracking pulses a toneburst or its echo disturbs, shape (pulse,)."""
-    pulses, bursts = shot.timeline.pulse_onset_s, shot.timeline.burst_onset_s
-    if not bursts.size:
-        return np.zeros(pulses.shape, np.bool_)
+    """Return which tracking pulses (pulse,) a toneburst or its echo disturbs."""
+    pulses_s, bursts_s = shot.timeline.pulse_onset_s, shot.timeline.burst_onset_s
+    if not bursts_s.size:
+        return np.zeros(pulses_s.shape, np.bool_)
     start_s, end_s = forbidden_window_s(shot)
-    latest = np.searchsorted(bursts, pulses - start_s, side="left") - 1
-    return (latest >= 0) & (pulses < bursts[np.maximum(latest, 0)] + end_s)
+    # The last burst before each pulse decides, because all windows are equally long.
+    latest = np.searchsorted(bursts_s, pulses_s - start_s, side="left") - 1
+    return (latest >= 0) & (pulses_s < bursts_s[np.maximum(latest, 0)] + end_s)
 
 
 def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
@@ -41,11 +44,13 @@ def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
     start_s, end_s = forbidden_window_s(shot)
     if end_s - start_s >= period_s:
         return []
+    # Starts of the forbidden windows on the circle of one pulse period, as values of t_d.
     offset_s = shot.timeline.pulse_onset_s[0] - shot.tracking_train.delay_s
     starts = np.sort(np.round((shot.timeline.burst_onset_s - offset_s + start_s) % period_s, 12))
     free, end = [], starts[0] + end_s - start_s
+    # Gaps between the union of the windows and the next start; the first window closes the circle.
     for start in (*starts[1:], starts[0] + period_s):
-        if start > end + 1e-9:
+        if start > end + MIN_FREE_S:
             free.append((float(end), float(start)))
         end = max(end, start + end_s - start_s)
     return [(low % period_s, low % period_s + high - low) for low, high in free]
@@ -54,8 +59,8 @@ def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
 def effective_rate_hz(pulse_rate_hz: float, burst_rate_hz: float, bursts: int) -> float:
     """Return the rate at which ``bursts`` burst periods together sample one period.
 
-    It is the pulse rate where every period is sampled at the same instants, and more where the pulses shift from burst
-    to burst: then harmonics up to half of it can be resolved.
+    It equals the pulse rate if every period is sampled at the same times. If the pulses shift from burst to burst, it
+    is higher, and harmonics up to half of it can be resolved.
     """
-    shifts = Fraction(pulse_rate_hz / burst_rate_hz).limit_denominator(max(1, bursts))
-    return float(shifts.numerator) * burst_rate_hz
+    ratio = Fraction(pulse_rate_hz / burst_rate_hz).limit_denominator(max(1, bursts))
+    return float(ratio.numerator) * burst_rate_hz

@@ -1,4 +1,4 @@
-"""Omissions: what a scene does not need, and why; it costs nothing, and ``hpe-rig check`` says so."""
+"""Omissions: parts that a scene does not need, with reasons; they cost nothing, and ``hpe-rig check`` lists them."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from hpe_rig.scene import Scene, properties_of
 
 @dataclass(frozen=True, slots=True)
 class Omission:
-    """Something this scene does not need, and why."""
+    """A part that this scene does not need, and the reason."""
 
     what: str
     why: str
 
 
 def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
-    """Return what a measurement of ``scene`` on ``bench`` opens, draws and sums nothing for, with the reasons."""
-    out: list[Omission] = []
+    """Return the instruments, random draws and corrections that ``scene`` on ``bench`` does not need."""
+    omitted: list[Omission] = []
     if scene.excitation is None:
-        out.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
-    if scene.excitation is not None and (why := _without_prior(scene)):
-        untold = "only the pulses tell the tonebursts' other harmonics from the wanted ones"
+        omitted.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
+    if scene.excitation is not None and (reason := _reason_without_prior(scene)):
+        effect = "only the pulses separate the tonebursts' other harmonics from the wanted ones"
         if scene.without_prior is None:
-            untold += " in what is tracked; the peak is corrected for what the prior tells"
-        out.append(Omission("prior of media", f"{why}: {untold}"))
+            effect += " in the tracked motion; the peak is corrected by the prior"
+        omitted.append(Omission("prior of media", f"{reason}: {effect}"))
     if scene.beams is None:
-        why = "the scene has no [beams]" if scene.sphere is None else "the [sphere] moves as a whole"
-        out.append(Omission("predicted beam averaging", why))
+        reason = "the scene has no [beams]" if scene.sphere is None else "the [sphere] moves as a whole"
+        omitted.append(Omission("predicted beam averaging", reason))
     if bench.simulated:
-        return [*out, *_omitted_of_twin(twin_of(scene))]
+        return [*omitted, *_omitted_by_twin(twin_of(scene))]
     if bench.recording is not None:
-        return [*out, Omission("instruments", "the records were imported")]
-    unread = ", [simulation] is not read" if scene.simulation is not None else ""
-    return [*out, Omission("the twin", "the bench is real" + unread)]
+        return [*omitted, Omission("instruments", "the records were imported")]
+    ignored = ", [simulation] is ignored" if scene.simulation is not None else ""
+    return [*omitted, Omission("the twin", f"the bench is real{ignored}")]
 
 
-def _without_prior(scene: Scene) -> str | None:
-    """Return why other harmonics than the wanted are free instead of the prior's; None where the prior holds them."""
+def _reason_without_prior(scene: Scene) -> str | None:
+    """Return why the other harmonics are fitted without the prior of media; None if the prior applies."""
     processing = scene.processing
     if properties_of(processing.estimator).velocity_chain:
         return f'processing.estimator = "{processing.estimator}", which takes none'
@@ -48,13 +48,13 @@ def _without_prior(scene: Scene) -> str | None:
     return "process_noise is not 0" if processing.process_noise else scene.without_prior
 
 
-def _omitted_of_twin(twin: TwinDeclaration | None) -> Iterator[Omission]:
+def _omitted_by_twin(twin: TwinDeclaration | None) -> Iterator[Omission]:
     chain = twin is not None and twin.has_receive_chain
     if not chain:
         yield Omission("receive chain", "the scene has no [simulation.receive_chain]: filters and switch are ideal")
     if twin is None or not twin.has_noise:
-        noise = "receive_chain.noise_v_per_sqrt_hz" if chain else "receiver.snr_db"
-        yield Omission("receiver noise", f"simulation.{noise} is absent")
+        key = "receive_chain.noise_v_per_sqrt_hz" if chain else "receiver.snr_db"
+        yield Omission("receiver noise", f"simulation.{key} is absent")
     if twin is None or not twin.trigger_jitter_s:
         yield Omission("trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0")
     if twin is None or not twin.has_specimen:

@@ -10,34 +10,36 @@ from hpe_rig.plan.interference import admissible_delays_s, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import engineering
 
-NAMES = 18
-"""Columns that names and borders of the drawing take."""
+NAME_COLUMNS = 18
+"""Columns of names and borders in the drawing."""
+MAX_DRAWN = 8
+"""Pulses and tonebursts that are drawn."""
 
 
-def plan_text(title: str, plan: Plan, found: Sequence[CheckResult], columns: int = 114, verbose: bool = False) -> str:
-    """Return the plan of a measurement as text: verdict, what speaks against it, drawing, table, what is omitted.
+def plan_text(title: str, plan: Plan, results: Sequence[CheckResult], columns: int = 114, verbose: bool = False) -> str:
+    """Return the plan of a measurement as text: verdict, conflicts, drawing, table, omissions.
 
-    ``columns`` is how wide the drawing may be; ``verbose`` lists the checks that passed as well.
+    ``columns`` is the width of the drawing; ``verbose`` also lists the checks that passed.
     """
     shot = max(plan.shots, key=lambda item: item.timeline.burst_length_s)
-    # That nobody described the specimen must be seen, though nothing speaks against it.
-    shown = [item for item in found if item.level != "passed" or item.check == "simulated specimen"]
-    noted = sorted(shown, key=lambda item: _ORDER[item.level])
-    passed = [item for item in found if item.level == "passed"]
-    lines = [title, "", verdict(found), *(f"  {_MARK[item.level]} {item}" for item in noted)]
-    lines += ["", *_drawing(shot, max(columns - NAMES, 20)), "", *_table(plan, shot), "", "omitted:"]
+    # A default specimen is always mentioned, although its check passes.
+    shown = [item for item in results if item.level != "passed" or item.check == "simulated specimen"]
+    by_level = sorted(shown, key=lambda item: _ORDER[item.level])
+    passed = [item for item in results if item.level == "passed"]
+    lines = [title, "", verdict(results), *(f"  {_MARK[item.level]} {item}" for item in by_level)]
+    lines += ["", *_drawing(shot, max(columns - NAME_COLUMNS, 20)), "", *_table(plan, shot), "", "omitted:"]
     lines += [f"  {item.what}: {item.why}" for item in plan.omitted] or ["  nothing"]
-    lines += ["", f"checks: {len(passed)} of {len(found)} passed{'' if verbose else ' (--verbose lists them)'}"]
+    lines += ["", f"checks: {len(passed)} of {len(results)} passed{'' if verbose else ' (--verbose lists them)'}"]
     return "\n".join([*lines, *(f"  {_MARK[item.level]} {item}" for item in passed if verbose and item not in shown)])
 
 
-def verdict(found: Sequence[CheckResult]) -> str:
+def verdict(results: Sequence[CheckResult]) -> str:
     """Return in one line whether a plan can be measured."""
-    refused, warned = (sum(item.level == level for item in found) for level in ("refused", "warning"))
+    refused, warned = (sum(item.level == level for item in results) for level in ("refused", "warning"))
     warnings = f"{warned} warning{'s' if warned > 1 else ''}"
     if refused:
-        also = f" and {warnings}" if warned else ""
-        return f"CANNOT BE MEASURED: {refused} conflict{'s' if refused > 1 else ''}{also}"
+        and_warnings = f" and {warnings}" if warned else ""
+        return f"CANNOT BE MEASURED: {refused} conflict{'s' if refused > 1 else ''}{and_warnings}"
     return f"CAN BE MEASURED, with {warnings}" if warned else "CAN BE MEASURED"
 
 
@@ -46,11 +48,11 @@ _ORDER = {"refused": 0, "warning": 1, "passed": 2}
 
 
 def _drawing(shot: Shot, width: int) -> Iterator[str]:
-    """Draw the first pulse periods after the first toneburst; one column is the same time in every row."""
+    """Draw the first two pulse periods after the first toneburst, with one time axis for all rows."""
     line, period_s = shot.timeline, 1 / shot.tracking_train.rate_hz
     start_s, span_s = float(line.burst_onset_s[0]) if line.burst_onset_s.size else 0.0, 2 * period_s
-    pulses = [time_s for time_s in line.pulse_onset_s[:8] if time_s < start_s + span_s]
-    bursts = [time_s for time_s in line.burst_onset_s[:8] if time_s < start_s + span_s]
+    pulses = [time_s for time_s in line.pulse_onset_s[:MAX_DRAWN] if time_s < start_s + span_s]
+    bursts = [time_s for time_s in line.burst_onset_s[:MAX_DRAWN] if time_s < start_s + span_s]
 
     def row(name: str, mark: str, intervals: Sequence[tuple[float, float]]) -> str:
         columns = [" "] * width
@@ -68,7 +70,7 @@ def _drawing(shot: Shot, width: int) -> Iterator[str]:
     yield f"{'':14}  0{in_us(span_s):>{width - 1}}"
     if bursts:
         yield row("toneburst", "#", after(bursts, 0, line.burst_length_s))
-        yield row("its echoes", "~", after(bursts, 0, line.burst_length_s + line.gate_offset_s[1] + line.push_later_s))
+        yield row("its echoes", "~", after(bursts, 0, line.burst_length_s + line.gate_offset_s[1] + line.push_delay_s))
     yield row("tracking pulse", "|", after(pulses, 0, line.pulse_length_s))
     yield row("record", ".", after(pulses, *line.record_offset_s))
     yield row("gate", "=", after(pulses, *line.gate_offset_s))

@@ -1,16 +1,16 @@
-"""Checks of a plan, one file a subject: a function from scene, bench and plan to results with level, text and remedy.
+"""Checks of a plan, one module a subject: functions from scene, bench and plan to results with text and remedy.
 
     check_result      one result, and the error that refuses a plan
-    simulation        what the twin measures on
-    tracking          whether its echoes and motion can be tracked
+    simulation        settings of the twin against those of scene and bench
+    tracking          whether the twin's echoes and motion can be tracked
     excitation        tonebursts against the bench's limits, and against pulses and gates
-    output            tasks against what the generators can do
+    output            tasks against the limits of the generators
     acoustic_output   estimated output at the focus against its limits
     timing            periods, record and depth
     sampling          aliasing, window, resolution and size of the fit
-    digitizer         records against what the board can do
-    depth_gates       gates over depth: in the record, clear of tonebursts, where something echoes
+    digitizer         records against the limits of the board
+    depth_gates       gates over depth: in the record, undisturbed, with echoes
     checklist         every check in order
 
-What instruments can do is asked of `drivers`, so that a plan that passes is one that they accept.
+The limits of instruments are those of `drivers`, so that a plan that passes is one that the instruments accept.
 """

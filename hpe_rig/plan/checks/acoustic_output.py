@@ -1,8 +1,8 @@
 """Acoustic output at the focus, estimated from the bench's calibration before anything is switched on.
 
-Derated by 0.3 dB/cm/MHz and compared as the FDA's track 3 does: I_spta against its limit, and the mechanical index or
-I_sppa against theirs. Pressure is taken to be proportional to the generator's amplitude, intensity to its square; the
-forecast says by how much shocks make that wrong at another drive than the calibrated one.
+The output is derated by 0.3 dB/cm/MHz and compared as in the FDA's track 3: I_spta with its limit, and the mechanical
+index or I_sppa with theirs. Pressure is proportional to the generator's amplitude, intensity to its square. The
+forecast states the error of that at another drive than the calibrated one, due to shocks.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from typing import Final
 
 from drivers.interfaces import Toneburst
 from hpe_rig.bench import BenchFile, Calibration, DriveCalibration, OutputLimits
-from hpe_rig.plan.checks.check_result import CheckResult, judged
+from hpe_rig.plan.checks.check_result import CheckResult, pass_or_refuse
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
 DERATING_DB_PER_M_HZ: Final = 0.3 / (1e-2 * 1e6)
-# Of the calibrated carrier: a transducer's response hardly changes within it.
 CARRIER_TOLERANCE: Final = 0.01
+"""Relative deviation from the calibrated carrier within which a transducer's response hardly changes."""
 ASSUMED: Final = re.compile(r"\s*assumed\b", re.IGNORECASE)
-"""What marks a calibration as none: the word that the simulated bench has in its place."""
+"""Source of a calibration that was not measured, as on the simulated bench."""
 MEASURE: Final = (
     "put a calibrated hydrophone at the focus in degassed water, drive one toneburst and one tracking pulse at a few "
     "amplitudes, enter pressure and intensity as not derated, and who measured them when as the source "
@@ -45,22 +45,27 @@ class AcousticOutput:
         return peak and self.spta_w_per_m2 <= limits.max_spta_w_per_m2
 
 
+NO_OUTPUT: Final = AcousticOutput(0.0, 0.0, 0.0)
+
+
 def derating_db(carrier_hz: float, depth_m: float) -> float:
-    """Return the attenuation that the output in water is reduced by, in dB."""
+    """Return the attenuation by which the output in water is reduced, in dB."""
     return DERATING_DB_PER_M_HZ * carrier_hz * depth_m
 
 
 def drive_output(drive: DriveCalibration, depth_m: float, amplitude_vpp: float, duty: float) -> AcousticOutput:
-    """Return the output of one drive of ``amplitude_vpp`` that is on for ``duty`` of the time."""
-    share, attenuation_db = amplitude_vpp / drive.amplitude_vpp, derating_db(drive.carrier_hz, depth_m)
-    rarefaction_pa = drive.rarefaction_pa * share * 10 ** (-attenuation_db / 20)
-    sppa_w_per_m2 = drive.sppa_w_per_m2 * share**2 * 10 ** (-attenuation_db / 10)
+    """Return the output of one drive of ``amplitude_vpp`` with the duty cycle ``duty``, derated over ``depth_m``."""
+    attenuation_db = derating_db(drive.carrier_hz, depth_m)
+    relative_amplitude = amplitude_vpp / drive.amplitude_vpp
+    rarefaction_pa = drive.rarefaction_pa * relative_amplitude * 10 ** (-attenuation_db / 20)
+    sppa_w_per_m2 = drive.sppa_w_per_m2 * relative_amplitude**2 * 10 ** (-attenuation_db / 10)
+    # Mechanical index: peak rarefactional pressure in MPa over the root of the frequency in MHz.
     index = rarefaction_pa / 1e6 / math.sqrt(drive.carrier_hz / 1e6)
     return AcousticOutput(index, sppa_w_per_m2, sppa_w_per_m2 * duty)
 
 
 def combined(outputs: Sequence[AcousticOutput]) -> AcousticOutput:
-    """Return the output of drives that take turns at one focus: the largest peak, the sum of the averages."""
+    """Return the output of alternating drives at one focus: the largest peak, the sum of the averages."""
     return AcousticOutput(
         max(output.mechanical_index for output in outputs),
         max(output.sppa_w_per_m2 for output in outputs),
@@ -69,40 +74,45 @@ def combined(outputs: Sequence[AcousticOutput]) -> AcousticOutput:
 
 
 def shot_output(calibration: Calibration, shot: Shot) -> AcousticOutput:
-    """Return the output of ``shot``, averaged over its trains; ``uncalibrated`` drives are left out."""
-    depth_m = calibration.focus_depth_m
-    drives = [
-        drive_output(drive, depth_m, burst.amplitude_vpp, burst.cycles / burst.carrier_hz * rate_hz)
-        for drive, burst, rate_hz in _drives(calibration, shot)
+    """Return the output of ``shot``, averaged over its trains, without drives that are not calibrated."""
+    outputs = [
+        drive_output(drive, calibration.focus_depth_m, burst.amplitude_vpp, burst.cycles / burst.carrier_hz * rate_hz)
+        for _, drive, burst, rate_hz in _drives(calibration, shot)
         if drive is not None
     ]
-    return combined(drives) if drives else AcousticOutput(0.0, 0.0, 0.0)
+    return combined(outputs) if outputs else NO_OUTPUT
+
+
+def highest_output(bench: BenchFile, shots: Sequence[Shot]) -> AcousticOutput:
+    """Return the largest of each quantity over ``shots``; zero without calibration."""
+    if bench.calibration is None:
+        return NO_OUTPUT
+    outputs = [shot_output(bench.calibration, shot) for shot in shots]
+    peak = combined(outputs)
+    return AcousticOutput(peak.mechanical_index, peak.sppa_w_per_m2, max(output.spta_w_per_m2 for output in outputs))
 
 
 def uncalibrated(calibration: Calibration | None, shot: Shot) -> Iterator[str]:
-    """Yield in words what of ``shot`` the calibration says nothing about."""
+    """Yield in words the drives of ``shot`` that the calibration does not cover."""
     if calibration is None:
         yield "the bench file has no [calibration]"
         return
-    names = ("tracking pulse", "toneburst")
-    for name, (drive, burst, _) in zip(names, _drives(calibration, shot), strict=False):
+    for name, drive, burst, _ in _drives(calibration, shot):
         if drive is None:
             yield f"the {name} is not calibrated"
         elif abs(burst.carrier_hz / drive.carrier_hz - 1) > CARRIER_TOLERANCE:
             yield f"the {name} of {burst.carrier_hz / 1e6:g} MHz was calibrated at {drive.carrier_hz / 1e6:g} MHz"
 
 
-def highest_output(bench: BenchFile, shots: Sequence[Shot]) -> AcousticOutput:
-    """Return the largest of each quantity over ``shots``; zero where there is no calibration."""
-    if bench.calibration is None:
-        return AcousticOutput(0.0, 0.0, 0.0)
-    outputs = [shot_output(bench.calibration, shot) for shot in shots]
-    peak = combined(outputs)
-    return AcousticOutput(peak.mechanical_index, peak.sppa_w_per_m2, max(output.spta_w_per_m2 for output in outputs))
+def _drives(calibration: Calibration, shot: Shot) -> Iterator[tuple[str, DriveCalibration | None, Toneburst, float]]:
+    """Yield name, calibration, programmed burst and repetition rate of each drive in ``shot``."""
+    yield "tracking pulse", calibration.tracking_pulse, shot.tracking_pulser, shot.tracking_train.rate_hz
+    if shot.toneburst is not None and shot.burst_train is not None:
+        yield "toneburst", calibration.toneburst, shot.toneburst, shot.burst_train.rate_hz
 
 
 def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield whether the estimated output stays below the limits, and what could not be estimated."""
+    """Yield whether the estimated output is within the limits, and the drives that could not be estimated."""
     unknown = dict.fromkeys(words for shot in plan.shots for words in uncalibrated(bench.calibration, shot))
     if unknown:
         text = f"not estimated in full: {'; '.join(unknown)}"
@@ -111,9 +121,7 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
     if bench.calibration is None:
         return
     if not bench.simulated and ASSUMED.match(bench.calibration.source):
-        text = (
-            f"calibration.source = {bench.calibration.source!r}: no limit can be kept by numbers that nobody measured"
-        )
+        text = f"calibration.source = {bench.calibration.source!r}: assumed numbers cannot ensure a limit"
         yield CheckResult("acoustic output", "refused", text, MEASURE)
         return
     limits, output = bench.limits, highest_output(bench, plan.shots)
@@ -122,20 +130,16 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
         f"I_sppa {output.sppa_w_per_m2 / 1e4:.3g} W/cm2 (limit {limits.max_sppa_w_per_m2 / 1e4:g}), "
         f"I_spta {output.spta_w_per_m2 / 10:.3g} mW/cm2 (limit {limits.max_spta_w_per_m2 / 10:g})"
     )
-    yield judged("acoustic output", output.within(limits), text, _quieter(output, limits))
+    yield pass_or_refuse("acoustic output", output.within(limits), text, _reduction(output, limits))
 
 
-def _drives(calibration: Calibration, shot: Shot) -> list[tuple[DriveCalibration | None, Toneburst, float]]:
-    drives = [(calibration.tracking_pulse, shot.tracking_pulser, shot.tracking_train.rate_hz)]
-    if shot.toneburst is not None and shot.burst_train is not None:
-        drives.append((calibration.toneburst, shot.toneburst, shot.burst_train.rate_hz))
-    return drives
-
-
-def _quieter(output: AcousticOutput, limits: OutputLimits) -> str:
-    average = limits.max_spta_w_per_m2 / max(output.spta_w_per_m2, 1e-300)
-    index = limits.max_mechanical_index / max(output.mechanical_index, 1e-300)
-    peak = max(index, math.sqrt(limits.max_sppa_w_per_m2 / max(output.sppa_w_per_m2, 1e-300)))
-    share = min(peak, math.sqrt(average))
-    words = f"amplitudes of at most {100 * share:.3g} % (limits.full_drive_vpp, generators.tracking_pulser)"
+def _reduction(output: AcousticOutput, limits: OutputLimits) -> str:
+    """Return in words how much amplitudes or burst lengths must be reduced."""
+    tiny = 1e-300  # instead of a division by zero
+    average = limits.max_spta_w_per_m2 / max(output.spta_w_per_m2, tiny)
+    index = limits.max_mechanical_index / max(output.mechanical_index, tiny)
+    peak = max(index, math.sqrt(limits.max_sppa_w_per_m2 / max(output.sppa_w_per_m2, tiny)))
+    amplitude = min(peak, math.sqrt(average))
+    words = f"amplitudes of at most {100 * amplitude:.3g} % (limits.full_drive_vpp, generators.tracking_pulser)"
+    # Shorter bursts reduce the time average only.
     return words + (f", or excitation.burst_length_s of {100 * average:.3g} %" if average < 1 <= peak else "")

@@ -13,7 +13,7 @@ Level = Literal["passed", "warning", "refused"]
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What one check found; ``remedy`` is empty where it passed."""
+    """Result of one check; ``remedy`` is empty if it passed."""
 
     check: str
     level: Level
@@ -34,7 +34,7 @@ class PlanError(Exception):
         self.conflicts = tuple(conflicts)
 
     def __reduce__(self) -> tuple[type[PlanError], tuple[tuple[CheckResult, ...]]]:
-        """Return how it is made again: an error comes back from another process as it left."""
+        """Return the arguments from which a worker's error is built again in the main process."""
         return PlanError, (self.conflicts,)
 
 
@@ -45,21 +45,21 @@ def refuse_conflicts(results: Sequence[CheckResult]) -> None:
         raise PlanError(refused)
 
 
-def judged(check: str, good: bool, text: str, remedy: str) -> CheckResult:
-    """Return that ``check`` passed where ``good``, else that it refuses the plan."""
+def pass_or_refuse(check: str, good: bool, text: str, remedy: str) -> CheckResult:
+    """Return that ``check`` passed if ``good``, otherwise that it refuses the plan."""
     return CheckResult(check, "passed", text) if good else CheckResult(check, "refused", text, remedy)
 
 
 def in_hz(rate_hz: float) -> str:
-    """Return a rate as people read it in a message."""
+    """Return a rate as messages write it."""
     return engineering(rate_hz, "Hz")
 
 
 def in_us(time_s: float) -> str:
-    """Return a time as people read it in a message."""
+    """Return a time as messages write it."""
     return f"{time_s * 1e6:.4g} us" if abs(time_s) < 0.1 else engineering(time_s, "s")
 
 
 def is_whole(number: float) -> bool:
-    """Return whether ``number`` is whole but for rounding."""
+    """Return whether ``number`` is whole up to rounding."""
     return abs(number - round(number)) < 1e-6 * max(1.0, abs(number))

@@ -17,7 +17,7 @@ from hpe_rig.plan.checks.sampling import driven_harmonics, fit_condition, fit_si
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.checks.tracking import trackable
-from hpe_rig.plan.shots import Plan, Shot
+from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene, ScenePoint, forgotten_units
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
@@ -38,41 +38,37 @@ ESTIMATE: Final[tuple[Check, ...]] = (
 BOARD: Final[tuple[Check, ...]] = (board, capture_mode, memory, periods)
 CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, *BOARD)
 """Every check, in the order in which ``hpe-rig check`` prints them."""
-OF_RECORDS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
-"""The checks that records have to pass which were imported: they ask nothing of instruments."""
+RECORD_CHECKS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
+"""Checks of imported records, which do not concern instruments."""
 
 
 def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
-    """Return what every check found, passed ones included; of a sweep once each.
+    """Return the results of every check, passed ones included; equal results of a sweep's points occur once.
 
-    Of imported records those alone that ask nothing of instruments.
+    Imported records are checked without the checks of instruments.
     """
-    checks = CHECKS if bench.recording is None else OF_RECORDS
-    parts = [part for number, point in enumerate(scene.points) for part in _parts(number, point, bench, plan)]
+    checks = CHECKS if bench.recording is None else RECORD_CHECKS
+    parts = [part for index, point in enumerate(scene.points) for part in _parts(index, point, bench, plan)]
     return list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
 
 
-def likely_causes(scene: Scene, found: Sequence[CheckResult]) -> Iterator[CheckResult]:
-    """Yield the values that a forgotten unit explains, where ``found`` refuses something: likely they are the cause."""
-    if any(result.level == "refused" for result in found):
-        for likely in forgotten_units(scene):
-            yield CheckResult("forgotten unit", "refused", f"{likely.path} = {likely.what}", likely.remedy)
+def _parts(index: int, point: ScenePoint, bench: BenchFile, plan: Plan) -> Iterator[tuple[Scene, BenchFile, Plan]]:
+    """Yield scene, bench and shots of every offset, rate and window at point ``index`` of a sweep."""
+    point_bench = bench.with_(point.bench)
+    point_shots = [shot for shot in plan.shots if shot.point == index]
+    for scene in (rate_scene for offset_scene in point.scene.places for rate_scene in offset_scene.rates):
+        tracking = scene.tracking
+        settings = tracking.pulse_rate_hz, tracking.lateral_offset_m, tracking.axial_offset_m
+        shots = tuple(
+            shot
+            for shot in point_shots
+            if (shot.tracking_train.rate_hz, shot.lateral_offset_m, shot.axial_offset_m) == settings
+        )
+        yield from ((window_scene, point_bench, replace(plan, shots=shots)) for window_scene in scene.windows)
 
 
-def _parts(number: int, point: ScenePoint, bench: BenchFile, plan: Plan) -> Iterator[tuple[Scene, BenchFile, Plan]]:
-    """Yield scene, bench and shots of every place, rate and window of the point ``number`` of a sweep."""
-    there = bench.with_(point.bench)
-    here = replace(plan, shots=tuple(shot for shot in plan.shots if shot.point == number))
-    for rate in (rate for place in point.scene.places for rate in place.rates):
-        yield from ((window, there, _at(rate, here)) for window in rate.windows)
-
-
-def _at(scene: Scene, plan: Plan) -> Plan:
-    """Return the part of ``plan`` that has the scene's pulse rate and place."""
-    own = scene.tracking
-    wanted = own.pulse_rate_hz, own.lateral_offset_m, own.axial_offset_m
-    return replace(plan, shots=tuple(shot for shot in plan.shots if _setting(shot) == wanted))
-
-
-def _setting(shot: Shot) -> tuple[float, float, float]:
-    return shot.tracking_train.rate_hz, shot.lateral_offset_m, shot.axial_offset_m
+def likely_causes(scene: Scene, results: Sequence[CheckResult]) -> Iterator[CheckResult]:
+    """Yield the values that lack a unit's prefix, if ``results`` refuse the plan: they are probably the cause."""
+    if any(result.level == "refused" for result in results):
+        for mistake in forgotten_units(scene):
+            yield CheckResult("forgotten unit", "refused", f"{mistake.path} = {mistake.what}", mistake.remedy)

@@ -6,33 +6,31 @@ import math
 from collections.abc import Iterator
 
 from hpe_rig.bench import BenchFile
-from hpe_rig.plan.checks.check_result import CheckResult, Level, in_hz, in_us, is_whole, judged
+from hpe_rig.plan.checks.check_result import CheckResult, Level, in_hz, in_us, is_whole, pass_or_refuse
 from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
 
 def excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield whether the bench can push as asked, and whether its limits allow it."""
+    """Yield whether the bench can generate the tonebursts, and whether its limits allow them."""
     excitation, limits = scene.excitation, bench.limits
     if excitation is None:
         return
     if bench.generators.burst_train is None or bench.generators.toneburst is None:
-        what, roles = (
-            "the bench has no generators for [excitation]",
-            "[generators.burst_train] and [generators.toneburst]",
-        )
-        remedy = f"{roles} in the bench file, or a scene without [excitation]"
-        yield CheckResult("excitation generators", "refused", what, remedy)
-    length_s, longest_s = max(excitation.burst_length_s), limits.max_burst_length_s
+        text = "the bench has no generators for [excitation]"
+        remedy = "[generators.burst_train] and [generators.toneburst] in the bench file, "
+        remedy += "or a scene without [excitation]"
+        yield CheckResult("excitation generators", "refused", text, remedy)
+    length_s, max_s = max(excitation.burst_length_s), limits.max_burst_length_s
     duty = length_s * excitation.burst_rate_hz
     text = f"duty f_r T_b = {duty:.3g}, limits.max_duty = {limits.max_duty:g}"
     remedy = f"excitation.burst_length_s of at most {in_us(limits.max_duty / excitation.burst_rate_hz)}"
-    yield judged("duty", duty <= limits.max_duty, text, remedy)
-    text = f"excitation.burst_length_s = {in_us(length_s)}, limits.max_burst_length_s = {in_us(longest_s)}"
-    yield judged("burst length", length_s <= longest_s, text, f"at most {in_us(longest_s)}")
+    yield pass_or_refuse("duty", duty <= limits.max_duty, text, remedy)
+    text = f"excitation.burst_length_s = {in_us(length_s)}, limits.max_burst_length_s = {in_us(max_s)}"
+    yield pass_or_refuse("burst length", length_s <= max_s, text, f"at most {in_us(max_s)}")
     text = f"excitation.burst_count = {excitation.burst_count}, limits.max_bursts = {limits.max_bursts}"
-    yield judged("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
+    yield pass_or_refuse("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
     if excitation.burst_count == 1:
         yield CheckResult("harmonics", "warning", "one toneburst leaves a transient, no harmonics", "burst_count = 20")
     for burst_length_s in excitation.burst_length_s:
@@ -40,7 +38,7 @@ def excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
         nearest_s = max(1, round(cycles)) / excitation.carrier_hz
         text = f"a toneburst of {in_us(burst_length_s)} at {in_hz(excitation.carrier_hz)} has {cycles:.6g} cycles"
         remedy = f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
-        yield judged("whole cycles", cycles >= 1 - 1e-9 and is_whole(cycles), text, remedy)
+        yield pass_or_refuse("whole cycles", cycles >= 1 - 1e-9 and is_whole(cycles), text, remedy)
 
 
 def interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
@@ -65,6 +63,7 @@ def interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckRe
 
 
 def _delay_remedy(shot: Shot) -> str:
+    """Return in words the delays t_d without interference, or the pulse rates that have such delays."""
     period_s, (start_s, end_s) = 1 / shot.tracking_train.rate_hz, forbidden_window_s(shot)
     intervals = admissible_delays_s(shot)
     if intervals:
@@ -72,6 +71,6 @@ def _delay_remedy(shot: Shot) -> str:
         inner_us = [(math.ceil(low * 1e7) / 10, math.floor(high * 1e7) / 10) for low, high in intervals]
         words = " or ".join(f"{low:g} to {high:g} us" for low, high in inner_us)
         return f"tracking.delay_s within {words} (plus any multiple of the pulse period, {in_us(period_s)})"
-    needed_hz = 1 / (end_s - start_s)
-    rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {in_hz(needed_hz)}"
+    max_hz = 1 / (end_s - start_s)
+    rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {in_hz(max_hz)}"
     return f'{rate} (no t_d is free at {in_hz(shot.tracking_train.rate_hz)}), or tracking.disturbed = "skip"'

@@ -1,4 +1,4 @@
-"""Checks of the generators: what their drivers refuse, and the drive that the bench allows at the transducer."""
+"""Checks of the generators: tasks that their drivers refuse, and the drive that the bench allows at the transducer."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 from drivers.agilent import mistakes, model_named
 from hpe_rig.bench import GENERATOR_ROLES, BenchFile
-from hpe_rig.plan.checks.check_result import CheckResult, judged
+from hpe_rig.plan.checks.check_result import CheckResult, pass_or_refuse
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
 
 
 def generators(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield what of the plan the generators of the bench file's models cannot do; their drivers would refuse it."""
+    """Yield the tasks of the plan that the generators of the bench file's models cannot perform."""
     refused = [
         CheckResult("generators", "refused", f"{role}: {text}", f"{_KEYS[role]} within that")
         for role in GENERATOR_ROLES
@@ -29,6 +29,7 @@ _KEYS = {
     "tracking_train": "tracking.pulse_rate_hz, pulse_count and delay_s",
     "tracking_pulser": "tracking.carrier_hz and cycles, generators.tracking_pulser.amplitude_vpp",
 }
+"""Settings keys that determine the task of each role."""
 
 
 def _refused_tasks(role: str, bench: BenchFile, plan: Plan) -> dict[str, None]:
@@ -42,17 +43,17 @@ def _refused_tasks(role: str, bench: BenchFile, plan: Plan) -> dict[str, None]:
 
 
 def drive(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield whether every generator that drives the transducer stays below ``limits.max_drive_vpp``."""
-    most_vpp = bench.limits.max_drive_vpp
-    if most_vpp is None:
+    """Yield whether every generator that drives the transducer stays within ``limits.max_drive_vpp``."""
+    max_vpp = bench.limits.max_drive_vpp
+    if max_vpp is None:
         return
-    bursts = {shot.toneburst.amplitude_vpp for shot in plan.shots if shot.toneburst is not None}
-    pulses = {shot.tracking_pulser.amplitude_vpp for shot in plan.shots}
-    for name, key, driven_vpp in (
-        ("toneburst", "limits.full_drive_vpp", bursts),
-        ("tracking pulse", "generators.tracking_pulser.amplitude_vpp", pulses),
-    ):
-        # A scene without [excitation] has no toneburst to judge.
-        for vpp in sorted(driven_vpp)[-1:]:
-            text = f"{name} of {vpp:g} Vpp, limits.max_drive_vpp = {most_vpp:g} Vpp"
-            yield judged("drive", vpp <= most_vpp, text, f"{key} of at most {most_vpp:g}")
+    # A scene without [excitation] has no tonebursts.
+    bursts_vpp = {shot.toneburst.amplitude_vpp for shot in plan.shots if shot.toneburst is not None}
+    if bursts_vpp:
+        text = f"toneburst of {max(bursts_vpp):g} Vpp, limits.max_drive_vpp = {max_vpp:g} Vpp"
+        remedy = f"limits.full_drive_vpp of at most {max_vpp:g}"
+        yield pass_or_refuse("drive", max(bursts_vpp) <= max_vpp, text, remedy)
+    pulse_vpp = max(shot.tracking_pulser.amplitude_vpp for shot in plan.shots)
+    text = f"tracking pulse of {pulse_vpp:g} Vpp, limits.max_drive_vpp = {max_vpp:g} Vpp"
+    remedy = f"generators.tracking_pulser.amplitude_vpp of at most {max_vpp:g}"
+    yield pass_or_refuse("drive", pulse_vpp <= max_vpp, text, remedy)

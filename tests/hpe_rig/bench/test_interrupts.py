@@ -175,9 +175,9 @@ def test_a_signal_that_is_held_back_comes_through_in_the_nearest_block_that_may_
 
 
 @pytest.mark.parametrize(("event", "goes"), [(0, False), (1, False), (2, True), (5, True), (6, True)])
-def test_a_console_goes_when_it_is_closed_and_at_log_off_and_shutdown(event: int, goes: bool) -> None:
+def test_a_console_closing_when_it_is_closed_and_at_log_off_and_shutdown(event: int, goes: bool) -> None:
     asked: list[int] = []
-    assert interrupts._Interrupts().console_goes(event, lambda: asked.append(event)) == goes
+    assert interrupts._Interrupts().console_closing(event, lambda: asked.append(event)) == goes
     assert asked == [event] * goes
 
 
@@ -197,21 +197,21 @@ def test_another_thread_is_left_alone() -> None:
 def test_a_closing_windows_console_waits_until_the_bench_is_safe() -> None:
     """By what the console's own thread calls; whether Windows calls it, only Windows can show."""
     guard = interrupts._Interrupts()
-    guard._quiet.clear()
+    guard._finished.clear()
     asked: list[str] = []
     answers: list[bool] = []
     console = threading.Thread(
-        target=lambda: answers.append(guard.console_goes(2, lambda: asked.append("interrupt"))), daemon=True
+        target=lambda: answers.append(guard.console_closing(2, lambda: asked.append("interrupt"))), daemon=True
     )
     console.start()
     console.join(0.2)
     assert asked == ["interrupt"]
     assert not answers
-    guard._quiet.set()
+    guard._finished.set()
     console.join(10.0)
     assert answers == [True]
     # Ctrl-C and Ctrl-Break are the C library's.
-    assert not guard.console_goes(0, lambda: asked.append("again"))
+    assert not guard.console_closing(0, lambda: asked.append("again"))
     assert asked == ["interrupt"]
 
 

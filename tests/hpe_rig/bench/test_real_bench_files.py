@@ -56,7 +56,7 @@ def test_a_real_bench_by_the_name_of_the_simulated_one_is_refused_and_its_runs_s
 
 def test_an_assumed_calibration_is_refused_on_a_real_bench_with_how_to_measure_one(tmp_path: Path) -> None:
     path = real(tmp_path / "metal.toml", (TITLE, "Room 12"))
-    with pytest.raises(PlanError, match=r"calibration.source = 'assumed: .*nobody measured.*hydrophone at the focus"):
+    with pytest.raises(PlanError, match=r"calibration.source = 'assumed: .*assumed numbers.*hydrophone at the focus"):
         prepare("bovine-muscle", path)
     # Numbers that nobody measured are good enough for a bench that drives nothing.
     prepare("bovine-muscle")

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from hpe_rig.bench import read_bench
-from hpe_rig.plan import DepthGate, without_shared_echoes, check_plan, depth_gates, make_plan, shots_with_gate, with_gate
+from hpe_rig.plan import (
+    DepthGate,
+    check_plan,
+    depth_gates,
+    make_plan,
+    shots_with_gate,
+    with_gate,
+    without_shared_echoes,
+)
 from hpe_rig.plan.checks.depth_gates import MAX_GATES
 from hpe_rig.plan.interference import admissible_delays_s
 from hpe_rig.scene import Scene, SettingsError, load_scene

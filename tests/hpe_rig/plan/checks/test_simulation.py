@@ -73,7 +73,7 @@ def test_a_push_that_was_scanned_is_no_force_that_a_fit_knows():
     scene = setup.scene.scene.with_(keys | {"simulation.beams.tracking_scan": "tracking.h5"})
     (finding,) = [each for each in simulation(scene, setup.bench.bench, setup.plan) if each.check == "declared"]
     assert finding.level == "warning"
-    assert "take an even bowl of 45 mm in its place" in finding.text
+    assert "assume an even bowl of 45 mm instead" in finding.text
     assert "beams.excitation_scan" in finding.remedy
     told = scene.with_({"beams.excitation_scan": "push.h5"})
     assert not [each for each in simulation(told, setup.bench.bench, setup.plan) if each.check == "declared"]
