@@ -7,9 +7,9 @@
     compilation.py     optional compilation of loops by Numba
     estimators.py      estimators by name: echoes -> displacement -> harmonics
     budget.py          uncertainty of each estimate, source by source
-    shot_motion.py     echoes and displacement of a stored shot
-    shot_fit.py        harmonic fit of a shot: options, prior, beam averaging
-    fitted_motion.py   fitted displacement of each pulse
+    shot_tracking.py   echoes and displacement of a stored shot
+    shot_fitting.py    harmonic fit of a shot: options, prior, beam averaging
+    motion_model.py    fitted displacement of each pulse
     shot_warnings.py   warnings of a shot
     shots.py           estimates of every shot of a stored run
     burst_period.py    motion of all burst periods, superposed

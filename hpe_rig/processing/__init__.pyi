@@ -21,7 +21,6 @@ from .estimators import (
     motion_of as motion_of,
     spec_of as spec_of,
 )
-from .fitted_motion import fitted_motion as fitted_motion
 from .ground_truth import true_harmonics_m as true_harmonics_m
 from .harmonics.harmonic_fit import HarmonicFit as HarmonicFit, least_squares as least_squares
 from .harmonics.kalman_filter import kalman as kalman
@@ -52,13 +51,14 @@ from .motion.spectral_peak import (
     orthonormal_rows as orthonormal_rows,
     padded_bins as padded_bins,
 )
-from .shot_fit import (
+from .motion_model import fitted_motion as fitted_motion
+from .shot_fitting import (
     options_of as options_of,
     shot_fit as shot_fit,
     shot_model as shot_model,
     shot_prior as shot_prior,
 )
-from .shot_motion import (
+from .shot_tracking import (
     NO_RECORDS as NO_RECORDS,
     margin_needed as margin_needed,
     samples_needed as samples_needed,

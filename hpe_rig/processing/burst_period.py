@@ -10,7 +10,7 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.plan import Shot
 from hpe_rig.processing.harmonics.model import linear_model
-from hpe_rig.processing.shot_motion import shot_displacement
+from hpe_rig.processing.shot_tracking import shot_displacement
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun
 

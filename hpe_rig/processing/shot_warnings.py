@@ -11,7 +11,7 @@ from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.residual_line import Line
 from hpe_rig.processing.harmonics.stationarity import Drift
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.shot_motion import DAMAGED
+from hpe_rig.processing.shot_tracking import DAMAGED
 from hpe_rig.result import DETECTED
 from hpe_rig.scene import Scene
 

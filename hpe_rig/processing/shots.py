@@ -15,13 +15,13 @@ from hpe_rig.plan import Plan, Selection, Shot, phase_reference, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of
 from hpe_rig.processing.echo.gate import gate_edge_uncertainty
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
-from hpe_rig.processing.fitted_motion import stored_motion
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.quantisation import quantisation_m
 from hpe_rig.processing.harmonics.residual_line import Line, residual_line
 from hpe_rig.processing.harmonics.stationarity import Drift, drift_between_halves
-from hpe_rig.processing.shot_fit import (
+from hpe_rig.processing.motion_model import stored_motion
+from hpe_rig.processing.shot_fitting import (
     HarmonicFitter,
     available_prior,
     carrier_error,
@@ -29,7 +29,7 @@ from hpe_rig.processing.shot_fit import (
     shot_averaging,
     shot_prior,
 )
-from hpe_rig.processing.shot_motion import ShotRecords, WindowMotion, read_shot, window_motion
+from hpe_rig.processing.shot_tracking import ShotRecords, WindowMotion, read_shot, window_motion
 from hpe_rig.processing.shot_warnings import (
     drift_warnings,
     fit_warnings,

@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 from hpe_rig.processing.budget import SPECKLE_KURTOSIS, ErrorSources, estimates_of, with_second_order_speckle
 from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, fit_from_state
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.shot_fit import carrier_error
+from hpe_rig.processing.shot_fitting import carrier_error
 from hpe_rig.result import Averaging, Component, Estimate
 
 AVERAGING = Averaging(0.9, -0.02, 0.03, 0.018, 0.004, speckle_phase_rad=0.002, offset_relative=0.01)

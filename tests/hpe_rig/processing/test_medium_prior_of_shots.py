@@ -25,8 +25,8 @@ from hpe_rig.processing import (
 )
 from hpe_rig.processing.harmonics.stationarity import drift_between_halves
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.shot_fit import posterior_averaging, shot_averaging
-from hpe_rig.processing.shot_motion import margin_needed
+from hpe_rig.processing.shot_fitting import posterior_averaging, shot_averaging
+from hpe_rig.processing.shot_tracking import margin_needed
 from hpe_rig.processing.shot_warnings import medium_warnings
 from hpe_rig.result import Result
 from hpe_rig.runs import Run

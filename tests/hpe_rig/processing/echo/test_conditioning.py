@@ -16,7 +16,7 @@ from hpe_rig.processing.echo import conditioning, gate as gate_module, spectrum
 from hpe_rig.processing.echo.conditioning import centred_volts, codes_to_volts, hann
 from hpe_rig.processing.motion import phase_shift
 from hpe_rig.processing.motion.phase_shift import coherent
-from hpe_rig.processing.shot_motion import margin_needed, shot_echoes
+from hpe_rig.processing.shot_tracking import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
 from hpe_rig.store import StoreError, reader
 

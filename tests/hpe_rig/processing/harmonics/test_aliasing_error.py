@@ -11,8 +11,8 @@ from hpe_rig.processing.estimators import Options, fit_motion
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, harmonic_range_hz, medium_prior
-from hpe_rig.processing.shot_fit import HarmonicFitter
 from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.shot_fitting import HarmonicFitter
 
 BEAMS = BeamWidths((0.17e-3, 0.17e-3, 1.80e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.27e-3)
 BURST_HZ, LENGTH_S = 100.0, 100e-6

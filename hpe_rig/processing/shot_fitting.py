@@ -16,7 +16,7 @@ from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, MediumPosteri
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
 from hpe_rig.processing.harmonics.model import LinearModel, linear_model
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.shot_motion import read_shot, window_motion
+from hpe_rig.processing.shot_tracking import read_shot, window_motion
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Processing, Scene
 
@@ -121,18 +121,17 @@ def shot_averaging(
 def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averaging) -> Averaging:
     """Return the averaging of one frequency in the media that the motion leaves probable.
 
-    Speckle changes the area of the tracking beam: its effect is ``predicted.area_spread`` times the root mean square
+    Speckle changes the area of the tracking beam: its effect is the spread of the area times the root mean square
     derivative over those media, the widths of the force included.
     """
-    ratio = 1 / complex(medium.peak_over_tracked[index])
+    rule, ratio = predicted.rule, 1 / complex(medium.peak_over_tracked[index])
     relative, phase_rad = np.sqrt(np.diag(medium.peak_covariance[index])).tolist()
-    speckle_relative, speckle_phase_rad = (predicted.area_spread * medium.steepness[index]).tolist()
-    # Few speckles and scatterers scale the loss; the gate's offset and the shape of the force are factors of their own.
-    factor = (1 - predicted.loss_scale * (1 - abs(ratio))) * predicted.offset_factor
+    speckle_relative, speckle_phase_rad = (rule.area_spread * medium.steepness[index]).tolist()
+    factor = (1 - rule.loss_scale * (1 - abs(ratio))) * rule.geometry_factor
     averaging = replace(
         predicted,
         factor=factor,
-        phase_rad=float(np.angle(ratio)) + predicted.offset_phase_rad,
+        phase_rad=float(np.angle(ratio)) + rule.geometry_phase_rad,
         speckle_relative=speckle_relative,
         speckle_phase_rad=speckle_phase_rad,
         factor_uncertainty=factor * relative,
