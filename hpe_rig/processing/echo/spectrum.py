@@ -25,9 +25,9 @@ FFT_COST = 6.0
 BLOCK_PULSES = 64
 """Pulses transformed together: few enough that volts and spectra stay in the cache."""
 TWO_THREADS_POINTS = 1 << 20
-"""FFT points of a train from which two threads share its blocks."""
+"""Minimum FFT points of a train for which two threads share its blocks."""
 MAX_MEMORY_BYTES = 1 << 25
-"""Size from which a spectrum is kept in a temporary file."""
+"""Size above which a spectrum is kept in a temporary file."""
 _WRITE_BYTES = 1 << 20
 
 
@@ -50,7 +50,7 @@ def band_spectrum(echoes: EchoGate, min_pulses: int) -> tuple[ComplexArray, Band
         for pulses, volts in echoes.blocks(slice(first, first + samples)):
             valid = echoes.valid[pulses]
             target = by_bin[..., done : done + int(valid.sum())]
-            # Transforming invalid pulses too, whose samples may be anything, costs less than copying the valid ones.
+            # Transforming invalid pulses too costs less than copying the valid ones.
             block = target if valid.all() else np.empty((*target.shape[:-1], valid.size), precision)
             if use_fft:
                 _transform(volts, band, fft_points, block)
@@ -174,7 +174,7 @@ def _train_energy(spectrum: ComplexArray) -> FloatArray:
 def inner_products(echo: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
     """Return the inner product (..., pulse) of one echo (..., bin) with each of spectra (..., pulse, bin).
 
-    Bin by bin instead of BLAS, whose idle threads would keep the cores busy on which the next echoes are transformed.
+    Bin by bin instead of BLAS: its idle threads would compete with the transform of the next echoes for the cores.
     """
     product = np.zeros(spectrum.shape[:-1], np.complex128)
     for index in range(spectrum.shape[-1]):

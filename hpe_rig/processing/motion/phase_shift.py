@@ -188,30 +188,18 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     energy, energy_with_margins = (np.empty((*trains, pulses)) for _ in range(2))
     moment = np.zeros(trains)
     by_bin = np.swapaxes(spectrum, -1, -2)
-    # Each chunk starts with the last pulse of the chunk before.
     for first in range(0, pulses, STEP_CHUNK):
         chunk = slice(first, first + STEP_CHUNK)
+        # The last pulse of the chunk before is included, for the step to the first pulse of this one.
         echo = np.ascontiguousarray(by_bin[..., max(first - 1, 0) : chunk.stop], dtype=np.complex128)
-        margin, weighted_margin = np.split(real_matmul(margin_rows, echo), 2, axis=-2)
-
-        # Products with the next pulse: over all samples, minus the part in the margins.
-        product = real_matmul(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
-        product[..., 0, :] -= _product_with_next(margin, margin)
-        product[..., 1, :] -= (
-            _product_with_next(margin, weighted_margin) + _product_with_next(weighted_margin, margin)
-        ) / 2
+        margins = np.split(real_matmul(margin_rows, echo), 2, axis=-2)
+        product = _products_with_next(echo, weights, *margins)
         intervals = slice(max(first - 1, 0), chunk.stop - 1)
         cross[..., intervals], cross_moment[..., intervals] = product[..., 0, :], product[..., 1, :]
-
-        # Energies of the pulses that are new in this chunk: over all samples, minus the part in the margins.
         new = slice(min(first, 1), None)
-        squares = weights @ np.square(echo.view(np.float64))
-        energies = (squares[..., ::2] + squares[..., 1::2])[..., new]
-        energy_with_margins[..., chunk] = energies[..., 0, :]
-        energies[..., 0, :] -= _real_product(margin, margin)[..., new]
-        energies[..., 1, :] -= _real_product(margin, weighted_margin)[..., new]
-        energy[..., chunk] = energies[..., 0, :]
-        moment += energies[..., 1, :].sum(axis=-1)
+        with_margins, gated = (sums[..., new] for sums in _energies(echo, weights, *margins))
+        energy_with_margins[..., chunk], energy[..., chunk] = with_margins[..., 0, :], gated[..., 0, :]
+        moment += gated[..., 1, :].sum(axis=-1)
         if chunk.stop % ALIGNED_CHUNK == 0:
             release_pages(spectrum)
     magnitude = np.abs(cross)
@@ -255,6 +243,30 @@ def min_correlation(pairs: int, independent: float) -> float:
     m = max(independent, 3.0)
     mean = math.exp(math.lgamma(1.5) + math.lgamma(m) - math.lgamma(m + 0.5))
     return mean + NOISE_DEVIATIONS * math.sqrt(max(1 / m - mean**2, 0.0) / pairs)
+
+
+def _products_with_next(
+    echo: ComplexArray, weights: FloatArray, margin: ComplexArray, weighted_margin: ComplexArray
+) -> ComplexArray:
+    """Return the products (..., 2, pulse - 1) of each echo (..., bin, pulse) with the next, over the gate.
+
+    Row 0 is the inner product, row 1 that weighted by frequency: over all samples, minus the part in the margins.
+    """
+    product = real_matmul(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
+    product[..., 0, :] -= _product_with_next(margin, margin)
+    crossed = _product_with_next(margin, weighted_margin) + _product_with_next(weighted_margin, margin)
+    product[..., 1, :] -= crossed / 2
+    return product
+
+
+def _energies(
+    echo: ComplexArray, weights: FloatArray, margin: ComplexArray, weighted_margin: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return energy and moment (..., 2, pulse) of echoes (..., bin, pulse) with the margins, and in the gate."""
+    squares = weights @ np.square(echo.view(np.float64))
+    with_margins = squares[..., ::2] + squares[..., 1::2]
+    in_margins = np.stack([_real_product(margin, margin), _real_product(margin, weighted_margin)], axis=-2)
+    return with_margins, with_margins - in_margins
 
 
 def _product_with_next(before: ComplexArray, after: ComplexArray) -> ComplexArray:
