@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.medium.focal_field import FINE_DIRECTIONS, focal_displacement_and_slope
+from hpe_rig.medium.focal_field import FINE_DIRECTIONS, focal_displacement
 from hpe_rig.medium.gate_echoes import TrackingGate, Triple
 from hpe_rig.medium.material_laws import HarmonicMedium
 from hpe_rig.medium.push_force import PushForce
@@ -93,7 +93,7 @@ def _tracked_and_peak(
     Cached: the prediction of a scene needs the motion of all harmonics several times.
     """
     k2 = np.frombuffer(shear_k2, np.complex128)
-    return focal_displacement_and_slope(np.stack([k2, k2]), np.array(across_m2), np.array(along_m2), FINE_DIRECTIONS)
+    return focal_displacement(np.stack([k2, k2]), np.array(across_m2), np.array(along_m2), FINE_DIRECTIONS)
 
 
 def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:

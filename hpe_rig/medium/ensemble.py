@@ -16,8 +16,7 @@ from numpy.polynomial.chebyshev import chebvander
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.medium.beam_averaging import BeamWidths, off_axis_motion
-from hpe_rig.medium.focal_field import focal_displacement, focal_displacement_and_slope
-from hpe_rig.medium.gate_echoes import Triple
+from hpe_rig.medium.focal_field import focal_displacement
 from hpe_rig.medium.material_laws import LAWS, POWER_REFERENCE_HZ, HarmonicMedium
 from hpe_rig.medium.push_force import PushForce
 
@@ -188,47 +187,24 @@ def _sphere_ensemble(sphere: RigidSphere, extent: _Range) -> Ensemble:
 
 @functools.lru_cache(maxsize=32)
 def _on_axis_ensemble(beams: BeamWidths, extent: _Range) -> Ensemble:
-    members = _members_on_axis(beams.force_width_m, beams.width_log_sd, extent)
-    # Averaging over a tracking beam equals a force that is wider by its energy's variance.
-    area_m2, along_m2 = beams.tracking_area_m2, members.along_m2 + beams.depth_sd_m**2
-    tracked, by_area = focal_displacement_and_slope(members.shear_k2, members.across_m2 + area_m2, along_m2)
-    # A force of another shape changes tracked and peak motion alike: their ratio remains that of the Gaussian.
-    shape = 1.0 if beams.force is None else _shape_ratio(beams, members.shear_k2, members.width_factor)
-    tracked, peak, steepness = np.stack([tracked, members.peak, area_m2 * by_area]) * (shape / members.modulus_pa)
-    ensemble = Ensemble(members.node_hz, tracked, peak, steepness, extent.voigt())
-    for array in (ensemble.node_hz, ensemble.tracked, ensemble.peak, ensemble.steepness, ensemble.voigt):
-        array.flags.writeable = False
-    return ensemble
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Members:
-    """Media under Gaussian forces before tracking: complex (member, node), real (member,).
-
-    ``across_m2`` and ``along_m2`` are the squared force widths, ``width_factor`` times the declared one across.
-    ``peak`` is the focal motion times the modulus.
-    """
-
-    node_hz: FloatArray
-    modulus_pa: ComplexArray
-    shear_k2: ComplexArray
-    width_factor: FloatArray
-    across_m2: FloatArray
-    along_m2: FloatArray
-    peak: ComplexArray
-
-
-@functools.lru_cache(maxsize=8)
-def _members_on_axis(force_width_m: Triple, width_log_sd: float, extent: _Range) -> _Members:
-    """Return the part that the ensembles of all gates on the axis share."""
     node_hz = extent.nodes(NODES_PER_E_FOLD)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = extent.modulus(s)
     shear_k2 = -extent.density_kg_per_m3 * s**2 / modulus_pa
-    width_factor, length_factor = extent.width_factors(width_log_sd)
-    across_m2, along_m2 = (force_width_m[0] * width_factor) ** 2, (force_width_m[2] * length_factor) ** 2
-    peak = focal_displacement(shear_k2, across_m2, along_m2)
-    return _Members(node_hz, modulus_pa, shear_k2, width_factor, across_m2, along_m2, peak)
+    width_factor, length_factor = extent.width_factors(beams.width_log_sd)
+    across_m2 = (beams.force_width_m[0] * width_factor) ** 2
+    along_m2 = (beams.force_width_m[2] * length_factor) ** 2
+    # Averaging over a tracking beam equals a force that is wider by its energy's variance.
+    area_m2 = beams.tracking_area_m2
+    tracked, by_area = focal_displacement(shear_k2, across_m2 + area_m2, along_m2 + beams.depth_sd_m**2)
+    peak, _ = focal_displacement(shear_k2, across_m2, along_m2)
+    # A force of another shape changes tracked and peak motion alike: their ratio remains that of the Gaussian.
+    shape = 1.0 if beams.force is None else _shape_ratio(beams, shear_k2, width_factor)
+    tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape / modulus_pa)
+    ensemble = Ensemble(node_hz, tracked, peak, steepness, extent.voigt())
+    for array in (node_hz, tracked, peak, steepness, ensemble.voigt):
+        array.flags.writeable = False
+    return ensemble
 
 
 def _shape_ratio(beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatArray) -> ComplexArray:

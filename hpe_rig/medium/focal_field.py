@@ -12,7 +12,6 @@ Derivation: docs/explanation/medium-prior.md.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,68 +24,34 @@ legendre_nodes = functools.cache(np.polynomial.legendre.leggauss)
 """Nodes and weights of Gauss's quadrature, by their number."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Waves:
-    """Waves by direction. ``q``, ``root_a`` and ``faddeeva`` broadcast to (member, frequency, direction).
-
-    ``weight`` and ``transverse`` = 1 - m^2 are (member, direction).
-    """
-
-    q: ComplexArray
-    root_a: FloatArray
-    faddeeva: ComplexArray
-    weight: FloatArray
-    transverse: FloatArray
-
-    @classmethod
-    def of(cls, shear_k2: ComplexArray, across_m2: FloatArray, along_m2: FloatArray, directions: int) -> _Waves:
-        # A function-level import: a prescribed motion has no medium and must not load SciPy.
-        from scipy.special import wofz
-
-        node, weight = legendre_nodes(directions)
-        # Substitute m = tan(angle) / slope, which makes the spectrum of a needle-shaped force smooth.
-        slope = np.sqrt(np.maximum(along_m2 / across_m2 - 1, 1e-12))[:, None]
-        angle = np.arctan(slope) * (node + 1) / 2
-        m = np.tan(angle) / slope
-        weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
-        root_a = np.sqrt((across_m2[:, None] * (1 - m**2) + along_m2[:, None] * m**2) / 2)[:, None]
-        # Im q >= 0 selects the wave that decays away from the force.
-        q = np.sqrt(shear_k2)
-        q = np.where(q.imag < 0, -q, q)[:, :, None]
-        return cls(q, root_a, wofz(q * root_a), weight * 2 * (1 - m**2), 1 - m**2)
-
-    @property
-    def static(self) -> FloatArray:
-        """First term of the bracket, which does not depend on frequency."""
-        return np.asarray(np.sqrt(np.pi) / 2 / self.root_a)
-
-    @property
-    def dynamic(self) -> ComplexArray:
-        """Second term of the bracket."""
-        return np.asarray(0.5j * np.pi * self.q * self.faddeeva)
-
-
 def focal_displacement(
     shear_k2: ComplexArray, across_m2: FloatArray, along_m2: FloatArray, directions: int = DIRECTIONS
-) -> ComplexArray:
-    """Return displacement times modulus at the focus up to a real factor, (member, frequency).
-
-    ``shear_k2`` (member, frequency) is q^2; ``across_m2`` and ``along_m2`` (member,) are sx^2 and sz^2.
-    """
-    waves = _Waves.of(shear_k2, across_m2, along_m2, directions)
-    return _sum_over_directions(waves.static + waves.dynamic, waves.weight)
-
-
-def focal_displacement_and_slope(
-    shear_k2: ComplexArray, across_m2: FloatArray, along_m2: FloatArray, directions: int = DIRECTIONS
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return ``focal_displacement`` and its derivative by ``across_m2``, (member, frequency)."""
-    waves = _Waves.of(shear_k2, across_m2, along_m2, directions)
-    static, dynamic = waves.static, waves.dynamic
+    """Return displacement times modulus at the focus up to a real factor, and its derivative by ``across_m2``.
+
+    Both are (member, frequency). ``shear_k2`` (member, frequency) is q^2; ``across_m2`` and ``along_m2`` (member,) are
+    sx^2 and sz^2.
+    """
+    # A function-level import: a prescribed motion has no medium and must not load SciPy.
+    from scipy.special import wofz
+
+    node, weight = legendre_nodes(directions)
+    # Substitute m = tan(angle) / slope, which makes the spectrum of a needle-shaped force smooth.
+    slope = np.sqrt(np.maximum(along_m2 / across_m2 - 1, 1e-12))[:, None]
+    angle = np.arctan(slope) * (node + 1) / 2
+    m = np.tan(angle) / slope
+    weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
+    weight = weight * 2 * (1 - m**2)
+    root_a = np.sqrt((across_m2[:, None] * (1 - m**2) + along_m2[:, None] * m**2) / 2)[:, None]
+    # Im q >= 0 selects the wave that decays away from the force.
+    q = np.sqrt(shear_k2)
+    q = np.where(q.imag < 0, -q, q)[:, :, None]
+    # The two terms of the bracket, (member, frequency, direction).
+    static, dynamic = np.sqrt(np.pi) / 2 / root_a, 0.5j * np.pi * q * wofz(q * root_a)
     # Derivative by a, with w'(z) = 2j / sqrt(pi) - 2 z w(z). The chain rule gives da / d(sx^2) = (1 - m^2) / 2.
-    by_a = -static * (0.5 / waves.root_a**2 + waves.q**2) - waves.q**2 * dynamic
-    value = _sum_over_directions(static + dynamic, waves.weight)
-    return value, _sum_over_directions(by_a, waves.weight * waves.transverse / 2)
+    by_a = -static * (0.5 / root_a**2 + q**2) - q**2 * dynamic
+    value = _sum_over_directions(static + dynamic, weight)
+    return value, _sum_over_directions(by_a, weight * (1 - m**2) / 2)
 
 
 def _sum_over_directions(values: ComplexArray, weight: FloatArray) -> ComplexArray:

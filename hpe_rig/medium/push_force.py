@@ -102,17 +102,6 @@ class PushForce:
         return np.asarray(along @ np.array(self.share) @ across)
 
 
-@dataclass(frozen=True, slots=True)
-class _Beam:
-    """A focused beam: intensity, lambda F / D, F / D, sigma along the axis, and uncertainty of its attenuation."""
-
-    intensity: Intensity
-    spot_m: float
-    f_number: float
-    sigma_m: float
-    loss_uncertainty_np_per_m: float
-
-
 @lru_cache(maxsize=16)
 def aperture_force(
     diameter_m: float,
@@ -140,7 +129,7 @@ def aperture_force(
     def intensity(lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         return np.abs(bowl_pressure(diameter_m, focal_length_m, wave_number, lateral_m, axial_m)) ** 2
 
-    return _fitted_force(_Beam(intensity, spot_m, f_number, sigma_m, loss_uncertainty * loss_np_per_m))
+    return _fitted_force(intensity, spot_m, f_number, sigma_m, loss_uncertainty * loss_np_per_m)
 
 
 @lru_cache(maxsize=16)
@@ -169,7 +158,7 @@ def scanned_force(
     def attenuated(lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         return np.asarray(intensity(lateral_m, axial_m) * np.exp(-2 * loss_np_per_m * axial_m)[:, None])
 
-    return _fitted_force(_Beam(attenuated, spot_m, f_number, sigma_m, loss_uncertainty))
+    return _fitted_force(attenuated, spot_m, f_number, sigma_m, loss_uncertainty)
 
 
 def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], FloatArray]) -> float:
@@ -185,33 +174,38 @@ def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], Fl
     raise ValueError(f"the intensity does not fall to half of the focus' within {MAX_HALF_FOCUS_M * 1e3:g} mm of it")
 
 
-def _fitted_force(beam: _Beam) -> PushForce:
-    """Return the sum of Gaussians fitted to the intensity of ``beam``, with its end and attenuation as uncertain."""
+def _fitted_force(
+    intensity: Intensity, spot_m: float, f_number: float, sigma_m: float, loss_uncertainty_np_per_m: float
+) -> PushForce:
+    """Return the sum of Gaussians fitted to ``intensity``, with its end and attenuation as uncertain properties.
+
+    ``spot_m`` is lambda F / D, ``sigma_m`` the sigma of the beam along its axis.
+    """
     from scipy.special import ndtr
 
-    reach_m = MAX_REACH * beam.sigma_m
-    rim_m = max(reach_m / (2 * beam.f_number), 3 * beam.spot_m)
-    across_m = np.geomspace(NARROWEST * beam.spot_m, WIDEST * rim_m, WIDTHS)
+    reach_m = MAX_REACH * sigma_m
+    rim_m = max(reach_m / (2 * f_number), 3 * spot_m)
+    across_m = np.geomspace(NARROWEST * spot_m, WIDEST * rim_m, WIDTHS)
     # Points are denser towards the axis, where the beam is narrow.
     lateral_m = FIT_RADIUS * WIDEST * rim_m * ((np.arange(FIT_POINTS) + 0.5) / FIT_POINTS) ** 2
     axial_m = np.linspace(-reach_m, reach_m, 2 * math.ceil(5 * MAX_REACH) + 1)
     # Outside the geometric beam and its edge the intensity counts as zero, which saves most of the time.
     inside_m = lateral_m[lateral_m < 1.3 * rim_m]
-    intensity = beam.intensity(np.concatenate([np.zeros(1), inside_m]), axial_m)
+    sampled = intensity(np.concatenate([np.zeros(1), inside_m]), axial_m)
     relative = np.zeros((axial_m.size, lateral_m.size))
-    relative[:, : inside_m.size] = intensity[:, 1:] / intensity[axial_m.size // 2, 0]
-    step_m = STATION_STEP * beam.sigma_m
+    relative[:, : inside_m.size] = sampled[:, 1:] / sampled[axial_m.size // 2, 0]
+    step_m = STATION_STEP * sigma_m
     count = math.ceil(reach_m / step_m)
     centre_m = np.asarray(step_m * np.arange(-count, count + 1), np.float64)
     share = _fitted_shares(relative, lateral_m, axial_m, across_m, centre_m)
 
     def ending_at(reach: float) -> FloatArray:
         """Return the shares with the force faded out at ``reach`` sigmas."""
-        return np.asarray(ndtr((reach - np.abs(centre_m) / beam.sigma_m) / FADE_LENGTH)[:, None] * share)
+        return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADE_LENGTH)[:, None] * share)
 
     longer = (ending_at(REACH + REACH_UNCERTAINTY) - ending_at(REACH - REACH_UNCERTAINTY)) / 2
     # exp(-2 alpha z) relative to the focus, to first order in the error of alpha.
-    lossier = -2 * beam.loss_uncertainty_np_per_m * centre_m[:, None] * ending_at(REACH)
+    lossier = -2 * loss_uncertainty_np_per_m * centre_m[:, None] * ending_at(REACH)
     unsure = ("reach", _rows(longer)), ("loss", _rows(lossier))
     return PushForce(tuple(across_m.tolist()), step_m, tuple(centre_m.tolist()), _rows(ending_at(REACH)), unsure)
 

@@ -28,17 +28,8 @@ from hpe_rig.medium.focal_field import legendre_nodes
 from hpe_rig.medium.material_laws import HarmonicMedium
 from hpe_rig.medium.push_force import PushForce
 
-
-class Quality(NamedTuple):
-    """Nodes in a panel of the path, and the exponent of exp(-A k^2 / 2) at which the path ends."""
-
-    panel_nodes: int
-    end_exponent: float
-
-
-FULL = Quality(12, 36.0)
-"""The spectrum has fallen to 2e-16 at the end of the path."""
-QUICK = Quality(6, 16.0)
+FULL, QUICK = (12, 36.0), (6, 16.0)
+"""Nodes in a panel of the path, and the exponent of exp(-A k^2 / 2) at its end, for the full and the quick field."""
 QUICK_ERROR = 1e-5
 """Error of the quick field, relative to the largest displacement."""
 MAX_BESSEL_EXPONENT = 3.0
@@ -98,9 +89,9 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
     # All Gaussians of the force share one path: that of the narrowest.
     narrowest_m2, along_m2 = min(force.across_m) ** 2, force.along_m**2 + region.along_m2
     path = _Waves.of(medium, narrowest_m2 + region.across_m2, along_m2, region.lateral_m, QUICK if quick else FULL)
-    spectra = _station_spectra(force, path.k**2, narrowest_m2, region.axial_m)
     prefactor = force.along_m / path.denominator
-    kernels = [prefactor[:, None] * total for total in _sum_over_stations(path, spectra, force.along_m, along_m2)]
+    sums = _sum_over_stations(path, force, narrowest_m2, along_m2, region.axial_m)
+    kernels = [prefactor[:, None] * total for total in sums]
     value, by_kappa2, by_axial, by_length, by_width, *by_unsure = kernels
     k2 = path.k[:, None] ** 2
     return ShearMotion(
@@ -157,7 +148,7 @@ class _Waves:
         across_m2: FloatArray | float,
         along_m2: float,
         lateral_m: FloatArray,
-        quality: Quality,
+        quality: tuple[int, float],
     ) -> _Waves:
         q2 = medium.shear_k2
         max_distance_m = float(np.max(np.abs(lateral_m), initial=0.0))
@@ -175,72 +166,40 @@ class _Waves:
         return np.asarray(np.sqrt(self.k**2 - self.q2[:, None]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _StationSpectra:
-    """Spectra across of the force's Gaussians, summed over stations at the same distance: (distance, k).
+def _sum_over_stations(
+    path: _Waves, force: PushForce, narrowest_m2: float, along_m2: float, axial_m: float
+) -> ComplexArray:
+    """Return the sums over the force's Gaussians of their spectra across times V - V_static, (kind, frequency, k).
 
-    Stations before and behind the tracked point share V and differ in the sign of its slope: ``odd`` is the sum with
-    signs, ``odd_shifted`` that of the spectra times the station's position. ``widened`` is the derivative of ``even``
-    by the logarithm of the width; ``uncertain`` has one spectrum for each property in ``PushForce.unsure``.
+    Kinds: value; derivatives by kappa^2, by z, by the logarithms of length and of width; one for each uncertainty.
     """
-
-    distance_m: FloatArray
-    even: ComplexArray
-    odd: ComplexArray
-    odd_shifted: ComplexArray
-    widened: ComplexArray
-    uncertain: list[ComplexArray]
-
-
-def _station_spectra(force: PushForce, k2: ComplexArray, narrowest_m2: float, axial_m: float) -> _StationSpectra:
-    area_m2, centre_m = np.square(force.across_m)[:, None], np.array(force.centre_m)
-    # The waves of the path already hold the narrowest Gaussian.
+    k2, area_m2, centre_m = path.k**2, np.square(force.across_m)[:, None], np.array(force.centre_m)
+    # Spectra across of each station (station, k). The waves of the path already hold the narrowest Gaussian.
     across = area_m2 * np.exp(-k2 * (area_m2 - narrowest_m2) / 2)
     spectra, widened = (np.array(force.share) @ rows for rows in (across, (2 - k2 * area_m2) * across))
-    uncertain = [np.array(share) @ across for _, share in force.unsure]
+    # Stations at the same distance before and behind the point share V; its slope has opposite signs.
     offset_m = axial_m - centre_m
     distance_m, index = np.unique(np.round(np.abs(offset_m), 12), return_inverse=True)
     fold = np.zeros((distance_m.size, offset_m.size))
     fold[index, np.arange(offset_m.size)] = 1.0
     signed = fold * np.sign(offset_m)
-    return _StationSpectra(
-        np.asarray(distance_m, dtype=np.float64),
-        even=fold @ spectra,
-        odd=signed @ spectra,
-        odd_shifted=signed @ (centre_m[:, None] * spectra),
-        widened=fold @ widened,
-        uncertain=[fold @ rows for rows in uncertain],
-    )
-
-
-def _sum_over_stations(path: _Waves, spectra: _StationSpectra, station_along_m: float, along_m2: float) -> ComplexArray:
-    """Return the sums of V - V_static times the spectra, (kind, frequency, k).
-
-    Kinds: value; derivatives by kappa^2, by z, by the logarithms of length and of width; one for each uncertainty.
-    """
+    even, widened = fold @ spectra, fold @ widened
+    odd, odd_shifted = signed @ spectra, signed @ (centre_m[:, None] * spectra)
+    uncertain = [fold @ (np.array(share) @ across) for _, share in force.unsure]
     kappa, half_m2 = path.kappa, along_m2 / 2
-    sums = np.zeros((5 + len(spectra.uncertain), *kappa.shape), np.complex128)
-    for i, distance_m in enumerate(spectra.distance_m):
-        dynamic, static = (
-            _axial_integral(kappa, half_m2, distance_m),
-            _axial_integral(path.k[None], half_m2, distance_m),
-        )
-        value, by_half, by_axial = (
-            moving - at_rest
-            for moving, at_rest in (
-                (dynamic.value, static.value),
-                (dynamic.by_half, static.by_half),
-                (dynamic.by_axial, static.by_axial),
-            )
-        )
-        sums[0] += value * spectra.even[i]
+    sums = np.zeros((5 + len(uncertain), *kappa.shape), np.complex128)
+    for i, distance in enumerate(distance_m):
+        dynamic, static = (_axial_integral(decay, half_m2, distance) for decay in (kappa, path.k[None]))
+        value, by_axial = dynamic.value - static.value, dynamic.by_axial - static.by_axial
+        sums[0] += value * even[i]
         # The static part does not depend on the modulus: dq^2/dG = -q^2/G, dkappa^2/dq^2 = -1.
-        sums[1] += dynamic.by_kappa2 * spectra.even[i]
-        sums[2] += by_axial * spectra.odd[i]
+        sums[1] += dynamic.by_kappa2 * even[i]
+        sums[2] += by_axial * odd[i]
         # A longer force also has its stations farther away.
-        sums[3] += (value + station_along_m**2 * by_half) * spectra.even[i] - by_axial * spectra.odd_shifted[i]
-        sums[4] += value * spectra.widened[i]
-        for kind, rows in enumerate(spectra.uncertain):
+        by_half = force.along_m**2 * (dynamic.by_half - static.by_half)
+        sums[3] += (value + by_half) * even[i] - by_axial * odd_shifted[i]
+        sums[4] += value * widened[i]
+        for kind, rows in enumerate(uncertain):
             sums[5 + kind] += value * rows[i]
     return sums
 
@@ -283,7 +242,7 @@ def _damped_erfcx(x: ComplexArray, b: float) -> ComplexArray:
 
 
 def _path(
-    q: FloatArray, across_m2: float, along_m2: float, max_distance_m: float, quality: Quality
+    q: FloatArray, across_m2: float, along_m2: float, max_distance_m: float, quality: tuple[int, float]
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return wave numbers (k,) and weights on a path from 0 to the end of the force's spectrum.
 
@@ -300,9 +259,10 @@ def _path(
 
 @lru_cache(maxsize=32)
 def _cached_path(
-    lowest: float, highest: float, across_m2: float, max_distance_m: float, quality: Quality
+    lowest: float, highest: float, across_m2: float, max_distance_m: float, quality: tuple[int, float]
 ) -> tuple[ComplexArray, ComplexArray]:
-    end = np.sqrt(2 * quality.end_exponent / across_m2)
+    panel_nodes, end_exponent = quality
+    end = np.sqrt(2 * end_exponent / across_m2)
     clearance = min(MAX_BESSEL_EXPONENT / max_distance_m, CLEARANCE / np.sqrt(across_m2))
     edges = [0.0, min(lowest / 2, end)]
     while edges[-1] < end:
@@ -311,7 +271,7 @@ def _cached_path(
         step = min(edges[-1], near_pole, PANEL_PHASE_RAD / max_distance_m)
         edges.append(min(edges[-1] + step, end))
     low, high = np.array(edges[:-1])[:, None], np.array(edges[1:])[:, None]
-    node, weight = legendre_nodes(quality.panel_nodes)
+    node, weight = legendre_nodes(panel_nodes)
     real = ((high + low) / 2 + (high - low) / 2 * node).ravel()
     weights = ((high - low) / 2 * weight).ravel()
     # The path rises to the height ``clearance`` as a tanh; its derivative is part of the weights.

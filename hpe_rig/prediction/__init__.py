@@ -4,7 +4,6 @@
     amplitude.py        expected amplitude and SNR
     conditions.py       quantities that bias and jitter depend on
     speckle.py          random draws of scatterers and their echoes
-    searched_band.py    spectrum of echo envelopes in the estimators' band
     peak_noise.py       noise of an estimator that reads the peak of a cross-spectrum
     error_model.py      bias and jitter of an estimator: s = m sqrt(2 v / N)
     speckle_spread.py   standard deviations over speckle

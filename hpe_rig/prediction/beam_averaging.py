@@ -34,7 +34,7 @@ from hpe_rig.prediction.conditions import resting_conditions
 from hpe_rig.prediction.scene_physics import TYPICAL_VOIGT, beam_widths, medium_of, push_force, tracking_gate
 from hpe_rig.prediction.speckle_spread import speckle_spread
 from hpe_rig.processing import bounded_steepness, driven_spectrum, harmonic_range_hz, with_second_order_speckle
-from hpe_rig.result import Averaging
+from hpe_rig.result import Averaging, AveragingRule
 from hpe_rig.scene import Scene
 
 SHAPE_RELATIVE = 0.004
@@ -88,9 +88,9 @@ def predicted_averaging(
         "phase_uncertainty_rad": medium.deviation.imag,
         "speckle_phase_rad": (area_spread * medium.steepness).imag,
     }
-    common = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale}
+    rule = AveragingRule(area_spread, loss_scale)
     averagings = (
-        Averaging(**{name: float(column[i]) for name, column in columns.items()}, **common)
+        Averaging(**{name: float(column[i]) for name, column in columns.items()}, carrier_relative=carrier, rule=rule)
         for i in range(frequency_hz.size)
     )
     corrections = _aperture_correction(scene, beams, frequency_hz)
@@ -164,13 +164,12 @@ def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArr
 
 def _times(averaging: Averaging, correction: complex) -> Averaging:
     size, angle = abs(correction), cmath.phase(correction)
-    return replace(
-        averaging,
-        factor=averaging.factor * size,
-        phase_rad=averaging.phase_rad + angle,
-        offset_factor=averaging.offset_factor * size,
-        offset_phase_rad=averaging.offset_phase_rad + angle,
+    rule = replace(
+        averaging.rule,
+        geometry_factor=averaging.rule.geometry_factor * size,
+        geometry_phase_rad=averaging.rule.geometry_phase_rad + angle,
     )
+    return replace(averaging, factor=averaging.factor * size, phase_rad=averaging.phase_rad + angle, rule=rule)
 
 
 def _with_scene_offsets(scene: Scene, averaging: Averaging) -> Averaging:
@@ -184,7 +183,8 @@ def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
     focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m
     obliquity = obliquity_factor(scene.beams.transducer_diameter_m, focus_m)
     factor = averaging.factor * obliquity
-    return replace(averaging, factor=factor, offset_factor=obliquity, shape_relative=SHAPE_RELATIVE)
+    rule = replace(averaging.rule, geometry_factor=obliquity)
+    return replace(averaging, factor=factor, rule=rule, shape_relative=SHAPE_RELATIVE)
 
 
 def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
@@ -202,9 +202,5 @@ def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
         focus_m, relative_uncertainty = scene.acquisition.gate_depth_m, 0.0
     width_m = scene.beams.excitation_width_m[2]
     factor, spread = axial_offset_factor(gate_m - focus_m, gate_m * relative_uncertainty, width_m)
-    return replace(
-        averaging,
-        factor=averaging.factor * factor,
-        offset_relative=spread,
-        offset_factor=averaging.offset_factor * factor,
-    )
+    rule = replace(averaging.rule, geometry_factor=averaging.rule.geometry_factor * factor)
+    return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, rule=rule)

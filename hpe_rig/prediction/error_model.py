@@ -19,8 +19,7 @@ import numpy as np
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.prediction.conditions import Conditions
 from hpe_rig.prediction.peak_noise import peak_ratio, peak_statistics
-from hpe_rig.prediction.searched_band import BAND_OVER_CARRIER, instant_s, to_band
-from hpe_rig.prediction.speckle import INSTANTS, Speckle, matmul
+from hpe_rig.prediction.speckle import BAND_OVER_CARRIER, INSTANTS, Speckle, instant_s, matmul, to_band
 from hpe_rig.processing import EstimatorSpec, spec_of
 
 RICE_SERIES_MIN = 5e3

@@ -19,8 +19,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
 from hpe_rig.prediction.conditions import Conditions
-from hpe_rig.prediction.searched_band import to_band
-from hpe_rig.prediction.speckle import INSTANTS, Speckle, matmul
+from hpe_rig.prediction.speckle import INSTANTS, Speckle, matmul, to_band
 from hpe_rig.processing import hann
 
 PADDED_INSTANTS = 4 * INSTANTS

@@ -23,6 +23,8 @@ Displacement = Callable[[SingleArray], SingleArray]
 
 INSTANTS = 64
 """Instants of the gate."""
+BAND_OVER_CARRIER = 1.0
+"""Width of the band over the carrier."""
 MAX_SCATTERERS = 5000
 """Scatterers of one draw. With tens in every resolution cell the sums are nearly normal.
 
@@ -191,3 +193,19 @@ def _gaussian(width_m: Triple, position_m: SingleArray) -> SingleArray:
 def matmul(draws: ComplexArray, matrix: ComplexArray | FloatArray) -> ComplexArray:
     """Return ``draws @ matrix`` in the precision of ``draws``."""
     return np.asarray(draws @ matrix.astype(draws.dtype))
+
+
+def instant_s(conditions: Conditions) -> float:
+    """Return the time between two instants of the gate."""
+    return 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
+
+
+def to_band(conditions: Conditions, bins: int, window: FloatArray | float = 1.0) -> ComplexArray:
+    """Return the matrix (instant, bin in the band) from envelopes times ``window`` to their spectrum of ``bins``.
+
+    The band has a sixth of the bins: the product takes a third of the time of a full Fourier transform.
+    """
+    frequency_hz = np.fft.fftfreq(bins, instant_s(conditions))
+    band_hz = frequency_hz[np.abs(frequency_hz) <= conditions.carrier_hz * BAND_OVER_CARRIER / 2]
+    phase_rad = 2 * np.pi * instant_s(conditions) * np.outer(band_hz, np.arange(INSTANTS))
+    return np.asarray((window * np.exp(-1j * phase_rad)).T)

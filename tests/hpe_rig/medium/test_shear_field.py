@@ -75,7 +75,7 @@ def test_the_field_on_the_axis_equals_the_closed_form(medium: tuple[float, float
     voigt = HarmonicMedium.voigt(mu1, mu2, FREQUENCY_HZ)
     squares = np.array([WIDE[0] ** 2]), np.array([WIDE[1] ** 2])
     front = WIDE[0] ** 2 * WIDE[1] / np.sqrt(2 * np.pi)
-    closed = front * focal_displacement(voigt.shear_k2[None], *squares, 96)[0] / voigt.modulus_pa
+    closed = front * focal_displacement(voigt.shear_k2[None], *squares, 96)[0][0] / voigt.modulus_pa
     np.testing.assert_allclose(displacement(mu1, mu2, WIDE, np.zeros(1), 0.0)[:, 0], closed, rtol=1e-9)
 
 

@@ -269,7 +269,7 @@ def test_a_declared_aperture_lowers_the_factor_and_widens_its_uncertainty() -> N
     # it lags more, by 0.04 degrees in this beam
     assert np.angle(other) < -6e-4
     assert oblique.phase_rad - plain.phase_rad == pytest.approx(np.angle(other), abs=1e-4)
-    assert oblique.offset_phase_rad == pytest.approx(np.angle(other), abs=1e-4)
+    assert oblique.rule.geometry_phase_rad == pytest.approx(np.angle(other), abs=1e-4)
     assert (plain.shape_relative, oblique.shape_relative) == (0.0, SHAPE_RELATIVE)
 
 

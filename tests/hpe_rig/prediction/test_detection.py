@@ -6,7 +6,8 @@ import pytest
 from hpe_rig.bench import twin_dose
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
-from hpe_rig.prediction.text import calibration_text, detection_text, extrapolation_text
+from hpe_rig.prediction.output_text import calibration_text, extrapolation_text
+from hpe_rig.prediction.text import detection_text
 from hpe_rig.scene import parse_scene, shipped_scenes
 
 SCENES = shipped_scenes()
@@ -106,7 +107,7 @@ def test_a_calibration_that_is_not_of_the_twins_force_is_told_with_both_intensit
     # 0.55 dB/cm/MHz is 19.00 Np/m at 3 MHz; 5.2 W/cm2 in water, derated by 6.3 dB.
     stands_for = 2.2e6 * 1540 / (2 * 18.997)
     ratio = stands_for / (5.2e4 * 10**-0.63)
-    assert f"{stands_for * 1e-4:.3g} W/cm2, {ratio:.3g} times" in line
+    assert f"{stands_for * 1e-4:.3g} W/cm2, {ratio:.3g} times as much" in line
     specimen = {**setup.scene.scene.simulation["specimen"], "force_density_n_per_m3": 2.2e6 / ratio}
     agreeing = setup.scene.scene.model_copy(
         update={"simulation": {**setup.scene.scene.simulation, "specimen": specimen}}
@@ -131,12 +132,10 @@ def test_an_output_scaled_from_another_drive_says_by_how_much_shocks_change_it()
     scene, bench = setup.scene.scene, setup.bench.bench
     assert list(extrapolation_text(scene, bench)) == [], "at the calibrated drive itself nothing is scaled"
     (line,) = extrapolation_text(scene, calibrated(bench, 0.1, 5.2e4))
-    assert line.endswith(
-        "from 0.1 to 1 Vpp; how far shocks change that is not known without beams.transducer_diameter_m"
-    )
+    assert line.endswith("from 0.1 to 1 Vpp. The effect of shocks is not known without beams.transducer_diameter_m")
     # z p 2 pi f beta / (rho c^3 sqrt(F_a)) of 0.46 MPa, 7 W/cm2, and of ten times as much pressure
     (up,) = extrapolation_text(aperture, calibrated(bench, 0.1, 7e4))
-    assert "from 0.1 to 1 Vpp; the distortion at the focus is 0.018 and 0.18 (IEC 61949)" in up
+    assert "from 0.1 to 1 Vpp; at distortions of 0.018 and 0.18 at the focus (IEC 61949)" in up
     assert "I_sppa by up to +12 % and p- by up to -22 %" in up
     # scaled down from full drive it is the other way round
     weak = aperture.with_({"excitation.force_fraction": [0.01]})
