@@ -19,7 +19,7 @@ from .gate_profile import (
 )
 from .interference import disturbed_pulses as disturbed_pulses
 from .omitted import omissions as omissions
-from .phase_reference import PhaseReference as PhaseReference, phase_reference as phase_reference
+from .phase_reference import PhaseReference as PhaseReference, phase_reference_of as phase_reference_of
 from .selection import (
     MAX_CONDITION as MAX_CONDITION,
     Selection as Selection,

@@ -8,7 +8,7 @@ The *stated* one is that of the phases in a result, ``delay_s`` later:
 
     stated phase = physical phase + 2 pi f delay_s
 
-``phase_reference`` is the only place that chooses the stated one. Both are equal at present.
+``phase_reference_of`` is the only place that chooses the stated one. Both are equal at present.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FIRST_TONEBURST = PhaseReference("the first toneburst's arrival at the gate")
 MASTER_TRIGGER = PhaseReference("the master trigger's edge")
 
 
-def phase_reference(scene: Scene, shot: Shot | None = None) -> PhaseReference:
+def phase_reference_of(scene: Scene, shot: Shot | None = None) -> PhaseReference:
     """Return the stated phase reference of ``shot``, or of the whole scene, whose ``delay_s`` is then not used."""
     return FIRST_TONEBURST if scene.excitation else MASTER_TRIGGER
 

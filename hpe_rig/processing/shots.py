@@ -11,7 +11,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths
-from hpe_rig.plan import Plan, Selection, Shot, phase_reference, select
+from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of
 from hpe_rig.processing.echo.gate import gate_edge_uncertainty
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
@@ -138,7 +138,7 @@ def _estimate_window(
         else quantisation_m(motion.echoes, records.gate.volts_per_code, motion.coherent, fit),
         carrier_relative=carrier_error(motion.measured, motion.measured_coherent) if spec.by_carrier else 0.0,
     )
-    reference = phase_reference(scene, shot)
+    reference = phase_reference_of(scene, shot)
     estimates = estimates_of(fit, sources, shot_averaging(scene, fit, settings.averaging), true_m, reference)
     recorded = records.gate.valid[selection.window]
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order

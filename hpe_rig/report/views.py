@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.plan import Selection, Shot, phase_reference, select
+from hpe_rig.plan import Selection, Shot, phase_reference_of, select
 from hpe_rig.processing import (
+    Motion,
     aliased_hz,
     codes_to_volts,
     coherent,
@@ -80,6 +81,7 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, fir
         return None
     depth_m = _depth_m(scene, shot, first_sample, records.codes.shape[1])
     count = min(records.valid.size, MAX_PULSES)
+    # Every n-th pulse and row: a screen resolves no more.
     pulses = np.arange(0, count, -(-count // MAX_COLUMNS))
     start, stop = shot.gate.start - first_sample, shot.gate.stop - first_sample
     rows = np.arange(start, stop, -(-(stop - start) // MAX_ROWS))
@@ -105,19 +107,22 @@ def grey_limit_v(image_v: FloatArray) -> float:
     return (1.2 * float(np.median(columns.max(axis=0))) if columns.size else 0.0) or 1.0
 
 
-def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
-    """Return displacement and fit of ``shot``; raise ``ValueError`` for echoes without displacement.
+def tracked_motion(scene: Scene, shot: Shot, gated: ShotRecords) -> Motion:
+    """Return the displacement of the selected pulses by the estimator "coherent".
 
-    ``gated`` contains the ``samples_needed`` of each record. The displacement is that of the estimator "coherent", for
-    ``estimates`` of any estimator.
+    ``gated`` contains the ``samples_needed`` of each record. Raises ``ValueError`` for echoes without displacement.
     """
-    selection = selected_pulses(scene, shot)
-    motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, selection), coherent)
-    valid = motion.valid
+    return shot_motion(scene, shot, shot_echoes(scene, shot, gated, selected_pulses(scene, shot)), coherent)
+
+
+def motion_view(scene: Scene, shot: Shot, motion: Motion, estimates: Sequence[Estimate]) -> MotionView:
+    """Return the tracked ``motion`` of ``shot`` and the fit of ``estimates``, which may be of any estimator."""
+    selection, valid = selected_pulses(scene, shot), motion.valid
+    # The harmonics of the result stay; other driven harmonics and the background are fitted to the remainder.
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     other_driven_hz, rate_hz = selection.driven_hz, shot.tracking_train.rate_hz
     fitted = fitted_motion(
-        motion, estimates, phase_reference(scene, shot), other_driven_hz, scene.processing.background_order
+        motion, estimates, phase_reference_of(scene, shot), other_driven_hz, scene.processing.background_order
     )
     return MotionView(
         time_s=motion.time_s[valid],

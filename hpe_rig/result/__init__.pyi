@@ -54,6 +54,7 @@ from .tables import csv_text as csv_text, mappings as mappings, rich_table as ri
 from .values import (
     RECTIFIED as RECTIFIED,
     Averaging as Averaging,
+    AveragingRule as AveragingRule,
     Component as Component,
     Estimate as Estimate,
     GateResult as GateResult,

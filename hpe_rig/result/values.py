@@ -27,6 +27,23 @@ DERIVED = (
 
 
 @dataclass(frozen=True, slots=True)
+class AveragingRule:
+    """How the averaging follows from the complex ratio r of tracked to peak motion in a medium.
+
+        factor = (1 - loss_scale (1 - |r|)) geometry_factor,    phase = arg r + geometry_phase_rad
+
+    ``loss_scale``: loss with few speckles and scatterers over the loss with many. ``area_spread``: standard deviation,
+    over speckle, of the logarithm of the tracking beam's area. The geometry is that of a gate off the focus, oblique
+    waves and a force that is not Gaussian.
+    """
+
+    area_spread: float = 0.0
+    loss_scale: float = 1.0
+    geometry_factor: float = 1.0
+    geometry_phase_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Averaging:
     """Predicted tracked over peak displacement at one frequency: ``factor``, phase, and their uncertainties.
 
@@ -39,10 +56,7 @@ class Averaging:
     * beams that are not Gaussian: ``shape_relative``
     * spread of the echo's mean frequency, for an estimator that divides by the carrier: ``carrier_relative``
 
-    ``offset_factor`` and ``offset_phase_rad`` are the parts of ``factor`` and phase from a gate off the focus, oblique
-    waves and a force that is not Gaussian. For other media: ``area_spread`` is the standard deviation, over speckle, of
-    the logarithm of the tracking beam's area. ``loss_scale`` is the loss with few speckles and scatterers over the loss
-    with many.
+    ``rule`` gives the averaging of another medium.
     """
 
     factor: float
@@ -52,12 +66,9 @@ class Averaging:
     phase_uncertainty_rad: float = 0.0
     speckle_phase_rad: float = 0.0
     offset_relative: float = 0.0
-    offset_factor: float = 1.0
-    offset_phase_rad: float = 0.0
     shape_relative: float = 0.0
     carrier_relative: float = 0.0
-    area_spread: float = 0.0
-    loss_scale: float = 1.0
+    rule: AveragingRule = AveragingRule()
     shared_relative: float = 0.0
     shared_phase_rad2: float = 0.0
 
@@ -177,6 +188,7 @@ class Estimate:
         """Phase of the peak displacement, corrected for the predicted lag and aliasing; in [-pi, pi]."""
         if not self.averaging_factor:
             return None
+        # The lag of the averaging and the phase error of aliasing add.
         lag_rad = (self.averaging_phase_rad or 0.0) + self.aliasing_phase_rad
         return math.remainder(self.phase_rad - lag_rad, 2 * math.pi)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hpe_rig as hpe
-from hpe_rig.plan import PhaseReference, phase_reference
+from hpe_rig.plan import PhaseReference, phase_reference_of
 from hpe_rig.processing import shots
 
 
@@ -26,14 +26,14 @@ def test_without_a_delay_a_phase_stays_the_same_number() -> None:
 
 @pytest.mark.parametrize(("scene", "event"), [("table-1", "master trigger"), ("bovine-muscle", "first toneburst")])
 def test_a_result_states_its_phase_reference_in_words(scene: str, event: str) -> None:
-    assert event in phase_reference(hpe.load_scene(scene)).words
+    assert event in phase_reference_of(hpe.load_scene(scene)).words
 
 
 def test_another_time_zero_changes_the_stated_phases_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = hpe.measure(hpe.load_scene("table-1"), path=tmp_path / "run.h5")
     (before,) = run.estimate("coherent").shots
     later = PhaseReference("the first pulse", delay_s=7e-4)
-    monkeypatch.setattr(shots, "phase_reference", lambda scene, shot: later)
+    monkeypatch.setattr(shots, "phase_reference_of", lambda scene, shot: later)
     (after,) = run.estimate("coherent").shots
     for one, other in zip(before.estimates, after.estimates, strict=True):
         shift_rad = math.remainder(other.phase_rad - one.phase_rad - 2 * math.pi * one.frequency_hz * 7e-4, 2 * math.pi)
