@@ -119,32 +119,34 @@ def no_bursts() -> Bursts:
     return Bursts(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
 
 
-def joined_steps(parts: Iterable[Steps]) -> Steps:
-    """Return the steps of all ``parts``, sorted by time; simultaneous steps keep their order."""
-    parts = [part for part in parts if part.time_ps.size]
-    if not parts:
+def joined_steps(trains: Iterable[Steps]) -> Steps:
+    """Return the steps of all ``trains``, sorted by time; simultaneous steps keep their order."""
+    trains = [train for train in trains if train.time_ps.size]
+    if not trains:
         return no_steps()
-    if len(parts) == 1 and bool(np.all(parts[0].time_ps[1:] >= parts[0].time_ps[:-1])):
-        return parts[0]
-    time_ps = np.concatenate([part.time_ps for part in parts])
-    before_v, after_v = (np.concatenate([getattr(part, name) for part in parts]) for name in ("before_v", "after_v"))
+    if len(trains) == 1 and bool(np.all(trains[0].time_ps[1:] >= trains[0].time_ps[:-1])):
+        return trains[0]
+    time_ps = np.concatenate([train.time_ps for train in trains])
+    before_v, after_v = (np.concatenate([getattr(train, name) for train in trains]) for name in ("before_v", "after_v"))
+    # A stable sort keeps the order of simultaneous steps.
     order = np.argsort(time_ps, kind="stable")
     return Steps(time_ps[order], before_v[order], after_v[order])
 
 
-def joined_bursts(parts: Iterable[Bursts]) -> Bursts:
-    """Return the bursts of all ``parts``, sorted by onset."""
-    parts = [part for part in parts if part.onset_ps.size]
-    if not parts:
+def joined_bursts(trains: Iterable[Bursts]) -> Bursts:
+    """Return the bursts of all ``trains``, sorted by onset."""
+    trains = [train for train in trains if train.onset_ps.size]
+    if not trains:
         return no_bursts()
-    order = np.argsort(np.concatenate([part.onset_ps for part in parts]), kind="stable")
-    return Bursts(*(np.concatenate([getattr(part, name) for part in parts])[order] for name in BURST_FIELDS))
+    order = np.argsort(np.concatenate([train.onset_ps for train in trains]), kind="stable")
+    return Bursts(*(np.concatenate([getattr(train, name) for train in trains])[order] for name in BURST_FIELDS))
 
 
 def near(bursts: Bursts, capture: Capture) -> Bursts:
     """Return at least the bursts that can contribute to ``capture``; bursts and records are sorted by time."""
     if not capture.first_sample_ps.size or not bursts.onset_ps.size:
         return bursts
+    # Echoes of a burst may arrive for ECHO_LIFE_PS after its end.
     begin_ps = capture.first_sample_ps[0] - bursts.longest_ps - ECHO_LIFE_PS
     end_ps = capture.first_sample_ps[-1] + capture.samples * capture.sample_period_ps + ECHO_LIFE_PS
     contributing = slice(*bursts.onset_ps.searchsorted([begin_ps, end_ps]).tolist())
@@ -196,6 +198,7 @@ def cables_of(
 
 def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, ...]:
     """Return ``roles`` sorted so that each follows its trigger sources; raise ``ValueError`` for a loop."""
+    # Topological sort of the graph of triggers.
     graph: dict[str, set[str]] = {role: set() for role in roles}
     for cable in cables:
         if cable.target.endswith(".trigger"):

@@ -193,6 +193,7 @@ class World:
         NaN if no pulse was fired. ``capture_index`` counts the last ``MAX_CAPTURES`` armings, as a list index.
         """
         captured = self._capture(capture_index)
+        # The pulse reaches the focus one flight time after its onset.
         onset_ps = pulse_onsets_ps(captured)
         fired = onset_ps >= 0
         displacement_m = np.full(onset_ps.size, np.nan)
@@ -259,6 +260,7 @@ class World:
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:
+        # The last evaluation is valid until an instrument changes.
         version = self.board.changes, *(generator.changes for generator in self._generators.values())
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
             return self._evaluated[1]
@@ -284,6 +286,7 @@ class World:
             role: partial(generator.emission, until_ps=until_ps) for role, generator in self._generators.items()
         }
         emissions = propagate(self._cables, {**respond, "digitizer": digitizer})
+        # The transducer receives the sum of all generators; the pulser's bursts are tracking pulses.
         tonebursts = driven(self._cables, emissions, [role for role in GENERATORS if role != PULSER])
         pulses = driven(self._cables, emissions, [PULSER], TRANSDUCERS)
         captured = self._snapshot(emissions, triggers[-1], tonebursts, pulses) if triggers else None

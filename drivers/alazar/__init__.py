@@ -1,7 +1,7 @@
 """AlazarTech digitizers over the vendor's ATSApi library: trigger in, records out.
 
     models         what each board accepts, one row a board
-    limits         what a board cannot do of a capture; sizes of records and buffers
+    limits         check of a capture against a board's limits; sizes of buffers
     api            the library's functions, signatures and constants
     return_codes   the library's return codes as errors
     board          one board's handle, every call checked

@@ -27,7 +27,7 @@ ZERO_LEVEL_CODE: Final = 128
 class AlazarDigitizer:
     """Driver of one board.
 
-    ``mode`` None stands for traditional AutoDMA on boards with dual-port memory, single-port captures on others.
+    ``mode`` None selects traditional AutoDMA on boards with dual-port memory, single-port captures on others.
     ``allocate`` makes the page-aligned memory that the board writes into. A ``with`` statement ends by aborting the
     capture, verified, and freeing its memory.
     """

@@ -28,7 +28,7 @@ class Refusal(NamedTuple):
 def mistakes(
     capture: Capture, model: BoardModel = ATS460_BOARD, mode: Mode = "traditional", fpga: int | None = None
 ) -> list[Refusal]:
-    """Return every setting that ``model`` does not accept in ``mode``; ``fpga`` None stands for a recent version."""
+    """Return every setting that ``model`` does not accept in ``mode``; ``fpga`` None means a recent version."""
     monitor_v, level_v, level_limit_v = capture.monitor_range_v, capture.trigger_level_v, model.trigger_range_v
     texts_by_field = {
         "monitor_range_v": [] if monitor_v is None else _not_in("monitor_range_v", monitor_v, model.input_ranges_v),

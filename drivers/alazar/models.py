@@ -39,7 +39,7 @@ class BoardModel:
         samples_per_timestamp: samples a count in the record headers, if the board does not report it.
         buffer_limit_bytes: an AutoDMA buffer is smaller than this.
         always_dual_port: the memory can be read during a capture, without an option.
-        record_overhead_samples: samples that a record needs in the memory besides its own.
+        record_overhead_samples: samples of the memory that a record needs in addition to its length.
         max_records: of a single-port capture; ``old_fpga_records`` with FPGA versions up to ``old_fpga``.
         stamped_records: the library states the trigger times of the first so many single-port records.
     """

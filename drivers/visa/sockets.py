@@ -1,6 +1,6 @@
 """Raw TCP sockets that carry lines of text.
 
-The standard library does this in place of pyvisa-py 0.8, for three reasons:
+The standard library is used instead of pyvisa-py 0.8 for three reasons:
 
 - pyvisa-py reports a refused connection only at the first message;
 - it reports a closed connection as a time-out, or blocks for ever (Prologix);

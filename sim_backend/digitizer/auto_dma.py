@@ -47,7 +47,7 @@ class Transfer:
         return record_bytes * self.records_per_buffer * len(self.channels)
 
     def refusal(self, settings: BoardSettings, offset: int) -> Code:
-        """Return the code with which a board with dual-port memory answers the transfer."""
+        """Return success, or the error code of a board with dual-port memory."""
         if self.flags & ~SIMULATED_FLAGS or (self.npt and self.headers):
             return Code.UNSUPPORTED_FUNCTION
         board = settings.board

@@ -163,6 +163,7 @@ def words(volts: FloatArray, channel: Input, settings: BoardSettings) -> NDArray
     """Return the board's codes, left-justified in bytes or in little-endian words of two; shaped as ``volts``."""
     board = settings.board
     out = np.empty(volts.shape, f"<u{board.bytes_per_sample}")
+    # 0 V lies between two codes: code = half scale + volts in steps, rounded.
     half_scale, highest = (2**board.bits - 1) / 2, 2**board.bits - 1
     flat_v, flat = volts.reshape(-1), out.reshape(-1)
     levels_per_v = half_scale / (channel.range_v / _input_gain(channel))
@@ -215,6 +216,7 @@ def _with_timeout(
     accepted_ps: list[int] = []
     cause: list[int] = []
     while len(accepted_ps) < settings.record_count:
+        # The first trigger after the board is ready, or the time-out, whichever is earlier.
         index = int(np.searchsorted(tick_ps, ready_ps))
         timeout_ps = ready_ps + settings.timeout_ticks * TIMEOUT_TICK_PS
         timed_out = index == tick_ps.size or tick_ps[index] > timeout_ps

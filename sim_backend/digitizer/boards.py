@@ -29,7 +29,7 @@ MILLIVOLTS_BY_ID: Final = {
 }  # fmt: skip
 """Full scale of an input by range id."""
 TRIGGER_RANGES_V: Final = {0: 5.0, 1: 1.0}
-"""Full scale of the external trigger input by range id, of boards without an entry of their own."""
+"""Full scale of the external trigger input by range id, for boards without another entry."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from sim_backend.digitizer.boards import BoardType
 Changes = dict[str, Any]
 MIN_POST_TRIGGER_SAMPLES = 64
 RECORD_OVERHEAD_SAMPLES = 16
-"""Samples of the memory that a record needs besides its own."""
+"""Samples of the memory that a record needs in addition to its length."""
 
 
 def capture_clock(board: BoardType, source: int, rate: int, edge: int, decimation: int) -> Changes | None:

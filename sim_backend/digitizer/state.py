@@ -211,6 +211,7 @@ class AlazarState:
         refusal = self._queue.wait_refusal(address)
         if refusal is not Code.SUCCESS:
             return refusal
+        # Nothing can fill a buffer while no capture runs.
         deadline_ps = self._clock.now_ps + timeout_ms * PS_PER_MS
         if not self._board.running:
             self._clock.advance_to(deadline_ps)
@@ -223,6 +224,7 @@ class AlazarState:
         if full_ps is None or full_ps > deadline_ps:
             self._clock.advance_to(deadline_ps)
             return Code.WAIT_TIMEOUT
+        # The volts are computed before the clock advances, with the settings of now.
         volts = self._recorder.volts(deadline_ps, self._queue.next_records)
         self._clock.advance_to(full_ps)
         self._queue.deliver(self._arming, triggers, volts, self._reset_ps)

@@ -108,6 +108,7 @@ class WaveformMemory:
             return f"{points.size:+d}"
         rms = float(np.sqrt(np.mean(points**2)))
         peak = float(np.max(np.abs(points)))
+        # The crest factor, peak over rms, is the remaining attribute.
         values = {"AVERAGE": float(np.mean(points)), "PTPEAK": float(np.ptp(points))}
         return real_reply(values.get(attribute, peak / rms if rms else 0.0))
 

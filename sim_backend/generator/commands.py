@@ -32,6 +32,7 @@ def _amplitude() -> SettingCommand:
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         text = one(arguments)
+        # Limits and default are in Vpp, whatever the set unit.
         vpp = extreme(text, levels.amplitude_limits(state))
         if text.upper() in ("DEF", "DEFAULT"):
             vpp = DEFAULT_VPP
@@ -74,7 +75,7 @@ def _gap_v(state: Registers) -> float:
 
 
 def _period_limits_s(state: Registers) -> tuple[float, float]:
-    # The period is shared with the present function, whose limits hold too.
+    # The period is shared with the present function, so its limits apply too.
     low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
     min_hz, max_hz = timing.frequency_limits_hz(state)
     return 1 / min(high_hz, max_hz), 1 / max(low_hz, min_hz)
@@ -90,6 +91,7 @@ def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
     low_hz, high_hz = timing.frequency_limits_hz(state)
     frequency_hz, errors = registers.clipped(frequency_hz, low_hz, high_hz, "frequency")
     frequency_hz = registers.rounded(frequency_hz, state.model.frequency_digits, state.model.frequency_decimals)
+    # Rounding may exceed a limit, so it is clipped again.
     frequency_hz = min(max(frequency_hz, low_hz), high_hz)
     return timing.settle_frequency(Coerced(timing.at_frequency(state, frequency_hz), errors))
 

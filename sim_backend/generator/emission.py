@@ -68,6 +68,7 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
         (start_ps, history[index + 1][0] if index + 1 < len(history) else FAR_PS, registers)
         for index, (start_ps, registers) in enumerate(history)
     ]
+    # Within one segment of the history the registers are constant.
     steps, bursts, ignored, idle_v = [], [], 0, 0.0
     for index, (start_ps, stop_ps, registers) in enumerate(segments):
         # Each state lasts until the next one.
@@ -81,6 +82,7 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
         if _idle_v(registers) != idle_v:
             steps.append(_steps(np.array([start_ps]), idle_v, _idle_v(registers)))
         idle_v = _idle_v(registers)
+        # An endless output is computed up to the horizon only.
         limit_ps = min(stop_ps, until_ps) if is_endless(registers) else stop_ps
         if onset_ps.size and registers.function == "SIN":
             bursts.append(_sines(registers, onset_ps, cycles, limit_ps))
@@ -114,6 +116,7 @@ def _onsets(
         last_ps, period_ps = min(stop_ps, until_ps), to_ps(period_s)
         triggers.append(np.arange(start_ps, last_ps, period_ps, dtype=np.int64))
     trigger_ps = np.sort(np.concatenate(triggers))
+    # The instrument is busy from the trigger to the end of the burst.
     busy_ps = min(FAR_PS, round(min(registers.delay_s + registers.burst_s, 1e6) * PS_PER_S))
     indices = accepted(trigger_ps, busy_ps)
     onset_ps = trigger_ps[indices] + latency_ps + to_ps(registers.delay_s)
@@ -139,11 +142,12 @@ def _gated(
     opens = crossings(arriving, TRIGGER_LEVEL_V, normal, TRIGGER_INPUT_OHM)
     closes = crossings(arriving, TRIGGER_LEVEL_V, not normal, TRIGGER_INPUT_OHM)
     # Before the first edge the input is low.
-    opened, closed = np.searchsorted(opens, start_ps, "right"), np.searchsorted(closes, start_ps, "right")
-    if opened > closed or (opened == closed and not normal):
-        opens = np.insert(opens, opened, start_ps)
+    opening_count, closing_count = np.searchsorted(opens, start_ps, "right"), np.searchsorted(closes, start_ps, "right")
+    if opening_count > closing_count or (opening_count == closing_count and not normal):
+        opens = np.insert(opens, opening_count, start_ps)
     opens = opens[(opens >= start_ps) & (opens < stop_ps)]
     ends = np.append(closes, FAR_PS)[np.searchsorted(closes, opens, "right")]
+    # The cycle that runs when the gate closes is completed.
     open_s = (ends - opens) / PS_PER_S
     cycles = np.where(ends == FAR_PS, math.inf, np.ceil(open_s * registers.frequency_hz * (1 - 1e-12)))
     onset_ps = opens + latency_ps
@@ -163,6 +167,7 @@ def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
 
 
 def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int) -> Bursts:
+    # A burst that the end of the segment cuts has a fraction of its cycles.
     full_ps = onset_ps + _length_ps(registers, cycles)
     end_ps = np.minimum(full_ps, stop_ps)
     is_complete = np.isfinite(cycles) & (end_ps == full_ps)

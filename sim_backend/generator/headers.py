@@ -63,6 +63,7 @@ class HeaderTable(Generic[Entry]):
         if form.startswith("*"):
             self._short[form] = form
             return [((form, False),)]
+        # Each node is either required or optional; the product gives every spelling.
         choices: list[tuple[tuple[str, bool] | None, ...]] = []
         for optional, optional_many, required, many in _FORM_NODE.findall(form):
             long = optional or required
@@ -78,8 +79,8 @@ class HeaderTable(Generic[Entry]):
         A header after ``;`` continues in the branch of the previous one, unless it starts with ``:`` or ``*``.
         """
         branch: Branch = ()
-        for part in split_outside_quotes(message, ";"):
-            words = part.split(None, 1)
+        for text in split_outside_quotes(message, ";"):
+            words = text.split(None, 1)
             if not words:
                 continue
             header = self._cache.get((branch, words[0])) or self._look_up(branch, words[0])
@@ -115,6 +116,7 @@ class HeaderTable(Generic[Entry]):
         match = self._entries.get(tuple(plain))
         if match is None or not all(self._channels and node in match[1] for node, _ in numbered):
             raise ScpiError(-113, "Undefined header")
+        # All numbers in a header must name the same channel.
         numbers = {int(digits[:3]) for _, digits in numbered} or {1}
         if len(numbers) > 1 or not 1 <= min(numbers) <= self._channels + (not self._channels):
             raise ScpiError(-114, "Header suffix out of range")

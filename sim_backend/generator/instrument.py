@@ -53,6 +53,7 @@ class Generator33250A:
     def write(self, message: str, over_serial: bool = False) -> None:
         """Execute the commands of ``message``; the first error goes to the error queue and ends the message."""
         self._over_serial = over_serial
+        # A new message before the reply was read interrupts the query.
         if self._replies:
             self._replies.clear()
             self.status.queue(-410, "Query INTERRUPTED")
@@ -173,9 +174,9 @@ class Generator33250A:
         if channel == 1:
             self._set_registers(coerced.registers)
         else:
-            others = list(self._other_channels)
-            others[channel - 2] = coerced.registers
-            self._other_channels = tuple(others)
+            channels = list(self._other_channels)
+            channels[channel - 2] = coerced.registers
+            self._other_channels = tuple(channels)
         for number, text in coerced.errors:
             self.status.queue(number, text)
 
@@ -187,6 +188,7 @@ class Generator33250A:
 
     def _set_registers(self, registers: Registers) -> None:
         if changes_output(self.registers, registers):
+            # Several settings at one time count as one state.
             if self._history[-1][0] == self._clock.now_ps and len(self._history) > 1:
                 self._history.pop()
             self._history.append((self._clock.now_ps, registers))

@@ -57,6 +57,7 @@ def numeric(
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         text = one(arguments)
+        # MIN and MAX depend on the other settings, DEF on the model alone.
         value = extreme(text, limits(state))
         if value is None and text.upper() in ("DEF", "DEFAULT"):
             value = get(replace(power_on(state.model), angle_unit=state.angle_unit))

@@ -44,6 +44,7 @@ def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
     # Rounded in the displayed unit.
     displayed = rounded(in_unit(registers, amplitude_v * divider), model.amplitude_digits, model.amplitude_decimals)
     amplitude_v = min(max(to_vpp(registers, displayed, "") / divider, SMALLEST_VPP), 2 * PEAK_V)
+    # The peak voltage limits the sum of half the amplitude and the offset.
     offset_v, limit_v = registers.offset_v, PEAK_V - amplitude_v / 2
     state = Coerced(registers, errors)
     if abs(offset_v) > limit_v + ROUNDING:

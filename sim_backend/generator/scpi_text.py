@@ -98,6 +98,7 @@ def _in_unit(value: float, suffix: str, units: str) -> tuple[float, str]:
     for unit in units.split():
         prefix = suffix.removesuffix(unit)
         if prefix != suffix and prefix in _MULTIPLIERS:
+            # In MHZ and MOHM the prefix M is mega, otherwise milli.
             mega = prefix == "M" and unit in ("HZ", "OHM")
             return value * (1e6 if mega else _MULTIPLIERS[prefix]), unit
     raise ScpiError(-131, "Invalid suffix")

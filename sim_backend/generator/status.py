@@ -19,6 +19,7 @@ class Status:
 
     def queue(self, number: int, text: str) -> None:
         """Append an error; the 21st turns the newest into -350 and is lost."""
+        # Negative numbers are SCPI errors by hundreds, positive ones are device errors.
         self._events |= _EVENT_BY_HUNDREDS[-number // 100] if number < 0 else ESR_DEVICE
         if len(self._errors) < QUEUE_DEPTH:
             self._errors.append((number, text))

@@ -96,9 +96,11 @@ def _settings(state: Registers) -> Iterator[tuple[str, str | None]]:
     yield "OUTP<n>:LOAD", None
     yield "SOUR<n>:FUNC:SQU:DCYC", None
     yield "SOUR<n>:FUNC:RAMP:SYMM", None
+    # With the trigger on BUS and the highest frequency, burst settings meet no limit.
     yield "TRIG<n>:SOUR", "BUS"
     yield "SOUR<n>:FREQ", "MAX"
     yield from ((header, None) for header in BURST_AND_TRIGGER)
+    # A period with room for the pulse and its edges.
     yield "SOUR<n>:FREQ", f"{1 / (2 * state.width_s + 4 * state.edge_s):.2E}"
     yield from ((header, None) for header in PULSE)
     yield from ((f"SOUR<n>:{header}", None) for header in INACTIVE)

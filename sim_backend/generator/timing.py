@@ -30,6 +30,7 @@ def width_limits_s(registers: Registers) -> tuple[float, float]:
     """Return the limits of the pulse width in the period."""
     narrowest_s, widest_s = registers.model.width_limits_s
     period_s = 1 / registers.frequency_hz
+    # The narrowest pulse depends on the period; the widest one leaves room for both edges.
     lowest = next((width for longest, width in registers.model.narrowest_s if period_s > longest), narrowest_s)
     return lowest, max(lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s))
 
@@ -61,6 +62,7 @@ def set_function(registers: Registers, function: str) -> Coerced:
     if function in NOT_SIMULATED:
         raise not_simulated(NOT_SIMULATED[function])
     state = Coerced(registers).changed(function=function)
+    # The new function may have a smaller frequency range.
     low, high = registers.model.frequency_limits_hz[function]
     frequency_hz = min(max(registers.frequency_hz, low), high)
     if frequency_hz != registers.frequency_hz:
@@ -179,12 +181,14 @@ def set_burst_period(registers: Registers, period_s: float) -> Coerced:
 def settle_burst(state: Coerced) -> Coerced:
     """Fit the burst to its frequency limit and, with the internal trigger, into the burst period."""
     registers = state.registers
+    # Counted bursts have a lower frequency limit than endless or gated ones.
     finite = math.isfinite(registers.cycles) and registers.burst_mode == "TRIG"
     too_fast = registers.function in ("SIN", "SQU") and registers.frequency_hz > registers.model.finite_burst_ceiling_hz
     if registers.burst and finite and too_fast:
         state = state.changed("frequency reduced for burst mode", frequency_hz=registers.model.finite_burst_ceiling_hz)
     if registers.trigger_source != "IMM" or not finite:
         return state
+    # The internal trigger must come after the burst: lengthen its period, then reduce the count.
     burst_s, longest_s = state.registers.burst_s + BURST_MARGIN_S, registers.model.burst_period_limits_s[1]
     if min(burst_s, longest_s) > registers.burst_period_s * (1 + ROUNDING):
         period_s = min(burst_s, longest_s)
@@ -195,6 +199,7 @@ def settle_burst(state: Coerced) -> Coerced:
     if max_count < 1:
         # Not even one cycle fits: for a 33250A this happens below 2 mHz.
         state = state.changed("frequency increased for burst mode", frequency_hz=1 / longest_s)
+    # The delay must fit into the remaining part of the period.
     max_delay_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
     if registers.delay_s > max_delay_s + ROUNDING:
         state = state.changed("trigger delay reduced to fit entire burst", delay_s=max_delay_s)

@@ -98,7 +98,7 @@ class Specimen(Section):
     power: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.2
     """Exponent of a power law's frequency (assumed)."""
     reference_frequency_hz: VibrationHz = 100.0
-    """Frequency at which a power law has ``shear_modulus_pa``."""
+    """Frequency of a power law's ``shear_modulus_pa``."""
     attenuation_db_per_cm_mhz: Annotated[AttenuationDbPerCmMHz, Field(ge=1e-4)] = 0.5
     """Attenuation of the medium (assumed); with the force it determines the intensity at the focus."""
     depth_m: LengthM | None = None
@@ -157,7 +157,7 @@ class Transmitter(Section):
     saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
     """Exponent p of both ceilings, the Rapp law (assumed)."""
     diode_threshold_v: NonNegativeVoltageV = 0.0
-    """Forward voltage of the diode bridge behind the amplifier, by which every burst is reduced (assumed: none)."""
+    """Forward voltage of the diode bridge behind the amplifier, which reduces every burst (assumed: none)."""
 
     @property
     def linear(self) -> bool:
@@ -433,7 +433,8 @@ class Instruments(Section):
 
 
 def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:
-    """Return the volume in which the tracking beam I is above -6 dB (1/2): an ellipsoid, half axes T sqrt(2 ln 2)."""
+    """Return the volume of the tracking beam I above -6 dB (1/2): an ellipsoid with half axes T sqrt(2 ln 2)."""
+    # exp(-r²/2T²) = 1/2 at r = T sqrt(2 ln 2).
     axis = math.sqrt(2 * math.log(2))
     return 4 / 3 * math.pi * math.prod(width_m * axis for width_m in tracking_width_m)
 
@@ -492,6 +493,7 @@ class SimulationSettings(Section):
         mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.tracked_from_m
         if self.specimen is None or self.specimen.depth_m is None:
             return 2 * focus_cm * self.scatterers.attenuation_db_per_cm_mhz * mhz
+        # Two ways, each through water and then the specimen.
         specimen_cm = 100 * self.specimen.depth_m
         water = (self.propagation or Propagation()).water_attenuation_db_per_cm_mhz2
         specimen_db = specimen_cm * self.specimen.attenuation_db_per_cm_mhz * mhz
@@ -617,6 +619,7 @@ class SimulationSettings(Section):
             if self.beams.width_ratio is not None:
                 raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
         if self.specimen is not None and self.transmitter.diode_threshold_v > 0:
+            # Half of the peak-to-peak drive, amplified.
             amplitude_v = self.specimen.reference_drive_vpp / 2 * self.transmitter.amplifier_gain
             if amplitude_v <= self.transmitter.diode_threshold_v:
                 raise ValueError(
