@@ -124,7 +124,7 @@ class DigitizerBoard(Section):
     board_id: Count = 1
     """Alazar board number in its system."""
     dual_port_memory: Annotated[bool, Field(strict=True)] = False
-    """Whether an ATS460 has the optional dual-port memory, from which records are read during the capture."""
+    """Whether an ATS460 has the optional dual-port memory, so that records are read during the capture."""
     samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
     """On-board memory; it limits a capture without dual-port memory."""
     max_records: Annotated[int, Field(ge=1, le=2**32, strict=True)] = model_named("ATS460").stamped_records
@@ -337,7 +337,7 @@ class BenchFile(Section):
 
 
 def _raised_limits(bench: BenchFile, values: Mapping[KeyPath, int | float]) -> Iterator[Mistake]:
-    """Yield each of ``values`` with which a real bench could exceed its bench file's limits."""
+    """Yield each of ``values`` that lets a real bench exceed the limits of its bench file."""
     for path, value in values.items():
         key = dotted(("bench", *path))
         if path[0] == "calibration":

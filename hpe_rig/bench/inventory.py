@@ -16,7 +16,7 @@ from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
 
 LATENCY_QUERIES: Final = 5
-"""Identifications whose median round trip is reported."""
+"""Number of identifications for the median round trip."""
 
 Settings = Mapping[str, Setting]
 

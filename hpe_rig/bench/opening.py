@@ -39,7 +39,7 @@ class WallClock:
 def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot: int = 0) -> Iterator[Bench]:
     """Yield the bench with the instruments of ``roles`` open; on exit make it safe and verify that.
 
-    ``first_shot`` is the index of the next shot, from which the random numbers of a resumed twin continue. Raises
+    ``first_shot`` is the index of the next shot; the random numbers of a resumed twin continue there. Raises
     ``BenchInUseError`` before anything is opened if another program uses an instrument of a real bench.
     """
     # Only identified instruments are sent commands; an unknown one at a wrong address is left alone.

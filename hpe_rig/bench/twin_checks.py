@@ -12,7 +12,7 @@ from hpe_rig.bench.twin import TwinDeclaration, twin_of, twin_settings, twin_tab
 from hpe_rig.scene import Mistake, Scene, mistakes_of
 
 SLOW_HARMONICS = 56
-"""Harmonics of nonlinear propagation from which on a push takes half a minute or more."""
+"""Number of harmonics of nonlinear propagation above which a push takes half a minute or more."""
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:

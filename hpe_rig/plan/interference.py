@@ -17,7 +17,7 @@ MIN_FREE_S = 1e-9
 
 
 def forbidden_window_s(shot: Shot) -> tuple[float, float]:
-    """Return start and end, relative to a toneburst's onset, of the window in which no tracking pulse may be fired.
+    """Return start and end, relative to a toneburst's onset, of the window without tracking pulses.
 
     A pulse is disturbed if it is fired during the toneburst, or if its gate or reference gate receives the toneburst
     or an echo of it: from any depth down to the far end of both, and during ``SETTLING_S`` after that.
@@ -39,7 +39,7 @@ def disturbed_pulses(shot: Shot) -> BoolArray:
 
 
 def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
-    """Return the intervals of t_d, modulo the pulse period, in which no tracking pulse is disturbed."""
+    """Return the intervals of t_d, modulo the pulse period, without disturbed tracking pulses."""
     period_s = 1 / shot.tracking_train.rate_hz
     start_s, end_s = forbidden_window_s(shot)
     if end_s - start_s >= period_s:
@@ -57,7 +57,7 @@ def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
 
 
 def effective_rate_hz(pulse_rate_hz: float, burst_rate_hz: float, bursts: int) -> float:
-    """Return the rate at which ``bursts`` burst periods together sample one period.
+    """Return the sampling rate of one burst period by the pulses of ``bursts`` periods together.
 
     It equals the pulse rate if every period is sampled at the same times. If the pulses shift from burst to burst, it
     is higher, and harmonics up to half of it can be resolved.

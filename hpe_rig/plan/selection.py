@@ -18,7 +18,7 @@ from hpe_rig.plan.shots import Shot, pulse_count
 from hpe_rig.scene import Excitation, Scene
 
 MAX_DRIVEN_HZ = 2e4
-"""Highest frequency at which a specimen moves: at 20 kHz a shear wave is far shorter than the beam is wide."""
+"""Highest frequency of a specimen's motion: at 20 kHz a shear wave is far shorter than the beam is wide."""
 MAX_CONDITION = 100.0
 """Condition number of a fit above which its frequencies are refused as not resolved."""
 

@@ -202,7 +202,7 @@ def plans_at_offsets(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
 
 
 def off_axis_offsets_m(plan: Plan) -> tuple[float, ...]:
-    """Return the distances from the axis, without 0 and in ascending order, at which the plan tracks."""
+    """Return the tracked distances from the axis, without 0, in ascending order."""
     return tuple(sorted({abs(shot.lateral_offset_m) for shot in plan.shots} - {0.0}))
 
 

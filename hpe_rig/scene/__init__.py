@@ -1,4 +1,4 @@
-"""Scene: what is measured and on which specimen, read from TOML and validated at once.
+"""Scene: the measurement and the specimen, read from TOML and validated at once.
 
     mistakes.py          mistakes with path, cause and remedy; SettingsError reports all of them at once
     units.py             units of keys, numbers with a unit, lengths on the command line

@@ -1,6 +1,6 @@
 """Axes of a sweep: the keys that vary, the values they take, and the points that several axes span.
 
-A scene's [sweep], a study, the reprocessing of a stored run and a design all describe what they vary by ``Axis``.
+A scene's [sweep], a study, the reprocessing of a stored run and a design all use ``Axis``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Mistakes of settings: where each one is, what is wrong and what to try; and the error that reports all of them.
+"""Mistakes of settings, each with its key, its cause and a remedy, and the error that reports all of them.
 
 Also the paths of settings, as messages write them: ("excitation", "burst_length_s", 2) is excitation.burst_length_s[2].
 """
@@ -18,7 +18,7 @@ _CONTROL_CHARACTERS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """One mistake in a settings file: the path of the key, what is wrong and what to try."""
+    """One mistake in a settings file: the path of the key, the mistake in words, and a remedy."""
 
     path: str
     what: str
@@ -42,7 +42,7 @@ class SettingsError(Exception):
         self.mistakes = tuple(mistakes)
 
     def __reduce__(self) -> tuple[type[SettingsError], tuple[str, tuple[Mistake, ...]]]:
-        """Return the arguments from which a worker's error is built again in the main process."""
+        """Return the arguments that rebuild a worker's error in the main process."""
         return SettingsError, (self.source, self.mistakes)
 
 

@@ -1,4 +1,4 @@
-"""Scene: what is measured and on which specimen, and the scenes that a sweep expands it into.
+"""Scene: one measurement, and the scenes that a sweep expands it into.
 
 scene.points    the scene at each point of the sweep's axes
 scene.places    the scene at each offset of the tracking transducer and the gate
@@ -43,7 +43,7 @@ MAX_POINTS = 1000
 BENCH_PREFIX = "bench."
 """Beginning of an axis's name if its key is in the bench file."""
 MAX_GATE_OFFSET_WIDTHS = 8.0
-"""Distance from the centre of a Gaussian force, in standard deviations, at which its displacement is 1e-14."""
+"""Largest offset of the gate from a Gaussian force, in standard deviations; there the displacement is 1e-14."""
 HIGHEST_DEFAULT_HARMONIC = 10
 
 
@@ -51,7 +51,7 @@ class Scene(Section):
     """One measurement."""
 
     title: Title
-    """One line that says what is measured."""
+    """One line that describes the measurement."""
     excitation: Excitation | None = None
     """The tonebursts that push."""
     tracking: Tracking
@@ -67,7 +67,7 @@ class Scene(Section):
     processing: Processing = Processing()
     """How amplitude and phase are estimated from the records."""
     sweep: Sweep = Sweep()
-    """Pulse rates, windows, offsets and other numbers that are taken in turn."""
+    """Pulse rates, windows, offsets and other numbers that vary within the run."""
     notes: Notes = Field(default_factory=dict)
     """Operator, sample, temperature or anything else, under any name; stored with run, result and report."""
     simulation: dict[str, Any] | None = None
@@ -127,7 +127,7 @@ class Scene(Section):
 
     @property
     def pulse_rates_hz(self) -> tuple[float, ...]:
-        """Pulse rates that are measured in turn."""
+        """All pulse rates of the run."""
         return self.sweep.pulse_rate_hz or (self.tracking.pulse_rate_hz,)
 
     @property

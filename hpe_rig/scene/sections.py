@@ -48,13 +48,13 @@ class Excitation(Section):
     burst_rate_hz: FrequencyHz
     """Repetition rate f_r of the tonebursts."""
     burst_length_s: OneOrMoreDurations
-    """Length T_b of a toneburst; a list measures each length in turn."""
+    """Length T_b of a toneburst; a list measures every length."""
     burst_count: Count
     """Number of tonebursts in a train."""
     carrier_hz: FrequencyHz = 3.0e6
     """Frequency f_0 of the toneburst."""
     force_fraction: OneOrMoreFractions = (1.0,)
-    """Radiation force F as a fraction of F_0, the force at the bench's full drive; a list measures each in turn."""
+    """Radiation force F as a fraction of F_0, the force at the bench's full drive; a list measures every one."""
 
 
 class Tracking(Section):
@@ -104,7 +104,7 @@ class Acquisition(Section):
     shot_period_s: DurationS | None = None
     """Time between master triggers; default: the length of the trains."""
     changed_settings: Literal["stop", "continue"] = "stop"
-    """Action after a shot during which settings changed; the shot is marked as untrusted in both cases."""
+    """Action after a shot with changed settings; the shot is marked as untrusted in both cases."""
 
 
 class Beams(Section):
@@ -127,7 +127,7 @@ class Beams(Section):
     it is that of the tracking one, and the force is Gaussian."""
     excitation_scan: Annotated[str, Field(min_length=1)] | None = None
     """Hydrophone scan of the push, a CSV, HDF5 or MAT file; the force has the shape of its intensity, whatever other
-    keys say. The path is relative to the folder in which a command runs. The file is read again whenever a run is
+    keys say. The path is relative to the working directory. The file is read again whenever a run is
     processed, from the folder of the run file if it is no longer at its path."""
     attenuation_db_per_cm_mhz: Annotated[float, Field(ge=0, le=10, strict=True)] | None = None
     """Attenuation of the push between transducer and focus, for an aperture; default: 0.5, as in soft tissue. For a
@@ -162,7 +162,7 @@ class Medium(Section):
 
 
 class Sphere(Section):
-    """A rigid sphere in the medium that the tonebursts push and that returns the echoes, in place of [beams].
+    """A rigid sphere in the medium that the tonebursts push and that returns the echoes, instead of [beams].
 
     It moves as a whole, so that no beam averages its motion; its vibration calibrates the moduli of the medium.
     """
@@ -259,23 +259,23 @@ SWEPT_LISTS: Mapping[str, str] = {
 
 
 class Sweep(Section):
-    """Settings that one run takes in turn, in addition to forces and burst lengths.
+    """Settings that vary within one run, in addition to forces and burst lengths.
 
-    Besides the keys below: any number of the scene, or of the bench file as "bench.PATH", with its values, such as
+    In addition to the keys below: any number of the scene, or of the bench file as "bench.PATH", with its values, as in
     "tracking.delay_s" = [0.0, 1e-4].
     """
 
     model_config = ConfigDict(json_schema_extra={"additionalProperties": True})
 
     pulse_rate_hz: Annotated[tuple[FrequencyHz, ...], Field(min_length=1, max_length=100)] = ()
-    """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
+    """Pulse rates f_prf, instead of tracking.pulse_rate_hz, with equally many pulses each."""
     window_length_s: Annotated[tuple[DurationS, ...], Field(min_length=1, max_length=100)] = ()
-    """Slow-time windows T_s of the same records, in place of processing.window_length_s."""
+    """Slow-time windows T_s of the same records, instead of processing.window_length_s."""
     lateral_offset_m: Annotated[tuple[OffsetM, ...], Field(min_length=1, max_length=1000)] = ()
-    """Lateral offsets of the tracking transducer, measured in turn in place of tracking.lateral_offset_m; between them
+    """Lateral offsets of the tracking transducer, instead of tracking.lateral_offset_m; between them
     every output is off, and a stage or the operator moves the transducer."""
     axial_offset_m: Annotated[tuple[OffsetM, ...], Field(min_length=1, max_length=100)] = ()
-    """Offsets of the gate along the beam, measured in turn in place of tracking.axial_offset_m."""
+    """Offsets of the gate along the beam, instead of tracking.axial_offset_m."""
     axes: dict[str, Annotated[tuple[AnyNumber, ...], Field(min_length=1, max_length=1000)]] = Field(
         default_factory=dict, max_length=10
     )
@@ -288,10 +288,10 @@ class Sweep(Section):
     def _axes_from_other_keys(cls, settings: Any) -> Any:
         if not isinstance(settings, Mapping):
             return settings
-        known = {name: value for name, value in settings.items() if name in cls.model_fields}
-        others = dict(_flat({name: value for name, value in settings.items() if name not in cls.model_fields}))
-        axes = known.get("axes", {})
-        return {**known, "axes": {**axes, **others}} if others and isinstance(axes, Mapping) else settings
+        own_keys = {name: value for name, value in settings.items() if name in cls.model_fields}
+        axis_values = dict(_flat({name: value for name, value in settings.items() if name not in cls.model_fields}))
+        axes = own_keys.get("axes", {})
+        return {**own_keys, "axes": {**axes, **axis_values}} if axis_values and isinstance(axes, Mapping) else settings
 
 
 def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -19,11 +19,11 @@ from hpe_rig.scene.units import unit_of_path
 
 Model = TypeVar("Model", bound=BaseModel)
 Words = tuple[str, str]
-"""What is wrong, and what to try."""
+"""A mistake in words, and its remedy."""
 Entry = Mapping[str, Any]
 """A mistake as Pydantic reports it: type, location, input, context, message."""
 Hint = Callable[[str, float], str]
-"""Returns what the value of a key may have been meant to be, such as "100e-6"; empty if there is no suggestion."""
+"""Function that returns the probable intended value of a key, such as "100e-6", or an empty text."""
 STORED = "stored"
 """Validation context of settings from a run file: rules on which settings go together may be younger than the run."""
 
@@ -76,7 +76,7 @@ def _is_consequence(entry: Entry) -> bool:
 
 def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath, hint: Hint) -> Mistake:
     path = _path_in_file(entry["loc"], tables)
-    # A single value may stand for a list of one; then the file has no index 0.
+    # A single value is accepted as a list of one; then the file has no index 0.
     if path and path[-1] == 0 and not isinstance(_value_at(tables, path[:-1]), list | tuple):
         path = path[:-1]
     kind = entry["type"]
@@ -164,7 +164,7 @@ def _wrong_kind(entry: Entry) -> Words | None:
 
 
 def _own_message(entry: Entry) -> Words:
-    """Return the words of a rule of ours, "what is wrong: what to try", or Pydantic's own."""
+    """Return the words of a rule of ours, "mistake: remedy", or Pydantic's own."""
     what, _, remedy = str(entry.get("ctx", {}).get("error", entry["msg"])).partition(": ")
     return what, remedy or "a value as hpe-rig schema describes it"
 

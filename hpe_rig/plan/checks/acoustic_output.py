@@ -49,7 +49,7 @@ NO_OUTPUT: Final = AcousticOutput(0.0, 0.0, 0.0)
 
 
 def derating_db(carrier_hz: float, depth_m: float) -> float:
-    """Return the attenuation by which the output in water is reduced, in dB."""
+    """Return the attenuation, in dB, that derates the output in water."""
     return DERATING_DB_PER_M_HZ * carrier_hz * depth_m
 
 

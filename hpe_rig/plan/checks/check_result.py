@@ -34,7 +34,7 @@ class PlanError(Exception):
         self.conflicts = tuple(conflicts)
 
     def __reduce__(self) -> tuple[type[PlanError], tuple[tuple[CheckResult, ...]]]:
-        """Return the arguments from which a worker's error is built again in the main process."""
+        """Return the arguments that rebuild a worker's error in the main process."""
         return PlanError, (self.conflicts,)
 
 

@@ -37,7 +37,7 @@ ESTIMATE: Final[tuple[Check, ...]] = (
 )
 BOARD: Final[tuple[Check, ...]] = (board, capture_mode, memory, periods)
 CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, *BOARD)
-"""Every check, in the order in which ``hpe-rig check`` prints them."""
+"""Every check, in the order of ``hpe-rig check``."""
 RECORD_CHECKS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
 """Checks of imported records, which do not concern instruments."""
 
@@ -48,11 +48,14 @@ def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
     Imported records are checked without the checks of instruments.
     """
     checks = CHECKS if bench.recording is None else RECORD_CHECKS
-    parts = [part for index, point in enumerate(scene.points) for part in _parts(index, point, bench, plan)]
-    return list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
+    settings = [item for index, point in enumerate(scene.points) for item in _settings_at(index, point, bench, plan)]
+    # Shots with equal settings give equal results, and each result is reported once.
+    return list(dict.fromkeys(result for check in checks for item in settings for result in check(*item)))
 
 
-def _parts(index: int, point: ScenePoint, bench: BenchFile, plan: Plan) -> Iterator[tuple[Scene, BenchFile, Plan]]:
+def _settings_at(
+    index: int, point: ScenePoint, bench: BenchFile, plan: Plan
+) -> Iterator[tuple[Scene, BenchFile, Plan]]:
     """Yield scene, bench and shots of every offset, rate and window at point ``index`` of a sweep."""
     point_bench = bench.with_(point.bench)
     point_shots = [shot for shot in plan.shots if shot.point == index]

@@ -9,7 +9,7 @@ from hpe_rig.bench import BenchFile, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult, Level, pass_or_refuse
 from hpe_rig.plan.gate_profile import DepthGate, depth_gates, shots_with_gate
 from hpe_rig.plan.interference import disturbed_pulses
-from hpe_rig.plan.shots import Plan
+from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
 NAME = "gates over depth"
@@ -37,18 +37,25 @@ def gates_over_depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
         return
     gate_plans = [(gate, shots_with_gate(plan, gate, acquisition.sound_speed_m_per_s)) for gate in gates]
     gate_samples = [(gate, gate_plan.shots[0].gate) for gate, gate_plan in gate_plans]
-    outside = [gate for gate, span in gate_samples if span.start < 0 or span.stop > samples]
-    start_m, end_m = (edge * acquisition.sound_speed_m_per_s / 2 for edge in shot.timeline.record_offset_s)
-    text = f"the record goes from {start_m * 1e3:.4g} to {end_m * 1e3:.4g} mm, "
-    text += f"processing.{'gates' if processing.gates else 'gate_profile_step_m'} has "
-    text += f"one at {_depths(outside)}" if outside else f"{len(gates)} of them inside it"
-    remedy = "acquisition.record_samples larger, or gates nearer to acquisition.gate_depth_m"
-    yield pass_or_refuse(NAME, not outside, text, remedy)
+    yield _gates_in_record(scene, shot, gate_samples)
     if short := [gate for gate, span in gate_samples if span.stop - span.start < MIN_SAMPLES]:
         text = f"the gate at {_depths(short)} holds fewer than {MIN_SAMPLES} samples"
         yield CheckResult(NAME, "refused", text, "a longer length_m of the gate")
     yield from _disturbed_gates(scene, plan, gate_plans)
     yield from _gates_without_echoes(scene, bench, gates)
+
+
+def _gates_in_record(scene: Scene, shot: Shot, gate_samples: Sequence[tuple[DepthGate, slice]]) -> CheckResult:
+    """Return whether all gates are inside the record."""
+    half_speed_m_per_s = scene.acquisition.sound_speed_m_per_s / 2
+    start_m, end_m = (edge_s * half_speed_m_per_s for edge_s in shot.timeline.record_offset_s)
+    samples = shot.capture.record_samples
+    outside = [gate for gate, span in gate_samples if span.start < 0 or span.stop > samples]
+    text = f"the record goes from {start_m * 1e3:.4g} to {end_m * 1e3:.4g} mm, "
+    text += f"processing.{'gates' if scene.processing.gates else 'gate_profile_step_m'} has "
+    text += f"one at {_depths(outside)}" if outside else f"{len(gate_samples)} of them inside it"
+    remedy = "acquisition.record_samples larger, or gates nearer to acquisition.gate_depth_m"
+    return pass_or_refuse(NAME, not outside, text, remedy)
 
 
 def _disturbed_gates(scene: Scene, plan: Plan, gate_plans: Sequence[tuple[DepthGate, Plan]]) -> Iterator[CheckResult]:

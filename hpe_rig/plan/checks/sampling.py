@@ -26,7 +26,7 @@ MAX_DRIVEN, MAX_VALUES = 5000, 50_000_000
 MAX_PULSES_FOR_CONDITION = 20_000
 """Pulses up to which the condition of a fit is computed; longer windows resolve all that a scene can ask for."""
 ALIASING_MARGIN = 1.5
-"""Effective sampling rate over the bandwidth of the tonebursts from which on no harmonic of weight aliases."""
+"""Ratio of effective sampling rate to toneburst bandwidth above which no strong harmonic aliases."""
 
 
 def wanted_frequencies(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

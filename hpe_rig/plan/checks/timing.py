@@ -10,7 +10,7 @@ from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
 
 MIN_PULSES = 4
-"""Pulses from which amplitude, phase and a constant background can be estimated."""
+"""Number of pulses that an estimate of amplitude, phase and constant background needs."""
 
 
 def tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

@@ -1,4 +1,4 @@
-"""Checks of what the pulses can track on the twin: the level, length and noise of the echo, and motion between pulses.
+"""Checks of tracking on the twin: level, length and noise of the echo, jitter, and motion between pulses.
 
 For a real specimen these are unknown in advance. A twin declares them, and beyond the limits estimates are meaningless.
 """
@@ -21,7 +21,7 @@ MIN_STEPS, FEW_STEPS = 2.0, 8.0
 MIN_SNR_DB, LOW_SNR_DB = -15.0, 0.0
 """Echo over noise of one pulse: below the first it is lost, below the second its phase is ambiguous at times."""
 MAX_PULSES = 4000
-"""Pulses whose motion is computed: later in a train the motion is steady."""
+"""Number of pulses in the computed motion: later in a train the motion is steady."""
 
 
 def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
@@ -72,7 +72,7 @@ def _echo_level(bench: BenchFile, shot: Shot, twin: TwinDeclaration, focus_offse
 
 
 def _jitter(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
-    """Yield the jitters with which the phase between pulses can exceed half a period of the carrier and wrap."""
+    """Yield the jitters that can shift two pulses by half a period of the carrier, where the phase wraps."""
     wrap_s = 0.5 / scene.tracking.carrier_hz
     half_period = f"half a period of tracking.carrier_hz = {in_hz(scene.tracking.carrier_hz)} is {wrap_s * 1e9:.3g} ns"
     for key, jitter_s in twin.jitters_s.items():

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench import read_bench
-from hpe_rig.bench.bench_file import parse_bench
+from hpe_rig.bench import parse_bench, read_bench
 from hpe_rig.runs import full_text, settings_tables
 from hpe_rig.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.description import toml_value

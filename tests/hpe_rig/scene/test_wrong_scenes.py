@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench.bench_file import parse_bench, read_bench
-from hpe_rig.bench.twin import check_simulation
+from hpe_rig.bench import check_simulation, parse_bench, read_bench
 from hpe_rig.plan.checks.check_result import PlanError, refuse_conflicts
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
