@@ -123,7 +123,7 @@ def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken(tmp_path: 
         hpe.measure("table-1", path=b"run.h5")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="mapping from path to value, not (as )?int"):
         hpe.load_scene("table-1").with_(3)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="named by its path in text, not by int 3"):
+    with pytest.raises(TypeError, match="the path of a setting must be text, not int 3"):
         hpe.load_scene("table-1").with_({3: 1.0})  # type: ignore[dict-item]
     with pytest.raises(TypeError, match="name of a shipped one or the path of a TOML file, not (as )?int"):
         hpe.run_study(3, tmp_path)  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 from hpe_rig.bench import open_bench
-from hpe_rig.measurement import Progress, Setup, ShotBlock, Step, acquire, prepare_text, programmed
+from hpe_rig.measurement import Progress, Setup, ShotBlock, Step, acquire, prepare_text, program_shot
 from hpe_rig.scene import shipped_scenes
 
 # Two tonebursts and 16 pulses on prescribed motion: every instrument is used, the physics costs nothing.
@@ -100,7 +100,7 @@ def test_those_who_watch_are_told_of_every_step_and_how_many_records_have_come(s
 def test_every_instrument_of_the_plan_is_programmed_and_no_output_is_on(setup: Setup) -> None:
     shot = setup.plan.shots[0]
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
-        settings = programmed(shot, bench)
+        settings = program_shot(shot, bench)
         assert bench.world is not None
         assert not any(bench.world.outputs_on().values())
     assert set(settings) == {"master", "burst_train", "toneburst", "tracking_train", "tracking_pulser", "digitizer"}
