@@ -20,7 +20,7 @@ files and code of others: recordings/, extensions/; around the flow: live/, stud
 arrays.py: types of arrays; startup.py: Ctrl-C while the program loads
 
 what                                        equation of the paper          where
-burst train, spectrum of its force          (17), (18)                     prediction/theory.py, sim_backend/motion
+burst train, spectrum of its force          (17), (18)                     prediction/, sim_backend/motion
 displacement D(t), velocity                 (1), (2)                       processing/harmonics/model.py
 echo of a scatterer, its delay              (3), (7) to (13)               sim_backend/echoes
 cross-spectrum, velocity from its phase     (5), (6)                       processing/motion/spectral_peak.py

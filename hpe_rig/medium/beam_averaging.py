@@ -29,7 +29,7 @@ from hpe_rig.medium.push_force import PushForce
 OBLIQUITY_FOCAL_PLANE_MEAN = 0.913
 """Obliquity loss averaged over the focal plane with echo energy as weight, relative to the loss on the axis.
 
-The same for any aperture (docs/explanation/transducer.md, section 2)."""
+It does not depend on the aperture (docs/explanation/transducer.md, section 2)."""
 WIDTH_SCALES = (0.05, 1e3)
 """Range of the scale of a Gaussian motion's width; at the upper end the tracked motion equals the peak to 1e-7."""
 
@@ -39,7 +39,7 @@ class BeamWidths:
     """Sigmas (x, y, z) of the Gaussian body force and of the tracking beam, m; both are round, so x counts.
 
     ``depth_sd_m``: standard deviation of echo depth in the gate. ``width_log_sd``: standard deviation of the logarithm
-    of the force's widths, which nobody has measured in the medium. ``lateral_offset_m``: offset of the tracking beam
+    of the force's widths, which are not measured in the medium. ``lateral_offset_m``: offset of the tracking beam
     from the force. ``offsets_of_joint_fit_m``: all offsets of a run, this one included; their ensembles are computed at
     once. ``force``: the force's shape if it is not Gaussian, used on the axis only.
     """
@@ -155,7 +155,7 @@ def gaussian_steepness(beams: BeamWidths) -> float:
 
 
 def width_scale(averaging: float, motion_width_m: Triple, tracking_width_m: Triple, depth_sd_m: float) -> float:
-    """Return the factor on ``motion_width_m`` at which a Gaussian motion has the ratio ``averaging``.
+    """Return the factor on ``motion_width_m`` that gives a Gaussian motion the ratio ``averaging``.
 
     The factor is limited to ``WIDTH_SCALES``.
     """

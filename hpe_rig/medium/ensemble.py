@@ -24,7 +24,7 @@ MEMBERS = 240
 OFF_AXIS_MEMBERS = 60
 """Members off the axis, where each takes some ms."""
 FAMILIES = ("voigt", "zener", "power_law", "nearly_elastic", "maxwell")
-"""Families of members, in turn; a nearly elastic medium is Voigt with a low viscosity."""
+"""Families of members, assigned cyclically; a nearly elastic medium is Voigt with a low viscosity."""
 
 TRAVELLED_WAVE_MAX_HZ = 8e3
 """Frequency up to which waves reach a point off the axis with a phase that turns too fast to be interpolated.
@@ -37,7 +37,7 @@ NODES_PER_E_FOLD = 6.0
 SPHERE_NODES_PER_E_FOLD = 12.0
 """As above, for a sphere, which resonates: error 2e-4 of the rms motion in the worst member, 5e-7 in the median."""
 SHAPE_NODES, LOSS_NODES = 40, 5
-"""Wave numbers and loss angles at which a force of another shape is compared with a Gaussian.
+"""Wave numbers and loss angles of the comparison between a force of another shape and a Gaussian.
 
 Interpolation error 5e-4 of the motion (rms), 3e-3 in nearly elastic media."""
 MAX_RELATIVE_WAVE_NUMBER = 12.0
@@ -48,7 +48,7 @@ MAX_RELATIVE_WAVE_NUMBER = 12.0
 class PriorRanges:
     """Ranges of the members' parameters.
 
-    ``power_modulus_hz``: frequency at which a power-law member has a modulus in ``modulus_pa``. The law states its own
+    ``power_modulus_hz``: frequency where a power-law member has a modulus in ``modulus_pa``. The law states its own
     modulus at ``POWER_REFERENCE_HZ``.
     """
 
@@ -124,11 +124,11 @@ class Ensemble:
 
 @dataclass(frozen=True, slots=True)
 class _Range:
-    """What an ensemble covers besides the geometry: harmonics between two frequencies, medium, density, members."""
+    """Extent of an ensemble: harmonics between two frequencies, medium, density and number of members."""
 
     lowest_hz: float
     highest_hz: float
-    known: KnownMedium | None
+    known_medium: KnownMedium | None
     density_kg_per_m3: float
     members: int
 
@@ -138,12 +138,15 @@ class _Range:
 
     def modulus(self, s: ComplexArray) -> ComplexArray:
         """Return the complex modulus (member, frequency) at ``s`` (frequency,)."""
-        return prior_modulus(s, self.members) if self.known is None else _known_modulus(self.known, s, self.members)
+        return (
+            prior_modulus(s, self.members)
+            if self.known_medium is None
+            else _known_modulus(self.known_medium, s, self.members)
+        )
 
     def voigt(self) -> BoolArray:
         """Return which members (member,) are Voigt media."""
-        known = self.known is not None
-        return np.ones(self.members, bool) if known else np.arange(self.members) % len(FAMILIES) == 0
+        return np.ones(self.members, bool) if self.known_medium else np.arange(self.members) % len(FAMILIES) == 0
 
     def width_factors(self, width_log_sd: float) -> tuple[FloatArray, FloatArray]:
         """Return each member's factors (member,) on the declared force widths across and along."""
@@ -157,16 +160,16 @@ def medium_ensemble(
     pushed: BeamWidths | RigidSphere,
     lowest_hz: float,
     highest_hz: float,
-    known: KnownMedium | None = None,
+    known_medium: KnownMedium | None = None,
     density_kg_per_m3: float = 1000.0,
     members: int = MEMBERS,
 ) -> Ensemble:
-    """Return the ensemble between two frequencies, of Voigt media near ``known`` if that is given.
+    """Return the ensemble between two frequencies, of Voigt media near ``known_medium`` if that is given.
 
     ``pushed``: the medium itself in beams of these widths, or a sphere in it that is tracked as a whole. A
     low-discrepancy sequence fills the parameter ranges evenly, so there is no random seed.
     """
-    extent = _Range(lowest_hz, highest_hz, known, density_kg_per_m3, members)
+    extent = _Range(lowest_hz, highest_hz, known_medium, density_kg_per_m3, members)
     if isinstance(pushed, RigidSphere):
         return _sphere_ensemble(pushed, extent)
     # Cache keys are normalised, so that equal ensembles are computed once.
@@ -302,12 +305,14 @@ def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> Complex
     return LAWS[name].modulus(s, np.stack(parameters, axis=-1))[0]
 
 
-def _known_modulus(known: KnownMedium, s: ComplexArray, members: int) -> ComplexArray:
+def _known_modulus(known_medium: KnownMedium, s: ComplexArray, members: int) -> ComplexArray:
     from scipy.special import ndtri
 
     deviates = ndtri(_even_sequence(members, 5)[:, :2])
-    factors = np.exp(deviates * [known.modulus_log_sd, known.viscosity_log_sd])
-    return np.asarray(known.shear_modulus_pa * factors[:, :1] + s * (known.shear_viscosity_pa_s * factors[:, 1:]))
+    factors = np.exp(deviates * [known_medium.modulus_log_sd, known_medium.viscosity_log_sd])
+    return np.asarray(
+        known_medium.shear_modulus_pa * factors[:, :1] + s * (known_medium.shear_viscosity_pa_s * factors[:, 1:])
+    )
 
 
 def _log_uniform(quantile: FloatArray, limits: tuple[float, float]) -> FloatArray:

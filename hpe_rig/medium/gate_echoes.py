@@ -91,7 +91,7 @@ class TrackingGate:
 def echo_power(gate_length_m: float, pulse_length_m: float, tracking_depth_m: float) -> float:
     """Return the mean echo power in a gate around the focus, relative to the power at the focus.
 
-    For a Hann pulse and scatterers weighted by the tracking beam, whose sigma along the axis is ``tracking_depth_m``.
+    For a Hann pulse and scatterers weighted by the tracking beam of sigma ``tracking_depth_m`` along the axis.
     """
     points = (np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5
     depth_m = points * gate_length_m + points[:, None] * pulse_length_m
@@ -101,7 +101,7 @@ def echo_power(gate_length_m: float, pulse_length_m: float, tracking_depth_m: fl
 
 
 def scatterer_density(tracking_width_m: Triple, per_cell: float) -> float:
-    """Return scatterers per m^3 for ``per_cell`` in the ellipsoid in which the tracking beam exceeds half its peak."""
+    """Return scatterers per m^3 for ``per_cell`` in the ellipsoid where the tracking beam exceeds half its peak."""
     return float(per_cell / (4 / 3 * np.pi * np.prod(np.asarray(tracking_width_m) * np.sqrt(2 * np.log(2)))))
 
 

@@ -29,7 +29,7 @@ Modulus = Callable[[ComplexArray, FloatArray], tuple[ComplexArray, ComplexArray]
 Transform = Callable[[FloatArray | float], FloatArray]
 
 POWER_REFERENCE_HZ = 100.0
-"""Frequency at which a power-law medium has its modulus."""
+"""Frequency where a power-law medium has its modulus."""
 SMALL_VISCOSITY_PA_S = 0.05
 """Viscosity below which its coordinate is linear."""
 STIFFNESS_PA = (100.0, 2e6)

@@ -2,7 +2,7 @@
 
     f(r, z) / f0 = sum_j sum_i C_ji exp(-r^2 / 2 a_i^2 - (z - z_j)^2 / 2 b^2)
 
-a_i are widths across, common to all stations z_j along the axis; b is the length of every Gaussian, C_ji its share.
+a_i are widths across, common to all stations z_j along the axis; b is the length of every Gaussian, C_ji its weight.
 
 The aperture is a spherical bowl with uniform surface velocity. Its pressure is the Rayleigh integral: exp(-j k d) / d
 integrated over the bowl, d the distance. The force is proportional to the squared pressure. Derivation:
@@ -22,8 +22,8 @@ from hpe_rig.arrays import ComplexArray, FloatArray
 
 Intensity = Callable[[FloatArray, FloatArray], FloatArray]
 """Intensity (axial, lateral), in any unit, at distances from the axis (lateral,) and from the focus (axial,), m."""
-Shares = tuple[tuple[float, ...], ...]
-"""Shares of the Gaussians, (station, width)."""
+Weights = tuple[tuple[float, ...], ...]
+"""Weights of the Gaussians, (station, width)."""
 
 NEPER_PER_DB = math.log(10) / 20
 TISSUE_DB_PER_CM_MHZ = 0.5
@@ -39,9 +39,9 @@ NARROWEST, WIDEST = 0.22, 0.6
 STATION_STEP = 0.5
 """Distance of stations, and length b of their Gaussians, over the sigma of the beam along its axis."""
 REACH, REACH_UNCERTAINTY = 4.5, 1.5
-"""Distance from the focus at which the force ends, over the same sigma.
+"""Distance from the focus to the end of the force, over the same sigma.
 
-Nobody has measured where specimen or absorption end it, which matters at the lowest frequencies only."""
+Specimen and absorption end it at an unknown distance, which matters at the lowest frequencies only."""
 FADE_LENGTH = 0.5
 """Length over which the force fades out there, over the same sigma."""
 MAX_REACH = REACH + REACH_UNCERTAINTY + FADE_LENGTH
@@ -59,15 +59,15 @@ RANK_TOLERANCE = 1e-6
 class PushForce:
     """Round body force along z, 1 at the focus, as a sum of Gaussians with the sigmas ``across_m`` and ``along_m``.
 
-    ``centre_m`` (station,) counts from the focus; ``share`` is (station, width). ``unsure`` names the uncertain
-    properties of the shape, each with the change of ``share`` by one standard uncertainty.
+    ``centre_m`` (station,) counts from the focus; ``weights`` is (station, width). ``unsure`` names the uncertain
+    properties of the shape, each with the change of ``weights`` by one standard uncertainty.
     """
 
     across_m: tuple[float, ...]
     along_m: float
     centre_m: tuple[float, ...] = (0.0,)
-    share: Shares = ((1.0,),)
-    unsure: tuple[tuple[str, Shares], ...] = ()
+    weights: Weights = ((1.0,),)
+    unsure: tuple[tuple[str, Weights], ...] = ()
 
     @classmethod
     def gaussian(cls, width_m: tuple[float, float, float]) -> PushForce:
@@ -90,16 +90,16 @@ class PushForce:
 
     def changed(self, deviations: Mapping[str, float]) -> PushForce:
         """Return the force with its ``unsure`` properties changed by ``deviations``, in standard uncertainties."""
-        share = np.array(self.share)
+        weights = np.array(self.weights)
         for name, change in self.unsure:
-            share = share + deviations.get(name, 0.0) * np.array(change)
-        return replace(self, share=_rows(share))
+            weights = weights + deviations.get(name, 0.0) * np.array(change)
+        return replace(self, weights=_rows(weights))
 
     def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         """Return the force relative to that at the focus, (axial, lateral)."""
         along = np.exp(-0.5 * ((axial_m[:, None] - np.array(self.centre_m)) / self.along_m) ** 2)
         across = np.exp(-0.5 * (lateral_m / np.array(self.across_m)[:, None]) ** 2)
-        return np.asarray(along @ np.array(self.share) @ across)
+        return np.asarray(along @ np.array(self.weights) @ across)
 
 
 @lru_cache(maxsize=16)
@@ -162,7 +162,7 @@ def scanned_force(
 
 
 def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], FloatArray]) -> float:
-    """Return the first distance at which ``profile`` is below half its first value.
+    """Return the first distance where ``profile`` is below half its first value.
 
     Evaluates from near to far in blocks and stops early: far points of a bowl's field are the slowest.
     """
@@ -197,11 +197,11 @@ def _fitted_force(
     step_m = STATION_STEP * sigma_m
     count = math.ceil(reach_m / step_m)
     centre_m = np.asarray(step_m * np.arange(-count, count + 1), np.float64)
-    share = _fitted_shares(relative, lateral_m, axial_m, across_m, centre_m)
+    weights = _fitted_weights(relative, lateral_m, axial_m, across_m, centre_m)
 
     def ending_at(reach: float) -> FloatArray:
-        """Return the shares with the force faded out at ``reach`` sigmas."""
-        return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADE_LENGTH)[:, None] * share)
+        """Return the weights with the force faded out at ``reach`` sigmas."""
+        return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADE_LENGTH)[:, None] * weights)
 
     longer = (ending_at(REACH + REACH_UNCERTAINTY) - ending_at(REACH - REACH_UNCERTAINTY)) / 2
     # exp(-2 alpha z) relative to the focus, to first order in the error of alpha.
@@ -210,10 +210,10 @@ def _fitted_force(
     return PushForce(tuple(across_m.tolist()), step_m, tuple(centre_m.tolist()), _rows(ending_at(REACH)), unsure)
 
 
-def _fitted_shares(
+def _fitted_weights(
     value: FloatArray, lateral_m: FloatArray, axial_m: FloatArray, across_m: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """Return the shares (station, width) of the Gaussians closest to ``value`` (axial, lateral) over the volume.
+    """Return the weights (station, width) of the Gaussians closest to ``value`` (axial, lateral) over the volume.
 
     ``value`` is padded with zeros beyond the ends of ``axial_m``, because Gaussians there would be undetermined.
     """
@@ -231,7 +231,7 @@ def _fitted_shares(
     )
 
 
-def _rows(matrix: FloatArray) -> Shares:
+def _rows(matrix: FloatArray) -> Weights:
     return tuple(tuple(row) for row in matrix.tolist())
 
 

@@ -176,7 +176,7 @@ def _sum_over_stations(
     k2, area_m2, centre_m = path.k**2, np.square(force.across_m)[:, None], np.array(force.centre_m)
     # Spectra across of each station (station, k). The waves of the path already hold the narrowest Gaussian.
     across = area_m2 * np.exp(-k2 * (area_m2 - narrowest_m2) / 2)
-    spectra, widened = (np.array(force.share) @ rows for rows in (across, (2 - k2 * area_m2) * across))
+    spectra, widened = (np.array(force.weights) @ rows for rows in (across, (2 - k2 * area_m2) * across))
     # Stations at the same distance before and behind the point share V; its slope has opposite signs.
     offset_m = axial_m - centre_m
     distance_m, index = np.unique(np.round(np.abs(offset_m), 12), return_inverse=True)
@@ -185,7 +185,7 @@ def _sum_over_stations(
     signed = fold * np.sign(offset_m)
     even, widened = fold @ spectra, fold @ widened
     odd, odd_shifted = signed @ spectra, signed @ (centre_m[:, None] * spectra)
-    uncertain = [fold @ (np.array(share) @ across) for _, share in force.unsure]
+    uncertain = [fold @ (np.array(change) @ across) for _, change in force.unsure]
     kappa, half_m2 = path.kappa, along_m2 / 2
     sums = np.zeros((5 + len(uncertain), *kappa.shape), np.complex128)
     for i, distance in enumerate(distance_m):

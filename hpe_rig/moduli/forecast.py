@@ -33,13 +33,13 @@ from hpe_rig.scene import Scene, SettingsError
 class ModuliForecast:
     """Assumed Voigt ``values`` (mu1 Pa, mu2 Pa s) and expected ``uncertainty`` (2,).
 
-    From ``places`` lateral offsets with ``gates`` in total; ``known`` names the source of the medium.
+    From ``places`` lateral offsets with ``gates`` in total; ``medium_source`` names the source of the medium.
     """
 
     values: tuple[float, float]
     uncertainty: tuple[float, float]
     places: int
-    known: str
+    medium_source: str
     gates: int = 0
 
     def __str__(self) -> str:
@@ -48,7 +48,7 @@ class ModuliForecast:
         gates = f", {self.gates} gates" if self.gates > self.places else ""
         return (
             f"moduli: mu1 +- {mu1:.2g} %, mu2 +- {mu2:.2g} % from {self.places} lateral offset"
-            f"{'s' * (self.places > 1)}{gates}, in {self.known} of {self.values[0] * 1e-3:.4g} kPa and "
+            f"{'s' * (self.places > 1)}{gates}, in {self.medium_source} of {self.values[0] * 1e-3:.4g} kPa and "
             f"{self.values[1]:.3g} Pa s (Cramer-Rao bound)"
         )
 
@@ -60,25 +60,28 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
     exceed it.
     """
     push, frequency_hz = push_of([scene]), np.array(scene.wanted_frequencies_hz)
-    values, known = _voigt_medium(scene, frequency_hz, simulated)
+    values, medium_source = _voigt_medium(scene, frequency_hz, simulated)
     if values[1] <= 0:
         raise ValueError("a medium without viscosity has no viscosity to fit")
     medium = HarmonicMedium.voigt(*values, frequency_hz)
     medium = replace(medium, density_kg_per_m3=push.density_kg_per_m3)
-    offsets = [(at_offset, part) for at_offset, part in plans_at_offsets(scene, plan) if part.shots]
+    offsets = [
+        (at_offset, offset_plan) for at_offset, offset_plan in plans_at_offsets(scene, plan) if offset_plan.shots
+    ]
     # Pulses and echoes, hence the noise, are the same at all offsets: computed on the axis.
     noise_m, correlation = _noise_m(_on_axis(offsets[0][0]), offsets[0][1], simulated)
     peak_m = expected_amplitude_m(scene, float(frequency_hz[0]), plan.shots[0])
     vibrations = list[Vibration]()
-    for at_offset, part in offsets:
-        gates = gates_at_depths(at_offset, part, [])
+    for at_offset, offset_plan in offsets:
+        gates = gates_at_depths(at_offset, offset_plan, [])
         expected = [_expected_vibration(gate, push, medium, peak_m, noise_m) for gate in gates]
         visible = [one.at_frequencies(detected(one)) for one in expected if detected(one).any()]
         vibrations += with_shared_noise(visible, correlation)
+    # Two numbers for each harmonic, against the parameters and the common amplitude.
     if sum(2 * one.frequency_hz.size for one in vibrations) <= len(values) + 1:
         raise ValueError("too few harmonics are expected to exceed the noise")
     u1, u2 = np.sqrt(np.diag(bound(vibrations, push, "voigt", values))).tolist()
-    return ModuliForecast(values, (u1, u2), len({one.position for one in vibrations}), known, len(vibrations))
+    return ModuliForecast(values, (u1, u2), len({one.position for one in vibrations}), medium_source, len(vibrations))
 
 
 def moduli_text(scene: Scene, plan: Plan, simulated: bool = True) -> Iterator[str]:
@@ -114,6 +117,7 @@ def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> tuple[FloatArray, flo
     And its correlation between two depths: trigger jitter is common to both.
     """
     shots = [shot for shot in plan.shots if has_strongest_push(shot, plan)]
+    # The floor is that of the worst frequency; other frequencies have less noise by their gain.
     gain = noise_gain(scene, shots[0])
     floor = detection_floor(scene, simulated, shots[0])
     noise_m = floor.quadrature_m * gain / gain.max() / np.sqrt(len(shots))
@@ -134,6 +138,7 @@ def _expected_vibration(
     def motion(region: TrackedRegion) -> ComplexArray:
         return np.asarray(push.spectrum(medium.frequency_hz) * shear_motion(medium, push.force, region).value[:, 0])
 
+    # The field is per unit force: scale it to the expected amplitude at the focus.
     scale = peak_m / abs(motion(TrackedRegion(np.zeros(1)))[0])
     tracked = TrackedRegion(np.array([vibration.lateral_m]), vibration.axial_m, *vibration.tracking_m2)
     return replace(vibration, phasor_m=scale * motion(tracked), position=f"{vibration.lateral_m:g}")

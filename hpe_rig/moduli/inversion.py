@@ -23,9 +23,9 @@ MAX_STARTS = 3
 """Starting points of the fit: the best of a grid that are at least ``START_DISTANCE`` apart."""
 START_DISTANCE = 1.5
 ROUGH, FINE = 1e-4, 1e-8
-"""Relative change of chi-square at which a start is followed far enough, and at which a minimum is found."""
+"""Relative changes of chi-square that end the search from a start and the search for a minimum."""
 MINIMUM_DISTANCE = 0.05
-"""Distance of coordinates from which two minima count as different."""
+"""Distance of coordinates above which two minima count as different."""
 MAX_STEPS = 100
 """Steps of the solver from one start; a law that cannot explain the data would continue slowly."""
 SECOND_MINIMUM = 12.0
@@ -98,8 +98,8 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
             f"{problem.data_count} numbers do not determine {problem.free} unknowns of a {law} medium and their "
             "uncertainty. Try: measure at more lateral offsets or frequencies"
         )
-    best, *others = _minima(problem)
-    return _moduli(problem, best, _second_minimum(problem, best, others))
+    best, *candidates = _minima(problem)
+    return _moduli(problem, best, _second_minimum(problem, best, candidates))
 
 
 def compare_media(
@@ -107,11 +107,12 @@ def compare_media(
 ) -> tuple[tuple[Moduli, ...], FloatArray]:
     """Return the fit of every law, the most likely first, and the laws' probabilities (law,), from equal priors.
 
-    A law with a parameter at the end of its range has become a simpler law; it is sorted after the others.
+    A law with a parameter at the end of its range has become a simpler law; it is sorted after the candidates.
     """
     fits = [fit_medium(vibrations, push, law) for law in laws or law_names()]
     fits.sort(key=lambda fit: (fit.excluded, bool(fit.at_limit), -fit.log_evidence))
     highest = max(fit.log_evidence for fit in fits)
+    # Relative to the highest evidence, so that the exponentials do not underflow together.
     weight = np.exp([fit.log_evidence - highest for fit in fits])
     return tuple(fits), np.asarray(weight / weight.sum())
 
@@ -140,19 +141,20 @@ def _starts(problem: Problem) -> list[FloatArray]:
 
 
 def _minima(problem: Problem) -> list[_Minimum]:
-    """Return the best minimum, then others that may be nearly as good.
+    """Return the best minimum, then candidates that may be nearly as good.
 
     Every start is followed roughly with the quick field; only candidates for a second minimum are refined.
     """
     quick = problem.with_quick_field()
     rough = sorted((_solve(quick, start, ROUGH) for start in _starts(quick)), key=lambda minimum: minimum.chi_square)
+    # The quick field has found the basin; the full field gives the minimum.
     best = _solve(problem, rough[0].unknown, FINE)
-    others = (
+    candidates = (
         _solve(problem, minimum.unknown, FINE)
         for minimum in rough[1:]
         if minimum.chi_square - best.chi_square < 10 * SECOND_MINIMUM and _differ(problem, minimum, best)
     )
-    return sorted([best, *others], key=lambda minimum: minimum.chi_square)
+    return sorted([best, *candidates], key=lambda minimum: minimum.chi_square)
 
 
 def _differ(problem: Problem, first: _Minimum, second: _Minimum) -> bool:
@@ -165,6 +167,7 @@ def _solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
     limits = problem.law.bounds()
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[: len(limits)], high[: len(limits)] = limits.T
+    # The solver needs a start strictly inside the limits.
     inside = start.copy()
     inside[: len(limits)] = np.clip(inside[: len(limits)], limits[:, 0] + 1e-6, limits[:, 1] - 1e-6)
     solution = least_squares(
@@ -182,13 +185,13 @@ def _solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
 
 
 def _second_minimum(
-    problem: Problem, best: _Minimum, others: Sequence[_Minimum]
+    problem: Problem, best: _Minimum, candidates: Sequence[_Minimum]
 ) -> tuple[dict[str, float], float] | None:
     """Return values and chi-square above the best of another minimum that is nearly as good, or None."""
-    for other in others:
-        excess = other.chi_square - best.chi_square
-        if excess < SECOND_MINIMUM and _differ(problem, other, best):
-            return _by_name(problem.law, problem.law.values(other.unknown[: problem.free - 1])), excess
+    for candidate in candidates:
+        excess = candidate.chi_square - best.chi_square
+        if excess < SECOND_MINIMUM and _differ(problem, candidate, best):
+            return _by_name(problem.law, problem.law.values(candidate.unknown[: problem.free - 1])), excess
     return None
 
 
@@ -230,6 +233,7 @@ def _log_evidence(law: Law, chi_square: float, covariance: FloatArray) -> float:
     The variance of a uniform distribution over the range limits the posterior volume.
     """
     span = np.ptp(law.bounds(), axis=1)
+    # 12 / span^2 is the inverse variance of a uniform distribution.
     posterior = np.linalg.inv(np.linalg.inv(covariance) + np.diag(12 / span**2))
     return float(-chi_square / 2 + (np.linalg.slogdet(2 * np.pi * posterior)[1] / 2) - np.log(span).sum())
 
@@ -247,7 +251,8 @@ def _contributions(
     """Return the contribution of each part of the data; ``part_of_datum`` (vibration and frequency,) indexes labels."""
     if len(labels) < 2:
         return ()
-    without = (problem.variances_without(part_of_datum == part, jacobian) for part in range(len(labels)))
+    # The Jacobian at the minimum gives the variances without another fit.
+    without = (problem.variances_without(part_of_datum == index, jacobian) for index in range(len(labels)))
     growth = [np.sqrt(values / variances).tolist() for values in without]
     return tuple(Contribution(label, tuple(factors)) for label, factors in zip(labels, growth, strict=True))
 

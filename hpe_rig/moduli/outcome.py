@@ -18,7 +18,7 @@ from hpe_rig.moduli.vibration_model import Vibration
 from hpe_rig.result import dataclass_schema, json_values, object_schema, titled
 
 TESTED_RANGES = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
-"""Ranges in which the field has been compared with independent ones."""
+"""Ranges of the comparison of the field with independent ones."""
 FREE_GAIN_UNCERTAINTY = 5.0
 """Uncertainty of the logarithm of a gain that is unknown."""
 UNITS = {"_pa_s": (1.0, "Pa s"), "_pa": (1e-3, "kPa")}
@@ -106,8 +106,8 @@ def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
         "second": fit.second and {"values": fit.second[0], "chi_square": fit.second[1]},
         "at_limit": fit.at_limit,
         "beyond_tested": beyond_tested(fit),
-        "by_place": [asdict(part) for part in fit.by_place],
-        "by_frequency": [asdict(part) for part in fit.by_frequency],
+        "by_place": [asdict(contribution) for contribution in fit.by_place],
+        "by_frequency": [asdict(contribution) for contribution in fit.by_frequency],
     }
 
 
@@ -171,6 +171,7 @@ def moduli_of(
         vibrations = [replace(one, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for one in vibrations]
     if not vibrations:
         raise ValueError("no vibration exceeds its noise: " + "; ".join(omitted))
+    # Every law is fitted, because the user needs to know which ones the data exclude.
     fits, probability = compare_media(vibrations, push, laws)
     wave, why_not = plane_wave_of(vibrations, push.density_kg_per_m3)
     return ModuliResult(
@@ -188,16 +189,17 @@ def moduli_of(
 def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
     """Return the moduli from the phase gradient at the frequencies common to all vibrations; None and why it fails."""
     common_hz = sorted(set.intersection(*(set(one.frequency_hz.tolist()) for one in vibrations)))
-    parts = [
+    at_common = [
         one.at_frequencies(np.isin(one.frequency_hz, common_hz))
         for one in sorted(vibrations, key=lambda one: abs(one.lateral_m))
     ]
-    sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in parts]
+    # The noise across the phasor is nearly that of A cos(phase); it only weights the phases.
+    sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in at_common]
     try:
         speed = shear_speed(
-            [abs(one.lateral_m) for one in parts],
-            parts[0].frequency_hz,
-            np.array([np.angle(one.phasor_m) for one in parts]),
+            [abs(one.lateral_m) for one in at_common],
+            at_common[0].frequency_hz,
+            np.array([np.angle(one.phasor_m) for one in at_common]),
             np.array(sigma),
         )
         return fit_voigt(speed, density_kg_per_m3), ""
@@ -229,6 +231,7 @@ def _lines(result: ModuliResult) -> Iterator[str]:
 def _data_line(result: ModuliResult) -> str:
     numbers = sum(2 * one.frequency_hz.size for one in result.vibrations)
     source, gates = "SIMULATED, " if result.simulated else "", len(result.vibrations)
+    # Several gates over depth belong to one lateral offset.
     offsets = len({(one.position, one.lateral_m) for one in result.vibrations})
     gate_count = f", {gates} gates" if gates > offsets else ""
     return f"{source}{offsets} lateral offset{'s' * (offsets > 1)}{gate_count}, {numbers} numbers"
@@ -240,8 +243,8 @@ def _fit_lines(fit: Moduli) -> Iterator[str]:
         yield f"{_name(name)} {_with_uncertainty(fit, name)}{relative}"
     if fit.second is not None:
         values, excess = fit.second
-        other = ", ".join(f"{_name(name)} {value * _unit(name)[0]:.3g}" for name, value in values.items())
-        yield f"nearly as good: {other} (chi-square {excess:.2g} higher)"
+        second = ", ".join(f"{_name(name)} {value * _unit(name)[0]:.3g}" for name, value in values.items())
+        yield f"nearly as good: {second} (chi-square {excess:.2g} higher)"
     for name in beyond_tested(fit):
         (low, high), (factor, unit) = TESTED_RANGES[name], _unit(name)
         yield f"WARNING {_name(name)} is outside the tested range, {low * factor:g} to {high * factor:g} {unit}"
@@ -249,7 +252,7 @@ def _fit_lines(fit: Moduli) -> Iterator[str]:
         yield f"{_name(name)} is at the end of its range"
     for kind, contributions in (("gate", fit.by_place), ("frequency", fit.by_frequency)):
         if contributions:
-            largest = max(contributions, key=lambda part: part.growth[0])
+            largest = max(contributions, key=lambda contribution: contribution.growth[0])
             yield (
                 f"largest contribution by {kind}: {largest.label}; without it the uncertainty of "
                 f"{_name(next(iter(fit.values)))} is {largest.growth[0]:.2f} times as large"
@@ -257,7 +260,7 @@ def _fit_lines(fit: Moduli) -> Iterator[str]:
 
 
 def _unit(parameter: str) -> tuple[float, str]:
-    """Return the factor and unit in which a parameter is printed."""
+    """Return the factor and unit for printing a parameter."""
     return next((UNITS[suffix] for suffix in UNITS if parameter.endswith(suffix)), (1.0, ""))
 
 
@@ -273,6 +276,7 @@ def _with_uncertainty(fit: Moduli, parameter: str, sign: str = "+-") -> str:
     value, uncertainty = fit.values[parameter] * factor, fit.uncertainty[parameter] * factor
     if not 0 < uncertainty < math.inf:
         return f"{value:.4f} {sign} {uncertainty:.2g} {unit}".rstrip()
+    # Round the uncertainty first: its leading digit may move, as 0.0996 does to 0.10.
     rounded = float(f"{uncertainty:.1e}")
     decimals = max(0, 1 - math.floor(math.log10(rounded)))
     return f"{value:.{decimals}f} {sign} {rounded:.{decimals}f} {unit}".rstrip()

@@ -21,7 +21,7 @@ from hpe_rig.medium import QUICK_ERROR, HarmonicMedium, Law, TrackedRegion, shea
 from hpe_rig.moduli.vibration_model import Push, Vibration
 
 TRAVEL_FRACTION, TRAVEL_FRACTION_UNCERTAINTY = 0.5, 0.5
-"""Fraction of the sound's travel time from the focus to another depth by which the force's onset is later, 0 to 1.
+"""Delay of the force's onset at another depth over the sound's travel time from the focus, 0 to 1.
 
 A force much longer than the shear wave's path travels with the sound (1); one that acts everywhere at once does not
 (0).
@@ -46,8 +46,8 @@ class Nuisance(NamedTuple):
 class Problem:
     """Explain ``vibrations`` under ``push`` by the material law ``law``.
 
-    ``whitening``: inverse Cholesky factors of the covariances, one a vibration. ``unit_m``: amplitude at which the
-    unknown ln amplitude is 0. ``quick``: use the quick field, which is accurate to ``QUICK_ERROR``.
+    ``whitening``: inverse Cholesky factors of the covariances, one a vibration. ``unit_m``: amplitude with the
+    unknown ln amplitude 0. ``quick``: use the quick field, which is accurate to ``QUICK_ERROR``.
     """
 
     vibrations: tuple[Vibration, ...]
@@ -68,6 +68,7 @@ class Problem:
                 f"{', '.join(too_far)}: the field is tested to {MAX_LATERAL_M * 1e3:g} mm from the axis. "
                 "Try: smaller lateral offsets"
             )
+        # Whitened data have unit variance: chi-square is their sum of squares.
         whitening = tuple(np.linalg.inv(np.linalg.cholesky(_data_covariance_m2(one, push))) for one in vibrations)
         unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
         return Problem(tuple(vibrations), push, law, whitening, _nuisances(vibrations, push), unit_m)
@@ -90,6 +91,7 @@ class Problem:
 
     def start(self, coordinates: FloatArray) -> tuple[FloatArray, float]:
         """Return the unknowns at the law's ``coordinates`` with the best amplitude and zero nuisances; chi-square."""
+        # Nuisances start at zero, their most likely value.
         unknown = np.zeros(self.free + len(self.nuisances))
         unknown[: self.free - 1] = coordinates
         model = self._whitened(self.modelled(unknown))
@@ -112,6 +114,7 @@ class Problem:
 
     def jacobian(self, unknown: FloatArray) -> FloatArray:
         """Return the derivatives of ``residual`` by the unknowns."""
+        # Real and imaginary parts of each frequency are neighbouring rows, like the states of a vibration.
         blocks = [
             root @ np.stack([slopes.real, slopes.imag], axis=1).reshape(-1, unknown.size)
             for root, (_, slopes) in zip(self.whitening, self._model(unknown.tobytes()), strict=True)
@@ -128,6 +131,7 @@ class Problem:
         count = self.free - 1
         # Columns of unit length: parameters of very different sensitivity lose no digits.
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(np.float64).tiny)
+        # Of (J'J)^-1 only the block of the law: the nuisances are marginalised.
         root = np.linalg.pinv(jacobian / scale)
         return np.asarray((root @ root.T / np.outer(scale, scale))[:count, :count])
 
@@ -138,6 +142,7 @@ class Problem:
 
     def variances_without(self, dropped: BoolArray, jacobian: FloatArray) -> FloatArray:
         """Return the coordinates' variances (parameter,) without the ``dropped`` (vibration and frequency,) data."""
+        # The data of the nuisances remain.
         rows = np.concatenate([~np.repeat(dropped, 2), np.ones(len(self.nuisances), bool)])
         return np.asarray(np.diag(self.coordinate_covariance(jacobian[rows])))
 
@@ -154,6 +159,7 @@ class Problem:
             (kind, vibration): uncertainty * unknown[self.free + i]
             for i, (kind, vibration, uncertainty) in enumerate(self.nuisances)
         }
+        # One field for each group; its columns are vibrations.
         results: dict[int, tuple[ComplexArray, ComplexArray]] = {}
         for group in self.groups_sharing_field:
             slopes = self._slopes_by_kind(unknown, deviations, group)
@@ -230,6 +236,7 @@ class Problem:
             columns[:, i] = by_kind[f"law {i}"]
         columns[:, self.free - 1] = by_kind["gain"]
         for i, (kind, index, uncertainty) in enumerate(self.nuisances):
+            # All gates at one position move with the stage.
             shared_stage = kind == "stage" and index == self.first_at_position[vibration]
             if index in (COMMON, vibration) or shared_stage:
                 columns[:, self.free + i] = uncertainty * by_kind[kind]
@@ -286,6 +293,7 @@ def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, .
 
 def _data_covariance_m2(one: Vibration, push: Push) -> FloatArray:
     """Return the covariance of noise and of the model error of the force's shape."""
+    # The error of the force's shape is proportional to the amplitude and counts as independent between frequencies.
     model_error_m = push.shape_relative * np.repeat(np.abs(one.phasor_m), 2)
     return np.asarray(one.covariance_m2 + np.diag(model_error_m**2))
 

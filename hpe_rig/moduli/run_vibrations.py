@@ -65,6 +65,7 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
                 for gate in gates_at_depths(scene, plan, omitted)
                 for vibration in _detected_vibration(gate, source, estimator, _label(gate) + suffix, omitted)
             ]
+            # Noise common to all depths of a record does not average out.
             correlation = _residual_correlation(scene, plan, source.stored) if len(depths) > 1 else 0.0
             vibrations += with_shared_noise(depths, correlation)
     return vibrations, omitted
@@ -99,6 +100,7 @@ def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted
     for shot in gate.plan.shots:
         reason = _unusable(shot, source.stored, gate.plan)
         if not reason:
+            # A shot that cannot be estimated is reported like an incomplete one.
             try:
                 yield shot_fit(gate.scene, shot, source.stored, estimator, beams)
                 continue
@@ -120,10 +122,11 @@ def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], 
     """Return the mean of ``fits``, weighted by the inverse of their covariances."""
     frequency_hz = fits[0].frequency_hz
     # The wanted harmonics are the first states: A cos(phase), A sin(phase), frequency by frequency.
-    wanted = slice(2 * frequency_hz.size)
-    information = [np.linalg.inv(fit.state_covariance[wanted, wanted]) for fit in fits]
+    wanted_states = slice(2 * frequency_hz.size)
+    information = [np.linalg.inv(fit.state_covariance[wanted_states, wanted_states]) for fit in fits]
     covariance = np.linalg.inv(np.sum(information, axis=0))
-    weighted = [weight @ fit.state[wanted] for weight, fit in zip(information, fits, strict=True)]
+    weighted = [weight @ fit.state[wanted_states] for weight, fit in zip(information, fits, strict=True)]
+    # The maximum-likelihood mean of estimates with different covariances.
     state = covariance @ np.sum(weighted, axis=0)
     measured = frequency_hz, state[0::2] + 1j * state[1::2], (covariance + covariance.T) / 2
     return vibration_at(gate.scene, estimator, label, measured, gate.axial_m)
@@ -136,6 +139,7 @@ def _residual_correlation(scene: Scene, plan: Plan, stored: StoredRun) -> float:
     for index, shot in enumerate(plan.shots):
         if not stored.shot_complete[shot.index]:
             continue
+        # Residuals of the same shot in every gate, pulse by pulse.
         residuals = (
             displacement_residual_m(
                 with_gate(scene, gate), shots_with_gate(plan, gate, sound_speed_m_per_s).shots[index], stored
@@ -151,5 +155,6 @@ def _mean_correlation(rows: FloatArray) -> float:
     finite = np.isfinite(rows).all(axis=0)
     if len(rows) < 2 or finite.sum() < MIN_PULSES:
         return 0.0
+    # Each pair once: the triangle above the diagonal.
     matrix = np.asarray(np.corrcoef(rows[:, finite]))
     return float(matrix[np.triu_indices(len(rows), 1)].mean())

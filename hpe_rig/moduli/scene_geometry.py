@@ -1,4 +1,4 @@
-"""What a scene states for an inversion: the push, the gates over depth, and the uncertainties of a tracked position."""
+"""Statements of a scene for an inversion: push, gates over depth, and uncertainties of a tracked position."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ class GateAtDepth:
 def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINTY) -> Push:
     """Return the push that all ``scenes`` share; raise ``SettingsError`` if one states none or pushes differ."""
     mistakes = [mistake for scene in scenes for mistake in _push_mistakes(scene)]
+    # All mistakes are reported at once, so scenes with mistakes contribute their push as well if they state one.
     stated = (scene for scene in scenes if scene.excitation is not None and scene.beams is not None)
     pushes = [_stated_push(scene, width_uncertainty) for scene in stated]
     if any(push != pushes[0] for push in pushes):
@@ -53,11 +54,13 @@ def _push_mistakes(scene: Scene) -> Iterator[Mistake]:
         yield Mistake("excitation", "nothing pushes, so no motion depends on the medium", "a run with tonebursts")
     if scene.sphere is not None:
         what = "a rigid sphere moves, and moduli are fitted to the motion of the medium itself"
+        # Nothing else needs to be stated for a run that cannot be fitted.
         yield Mistake("sphere", what, "a run of the medium without a sphere")
         return
     if beams is None:
         yield Mistake("beams", "the widths of force and tracking beam are not known", "[beams]")
         return
+    # An aperture or a scan gives the shape of the force, so that the declared widths do not have to be round.
     has_own_force = beams.transducer_diameter_m or beams.excitation_scan
     if not has_own_force and not np.isclose(*beams.excitation_width_m[:2]):
         what = f"a force of {beams.excitation_width_m[0]:g} m by {beams.excitation_width_m[1]:g} m is not round"
@@ -130,6 +133,7 @@ def vibration_at(
         label,
         *measured,
         lateral_m=scene.tracking.lateral_offset_m,
+        # A gate at the focus is symmetric about it: neither shift nor first-order effect of depth.
         axial_m=axial_m + mean_depth_m if axial_m else 0.0,
         axial_uncertainty_m=spread.axial_m if axial_m else 0.0,
         travel_s=axial_m / scene.acquisition.sound_speed_m_per_s,
@@ -144,6 +148,7 @@ def vibration_at(
 
 def detected(vibration: Vibration) -> BoolArray:
     """Return which frequencies (frequency,) exceed ``DETECTED`` times the larger noise of their two quadratures."""
+    # Variances of A cos(phase) and A sin(phase), frequency by frequency.
     sigma_m = np.sqrt(np.diag(vibration.covariance_m2).reshape(-1, 2).max(axis=1))
     return np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)
 
@@ -160,6 +165,6 @@ def with_shared_noise(depths: Sequence[Vibration], correlation: float) -> list[V
 
 def has_strongest_push(shot: Shot, plan: Plan) -> bool:
     """Return whether ``shot`` has the strongest force of ``plan`` and its first burst length."""
-    force = max(other.force_fraction or 0.0 for other in plan.shots)
+    force = max(candidate.force_fraction or 0.0 for candidate in plan.shots)
     same_length = shot.timeline.burst_length_s == plan.shots[0].timeline.burst_length_s
     return same_length and (shot.force_fraction or 0.0) == force

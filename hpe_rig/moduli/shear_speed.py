@@ -58,6 +58,7 @@ def shear_speed(
     if np.unique(offset).size < 2:
         raise ValueError(f"positions {offset.tolist()} m: two different ones are needed for a phase gradient")
     order = np.argsort(offset, kind="stable")
+    # Unwrapping needs neighbouring offsets in order.
     phase = np.unwrap(phase_rad[order], axis=0)
     # Weighted least squares for the slope, about the weighted mean offset.
     weight = 1 / np.square(np.maximum(uncertainty_rad[order], np.finfo(np.float32).tiny))
@@ -71,6 +72,7 @@ def shear_speed(
             f"the phase does not fall with distance at {rising_hz} Hz: offsets more than half a wavelength apart, "
             "positions not counted from the focus, or noise. Try: smaller steps of the lateral offset"
         )
+    # c_s = w |dr / dphi|; its uncertainty follows from that of the slope.
     speed = -2 * np.pi * frequency / slope
     residual = phase - np.sum(weight * phase, axis=0) / weight.sum(axis=0) - slope * distance
     freedom = offset.size - 2

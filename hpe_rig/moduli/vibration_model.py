@@ -37,6 +37,7 @@ class Push:
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the amplitude of sin(wt + phase) of a unit force that is on during every burst, (frequency,)."""
+        # The spectrum of a rectangular burst: sinc, delayed by half of its length.
         phase_cycles = frequency_hz * self.burst_length_s
         duty = self.burst_rate_hz * self.burst_length_s
         return np.asarray(2j * duty * np.sinc(phase_cycles) * np.exp(-1j * np.pi * phase_cycles))
@@ -74,6 +75,7 @@ class Vibration:
 
     def at_frequencies(self, selected: BoolArray) -> Vibration:
         """Return the vibration at the ``selected`` (frequency,) frequencies only."""
+        # Two states, cosine and sine, for each frequency.
         states = np.repeat(selected, 2)
         return replace(
             self,

@@ -59,11 +59,15 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
         return None
     rate_hz, length_s = scene.excitation.burst_rate_hz, shot.toneburst.cycles / shot.toneburst.carrier_hz
     wanted_hz = np.array(scene.wanted_frequencies_hz)
-    wanted = np.rint(wanted_hz / rate_hz).astype(np.int64)
+    wanted_index = np.rint(wanted_hz / rate_hz).astype(np.int64)
     harmonic = np.arange(1, int(LOBES / (length_s * rate_hz)) + 1)
     frequency_hz = np.asarray(harmonic * rate_hz, dtype=np.float64)
     motion = focal_motion(scene, frequency_hz, simulated)
-    if motion is None or not np.allclose(wanted * rate_hz, wanted_hz, rtol=1e-9) or wanted.max() > harmonic.size:
+    if (
+        motion is None
+        or not np.allclose(wanted_index * rate_hz, wanted_hz, rtol=1e-9)
+        or wanted_index.max() > harmonic.size
+    ):
         return None
     # The sinusoid A sin(w t + phase) has A exp(j phase) = j times the coefficient of exp(j w t).
     phasor_m = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
@@ -73,7 +77,7 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
         # A plan with conflicts may have no pulse in its window.
         return None
     displacement_m = _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), states_m.tobytes())
-    return np.asarray(phasor_m[wanted - 1]), displacement_m
+    return np.asarray(phasor_m[wanted_index - 1]), displacement_m
 
 
 @lru_cache(maxsize=4)

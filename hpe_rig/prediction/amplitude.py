@@ -51,6 +51,7 @@ def relative_drive(scene: Scene, frequency_hz: float, shot: Shot | None = None) 
     excitation = scene.excitation
     if excitation is None:
         return 0.0
+    # Tonebursts drive multiples of their rate only.
     harmonic = round(frequency_hz / excitation.burst_rate_hz)
     if harmonic == 0 or not math.isclose(harmonic * excitation.burst_rate_hz, frequency_hz, rel_tol=1e-6):
         return 0.0

@@ -76,6 +76,7 @@ def predicted_averaging(
     if scene.excitation is None:
         gaussian_motion = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
         return (_with_scene_offsets(scene, gaussian_motion),) * frequency_hz.size
+    # The ensemble assumes dense scatterers: few of them change its loss in the proportion known for a Gaussian motion.
     dense_limit = gaussian_averaging(beams.force_width_m, beams.tracking_width_m, beams.depth_sd_m)
     loss_scale, area_spread = (1 - gaussian) / (1 - dense_limit), spread / -gaussian_steepness(beams)
     medium = averaging_ratio(scene, beams, frequency_hz)
@@ -151,6 +152,7 @@ def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArr
     In the declared medium, else in a typical one. The paper's aperture has 1.005 at 100 Hz and less above, and 0.1 deg
     of lag at all frequencies, nearly independent of the medium.
     """
+    # The ensemble keeps the Gaussian's ratio; the correction is that of one medium.
     force = push_force(scene)
     if force.is_gaussian:
         return [1.0 + 0j] * frequency_hz.size

@@ -23,7 +23,7 @@ from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
 
 FALSE_ALARMS = 0.05
-"""Fraction of measurements without motion in which noise alone exceeds the floor."""
+"""Fraction of measurements without motion where noise alone exceeds the floor."""
 DIRECTIONS = 400
 """Midpoint nodes of the mean over directions."""
 
@@ -80,9 +80,9 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
     """Return the floor at the worst wanted frequency, from echo noise and trigger jitter.
 
     ``shot`` gives the used pulses and so the cost of fitting the other driven harmonics; without it every frequency
-    counts as fitted by itself to all pulses. Echo noise is that of the error model (``predict``) for echoes at rest if
-    beams are declared, else that of the whole gate. Trigger jitter is the twin's; that of a real bench is unknown. See
-    docs/explanation/prediction.md, "Detection floor".
+    counts as the only one fitted to all pulses. Echo noise is that of the error model (``predict``) for echoes at rest
+    if beams are declared, else that of the whole gate. Trigger jitter is the twin's; that of a real bench is unknown.
+    See docs/explanation/prediction.md, "Detection floor".
     """
     spec = spec_of(scene.processing.estimator)
     gain, larger = _gain_and_larger_quadrature(scene, shot)

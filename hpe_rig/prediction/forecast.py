@@ -102,18 +102,18 @@ def forecast_of(
     ``check``, report and design print this forecast. None without beams or SNR.
     """
     per_estimator = [conditions_of(scene, shot, frequency_hz, name) for name in estimators]
-    known = [conditions for conditions in per_estimator if conditions is not None]
-    if not known:
+    by_estimator = [conditions for conditions in per_estimator if conditions is not None]
+    if not by_estimator:
         return None
-    index = scene.wanted_frequencies_hz.index(known[0].frequency_hz)
+    index = scene.wanted_frequencies_hz.index(by_estimator[0].frequency_hz)
     errors = tuple(
         as_averaged(predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[index])
-        for name, conditions in zip(estimators, known, strict=True)
+        for name, conditions in zip(estimators, by_estimator, strict=True)
     )
     ratios = fitted_over_true_by_estimator(scene, shot, estimators, simulated)
     aliasing = tuple(complex(ratio[index]) - 1 for ratio in ratios if ratio is not None)
-    chosen = scene.processing.estimator
-    conditions = known[estimators.index(chosen)] if chosen in estimators else known[0]
+    scene_estimator = scene.processing.estimator
+    conditions = by_estimator[estimators.index(scene_estimator)] if scene_estimator in estimators else by_estimator[0]
     return Prediction(conditions, errors, aliasing if len(aliasing) == len(estimators) else ())
 
 
@@ -125,6 +125,7 @@ def as_averaged(errors: EstimatorErrors, conditions: Conditions, averaging: Aver
     if averaging is None:
         return errors
     tracked_m = averaging.factor * conditions.amplitude_m
+    # The bias of noise remains; the bias of tracking is replaced.
     return replace(
         errors,
         bias_m=errors.bias_m + tracked_m - errors.tracked * conditions.amplitude_m,
@@ -149,7 +150,7 @@ def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErro
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """Settings of which each reaches a target by itself: number of cycles, pulse rate, or SNR.
+    """Settings that each reach a target without the others: number of cycles, pulse rate, or SNR.
 
     ``max_pulse_rate_hz`` is c / 2z, the fastest possible rate.
     """
@@ -168,6 +169,7 @@ def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator:
     """
     conditions, noise_m = prediction.conditions, prediction.errors_of(estimator).noise_jitter_m
     factor = (noise_m / target_m) ** 2
+    # Cycles and pulse rate act through the number of pulses.
     cycles = conditions.pulses / conditions.pulse_rate_hz * conditions.frequency_hz
     spec = spec_of(estimator)
     variance_gain = conditions.fit_gain**2 if spec.fits_all_at_once else spec.slow_time_noise

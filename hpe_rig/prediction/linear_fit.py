@@ -57,6 +57,7 @@ def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) ->
     if not spec.fits_all_at_once:
         return np.ones(select(scene, shot).wanted_hz.size)
     weights = fit_weights(scene, shot, spec)[0]
+    # Eigenvalues of the 2 x 2 covariance of the quadratures are the principal variances.
     variance = np.linalg.eigvalsh(weights @ np.swapaxes(weights, -1, -2))
     return np.asarray(np.sqrt(variance[:, 1] / variance.mean(axis=-1)))
 
@@ -69,6 +70,7 @@ def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArr
         weights = _prior_weights(scene, shot, spec, prior)
         return weights.reshape(pulses.wanted_hz.size, 2, -1), pulses.time_s[pulses.used]
     time_s, model = shot_model(scene, shot)
+    # Least squares: (H'H)^-1 H', with the inverse as root root'.
     rows = (model.root @ model.root.T)[: 2 * pulses.wanted_hz.size] @ model.matrix.T
     return rows.reshape(pulses.wanted_hz.size, 2, -1), time_s
 
@@ -92,12 +94,12 @@ def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumP
     unit_m = math.sqrt(float(np.mean(np.sum(projected.wanted_members[:, :2] ** 2, axis=1))))
     noise_m = pulse_noise_m(scene, spec)
     # The evidence does not distinguish scales below the noise of the fit.
-    min_amplitude_m = noise_m * math.sqrt(2 / len(projected.left))
+    min_amplitude_m = noise_m * math.sqrt(2 / len(projected.left_vectors))
     amplitude_m = max(expected_amplitude_m(scene, float(pulses.wanted_hz[0]), shot), min_amplitude_m)
     scale2 = (PRIOR_WIDENING * amplitude_m / unit_m) ** 2
     # Wiener gain of each singular direction.
     gain = scale2 * projected.value / (noise_m**2 + scale2 * projected.value**2)
-    return np.asarray((projected.wanted_rows * gain) @ projected.left.T)
+    return np.asarray((projected.wanted_rows * gain) @ projected.left_vectors.T)
 
 
 def pulse_noise_m(scene: Scene, spec: EstimatorSpec, simulated: bool = True) -> float:
@@ -108,7 +110,7 @@ def pulse_noise_m(scene: Scene, spec: EstimatorSpec, simulated: bool = True) -> 
 def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:
     """Return the noise of one pulse's displacement, m, from echo noise: phase variance 1 / (gate samples x SNR).
 
-    Twice that variance with a reference gate, whose echoes are assumed to be as noisy.
+    Twice that variance with a reference gate: its echoes are assumed to be as noisy.
     """
     acquisition, snr_db = scene.acquisition, expected_snr_db(scene)
     if snr_db is None:

@@ -23,9 +23,9 @@ from hpe_rig.prediction.speckle import INSTANTS, Speckle, matmul, to_band
 from hpe_rig.processing import hann
 
 PADDED_INSTANTS = 4 * INSTANTS
-"""Bins of the spectrum, of which the peak is searched in the band."""
+"""Bins of the spectrum; the peak is searched in the band."""
 GROUPS = 32
-"""Groups of draws by echo strength; each has its own noise."""
+"""Groups of draws by echo strength; each has its unreturned noise."""
 EXTRA_NOISE_DRAWS = 6
 """Further noise draws for the weakest eighth of the echoes, which has nearly all of w."""
 NEGLIGIBLE_SINGULAR_VALUE = 1e-6
@@ -86,7 +86,7 @@ def _two_steps(
     steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
     # Control variate for w: steps at f_1 against the clean echo.
     phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
-    own = _unreturned_variance(*steps) - _unreturned_variance(phases[1] - phases[0], phases[2] - phases[1])
+    unreturned = _unreturned_variance(*steps) - _unreturned_variance(phases[1] - phases[0], phases[2] - phases[1])
     # Control variate for v: the linear form of the phases at the clean peak.
     clean_peak = np.argmax(np.abs(clean), axis=-1)[:, None]
     reference = _values_at(clean, clean_peak)
@@ -94,7 +94,7 @@ def _two_steps(
         (np.conj(reference) * _values_at(noisy[:, k], clean_peak)).imag / np.abs(reference) ** 2 for k in range(3)
     ]
     beyond_linear = (linear[1] - linear[0]) * (linear[2] - linear[1]) - steps[0] * steps[1]
-    return first, second, np.asarray(beyond_linear, dtype=np.float64), own
+    return first, second, np.asarray(beyond_linear, dtype=np.float64), unreturned
 
 
 def _unreturned_variance(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -109,9 +109,9 @@ def _band_noise(matrix: ComplexArray, count: int, generator: np.random.Generator
     """
     _, size, direction = np.linalg.svd(matrix, full_matrices=False)
     significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
-    parts = generator.standard_normal((count, np.count_nonzero(significant), 2), dtype=np.float32)
+    real_and_imaginary = generator.standard_normal((count, np.count_nonzero(significant), 2), dtype=np.float32)
     basis = size[significant, None] * direction[significant]
-    return np.asarray(parts.view(np.complex64)[..., 0] @ basis, dtype=np.complex64)
+    return np.asarray(real_and_imaginary.view(np.complex64)[..., 0] @ basis, dtype=np.complex64)
 
 
 def _values_at(values: ComplexArray, index: Int64Array) -> ComplexArray:

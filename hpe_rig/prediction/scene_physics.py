@@ -97,6 +97,7 @@ def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[floa
     """
     if scene.beams is None:
         return None
+    # A force that is not Gaussian is modelled on its axis only.
     lateral_m, force = abs(scene.tracking.lateral_offset_m), push_force(scene)
     return BeamWidths(
         scene.beams.excitation_width_m,
@@ -118,6 +119,7 @@ def focal_motion(
     medium = medium_of(scene, frequency_hz, simulated)
     if scene.beams is None or medium is None:
         return None
+    # Without a gate window: one motion for all estimators.
     depth_sd_m = tracking_gate(scene).depth_sd_m()
     motion = tracked_motion(
         medium, BeamWidths(scene.beams.excitation_width_m, scene.beams.tracking_width_m, depth_sd_m)

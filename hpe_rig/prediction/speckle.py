@@ -86,6 +86,7 @@ def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacemen
     # Only the fields that scatterers depend on remain in the key of the cached blocks.
     echoes = replace(conditions, excitation_width_m=(0.0, 0.0, 0.0), pulses=1, frequency_hz=0.0, amplitude_m=0.0)
     echoes = replace(echoes, snr=np.inf, trigger_jitter_s=0.0, fit_gain=1.0)
+    # Large draws would fill the memory: they are repeated instead.
     depth_m = _cells(conditions)[0]
     is_small = draws * _mean_scatterers(conditions, depth_m) < MAX_CACHED_SCATTERERS
     draw = _seeded_block if is_small else _seeded_block.__wrapped__
@@ -120,14 +121,14 @@ class _Block:
     """
 
     position_m: SingleArray
-    parts: tuple[SingleArray, SingleArray]
+    components: tuple[SingleArray, SingleArray]
     cell: Int64Array
     echo: ComplexArray
 
     def displaced(self, displacement: Displacement) -> ComplexArray:
         """Return the echoes times the displacement, summed into the cells, (draw, cell)."""
         weight = displacement(self.position_m)
-        return _sum_into_cells(self.cell, (self.parts[0] * weight, self.parts[1] * weight), self.echo.shape)
+        return _sum_into_cells(self.cell, (self.components[0] * weight, self.components[1] * weight), self.echo.shape)
 
 
 @functools.lru_cache(maxsize=100)
@@ -139,14 +140,16 @@ def _draw_block(
     conditions: Conditions, generator: np.random.Generator, draws: int, depth_m: float, cells: int
 ) -> _Block:
     count = generator.poisson(_mean_scatterers(conditions, depth_m), draws)
+    # Positions are uniform in the box and phases uniform over a turn: fully random interference.
     unit_position, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
     position_m = (unit_position - np.float32(0.5)) * _box_m(conditions, depth_m)[:, None]
     angle = np.float32(2 * np.pi) * phase[0]
     strength = _gaussian(conditions.tracking_width_m, position_m)
     cell = np.minimum((unit_position[2] * np.float32(cells)).astype(np.int64), cells - 1)
+    # Cells are numbered over all draws of the block.
     cell += cells * np.repeat(np.arange(draws), count)
-    parts = strength * np.cos(angle), strength * np.sin(angle)
-    return _Block(position_m, parts, cell, _sum_into_cells(cell, parts, (draws, cells)))
+    components = strength * np.cos(angle), strength * np.sin(angle)
+    return _Block(position_m, components, cell, _sum_into_cells(cell, components, (draws, cells)))
 
 
 def _scattering(
@@ -159,9 +162,9 @@ def _scattering(
     return Scattering(np.concatenate(echo), np.concatenate(displaced), cell_depth_m)
 
 
-def _sum_into_cells(cell: Int64Array, parts: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
+def _sum_into_cells(cell: Int64Array, components: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
     # bincount sums real numbers; complex exponentials would take three times as long.
-    real, imaginary = (np.bincount(cell, part, math.prod(shape)) for part in parts)
+    real, imaginary = (np.bincount(cell, component, math.prod(shape)) for component in components)
     return (real + 1j * imaginary).reshape(shape).astype(np.complex64)
 
 

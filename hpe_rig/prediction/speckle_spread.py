@@ -47,6 +47,7 @@ def region_spread(resting: Conditions, estimator: str) -> TrackedRegionSpread:
         ratio = tracked_over_peak(resting, estimator, seeded_speckle(resting, SPECKLE_DRAWS, displacement))
         return float(ratio.mean()), float(ratio.std())
 
+    # In units of the beam width, single precision loses no digits.
     unit_m = resting.tracking_width_m[0]
     mean_area, area = statistics(lambda position_m: np.square(position_m[:2] / unit_m).sum(axis=0) / 2)
     lateral, axial = (statistics(functools.partial(_coordinate, axis, unit_m))[1] for axis in (0, 2))
@@ -67,8 +68,8 @@ def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
     """
     spec = spec_of(estimator)
     # Division by the carrier changes neither echo nor motion: draw as for division by the echo's own frequency.
-    drawn = REFERENCE_ESTIMATOR if spec.by_carrier else estimator
-    ratio = tracked_over_peak(resting, drawn, seeded_speckle(resting, SPECKLE_DRAWS))
+    ratio_estimator = REFERENCE_ESTIMATOR if spec.by_carrier else estimator
+    ratio = tracked_over_peak(resting, ratio_estimator, seeded_speckle(resting, SPECKLE_DRAWS))
     gate = TrackingGate(
         resting.tracking_width_m, resting.gate_length_m, resting.pulse_length_m, spec.gate_window == "hann"
     )

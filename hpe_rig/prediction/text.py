@@ -54,6 +54,7 @@ def averaging_text(scene: Scene) -> Iterator[str]:
     if all(averaging.factor == gaussian for averaging in averagings):
         yield f"beam averaging: {gaussian:.3f} of the peak is tracked, for the Gaussian motion of eq. (12)"
         return
+    # The lowest and the highest wanted frequency.
     lowest, highest = (
         f"{averagings[end].factor:.3f} ({math.degrees(averagings[end].phase_rad):.1f} deg)" for end in (0, -1)
     )

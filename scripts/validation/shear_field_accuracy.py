@@ -82,7 +82,7 @@ def reference(modulus: complex, frequency_hz: float, force: PushForce, lateral_m
     """Return the displacement per body force, m per N/m^3."""
     omega, along = 2 * mp.pi * frequency_hz, mp.mpf(force.along_m)
     q2, root = DENSITY * omega**2 / mp.mpc(modulus), along / mp.sqrt(2)
-    squares, shares = [mp.mpf(each) ** 2 for each in force.across_m], force.share
+    squares, shares = [mp.mpf(each) ** 2 for each in force.across_m], force.weights
     off = [(mp.mpf(axial_m) - centre) / (2 * root) for centre in force.centre_m]
 
     def of_station(kappa: mp.mpc, b: mp.mpf) -> mp.mpc:

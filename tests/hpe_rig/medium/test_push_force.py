@@ -61,7 +61,7 @@ def test_the_sum_of_gaussians_equals_the_intensity_within_the_force(force: PushF
 def test_motion_under_the_same_gaussians_equals_the_twins_to_1e_9(
     force: PushForce, mu1: float, mu2: float, offsets_m: np.ndarray
 ) -> None:
-    twin_force = GaussianSum(force.across_m, force.along_m, force.centre_m, force.share)
+    twin_force = GaussianSum(force.across_m, force.along_m, force.centre_m, force.weights)
     specimen = Specimen(shear_modulus_pa=mu1, shear_viscosity_pa_s=mu2)
     medium = HarmonicMedium.voigt(mu1, mu2, FREQUENCY_HZ)
     for axial_m in (0.0, 1.5e-3):

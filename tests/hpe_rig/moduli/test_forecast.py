@@ -58,7 +58,7 @@ def test_depths_are_counted_and_tell_more_but_for_what_they_share(tmp_path: Path
 def test_the_declared_medium_counts_before_the_twins_and_a_typical_one_where_neither_is() -> None:
     declared = forecast({"medium": {"shear_modulus_pa": 4e3, "shear_viscosity_pa_s": 0.5}})
     assert declared.values == pytest.approx((4e3, 0.5))
-    assert declared.known == "the declared medium"
+    assert declared.medium_source == "the declared medium"
     typical = forecast({"simulation.specimen.field": "gaussian"})
     assert typical.values == (9e3, 2.0)
     assert "a typical medium of 9 kPa and 2 Pa s" in str(typical)
