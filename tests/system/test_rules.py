@@ -320,8 +320,8 @@ def unlisted_modules(root: Path) -> list[str]:
     mistakes = []
     for init in sorted(file for package in PACKAGES for file in (root / package).rglob("__init__.py")):
         package, text = init.parent, ast.get_docstring(parsed(init.read_text(encoding="utf-8"))) or ""
-        # A module is listed as `name`, as name.py, or with others at the start of a line; a package may be name/.
-        groups = re.findall(r"(\w+)\.py\b|(\w+)/|`(\w+)`|^ +(\w+(?:, \w+)*) {2}", text, flags=re.MULTILINE)
+        # A module is listed as `name`, as name.py, or at the start of a line; a package may be name/.
+        groups = re.findall(r"(\w+)\.py\b|(\w+)/|`(\w+)`|^ *(\w+(?:, \w+)*) {2}", text, flags=re.MULTILINE)
         listed = {name for group in groups for name in ", ".join(group).split(", ")}
         modules = {file.stem for file in package.glob("*.py")}
         modules |= {inner.parent.name for inner in package.glob("*/__init__.py")}
