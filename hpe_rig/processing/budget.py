@@ -28,7 +28,7 @@ SPECKLE_KURTOSIS = 6.0
 
 @dataclass(frozen=True, slots=True)
 class ErrorSources:
-    """Error sources that are known besides the fit.
+    """Error sources that the fit does not contain.
 
     ``sound_speed_uncertainty``: relative; without a statement that of a scene's default. ``trigger_jitter_s``: root
     mean square; 0 if unknown, the residual then contains it as noise. ``subtracts_jitter``: the motion of a reference
@@ -73,7 +73,7 @@ def estimates_of(
 
     ``averaging`` (frequency,): predicted ratio of tracked to peak displacement, None if unknown. ``true_m`` (frequency,
     2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown. ``reference``: of the stated phases, None
-    for the physical time zero, from which ``fit`` and ``true_m`` count.
+    for the physical time zero of ``fit`` and ``true_m``.
     """
     count = fit.frequency_hz.size
     averagings = averaging if averaging is not None else (None,) * count

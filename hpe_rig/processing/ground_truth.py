@@ -1,6 +1,6 @@
 """Ground truth: amplitude and phase at the focus at exactly the wanted frequencies, independent of all other motion.
 
-For a prescribed motion they are those of its own components. For a specimen they are fitted to its motion at many
+For a prescribed motion they are those of its components. For a specimen they are fitted to its motion at many
 instants, not only at the pulses: short tonebursts drive frequencies far above half the pulse rate. Sampled at the
 pulses, these would alias onto the wanted ones in the truth as in the measurement, and no comparison would reveal the
 error.

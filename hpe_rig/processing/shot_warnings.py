@@ -16,9 +16,9 @@ from hpe_rig.result import DETECTED
 from hpe_rig.scene import Scene
 
 LARGE_STEP = 0.8
-"""Quarter wavelengths per pulse from which the phase may soon be ambiguous by a period of the carrier."""
+"""Largest step between pulses, in quarter wavelengths, without a warning; at 1 the phase becomes ambiguous."""
 LARGE_CONDITION = 10.0
-"""Condition number of the model from which a fit is reported as barely resolved."""
+"""Largest condition number of the model without a warning that the frequencies are barely resolved."""
 LATE_FRACTION = 0.02
 """Fraction of pulses after the last toneburst's period that is reported."""
 
@@ -91,13 +91,13 @@ def medium_warnings(fit: HarmonicFit, max_probability: float) -> Iterator[str]:
 
 
 def setting_warnings(scene: Scene, pulse_time_s: FloatArray, reference: Motion | None) -> Iterator[str]:
-    """Yield warnings of a window beyond the last toneburst, and of a reference gate whose echo moves."""
+    """Yield warnings of a window beyond the last toneburst, and of a moving echo in the reference gate."""
     excitation = scene.excitation
     if excitation is not None and excitation.burst_count > 1:
-        late = int((pulse_time_s > excitation.burst_count / excitation.burst_rate_hz).sum())
-        if late > LATE_FRACTION * pulse_time_s.size:
+        decaying = int((pulse_time_s > excitation.burst_count / excitation.burst_rate_hz).sum())
+        if decaying > LATE_FRACTION * pulse_time_s.size:
             yield (
-                f"{late} of {pulse_time_s.size} pulses come after the last toneburst's period, where the motion "
+                f"{decaying} of {pulse_time_s.size} pulses come after the last toneburst's period, where the motion "
                 "decays: shorten processing.window_length_s or raise excitation.burst_count"
             )
     if reference is not None and float(reference.largest_step) > LARGE_STEP:

@@ -43,9 +43,9 @@ def with_aliasing_error(
 ) -> HarmonicFit:
     """Add the aliasing covariance to ``fit``, and attach the fit corrected for the expected aliasing.
 
-    ``fit`` is ``fit_function`` of a displacement with the timing of ``motion`` (one pulse train), from which the prior
-    estimates the medium. The result's ``aliasing_corrected`` is ``fit`` minus E[e | data], with Cov[e | data]. Raises
-    ``ValueError`` if the pulses cannot constrain the prior (see ``medium_fit``).
+    ``fit`` is ``fit_function`` of a displacement with the timing of ``motion`` (one pulse train). ``motion`` and the
+    prior determine the medium. The result's ``aliasing_corrected`` is ``fit`` minus E[e | data], with Cov[e | data].
+    Raises ``ValueError`` if the pulses cannot constrain the prior (see ``medium_fit``).
     """
     prior_fit = medium_fit(motion, fit.frequency_hz, prior, background_order=background_order)
     evidence = prior_fit.evidence

@@ -41,7 +41,7 @@ class Innovations:
 
 @dataclass(frozen=True, slots=True)
 class MediumPosterior:
-    """What the motion says about the medium, from a fit with a prior of media.
+    """Posterior of the medium, given the motion, from a fit with a prior of media.
 
     ``significance`` (...): probability that a medium of the ensemble gives data as improbable as these.
     ``peak_over_tracked``, complex (..., frequency): peak displacement over tracked displacement.

@@ -24,7 +24,7 @@ from hpe_rig.processing.motion.displacement import Motion
 PRIOR = 1e10
 """Initial variance of a state over the measurement variance: a diffuse prior."""
 BLOCK = 16
-"""Pulses, or states if more, whose innovations come from one joint covariance."""
+"""Pulses, or states if more, in one joint covariance of innovations."""
 CHUNK = 10_000
 """Pulses processed at once."""
 FEW_STATES, MANY_PULSES = 8, 4096
@@ -105,7 +105,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     states = matrix.shape[1]
     values = data.reshape(-1, data.shape[-1]).T
     information = _Information(np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1])))
-    parts, start, well_conditioned = [], 0, not innovations
+    innovation_blocks, start, well_conditioned = [], 0, not innovations
     while start < len(matrix):
         # The first pulses form their own block, while the prior still contributes.
         first = innovations and start == 0
@@ -115,9 +115,11 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
         rows = slice(start, start + size)
         block, measured, start = matrix[rows], values[rows], rows.stop
         if first:
-            parts.append(_first_innovations(block, measured, prior))
+            innovation_blocks.append(_first_innovations(block, measured, prior))
         elif innovations:
-            parts.append((_innovations if well_conditioned else _block_innovations)(information, block, measured))
+            innovation_blocks.append(
+                (_innovations if well_conditioned else _block_innovations)(information, block, measured)
+            )
         information = _updated(information, block, measured, by_products=well_conditioned and innovations)
     root: FloatArray = np.asarray(np.linalg.inv(information.factor))
     state = root @ information.transformed
@@ -125,7 +127,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     # The sum of squared innovations equals residual plus prior term.
     squares = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
     shape = data.shape[:-1]
-    normalised = np.concatenate(parts).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
+    normalised = np.concatenate(innovation_blocks).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
     return Filtered(state.T.reshape(*shape, states), root, squares.reshape(shape), normalised)
 
 
@@ -143,7 +145,7 @@ def _updated(information: _Information, block: FloatArray, measured: FloatArray,
 
 
 def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatArray], prior: float) -> Filtered:
-    """Return the filtered state of a model whose states change by ``drive``, arrays (pulse, state, cause).
+    """Return the filtered state of a model with states that change by ``drive``, arrays (pulse, state, cause).
 
     The causes are independent and of unit variance. Potter's form keeps the covariance positive for every ratio of
     prior to noise.
@@ -173,7 +175,8 @@ def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> 
 
     Their joint covariance is prior H H' + 1 = R'R.
     """
-    # R by QR with the largest rows first: the product H H' would lose the noise, 1, beside the prior.
+    # R by QR with the largest rows first: the product H H' would lose the noise, 1, which is far smaller than the
+    # prior.
     stacked = np.vstack([np.sqrt(prior) * matrix.T, np.eye(len(matrix))])
     root: FloatArray = np.asarray(np.linalg.qr(stacked, mode="r"))
     return np.asarray(np.linalg.solve(root.T, values) * np.sign(np.diagonal(root))[:, None])
@@ -204,8 +207,8 @@ def _innovations(information: _Information, matrix: FloatArray, values: FloatArr
     if pulses <= size:
         return _block_innovations(information, matrix, values)
     factor, transformed = information.factor, information.transformed
-    whole = pulses // size * size
-    blocks, measured = matrix[:whole].reshape(-1, size, states), values[:whole].reshape(-1, size, values.shape[1])
+    covered = pulses // size * size
+    blocks, measured = matrix[:covered].reshape(-1, size, states), values[:covered].reshape(-1, size, values.shape[1])
     transposed = np.swapaxes(blocks, -1, -2)
     # Information and moment of each block, and their sums before each block.
     block_information, block_moment = transposed @ blocks, transposed @ measured
@@ -214,13 +217,13 @@ def _innovations(information: _Information, matrix: FloatArray, values: FloatArr
     solved = np.linalg.solve(np.linalg.cholesky(before), np.concatenate([transposed, moment], axis=-1))
     predicted = np.swapaxes(solved[..., :size], -1, -2)
     joint = np.linalg.cholesky(np.eye(size) + predicted @ solved[..., :size])
-    innovations = np.linalg.solve(joint, measured - predicted @ solved[..., size:]).reshape(whole, -1)
-    if whole == pulses:
+    innovations = np.linalg.solve(joint, measured - predicted @ solved[..., size:]).reshape(covered, -1)
+    if covered == pulses:
         return np.asarray(innovations)
     # The last, shorter block.
     root = np.linalg.cholesky(before[-1] + block_information[-1])
     last = _Information(np.asarray(root.T), np.linalg.solve(root, moment[-1] + block_moment[-1]))
-    return np.concatenate([innovations, _block_innovations(last, matrix[whole:], values[whole:])])
+    return np.concatenate([innovations, _block_innovations(last, matrix[covered:], values[covered:])])
 
 
 def _pulse_innovations(information: _Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
@@ -255,11 +258,11 @@ def _pulse_innovations(information: _Information, matrix: FloatArray, values: Fl
     return np.asarray((values - forecast) / np.sqrt(variance)[:, None])
 
 
-def _sum_before(one: FloatArray, other: FloatArray, start: FloatArray | float) -> FloatArray:
-    """Return ``start`` plus the sum of the products of ``one`` and ``other`` (pulse, ...) before each pulse."""
-    total = np.empty(other.shape)
+def _sum_before(factor_a: FloatArray, factor_b: FloatArray, start: FloatArray | float) -> FloatArray:
+    """Return ``start`` plus the sum of the products of ``factor_a`` and ``factor_b`` (pulse, ...) before each pulse."""
+    total = np.empty(factor_b.shape)
     total[0] = start
-    np.multiply(one[:-1], other[:-1], out=total[1:])
+    np.multiply(factor_a[:-1], factor_b[:-1], out=total[1:])
     return np.asarray(np.cumsum(total, axis=0, out=total))
 
 
@@ -267,7 +270,7 @@ def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tu
     """Return how unit noise enters before each valid pulse: into the harmonic states, and into the highest derivative.
 
     Both (pulse, state, cause). A jump w of the p-th derivative at time s adds w (t - s)^p / p! from then on. The filter
-    describes only the present, so the jump is added to its constant polynomial as a whole.
+    describes only the present, so the jump is added to its constant polynomial as a covered.
     """
     used = np.flatnonzero(motion.valid)
     gaps = np.sqrt(np.diff(used, prepend=used[0]))

@@ -40,7 +40,7 @@ PRIOR_WIDENING = 3.0
 DIFFUSE_STD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: a diffuse prior."""
 DRIFT_VARIANCE_RATIO = 4.0
-"""Residual variance over that of the step noise from which the residual counts as drift, not noise of the steps."""
+"""Residual variances larger than this, relative to the step noise, count as drift instead of noise of the steps."""
 MIN_RELATIVE_MOTION = 0.5
 """Smallest motion, relative to the rms motion of the probable members, that a relative change is divided by."""
 
@@ -90,7 +90,7 @@ def medium_fit(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
-    along = data @ projected.left
+    along = data @ projected.left_vectors
     evidence = evidence_of(projected, data, along)
     gain = _gain(projected, evidence)
     weights = projected.wanted_rows * gain[..., None, :]
@@ -98,12 +98,12 @@ def medium_fit(
     noise_m2 = evidence.total_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     degrees = evidence.degrees_of_freedom
     if motion.step_noise_ratio is not None:
-        residual = data - (shrinkage * along) @ projected.left.T
+        residual = data - (shrinkage * along) @ projected.left_vectors.T
         step_noise_ratio = np.asarray(motion.step_noise_ratio)
         noise_m2, degrees = _step_noise(projected, evidence, weights, shrinkage, residual, step_noise_ratio)
     aliasing_m2, member_errors = _aliasing(projected, weights, evidence)
     state = (gain * along) @ projected.wanted_rows.T
-    quality = FitQuality.of(evidence.variance_m2, degrees, len(projected.left))
+    quality = FitQuality.of(evidence.variance_m2, degrees, len(projected.left_vectors))
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
     fit = replace(fit, medium=medium_posterior(prior, evidence, fit, member_errors))
     return MediumFit(fit, noise_m2, aliasing_m2, evidence, shrinkage)
@@ -120,13 +120,13 @@ def _step_noise(
     """Return the noise covariance (..., state, state) of accumulated steps, and its degrees of freedom (...)."""
     white = weights @ np.swapaxes(weights, -1, -2)
     # The background is removed whole, each observed direction by its shrinkage.
-    columns = np.hstack([projected.background, projected.left])
+    columns = np.hstack([projected.background, projected.left_vectors])
     background_shrinkage = np.ones((*shrinkage.shape[:-1], projected.background.shape[1]))
     all_shrinkage = np.concatenate([background_shrinkage, shrinkage], axis=-1)
     energy, degrees = difference_noise_moments(columns, all_shrinkage, step_noise_ratio)
-    pulse_m2, step_noise_m2 = step_covariance(residual, step_noise_ratio, weights @ projected.left.T, energy)
+    pulse_m2, step_noise_m2 = step_covariance(residual, step_noise_ratio, weights @ projected.left_vectors.T, energy)
     # Differences between pulses do not contain slow drift such as creep: a residual far above the step noise counts.
-    explained_m2 = pulse_m2 * (1 + step_noise_ratio * len(projected.left) / 6)
+    explained_m2 = pulse_m2 * (1 + step_noise_ratio * len(projected.left_vectors) / 6)
     drifts = evidence.variance_m2 > DRIFT_VARIANCE_RATIO * explained_m2
     model_error_m2 = (evidence.total_m2 - evidence.variance_m2)[..., None, None] * white
     residual_noise_m2 = evidence.total_m2[..., None, None] * white
@@ -141,7 +141,7 @@ def fit_residual(
     shrinkage = medium_fit(motion, frequency_hz, prior, background_order=background_order).shrinkage
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
-    return np.asarray(data - (shrinkage * (data @ projected.left)) @ projected.left.T)
+    return np.asarray(data - (shrinkage * (data @ projected.left_vectors)) @ projected.left_vectors.T)
 
 
 def posterior_of_states(
@@ -154,7 +154,7 @@ def posterior_of_states(
     evidence = prior_fit.evidence
     projected = project_prior(prior, motion.time_s, motion.valid, prior_fit.fit.frequency_hz, background_order)
     # Independent deviations of the wanted harmonics are no directions of the prior: these states do not contain them.
-    rows = directions @ prior.root @ projected.right[:, : len(prior.root)].T
+    rows = directions @ prior.root @ projected.right_vectors[:, : len(prior.root)].T
     deviation = np.zeros((len(projected.deviation), len(directions)))
     deviation[: prior.deviation.size] = prior.deviation[:, None] * directions.T
     gain = _gain(projected, evidence)
@@ -163,7 +163,7 @@ def posterior_of_states(
     of_states = replace(projected, wanted_members=prior.members @ directions.T, wanted_deviation=deviation)
     aliasing_m2, member_errors = _aliasing(of_states, weights, evidence)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
-    return StatesPosterior((gain * (data @ projected.left)) @ rows.T, noise_m2 + aliasing_m2, member_errors)
+    return StatesPosterior((gain * (data @ projected.left_vectors)) @ rows.T, noise_m2 + aliasing_m2, member_errors)
 
 
 def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
@@ -225,7 +225,7 @@ def medium_kalman(
 def medium_posterior(
     prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, member_errors: FloatArray
 ) -> MediumPosterior:
-    """Return what the data say about the medium: moments over the members with their posterior probability.
+    """Return the posterior of the medium: moments over the members with their posterior probability.
 
     ``fit`` has the frequencies and amplitudes. ``member_errors`` (..., member, 2 * frequency): true minus estimated
     states of every member, of scale 1.
@@ -235,14 +235,15 @@ def medium_posterior(
     member_power_m2 = evidence.member_scale_m2[..., None] * prior.amplitude_m[:, indices] ** 2
     # The lower bound avoids 0/0 if nothing moves.
     mean_power_m2 = np.maximum(np.einsum("...m,...mf->...f", probability, member_power_m2), np.finfo(np.float64).tiny)
-    steepness = _parts(bounded_steepness(prior.steepness[:, indices], member_power_m2 / mean_power_m2[..., None, :]))
+    relative_power = member_power_m2 / mean_power_m2[..., None, :]
+    steepness = _real_imaginary(bounded_steepness(prior.steepness[:, indices], relative_power))
     mean_log_ratio = probability @ log_ratio
-    ratio_deviation = _parts(np.asarray(log_ratio - mean_log_ratio[..., None, :]))
+    ratio_deviation = _real_imaginary(np.asarray(log_ratio - mean_log_ratio[..., None, :]))
     # Aliasing error of each member relative to the fitted phasor; zero amplitudes have no relative error.
     phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
     errors = member_errors[..., ::2] + 1j * member_errors[..., 1::2]
     divisor_m = np.where(phasor_m == 0, np.inf, phasor_m)[..., None, :]
-    relative_errors = _parts(np.asarray(errors / divisor_m, np.complex128))
+    relative_errors = _real_imaginary(np.asarray(errors / divisor_m, np.complex128))
     error_weights = probability * np.sqrt(evidence.member_scale_m2)
     return MediumPosterior(
         significance=evidence.significance,
@@ -263,6 +264,6 @@ def bounded_steepness(steepness: ComplexArray, power: FloatArray) -> ComplexArra
     return np.asarray(steepness * np.minimum(1.0, np.sqrt(power) / MIN_RELATIVE_MOTION))
 
 
-def _parts(values: ComplexArray) -> FloatArray:
+def _real_imaginary(values: ComplexArray) -> FloatArray:
     """Return real and imaginary parts along a new last axis."""
     return np.stack([values.real, values.imag], axis=-1)

@@ -239,7 +239,7 @@ def pulse_rate_hz(time_s: FloatArray) -> float:
 
 
 def aliased_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the frequencies, from 0 to half the rate, at which sampling at ``rate_hz`` puts ``frequency_hz``."""
+    """Return the alias frequencies, from 0 to half the rate, of ``frequency_hz`` sampled at ``rate_hz``."""
     return np.asarray(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)))
 
 

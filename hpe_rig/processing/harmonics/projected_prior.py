@@ -30,10 +30,10 @@ RANK_TOLERANCE = 1e-10
 class ProjectedPrior:
     """A prior of media at the valid pulses of one train, as the decomposition A F = U diag(l) V'.
 
-    ``left`` (pulse, rank) is U, ``value`` (rank,) is l, ``right`` (rank, column of F) is V'.
+    ``left_vectors`` (pulse, rank) is U, ``value`` (rank,) is l, ``right_vectors`` (rank, column of F) is V'.
     ``wanted_rows`` (wanted state, rank): F V, from coordinates along V to the wanted states.
     ``members`` (member, rank): motion of every member in coordinates along U. ``wanted_members`` (member, wanted
-    state). ``deviation`` and ``wanted_deviation``: the same for each independent deviation from the ensemble's span.
+    state). ``deviation`` and ``wanted_deviation``: as members, for each independent deviation from the ensemble's span.
     ``background`` (pulse, order + 1): orthonormal columns of the background.
     ``hidden_variance_factor``: see ``hidden_variance_factor()``.
 
@@ -41,9 +41,9 @@ class ProjectedPrior:
     for each pulse, ``wanted_factor`` (wanted state, column of F) is F of the wanted states.
     """
 
-    left: FloatArray
+    left_vectors: FloatArray
     value: FloatArray
-    right: FloatArray
+    right_vectors: FloatArray
     wanted_rows: FloatArray
     members: FloatArray
     wanted_members: FloatArray
@@ -93,19 +93,19 @@ def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[i
     centred = factor - background[first] @ ((count * background[first]).T @ factor)
     # The triangle of a QR decomposition has the same singular values as all pulses, at far less work; U follows from
     # it.
-    _, value, right = np.linalg.svd(np.linalg.qr(np.sqrt(count) * centred, mode="r"))
+    _, value, right_vectors = np.linalg.svd(np.linalg.qr(np.sqrt(count) * centred, mode="r"))
     observed = value > RANK_TOLERANCE * value[0]
-    value, right = value[observed], right[: observed.size][observed]
-    left = centred @ (right.T / value)
-    along = directions.T @ (count * left)  # motion of each direction along U
+    value, right_vectors = value[observed], right_vectors[: observed.size][observed]
+    left_vectors = centred @ (right_vectors.T / value)
+    along = directions.T @ (count * left_vectors)  # motion of each direction along U
     return ProjectedPrior(
-        left=left[repeats],
+        left_vectors=left_vectors[repeats],
         value=value,
-        right=right,
-        wanted_rows=wanted_factor @ right.T,
+        right_vectors=right_vectors,
+        wanted_rows=wanted_factor @ right_vectors.T,
         members=prior.members @ along,
         wanted_members=prior.members @ basis.T,
-        deviation=np.vstack([prior.deviation[:, None] * along, sampled_deviation.T @ (count * left)]),
+        deviation=np.vstack([prior.deviation[:, None] * along, sampled_deviation.T @ (count * left_vectors)]),
         wanted_deviation=np.vstack([prior.deviation[:, None] * basis.T, wanted_deviation]),
         background=background,
         hidden_variance_factor=hidden_variance_factor(int(valid.sum()), prior.instant_count(time_s[valid]), value.size),

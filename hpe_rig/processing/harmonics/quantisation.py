@@ -29,7 +29,7 @@ from hpe_rig.processing.harmonics.model import background_columns, harmonic_colu
 from hpe_rig.processing.motion.displacement import Motion
 
 DITHER_CODES = 0.6
-"""Noise of a sample, in codes, from which less than a thousandth of the sawtooth's first harmonic remains."""
+"""Noise of a sample, in codes, that leaves less than a thousandth of the sawtooth's first harmonic."""
 HARMONICS = 8
 """Harmonics of the sawtooth: without noise the higher ones have 7 % of its power, with noise of 0.1 codes none."""
 BISECTIONS = 30
@@ -64,7 +64,7 @@ def quantisation_m(
         # The part of the wave that the fit does not absorb is in the residual, hence in the noise: subtracted here.
         in_residual = (pulses - np.sum(np.abs(wave @ basis) ** 2, axis=1)) / max(pulses - states, 1)
         beyond_noise = np.abs(wave @ weights.T) ** 2 - in_residual[:, None] * white
-        # The factor 1/2 of the mean over all voltages at which a sample may lie is in harmonic_v2.
+        # harmonic_v2 is the mean over all voltages that a sample may have.
         variance += (slope**2 @ (harmonic_v2 * beyond_noise)).reshape(variance.shape)
     samples = echoes.gate_samples / slope.size
     along, across = (np.sqrt(np.maximum(variance, 0.0) / samples) / np.sum(slope**2)).T.tolist()

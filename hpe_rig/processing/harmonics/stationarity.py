@@ -22,7 +22,7 @@ from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.result import student_widening
 
 MIN_SHRINKAGE = 0.01
-"""Shrinkage of a direction from which a fit with a prior counts as having fitted it."""
+"""Directions with at least this shrinkage count as fitted by a fit with a prior."""
 SUSPICIOUS_U = 5.0
 """Change in standard uncertainties that is reported."""
 SUSPICIOUS_CHANGE = 0.1
@@ -66,7 +66,7 @@ def drift_between_halves(
         projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
         prior_fit = medium_fit(motion, frequency_hz, prior, background_order=background_order)
         fitted = np.any(prior_fit.shrinkage.reshape(-1, projected.value.size) > MIN_SHRINKAGE, axis=0)
-        basis = np.hstack([projected.background, projected.left[:, fitted]])
+        basis = np.hstack([projected.background, projected.left_vectors[:, fitted]])
         columns, mean_state = harmonic_columns(motion.time_s, frequency_hz)[motion.valid], prior_fit.fit.state
     return _drift(motion, frequency_hz, columns, basis, mean_state)
 

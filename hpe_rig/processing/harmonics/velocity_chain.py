@@ -1,7 +1,7 @@
 """Slow-time chain of the paper: velocity -> D = v/w -> band-pass -> Hann window -> Kalman filter -> times 2.
 
 Each frequency is processed on its own. Every step is linear in the velocities, so the chain's response to a unit
-sinusoid, a 2-by-2 matrix, gives the factor on amplitude and phase; its inverse removes that factor. For whole cycles
+sinusoid, a 2-by-2 matrix, gives the factor on amplitude and phase; its inverse removes that factor. For unfitted cycles
 the factor is the mean of the Hann window, 1/2, and its inverse is the paper's "times 2"; for other lengths the inverse
 is exact too.
 
@@ -40,7 +40,7 @@ PAPER = Steps()
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 49)])
 """Ratios of interval noise to pulse noise that are tried, both as variance of a displacement step."""
 LIKELIHOOD_GAIN = 3.3
-"""Gain in log-likelihood from which interval noise is included: 1 % false alarms (chi-square, 1 degree of freedom)."""
+"""Smallest gain in log-likelihood that includes interval noise: 1 % false alarms (chi-square, 1 degree of freedom)."""
 MIN_BINS = 12
 """Number of free bins below which no interval noise is estimated."""
 
@@ -177,7 +177,7 @@ def _velocity_to_displacement(f: float, interval_s: float) -> FloatArray:
 def _fill_columns(model: LinearModel, valid: BoolArray, background: slice) -> FloatArray:
     """Return the columns (interval, state) that ``_filled`` adds, times the fitted states.
 
-    At missing velocities: the whole model except the ``background``. At valid ones: minus the background.
+    At missing velocities: the unfitted model except the ``background``. At valid ones: minus the background.
     """
     columns = np.where(valid[:, None], 0.0, model.every_pulse)
     columns[:, background] = np.where(valid[:, None], -model.every_pulse[:, background], 0.0)
@@ -206,8 +206,8 @@ def velocity_noise(
     interval. That is estimated from the residual's spectrum outside ``frequency_hz`` (Whittle likelihood); it is 0
     unless it is significant. Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite, 1946).
     """
-    # Pulse noise only: white noise, differenced, minus what the fit has absorbed. The expected energy is the trace over
-    # the complement of the orthonormal columns q of the model.
+    # Pulse noise only: white noise, differenced, minus the part that the fit absorbs. The expected energy is the trace
+    # over the complement of the orthonormal columns q of the model.
     q = model.matrix @ model.root
     residual = np.zeros(velocity.velocity_m_per_s.shape)
     residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
@@ -231,8 +231,8 @@ def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, inte
     """
     kq = np.diff(over_pulses)[:, valid] / interval_s
     # tr K K - 2 tr q'K K q + tr (q'K q)²
-    whole = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
-    trace = whole - 2 * np.sum(kq**2) + np.sum((kq @ q) ** 2)
+    unfitted = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
+    trace = unfitted - 2 * np.sum(kq**2) + np.sum((kq @ q) ** 2)
     return max(float(trace), np.finfo(np.float64).tiny)
 
 

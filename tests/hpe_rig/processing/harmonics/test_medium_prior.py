@@ -494,8 +494,8 @@ def test_pulses_that_come_again_are_seen_as_each_alone(order: int) -> None:
     factor = np.hstack([rows @ PRIOR.root, own * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
     np.testing.assert_allclose(seen.factor[seen.repeats], factor, atol=1e-12 * np.abs(factor).max())
     moving = factor - seen.background @ (seen.background.T @ factor)
-    np.testing.assert_allclose((seen.left * seen.value) @ seen.right, moving, atol=1e-9 * seen.value[0])
-    np.testing.assert_allclose(seen.left.T @ seen.left, np.eye(seen.value.size), atol=1e-4)
+    np.testing.assert_allclose((seen.left_vectors * seen.value) @ seen.right_vectors, moving, atol=1e-9 * seen.value[0])
+    np.testing.assert_allclose(seen.left_vectors.T @ seen.left_vectors, np.eye(seen.value.size), atol=1e-4)
 
 
 @pytest.mark.parametrize("watched", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
@@ -505,7 +505,7 @@ def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(
     _, first, again = np.unique(instant, return_index=True, return_inverse=True)
     shared = np.random.default_rng(9).standard_normal((400, first.size))[:, again]
     shared -= (shared @ seen.background) @ seen.background.T
-    left = shared - (shared @ seen.left) @ seen.left.T
+    left = shared - (shared @ seen.left_vectors) @ seen.left_vectors.T
     freedom = instant.size - 1 - seen.value.size
     residual = np.mean(np.sum(left**2, axis=-1)) / freedom
     # all of it: of the mean over an instant's pulses, counted for each as if they were independent
