@@ -70,7 +70,7 @@ def test_an_earlier_run_is_replaced_once_a_record_has_arrived(tmp_path: Path) ->
     assert [item.name for item in tmp_path.glob("*.h5")] == ["run.h5"]
 
 
-def test_those_that_are_there_are_made_safe_where_another_cannot_be_reached(
+def test_reachable_instruments_are_made_safe_if_another_cannot_be_reached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup = prepare("bovine-muscle-synchronous")
@@ -82,22 +82,22 @@ def test_those_that_are_there_are_made_safe_where_another_cannot_be_reached(
             worlds[0].connect(role).write("OUTP 1")
         return worlds[0]
 
-    instrument = opening.Reach.instrument
+    instrument = opening.Connections.instrument
 
-    def nobody(reached: opening.Reach, role: str, bench: object) -> object:
+    def without_burst_train(connections: opening.Connections, role: str, bench: object) -> object:
         if role == "burst_train":
             raise InstrumentError(role, "cannot open", "the address is wrong", "correct it")
-        return instrument(reached, role, bench)  # type: ignore[arg-type]
+        return instrument(connections, role, bench)  # type: ignore[arg-type]
 
     monkeypatch.setattr(opening, "_world", left_on)
-    monkeypatch.setattr(opening.Reach, "instrument", nobody)
+    monkeypatch.setattr(opening.Connections, "instrument", without_burst_train)
     with pytest.raises(InstrumentError, match="burst_train: cannot open") as caught:
         record_run(setup, tmp_path / "run.h5")
     assert not any(worlds[0].outputs_on().values())
     assert any("not proven off: burst_train: look" in note for note in caught.value.__notes__)
 
 
-def test_a_missing_driver_is_named_as_what_it_is(tmp_path: Path, metal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_driver_is_named(tmp_path: Path, metal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(NoVisaError, match="no VISA driver for GPIB is installed") as caught:
         VisaConnection("GPIB0::10::INSTR", backend="@py")
     assert "NI-VISA or Keysight IO Libraries, or linux-gpib" in caught.value.remedy
@@ -105,5 +105,5 @@ def test_a_missing_driver_is_named_as_what_it_is(tmp_path: Path, metal: Path, mo
     metal.write_text(text, encoding="utf-8")
     done = rig(tmp_path, monkeypatch, "run", "bovine-muscle", "--bench", str(metal))
     assert done.exit_code == 1
-    assert "lacks the driver for such an address, which may be right. Try: install NI-VISA" in done.stderr
+    assert "has no driver for such an address, which may be right. Try: install NI-VISA" in done.stderr
     assert "the address, the cable or the power is wrong" not in done.stderr
