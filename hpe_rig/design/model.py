@@ -29,7 +29,7 @@ from hpe_rig.processing import EchoGate, band_frequencies_hz
 from hpe_rig.scene import Mistake, Scene, SettingsError
 
 CELLS = 256
-"""Depth cells in which scatterers are summed: 23 um for the paper's beam, a tenth of a three-cycle pulse."""
+"""Depth cells for the sum over scatterers: 23 um for the paper's beam, a tenth of a three-cycle pulse."""
 LOG_WIDTH_STEP = 0.05
 """Step of the grid of beam widths, in logarithms: interpolation on it has an error of 1e-4 of the peak."""
 _SCATTERING_FIELDS = ("excitation_width_m", "tracking_width_m", "scatterers_per_m3")

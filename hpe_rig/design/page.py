@@ -19,7 +19,7 @@ from hpe_rig.result import Colour, Picture, label_decades, legend, panel, pictur
 from hpe_rig.store import versions
 
 CURVE_POINTS = 33
-"""Values of a number at which the goal is computed."""
+"""Values of a number for the curve of the goal."""
 
 
 @dataclass(frozen=True, slots=True)

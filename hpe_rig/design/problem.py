@@ -41,7 +41,7 @@ FINAL_SEED = 1
 SIDE_WEIGHT = 1e-6
 """Weight of the logarithm of the second goal: time for jitter or bias, jitter for time. It only breaks ties."""
 INFEASIBLE_COST = 100.0
-"""Cost from which on a candidate violates a limit; logarithms of jitters and times stay far below."""
+"""Minimum cost of a candidate that violates a limit; logarithms of jitters and times stay far below."""
 
 Values = Mapping[KeyPath, Number]
 
@@ -131,7 +131,7 @@ class Problem:
         return INFEASIBLE_COST + excess if excess > 0 else self.measure(candidate)
 
     def excess(self, candidate: Candidate) -> dict[str, float]:
-        """Return the factor by which a candidate exceeds each limit that it violates."""
+        """Return the value over the limit for each limit that a candidate violates."""
         assert candidate.plan is not None  # noqa: S101
         ratios = {"time": candidate.plan.duration_s / self.constraints.longest_s}
         if self.constraints.target_m is not None and self.goal != "jitter":

@@ -19,7 +19,7 @@ POPULATION, GENERATIONS = 10, 30
 MIN_STEP = 1e-4
 """Last step of the pattern search relative to the range."""
 NEIGHBOUR_STEP = 0.01
-"""Step relative to the range at which the limits of the best scene are tested."""
+"""Step relative to the range for the test of the limits of the best scene."""
 OTHER_SPACE = "other bounds with --bound, or more keys in --over"
 
 
@@ -101,7 +101,7 @@ def _pattern_search(problem: Problem, position: FloatArray) -> FloatArray:
 
 
 def _directions(variables: int) -> list[FloatArray]:
-    """Return the directions along every variable, and those in which a pair changes in equal or opposite sense."""
+    """Return the directions along every variable, and of equal or opposite change of every pair."""
     axes = np.eye(variables)
     pairs = [one + sign * other for one, other in itertools.combinations(axes, 2) for sign in (1, -1)]
     return [sign * axis for axis in (*axes, *pairs) for sign in (1, -1)]

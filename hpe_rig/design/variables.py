@@ -189,7 +189,7 @@ def _default_bounds(key: Key, scene: Scene, bench: BenchFile, longest_s: float) 
 
 
 def _max_pulse_rate_hz(scene: Scene) -> float:
-    """Return the pulse rate at which the echo of the gate's far end arrives with the next pulse."""
+    """Return the pulse rate with a period equal to the delay of the echo from the gate's far end."""
     acquisition = scene.acquisition
     return acquisition.sound_speed_m_per_s / (2 * acquisition.gate_depth_m + acquisition.gate_length_m)
 

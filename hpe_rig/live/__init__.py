@@ -1,15 +1,15 @@
 """Live page of a run, a queue or an alignment, on this machine only.
 
-process.py     the page's own process, so that no browser holds up a run: ``live_page_of``, ``serve_run``, ``open_page``
-server.py      loopback, a token in the address, a task a viewer
-source.py      run file -> state
-queue_source.py  a queue's list and the file of the run that goes on -> state
-history.py     amplitudes over shots, time left, warnings
-alignment.py   single tracking shots -> state: ``align``, ``without_pushing``
-state.py       state as small plain values for JSON
-live.html      the page
+    state.py         state as small plain values for JSON
+    history.py       amplitudes over shots, remaining time, warnings
+    source.py        run file -> state
+    queue_source.py  a queue and the file of its current run -> state
+    server.py        loopback server with a token in the address and a task for each viewer
+    alignment.py     single tracking shots -> state: `align`
+    process.py       the page's separate process, so that no browser delays a run: `live_page_of`, `serve_run`
+    live.html        the page
 
-Others use these functions, and ``PageProcess``, what ``live_page_of`` yields.
+The command line uses these functions.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Alignment of the focus on the specimen: single tracking shots, no toneburst, repeated until stopped."""
+"""Alignment of the focus on the specimen: single tracking shots without tonebursts, repeated until stopped."""
 
 from __future__ import annotations
 
@@ -22,37 +22,37 @@ from hpe_rig.report import EchoView, echo_view
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import ShotRecords, StoreError, assemble
 
-LONGEST_MEMORY = 240
-"""Single shots that the M-mode image holds."""
+MAX_SHOTS = 240
+"""Single shots in the M-mode image."""
 SHOT_PERIOD_S = 0.05
-"""Twenty single shots a second are as many as an eye follows."""
+"""Twenty single shots a second: the eye follows no more."""
 
 BAND_PERCENT = (10.0, 80.0)
-"""Share of full scale in which the largest echo in the gate is to be: below, bits are wasted; above, echoes clip."""
+"""Range of the largest echo in the gate, % of full scale: below it bits are unused, above it echoes clip."""
 
-ABOUT_VIBRATION = ("pulse count", "frequencies", "aliasing", "resolution", "synchronous")
-"""Checks of a plan that ask whether a vibration can be estimated: no question for a single pulse."""
+VIBRATION_CHECKS = ("pulse count", "frequencies", "aliasing", "resolution", "synchronous")
+"""Checks of whether a vibration can be estimated, which do not apply to a single pulse."""
 
 
 def without_pushing(setup: Setup) -> Setup:
-    """Return ``setup`` with one tracking pulse a shot and no toneburst; raise ``PlanError`` where it cannot run."""
+    """Return ``setup`` with one tracking pulse for each shot and no toneburst; raise ``PlanError`` if it cannot run."""
     scene = setup.scene.scene
     tracking = scene.tracking.model_copy(update={"pulse_count": 1})
     processing = scene.processing.model_copy(
         update={"frequencies_hz": None, "window_start_s": 0.0, "window_length_s": None, "synchronous": False}
     )
     acquisition = scene.acquisition.model_copy(update={"repeats": 1, "shot_period_s": None})
-    parts = {"excitation": None, "tracking": tracking, "processing": processing, "acquisition": acquisition}
-    single = scene.model_copy(update=parts)
+    sections = {"excitation": None, "tracking": tracking, "processing": processing, "acquisition": acquisition}
+    single = scene.model_copy(update=sections)
     bench = setup.bench.bench
     plan = make_plan(single, bench)
-    found = tuple(item for item in check_plan(single, bench, plan) if item.check not in ABOUT_VIBRATION)
-    refuse_conflicts(found)
-    return Setup(replace(setup.scene, scene=single), setup.bench, plan, found)
+    results = tuple(result for result in check_plan(single, bench, plan) if result.check not in VIBRATION_CHECKS)
+    refuse_conflicts(results)
+    return Setup(replace(setup.scene, scene=single), setup.bench, plan, results)
 
 
 def band_percent(text: str) -> tuple[float, float]:
-    """Return the band that ``text`` names in percent of full scale, such as 10:80; raise ``SettingsError``."""
+    """Return the limits in percent of full scale of a text such as 10:80; raise ``SettingsError`` for others."""
     low, _, high = text.partition(":")
     with contextlib.suppress(ValueError):
         if 0 <= float(low) < float(high) <= 100:
@@ -65,7 +65,7 @@ def band_percent(text: str) -> tuple[float, float]:
 
 @final
 class AlignSource:
-    """The single shots so far; written by the thread that acquires, read by the one that serves."""
+    """The last single shots; the acquiring thread writes them, the serving thread reads them."""
 
     def __init__(
         self, scene: Scene, shot: Shot, simulated: bool, band_percent: tuple[float, float] = BAND_PERCENT
@@ -73,30 +73,30 @@ class AlignSource:
         self._scene, self._shot, self._simulated, self._band = scene, shot, simulated, band_percent
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self._lines: deque[FloatArray] = deque(maxlen=LONGEST_MEMORY)
-        self._levels: deque[State] = deque(maxlen=LONGEST_MEMORY)
+        self._lines: deque[FloatArray] = deque(maxlen=MAX_SHOTS)
+        self._levels: deque[State] = deque(maxlen=MAX_SHOTS)
         self._highest_percent = 0.0
         self._view: EchoView | None = None
-        self._shots, self._sent, self._status = 0, -1, "running"
+        self._version, self._sent, self._status = 0, -1, "running"
 
     @property
     def stopped(self) -> bool:
-        """Whether somebody has asked for a stop."""
+        """Whether a stop was requested."""
         return self._stop.is_set()
 
     def stop(self) -> None:
-        """Ask for a stop after the shot that is running."""
+        """Request a stop after the current shot."""
         self._stop.set()
 
     def pause(self) -> None:
-        """Refuse: single shots follow one another until stopped."""
-        raise StoreError("an alignment is not paused. Try: stop it, and start it again.")
+        """Raise ``StoreError``: an alignment has no pause."""
+        raise StoreError("an alignment cannot be paused. Try: stop it, and start it again.")
 
     def put(self, records: ShotRecords) -> None:
-        """Take one single shot's records."""
+        """Add the records of one single shot."""
         view = echo_view(self._scene, self._shot, records)
         with self._lock:
-            self._shots += 1
+            self._version += 1
             if view is not None:
                 level = level_state(view, self._shot.capture.input_range_v)
                 self._view = view
@@ -105,16 +105,16 @@ class AlignSource:
                 self._highest_percent = max(self._highest_percent, 100 * level["of_full_scale"])
 
     def end(self, status: str) -> None:
-        """Say how it ended, once every output is off."""
+        """Set the final status, once every output is off."""
         with self._lock:
-            self._shots, self._status = self._shots + 1, status
+            self._version, self._status = self._version + 1, status
 
     def poll(self) -> State | None:
-        """Return the last shot's RF line and the gate over the last shots; None where nothing is new."""
+        """Return the last RF line and the gate over the last shots; None without a new shot."""
         with self._lock:
-            if self._shots == self._sent:
+            if self._version == self._sent:
                 return None
-            self._sent, view, lines, status = self._shots, self._view, list(self._lines), self._status
+            self._sent, view, lines, status = self._version, self._view, list(self._lines), self._status
             levels, highest_percent = list(self._levels), self._highest_percent
         state: State = {
             "mode": "align",
@@ -125,9 +125,9 @@ class AlignSource:
             "shot": len(lines) if status != "running" else self._sent,
         }
         if view is None:
-            return state | {"why": "no record has arrived yet"}
-        image_v = np.full((view.image_depth_m.size, LONGEST_MEMORY), np.nan)
-        image_v[:, LONGEST_MEMORY - len(lines) :] = np.array(lines).T
+            return state | {"why": "no record has arrived so far"}
+        image_v = np.full((view.image_depth_m.size, MAX_SHOTS), np.nan)
+        image_v[:, MAX_SHOTS - len(lines) :] = np.array(lines).T
         return state | {
             "rf": rf_state(view),
             "trend_percent": [round(100 * level["of_full_scale"], 2) for level in levels],
@@ -135,15 +135,15 @@ class AlignSource:
             "band_percent": self._band,
             "verdict": band_verdict(levels[-1], self._band),
             "level": levels[-1],
-            "image": image_state(image_v, view.image_depth_m, float(LONGEST_MEMORY), "shots"),
+            "image": image_state(image_v, view.image_depth_m, float(MAX_SHOTS), "shots"),
         }
 
 
 def align(setup: Setup, port: int, announce: Callable[[str], None], band: tuple[float, float] = BAND_PERCENT) -> int:
-    """Repeat single tracking shots and show them until stopped from the page or by Ctrl-C; outputs are off after each.
+    """Repeat single tracking shots and display them until a stop from the page or Ctrl-C; return their number.
 
-    Returns the number of shots. ``setup`` as ``without_pushing`` returns it; ``announce`` gets the page's address;
-    ``band``: share of full scale in which the echo is to be, in percent.
+    Outputs are off after each shot. ``setup`` is that of ``without_pushing``, ``announce`` receives the page's address,
+    ``band`` is the target range of the echo in % of full scale.
     """
     source = AlignSource(setup.scene.scene, setup.plan.shots[0], setup.bench.bench.simulated, band)
     page = LivePage(source, port)

@@ -1,4 +1,4 @@
-"""Process that serves the live page of a run from its file, so that no browser can hold up the run."""
+"""Process that serves the live page of a run from its file, so that no browser can delay the run."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from hpe_rig.measurement import read_queue
 from hpe_rig.store import StoreError, read_run, reason
 
 START_S = 20.0
-"""How long a page may take to start before the run goes on without it."""
+"""Time that a page may take to start before the run continues without it."""
 GRACE_S = 15.0
-"""Longest time for the last state to be read and to reach every viewer; it ends as soon as it has."""
+"""Maximum time for the last state to reach every viewer."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageProcess:
-    """The page of a run: where it is, and whether somebody has closed it."""
+    """The page of a run: its address, and whether it was closed."""
 
     address: str
     is_closed: Callable[[], bool]
@@ -35,13 +35,13 @@ class PageProcess:
 def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: bool = False) -> None:
     """Print the address of the live page of ``run_file`` and serve it until Ctrl-C or the page's own button.
 
-    ``run_file`` may be the folder of a queue: its page shows one run after another. ``opened``: in the browser too.
-    ``attached``: until standard input ends, which is when the process that started this one does. Only then is a file
-    waited for that is not there yet. Raises ``StoreError`` where there is none, or one that is no run file.
+    ``run_file`` may be the folder of a queue, for the runs in succession. ``opened``: open a browser too. ``attached``:
+    serve until standard input ends, with the parent process, and wait for a file that does not exist yet. Otherwise
+    raises ``StoreError`` if there is no run file.
     """
-    # A run that starts its own page may be about to replace the file.
+    # A parent process that measures may be about to replace the file.
     if not attached:
-        _refuse_never(run_file)
+        _require_run(run_file)
     source = QueueSource(run_file) if run_file.is_dir() else RunSource(run_file)
     page = LivePage(source, port)
     print(page.address, flush=True)
@@ -55,23 +55,23 @@ def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: boo
 
 @contextlib.contextmanager
 def live_page_of(run_file: Path, port: int = 0) -> Iterator[PageProcess]:
-    """Start the live page of ``run_file``, or of a queue's folder, in its own process and yield it; end it afterwards.
+    """Start the live page of ``run_file``, or of a queue's folder, in a separate process; end it on leaving.
 
-    Raises ``StoreError`` where it does not start.
+    Raises ``StoreError`` if it does not start.
     """
     command = [sys.executable, "-P", "-m", "hpe_rig", "live", str(run_file), "--port", str(port), "--attached"]
-    # Not from the working directory (-P), where a folder may have the name of a package of ours.
+    # -P excludes the working directory, which may contain a folder with the name of one of these packages.
     packages = str(Path(__file__).parents[2])
     paths = filter(None, (packages, os.environ.get("PYTHONPATH", "")))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    # A group of its own: Ctrl-C ends the run first, and the page shows how it ended.
+    # A separate process group: Ctrl-C ends the run first, and the page displays its final state.
     windows = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
-    apart: dict[str, Any] = {
+    options: dict[str, Any] = {
         "start_new_session": os.name == "posix",
         "creationflags": windows,
         "env": environment,
     }
-    child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **apart)  # noqa: S603
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)  # noqa: S603
     try:
         yield PageProcess(_address(child), lambda: child.poll() is not None)
     finally:
@@ -86,7 +86,7 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[PageProcess]:
 
 
 def open_page(address: str) -> bool:
-    """Open ``address`` in the user's browser and return whether there is one; a browser must not hold up a run."""
+    """Open ``address`` in the user's browser, in a thread; return whether a browser exists."""
     import webbrowser
 
     try:
@@ -98,25 +98,30 @@ def open_page(address: str) -> bool:
 
 
 def _address(child: subprocess.Popen[str]) -> str:
-    found: list[str] = []
+    """Return the address that the page's process prints; raise ``StoreError`` after ``START_S``."""
+    lines: list[str] = []
 
     def read() -> None:
-        found.append(child.stdout.readline().strip() if child.stdout is not None else "")
+        lines.append(child.stdout.readline().strip() if child.stdout is not None else "")
 
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
     reader.join(START_S)
-    if not found or not found[0].startswith("http"):
-        raise StoreError("the live page did not start. Try: hpe-rig live RUN.h5 by hand, which says why.")
-    return found[0]
+    if not lines or not lines[0].startswith("http"):
+        raise StoreError(
+            "the live page did not start. Try: hpe-rig live RUN.h5 in another terminal, which states the reason."
+        )
+    return lines[0]
 
 
-def _refuse_never(run_file: Path) -> None:
-    """Raise ``StoreError`` where ``run_file`` is no run file, or is not there: a slip would be waited for."""
+def _require_run(run_file: Path) -> None:
+    """Raise ``StoreError`` unless ``run_file`` is a run file or queue: the page would wait for a mistyped path."""
     try:
         run_file.stat()
     except OSError as error:
-        remedy = "the path of a run file, once the run has begun; hpe-rig run SCENE --live shows it from the start"
+        remedy = (
+            "the path of a run file, after the start of the run; hpe-rig run SCENE --live displays it from the start"
+        )
         raise StoreError(f"no run can be followed at {run_file} ({reason(error)}). Try: {remedy}.") from None
     if run_file.is_dir():
         read_queue(run_file)

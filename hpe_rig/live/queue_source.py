@@ -1,4 +1,4 @@
-"""State of a queue: of the run that goes on, read from its file, with which of how many it is and when all are done."""
+"""State of a queue: the state of the current run, its number in the queue, and the remaining time of all runs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from hpe_rig.live.state import State
 from hpe_rig.measurement import QUEUE_FILE, QueueRun, read_queue, time_left_s, write_stop
 from hpe_rig.store import StoreError
 
-LONGEST_BETWEEN_S = 2.0
-"""Time without a run that goes on after which a queue has ended; from one run to the next takes milliseconds."""
+MAX_GAP_S = 2.0
+"""Time without an active run after which a queue has ended; the gap between runs takes milliseconds."""
 
 
 @final
 class QueueSource:
-    """A queue's folder, in which another process measures one run after another."""
+    """The folder of a queue that another process measures."""
 
     def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        """Take ``folder``; raises nothing: what cannot be read is said in the state."""
+        """Follow ``folder``; the state reports a queue that cannot be read."""
         self._folder, self._clock = folder, clock
         self._queue: tuple[QueueRun, ...] = ()
         self._file = ""
@@ -31,7 +31,7 @@ class QueueSource:
         self._ended = False
 
     def poll(self) -> State | None:
-        """Return the state; None where neither the list nor the run's file has changed."""
+        """Return the state; None if neither the list nor the run file has changed."""
         try:
             queue = read_queue(self._folder)
         except StoreError as error:
@@ -40,14 +40,14 @@ class QueueSource:
         if queue[index].run_file != self._file:
             self._file = queue[index].run_file
             self._run, self._state = RunSource(self._folder / self._file), {}
-        new, ended = self._run.poll(), self._has_ended(queue)
-        if new is None and (queue, ended) == (self._queue, self._ended):
+        run_state, ended = self._run.poll(), self._has_ended(queue)
+        if run_state is None and (queue, ended) == (self._queue, self._ended):
             return None
-        self._queue, self._ended, self._state = queue, ended, self._state if new is None else new
-        return self._state | _of_queue(queue, index, ended, self._state)
+        self._queue, self._ended, self._state = queue, ended, self._state if run_state is None else run_state
+        return self._state | _queue_state(queue, index, ended, self._state)
 
     def stop(self) -> None:
-        """Ask the run that goes on to stop, and with it the queue; between two runs the queue, before the next one."""
+        """Request a stop of the current run and of the queue; between runs the queue stops before the next one."""
         if self._ended:
             raise StoreError(f"the queue in {self._folder} has ended: there is nothing to stop. Try: reload the page.")
         try:
@@ -56,7 +56,7 @@ class QueueSource:
             write_stop(self._folder / QUEUE_FILE)
 
     def pause(self) -> None:
-        """Ask the run that goes on to pause after its shot, or to go on; raise ``StoreError`` between two runs."""
+        """Request a pause of the current run after its shot, or a continuation; raise ``StoreError`` between runs."""
         self._run.pause()
 
     def _has_ended(self, queue: Sequence[QueueRun]) -> bool:
@@ -65,30 +65,30 @@ class QueueSource:
             self._idle_since_s = None
             return False
         if self._idle_since_s is None or queue != self._queue:
-            # A change since the last look says that runs went on between, however long ago that was.
+            # A change of the list shows that a run was active in the meantime.
             self._idle_since_s = now_s
-        return "waiting" not in states or now_s - self._idle_since_s > LONGEST_BETWEEN_S
+        return "waiting" not in states or now_s - self._idle_since_s > MAX_GAP_S
 
 
 def _current(queue: Sequence[QueueRun]) -> int:
-    """Return the run that goes on, else the last that did."""
+    """Return the index of the active run, else of the last one that started."""
     running = [index for index, run in enumerate(queue) if run.state == "running"]
-    begun = [index for index, run in enumerate(queue) if run.state != "waiting"]
-    return (running or begun[-1:] or [0])[0]
+    started = [index for index, run in enumerate(queue) if run.state != "waiting"]
+    return (running or started[-1:] or [0])[0]
 
 
-def _of_queue(queue: Sequence[QueueRun], index: int, ended: bool, state: State) -> State:
-    """Return what the page says of the queue; it ends with the queue and not with a run of it."""
+def _queue_state(queue: Sequence[QueueRun], index: int, ended: bool, state: State) -> State:
+    """Return the page's values for the queue. The page ends with the queue, not with a run."""
     states = [run.state for run in queue]
-    own_s = state.get("left_s")
-    # Of the run that goes on its own records tell more than the plan.
-    left_s = time_left_s(queue, index) if own_s is None else own_s + time_left_s(queue, index + 1)
+    run_left_s = state.get("left_s")
+    # The rate of the current run's records is more accurate than its plan.
+    left_s = time_left_s(queue, index) if run_left_s is None else run_left_s + time_left_s(queue, index + 1)
     counts = {name: states.count(name) for name in ("done", "failed")}
-    said = {"run": index + 1, "runs": len(queue), "name": queue[index].name, **counts}
+    progress = {"run": index + 1, "runs": len(queue), "name": queue[index].name, **counts}
     if not ended:
         status = state.get("status", "waiting")
-        going = "running" if status in ("complete", "aborted", "failed") else status
-        return {"status": going, "queue": said | {"left_s": round(left_s, 1)}}
+        active_status = "running" if status in ("complete", "aborted", "failed") else status
+        return {"status": active_status, "queue": progress | {"left_s": round(left_s, 1)}}
     status = "complete" if counts["done"] == len(queue) else "failed" if counts["failed"] else "aborted"
-    words = f"The queue has ended: {counts['done']} of {len(queue)} runs are done; every output is off."
-    return {"status": status, "queue": said, "ended": words}
+    text = f"The queue has ended: {counts['done']} of {len(queue)} runs are done; every output is off."
+    return {"status": status, "queue": progress, "ended": text}

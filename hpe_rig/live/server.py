@@ -1,6 +1,6 @@
-"""Server of the live page: loopback only, a random token in the address, one task a viewer, nothing else.
+"""Server of the live page: loopback only, a random token in the address, one task for each viewer.
 
-A viewer that is slow misses states; it never holds up the reading of the next one, let alone the acquisition.
+A slow viewer misses states. It delays neither the reading of the next state nor the acquisition.
 """
 
 from __future__ import annotations
@@ -30,59 +30,58 @@ from hpe_rig.store import StoreError, reason
 
 HOST = "127.0.0.1"
 START_S = 5.0
-LEAST_PAUSE_S = 0.15
-HURRIED_PAUSE_S = 0.02
-IDLE_SHARE = 2.0
-"""The reader rests this many times as long as its last reading took: it keeps no core busy that acquires."""
-REQUEST_S, LOOK_S = 5.0, 1.0
-"""Time within which a request must be there as a whole; half-open connections would else stay for ever."""
-MOST_CONNECTIONS = 64
-"""Far more than the viewers of one bench; what is open costs memory and file handles."""
+MIN_PAUSE_S = 0.15
+FINAL_PAUSE_S = 0.02
+IDLE_RATIO = 2.0
+"""Pause of the reader over the time of its last reading, which leaves the processor core to the acquisition."""
+REQUEST_TIMEOUT_S, CHECK_PERIOD_S = 5.0, 1.0
+"""Time limit of a complete request, which ends half-open connections, and period of its check."""
+MAX_CONNECTIONS = 64
+"""Limit on connections, each of which costs memory and file handles."""
 ENDED = ("complete", "aborted", "failed")
 
 
 @final
-class ImpatientProtocol(H11Protocol):
-    """Connections to the page: few at once, and each ended that sends no whole request within ``REQUEST_S``."""
+class LimitedProtocol(H11Protocol):
+    """HTTP with a limit on connections; a connection without a complete request in ``REQUEST_TIMEOUT_S`` is closed."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a connection, or end it where there are too many."""
+        """Accept a connection, or close it above ``MAX_CONNECTIONS``."""
         super().connection_made(transport)
-        if len(self.connections) > MOST_CONNECTIONS:
+        if len(self.connections) > MAX_CONNECTIONS:
             transport.abort()
             return
         self._waits_since_s = self.loop.time()
-        self._look()
+        self._check_timeout()
 
-    def _look(self) -> None:
-        """End the connection if it has waited for the rest of a request too long; else look again in a moment."""
-        gone = self.transport.is_closing() or self.transport.get_protocol() is not self
-        if gone:
-            # Ended, or a viewer's by now: the page itself sees to those.
+    def _check_timeout(self) -> None:
+        """Close the connection after the time limit of a request; else schedule the next check."""
+        if self.transport.is_closing() or self.transport.get_protocol() is not self:
+            # Closed, or upgraded to the web socket of a viewer.
             return
         if self.cycle is not None and not self.cycle.response_complete:
             self._waits_since_s = self.loop.time()
-        elif self.loop.time() - self._waits_since_s > REQUEST_S:
+        elif self.loop.time() - self._waits_since_s > REQUEST_TIMEOUT_S:
             self.transport.abort()
             return
-        self.loop.call_later(LOOK_S, self._look)
+        self.loop.call_later(CHECK_PERIOD_S, self._check_timeout)
 
 
 @final
 class LivePage:
-    """The page over ``source`` at ``address``; ``serve`` runs until told to stop, in this or another thread."""
+    """The page of ``source`` at ``address``; ``serve`` runs until ``close``, in this or another thread."""
 
     def __init__(self, source: Source, port: int = 0, token: str | None = None) -> None:
-        """Bind a loopback port, any free one by default; raise ``StoreError`` where it is taken."""
+        """Bind a loopback port, by default any free one; raise ``StoreError`` if it is in use."""
         self._source = source
         self._token = token or secrets.token_urlsafe(24)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         if os.name == "posix":
-            # The page of the next run may have the port of one that has just ended; on Windows it may anyway.
+            # The page of the next run may reuse the port at once; Windows permits this by default.
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             self._socket.bind((HOST, port))
-            # From here on whoever comes before the server has started waits instead of being refused.
+            # Connections before the start of the server wait instead of being refused.
             self._socket.listen(64)
         except OSError as error:
             self._socket.close()
@@ -91,13 +90,13 @@ class LivePage:
         self._port = int(self._socket.getsockname()[1])
         self.address = f"http://{HOST}:{self._port}/{self._token}/"
         self._latest, self._version = json.dumps({"status": "waiting"}), 0
-        self._ended = self._serving = self._hurried = False
-        self._seen: dict[WebSocket, int] = {}
+        self._ended = self._serving = self._closing = False
+        self._sent: dict[WebSocket, int] = {}  # version of the last state sent to each viewer
         config = uvicorn.Config(
             self._application(),
             log_level="error",
             access_log=False,
-            http=ImpatientProtocol,
+            http=LimitedProtocol,
             ws="websockets-sansio",
             timeout_graceful_shutdown=1,
         )
@@ -109,17 +108,17 @@ class LivePage:
         try:
             self._server.run(sockets=[self._socket])
         finally:
-            # Told to end while it was starting, the server leaves the port open.
+            # A server stopped during its start leaves the port open.
             self._socket.close()
 
     def close(self, grace_s: float = 0.0) -> None:
-        """End serving once viewers have had ``grace_s`` to get the last state."""
+        """Stop serving once every viewer has the last state, at most after ``grace_s``."""
         if not self._serving:
             self._socket.close()
             return
-        self._hurried = True
-        _wait(lambda: self._ended and all(seen == self._version for seen in [*self._seen.values()]), grace_s)
-        # Told to end while it is still starting, the server would not tidy up.
+        self._closing = True
+        _wait(lambda: self._ended and all(version == self._version for version in [*self._sent.values()]), grace_s)
+        # A server stopped during its start does not release its resources.
         _wait(lambda: self._server.started, START_S)
         self._server.should_exit = True
 
@@ -147,7 +146,7 @@ class LivePage:
                 await reader
 
     async def _read(self) -> None:
-        """Read the source again and again, and wake the viewers when it has changed."""
+        """Poll the source, and wake the viewers after every change."""
         while True:
             start_s = time.monotonic()
             text = await asyncio.to_thread(self._next)
@@ -155,18 +154,18 @@ class LivePage:
                 async with self._changed:
                     self._latest, self._version = text, self._version + 1
                     self._changed.notify_all()
-            rest_s = max(LEAST_PAUSE_S, IDLE_SHARE * (time.monotonic() - start_s))
-            again_s = time.monotonic() + rest_s
-            # Once a stop is asked for or the page is closing, somebody waits for the last state.
-            while time.monotonic() < again_s and not self._hurried:
-                await asyncio.sleep(min(rest_s, 0.1))
-            await asyncio.sleep(HURRIED_PAUSE_S)
+            pause_s = max(MIN_PAUSE_S, IDLE_RATIO * (time.monotonic() - start_s))
+            deadline_s = time.monotonic() + pause_s
+            # After a request to stop, or while the page closes, the last state is urgent.
+            while time.monotonic() < deadline_s and not self._closing:
+                await asyncio.sleep(min(pause_s, 0.1))
+            await asyncio.sleep(FINAL_PAUSE_S)
 
     def _next(self) -> str | None:
         try:
             state = self._source.poll()
         except Exception as error:
-            # One odd state must not end the page: the stop button is on it.
+            # An error of one state must not end the page, which has the stop button.
             state = {"status": "waiting", "why": f"{type(error).__name__}: {error}"}
         if state is None:
             return None
@@ -174,7 +173,7 @@ class LivePage:
         return json.dumps(state, allow_nan=False, separators=(",", ":"))
 
     async def _page(self, request: Request) -> Response:
-        if not self._welcome(request.headers):
+        if not self._is_allowed(request.headers):
             return Response(status_code=403)
         nonce = secrets.token_urlsafe(12)
         text = (resources.files("hpe_rig.live") / "live.html").read_text(encoding="utf-8")
@@ -188,22 +187,22 @@ class LivePage:
         return HTMLResponse(text.replace("@NONCE@", nonce), headers=headers)
 
     async def _state(self, request: Request) -> Response:
-        if not self._welcome(request.headers):
+        if not self._is_allowed(request.headers):
             return Response(status_code=403)
         return Response(self._latest, media_type="application/json", headers={"Cache-Control": "no-store"})
 
     async def _stop(self, request: Request) -> Response:
-        if not self._welcome(request.headers):
+        if not self._is_allowed(request.headers):
             return Response(status_code=403)
         try:
             await asyncio.to_thread(self._source.stop)
         except StoreError as error:
             return JSONResponse({"error": str(error)}, status_code=409)
-        self._hurried = True
+        self._closing = True
         return JSONResponse({"stopping": True})
 
     async def _pause(self, request: Request) -> Response:
-        if not self._welcome(request.headers):
+        if not self._is_allowed(request.headers):
             return Response(status_code=403)
         try:
             await asyncio.to_thread(self._source.pause)
@@ -212,44 +211,44 @@ class LivePage:
         return JSONResponse({"asked": True})
 
     async def _close(self, request: Request) -> Response:
-        """End the page, where the run has ended."""
-        if not self._welcome(request.headers):
+        """Close the page after the end of the run."""
+        if not self._is_allowed(request.headers):
             return Response(status_code=403)
         if not self._ended:
-            return JSONResponse({"error": "the run goes on. Try: Stop safely first."}, status_code=409)
+            return JSONResponse({"error": "the run is active. Try: Stop safely first."}, status_code=409)
         self._server.should_exit = True
         return JSONResponse({"closed": True})
 
     async def _watch(self, viewer: WebSocket) -> None:
-        """Send every state that this viewer is quick enough for, the latest first."""
-        if not self._welcome(viewer.headers):
+        """Send the latest state to a viewer whenever it is ready for one."""
+        if not self._is_allowed(viewer.headers):
             await viewer.close(code=1008)
             return
         await viewer.accept()
-        gone = asyncio.create_task(_until_gone(viewer))
-        self._seen[viewer] = -1
+        disconnected = asyncio.create_task(_until_disconnected(viewer))
+        self._sent[viewer] = -1
         try:
-            while not gone.done():
+            while not disconnected.done():
                 async with self._changed:
                     with contextlib.suppress(TimeoutError):
-                        changed = self._changed.wait_for(lambda: self._seen[viewer] != self._version)
+                        changed = self._changed.wait_for(lambda: self._sent[viewer] != self._version)
                         await asyncio.wait_for(changed, timeout=1.0)
                     text, version = self._latest, self._version
-                if version != self._seen[viewer] and not gone.done():
+                if version != self._sent[viewer] and not disconnected.done():
                     await viewer.send_text(text)
-                    self._seen[viewer] = version
+                    self._sent[viewer] = version
         except (WebSocketDisconnect, RuntimeError):
             # The viewer left between two states.
             return
         finally:
-            gone.cancel()
-            del self._seen[viewer]
+            disconnected.cancel()
+            del self._sent[viewer]
 
-    def _welcome(self, headers: Headers) -> bool:
-        """Return whether a request names this host as a browser here would: no rebinding, no foreign page."""
-        here = {f"{HOST}:{self._port}", f"localhost:{self._port}"}
+    def _is_allowed(self, headers: Headers) -> bool:
+        """Return whether host and origin are local; this blocks DNS rebinding and requests of other pages."""
+        local = {f"{HOST}:{self._port}", f"localhost:{self._port}"}
         origin = headers.get("origin")
-        return headers.get("host") in here and (origin is None or origin.removeprefix("http://") in here)
+        return headers.get("host") in local and (origin is None or origin.removeprefix("http://") in local)
 
 
 def _wait(ready: Callable[[], bool], longest_s: float) -> None:
@@ -258,8 +257,8 @@ def _wait(ready: Callable[[], bool], longest_s: float) -> None:
         time.sleep(0.02)
 
 
-async def _until_gone(viewer: WebSocket) -> None:
-    """Return when the viewer has left; whatever it sends is dropped."""
+async def _until_disconnected(viewer: WebSocket) -> None:
+    """Return when the viewer has disconnected; discard its messages."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         while True:
             message = await viewer.receive()

@@ -15,13 +15,13 @@ from hpe_rig.result import Estimate
 
 State = dict[str, Any]
 
-MOST_POINTS = 600
-MOST_COLUMNS, MOST_ROWS = 240, 96
+MAX_POINTS = 600
+MAX_COLUMNS, MAX_ROWS = 240, 96
 
 
 def rf_state(view: EchoView) -> State:
     """Return the RF line in mV over depth in mm, and the gate."""
-    step = -(-view.line_v.size // MOST_POINTS)
+    step = -(-view.line_v.size // MAX_POINTS)
     return {
         "depth_mm": _list(view.line_depth_m[::step] * 1e3, 3),
         "mv": _list(view.line_v[::step] * 1e3, 3),
@@ -30,12 +30,12 @@ def rf_state(view: EchoView) -> State:
 
 
 def image_state(image_v: FloatArray, depth_m: FloatArray, span: float, unit: str) -> State:
-    """Return an M-mode image (row, column) as bytes: 0 missing, 1 to 255 from minus to plus its grey limit."""
-    image = image_v[:: -(-image_v.shape[0] // MOST_ROWS), :: -(-image_v.shape[1] // MOST_COLUMNS)]
+    """Return an M-mode image (row, column) as bytes: 0 for missing, 1 to 255 from minus to plus its grey limit."""
+    image = image_v[:: -(-image_v.shape[0] // MAX_ROWS), :: -(-image_v.shape[1] // MAX_COLUMNS)]
     missing = ~np.isfinite(image)
     limit_v = grey_limit_v(image)
-    share = np.clip(np.where(missing, 0.0, image) / limit_v, -1, 1)
-    grey = np.where(missing, 0, np.round(128 + 127 * share)).astype(np.uint8)
+    relative = np.clip(np.where(missing, 0.0, image) / limit_v, -1, 1)
+    grey = np.where(missing, 0, np.round(128 + 127 * relative)).astype(np.uint8)
     return {
         "rows": grey.shape[0],
         "columns": grey.shape[1],
@@ -48,13 +48,13 @@ def image_state(image_v: FloatArray, depth_m: FloatArray, span: float, unit: str
 
 
 def motion_state(view: MotionView) -> State:
-    """Return displacement and fit in nm over time in ms, the last pulses of them."""
-    last = slice(-MOST_POINTS, None)
-    middle_m = float(view.displacement_m[last].mean())
+    """Return displacement and fit of the last pulses in nm, over time in ms."""
+    last = slice(-MAX_POINTS, None)
+    mean_m = float(view.displacement_m[last].mean())
     return {
         "time_ms": _list(view.time_s[last] * 1e3, 4),
-        "nm": _list((view.displacement_m[last] - middle_m) * 1e9, 2),
-        "fit_nm": _list((view.fitted_m[last] - middle_m) * 1e9, 2),
+        "nm": _list((view.displacement_m[last] - mean_m) * 1e9, 2),
+        "fit_nm": _list((view.fitted_m[last] - mean_m) * 1e9, 2),
         "residual_nm": round(float(view.residual_m.std()) * 1e9, 3),
     }
 
@@ -74,9 +74,9 @@ def harmonic_state(estimates: Sequence[Estimate]) -> list[State]:
 
 
 def level_state(view: EchoView, full_scale_v: float) -> State:
-    """Return how strong the echo in the gate is, for aligning: rms and largest in mV, and its share of full scale."""
-    inside = (view.line_depth_m >= view.gate_m[0]) & (view.line_depth_m <= view.gate_m[1])
-    gate_v = view.line_v[inside] if inside.any() else np.zeros(1)
+    """Return the echo in the gate: rms and largest in mV, and the largest over full scale."""
+    in_gate = (view.line_depth_m >= view.gate_m[0]) & (view.line_depth_m <= view.gate_m[1])
+    gate_v = view.line_v[in_gate] if in_gate.any() else np.zeros(1)
     largest_v = float(np.abs(gate_v).max())
     return {
         "rms_mv": round(float(gate_v.std()) * 1e3, 3),
@@ -87,7 +87,7 @@ def level_state(view: EchoView, full_scale_v: float) -> State:
 
 
 def band_verdict(level: State, band_percent: tuple[float, float]) -> str:
-    """Return in words whether the largest echo in the gate is within its band of full scale, and what to try if not."""
+    """Return whether the largest echo in the gate is within the band of full scale, and a remedy if not, in words."""
     percent, (low, high) = 100 * level["of_full_scale"], band_percent
     if level["clipped"]:
         return "clipped: a larger input_range_v, or a lower gain"

@@ -21,4 +21,5 @@ from .views import (
     grey_limit_v as grey_limit_v,
     motion_view as motion_view,
     selected_pulses as selected_pulses,
+    tracked_motion as tracked_motion,
 )

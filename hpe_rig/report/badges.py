@@ -42,6 +42,7 @@ def badges(
         yield Badge("passed", "no warnings", "provenance")
     if result.means:
         yield _repeats_badge(result.means)
+    # A measured plan has no refused check: any other level than passed is a warning.
     failed = sum(check.level != "passed" for check in check_results)
     checks = f"{len(check_results)} checks of the plan"
     yield Badge("noticed" if failed else "passed", f"{failed} of {checks} warn" if failed else checks, "checks")

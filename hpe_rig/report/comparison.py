@@ -137,6 +137,7 @@ def compare_runs(first: Path, second: Path, estimator: str | None = None) -> Com
     ``estimator`` replaces that of each scene. Raises as ``open_run`` and ``Run.estimate``.
     """
     runs = open_run(first), open_run(second)
+    # Estimated again: stored results may come from other versions or estimators.
     results = runs[0].estimate(estimator), runs[1].estimate(estimator)
     pairs, alone = _pairs(_points(results[0]), _points(results[1]), (first.name, second.name))
     return Comparison(
@@ -169,6 +170,7 @@ def _points(result: Result) -> Points:
     points: Points = {}
     for mean in result.means:
         shots, root = f"mean of {len(mean.shots)}", math.sqrt(len(mean.shots))
+        # The scatter of the repeats measures their independent errors.
         point = _Point(shots, mean, mean.amplitude_sd_m / root, mean.phase_sd_rad / root)
         points.setdefault(_setting(mean), {})[mean.frequency_hz] = point
     repeated = set(points)
@@ -210,6 +212,7 @@ def _result_differences(
 ) -> Iterator[ResultDifference]:
     for frequency_hz in (hz for hz in first if hz in second):
         a, b = first[frequency_hz], second[frequency_hz]
+        # Phases differ modulo a turn.
         difference = (
             b.value.amplitude_m - a.value.amplitude_m,
             math.remainder(b.value.phase_rad - a.value.phase_rad, 2 * math.pi),

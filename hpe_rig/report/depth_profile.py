@@ -32,6 +32,7 @@ def _curves(
     descriptions = []
     figure, axes = panel()
     largest_m = np.max([[estimate.amplitude_m for estimate in gate.shot.estimates] for gate in gates], axis=0)
+    # Curves in the order of frequency, so that colours are stable.
     for curve, index in enumerate(sorted(np.argsort(largest_m)[::-1][:MAX_CURVES].tolist())):
         hz, (marker, colour) = gates[0].shot.estimates[index].frequency_hz, mark(curve)
         value, u = np.array([value_of(gate.shot.estimates[index].headline) for gate in gates]).T

@@ -45,6 +45,7 @@ def rf_line(view: EchoView) -> Picture:
 def m_mode(view: EchoView) -> Picture:
     """Return the gate over slow time as a grey image."""
     figure, axes = panel()
+    # Symmetrical about zero, so that zero is medium grey.
     limit_mv = grey_limit_v(view.image_v) * 1e3
     end_ms = view.image_time_s[-1] * 1e3 or 1.0
     axes.set_facecolor("#E8B0A0")
@@ -78,6 +79,7 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
     time_ms, measured_nm, fitted_nm = (
         values[mask] for values in (view.time_s * 1e3, view.displacement_m * 1e9, view.fitted_m * 1e9)
     )
+    # The displacement has an arbitrary constant: its mean is removed.
     mean_nm = float(measured_nm.mean())
     marker_size = 2 if time_ms.size > 400 else 3.5
     axes.plot(*thin(time_ms, measured_nm - mean_nm), ".", ms=marker_size, color=Colour.GREY, label="measured")
@@ -100,10 +102,12 @@ def residual(view: MotionView) -> tuple[Picture, ...]:
     axes.set(xlabel="time after the phase reference (ms)", ylabel="residual (nm)")
     alt = f"Residual displacement, {residual_nm.std():.3g} nm rms, largest {np.abs(residual_nm).max():.3g} nm."
     over_time = picture(figure, "residual", "Residual over time", alt)
+    # Too few pulses have no frequency outside the fit.
     frequency_hz, power = periodogram(view)
     if power.size < 2:
         return (over_time,)
     figure, axes = panel()
+    # A sinusoid of amplitude A has the power (A N / 2)² in its bin.
     amplitude_nm = 2 * np.sqrt(power) / residual_nm.size * 1e9
     expected_nm = 2 * float(np.sqrt(power.mean())) / residual_nm.size * 1e9
     axes.plot(*thin(frequency_hz, amplitude_nm), ".", ms=3, color=Colour.BLUE, label="residual")

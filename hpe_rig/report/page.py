@@ -21,7 +21,7 @@ from hpe_rig.report.page_writer import PageTable, render_template
 from hpe_rig.report.prediction import predictions
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.sweep import Sweep, make_sweep
-from hpe_rig.report.views import MotionView, echo_view, gate_records, motion_view
+from hpe_rig.report.views import MotionView, echo_view, gate_records, motion_view, tracked_motion
 from hpe_rig.result import (
     Estimate,
     Picture,
@@ -56,15 +56,6 @@ class StoredAxes:
 
     axes: tuple[Axis, ...]
     together: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorStage:
-    """Contribution of one stage to the error of the strongest harmonic, in words."""
-
-    stage: str
-    size: str
-    source: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +123,7 @@ def render(
     if axes is None:
         run = stored_run
         result = run.estimate(estimator, stages)
+        # The result file is for other programs; the page never reads one, since it could have been edited.
         with stages("write result"):
             run.save(result)
         shot = _selected_shot(result, shot_number)
@@ -183,7 +175,7 @@ def _tables(
     predicted = list(predictions(scene, run.plan.shots[shot.shot], shot, result.estimator))
     lead = strongest(shot)
     tests = [{"test": t.name, "verdict": t.verdict, "value": t.value, "meaning": t.meaning} for t in display.tests]
-    stages = [{"stage": s.stage, "size": s.size, "source": s.source} for s in error_stages(shot, display.motion)]
+    stages = [{"stage": s, "size": size, "source": text} for s, size, text in error_stages(shot, display.motion)]
     attributes = report_provenance.attributes(run.path, [f"version_{name}" for name in result.versions])
     return {
         "means": page_tables.means_table(result.means) if result.means else None,
@@ -220,33 +212,34 @@ def strongest(shot: ShotResult) -> Estimate:
     return max(shot.estimates, key=lambda item: item.amplitude_m)
 
 
-def error_stages(shot: ShotResult, motion: MotionView | None) -> Iterator[ErrorStage]:
-    """Yield the contribution of every stage to the error of the strongest harmonic of ``shot``, in order."""
+def error_stages(shot: ShotResult, motion: MotionView | None) -> Iterator[tuple[str, str, str]]:
+    """Yield stage, error and source of every contribution to the error of the strongest harmonic, in order."""
     lead = strongest(shot)
     if motion is not None:
         echo_nm = math.sqrt(float(motion.noise_m2.mean())) * 1e9
-        yield ErrorStage("one echo", f"{echo_nm:.3g} nm", "scatter of the echoes about their mean shape")
-    yield ErrorStage("one displacement", f"{shot.residual_m * 1e9:.3g} nm rms", "residual of the fit")
+        yield "one echo", f"{echo_nm:.3g} nm", "scatter of the echoes about their mean shape"
+    yield "one displacement", f"{shot.residual_m * 1e9:.3g} nm rms", "residual of the fit"
     u = _nm_and_degrees(lead.amplitude_uncertainty_m, lead.phase_uncertainty_rad)
-    yield ErrorStage("harmonic", u, f"standard uncertainty from that residual, {shot.pulses_used} pulses")
+    yield "harmonic", u, f"standard uncertainty from that residual, {shot.pulses_used} pulses"
+    # Systematic effects are corrected; the uncertainty of their correction remains (GUM, 3.2.3).
     if lead.averaging_factor is not None:
         bias = _relative_and_degrees(lead.averaging_factor - 1, lead.averaging_phase_rad or 0.0)
-        yield ErrorStage("beam averaging", bias, "predicted, tracked relative to peak displacement; corrected")
+        yield "beam averaging", bias, "predicted, tracked relative to peak displacement; corrected"
         if (lead.aliasing_factor, lead.aliasing_phase_rad) != (1.0, 0.0):
             bias = _relative_and_degrees(lead.aliasing_factor - 1, lead.aliasing_phase_rad)
-            yield ErrorStage("mean aliasing", bias, "predicted by the prior of media; corrected")
+            yield "mean aliasing", bias, "predicted by the prior of media; corrected"
     for component in lead.components:
         if component.source not in SOURCES_OF_RESIDUAL and (component.amplitude_m or component.phase_rad):
             u = _nm_and_degrees(component.amplitude_m, component.phase_rad)
-            yield ErrorStage(component.source, u, "standard uncertainty after correction")
+            yield component.source, u, "standard uncertainty after correction"
     headline = lead.headline
     u = _nm_and_degrees(headline.amplitude_uncertainty_m, headline.phase_uncertainty_rad)
-    yield ErrorStage("combined", u, "standard uncertainty of the corrected values: root sum of squares")
+    yield "combined", u, "standard uncertainty of the corrected values: root sum of squares"
     half_width = _nm_and_degrees(headline.interval_95_m, headline.interval_95_rad)
-    yield ErrorStage("interval of 95 %", half_width, "half width, from u and its effective degrees of freedom")
+    yield "interval of 95 %", half_width, "half width, from u and its effective degrees of freedom"
     if lead.corrected_amplitude_error is not None and lead.corrected_phase_error_rad is not None:
         error = _relative_and_degrees(lead.corrected_amplitude_error, lead.corrected_phase_error_rad)
-        yield ErrorStage("actual error", error, "relative to the ground truth of the twin")
+        yield "actual error", error, "relative to the ground truth of the twin"
 
 
 def _nm_and_degrees(length_m: float, angle_rad: float) -> str:
@@ -271,6 +264,7 @@ def _display(run: Run, result: ShotResult, repeats: Sequence[Sequence[Estimate]]
     """Return the pictures, residual tests and motion of one shot."""
     shot = run.plan.shots[result.shot]
     scene = scene_of_shot(run.scene, shot)
+    # A large shot is read in the gate only, with the margins that the estimators need.
     needed, margin, last = samples_needed(scene, shot), margin_needed(scene, shot), shot.capture.record_samples
     samples = slice(0, last)
     if 2 * shot.capture.record_count * last > MAX_SHOT_BYTES:
@@ -283,8 +277,8 @@ def _display(run: Run, result: ShotResult, repeats: Sequence[Sequence[Estimate]]
     if result.estimates:
         pictures += [amplitude_spectrum(result.estimates, repeats), phase_spectrum(result.estimates, repeats)]
     try:
-        gated = gate_records(scene, shot, records, samples.start)
-        motion = motion_view(scene, shot, gated, result.estimates)
+        tracked = tracked_motion(scene, shot, gate_records(scene, shot, records, samples.start))
+        motion = motion_view(scene, shot, tracked, result.estimates)
     except ValueError as error:
         return _ShotDisplay(pictures, [ResidualTest("displacement", "not possible", str(error), "")], None)
     pictures.append(figures.displacement(motion, None, "displacement", "Displacement in the processing window"))
@@ -345,6 +339,7 @@ def _shot_count(run: Run, result: Result) -> str:
 
 def _scene_at(run: Run, shot: ShotResult) -> Scene:
     """Return the scene at the offsets, pulse rate and slow-time window of ``shot``."""
+    # The axes of a sweep multiply: offsets, then pulse rates, then windows.
     settings = shot.pulse_rate_hz, shot.lateral_offset_m, shot.axial_offset_m
     point = scene_of_shot(run.scene, run.plan.shots[shot.shot])
     rates = [rate for place in point.places for rate in place.rates if _tracking_settings(rate) == settings]

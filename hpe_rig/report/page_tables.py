@@ -117,6 +117,7 @@ def budget_table(shot: ShotResult) -> PageTable:
         row["u (nm)"] = nm(headline.amplitude_uncertainty_m, 2)
         row["u (°)"] = deg(headline.phase_uncertainty_rad, ".2g")
         rows.append(row)
+    # A source may be absent at some frequencies.
     columns = dict.fromkeys(name for row in rows for name in row)
     return text_table(
         "budget", "Uncertainty by source.", [{name: row.get(name, "–") for name in columns} for row in rows]

@@ -147,6 +147,7 @@ def heading(name: str) -> str:
     if "." in name:
         return name
     stem, _, unit = name.rpartition("_")
+    # The last word of a name is its unit, if it is one.
     label = f"{stem} ({UNITS[unit]})" if stem and unit in UNITS else name
     return label if SYMBOL_WITH_INDEX.search(label) else label.replace("_", " ")
 
@@ -195,6 +196,7 @@ def _width_px(picture: Picture) -> int:
 
 
 def _csv_address(table: PageTable) -> str:
+    # A very large table would make the page slow: it links to its file.
     if table.csv_path is not None and len(table.rows) > MAX_EMBEDDED_ROWS:
         return quote(table.csv_path)
     return "data:text/csv;charset=utf-8;base64," + base64.b64encode(csv_text(table.rows).encode()).decode()

@@ -29,6 +29,7 @@ def predictions(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estima
     Nothing without [beams] or without a stated noise level.
     """
     for estimate in shot.estimates:
+        # The noise of the phase is not defined without an amplitude.
         if not estimate.amplitude_m > 0:
             continue
         conditions = conditions_of(scene, planned, estimate.frequency_hz, estimator)

@@ -53,6 +53,7 @@ def periodogram(view: MotionView) -> tuple[FloatArray, FloatArray]:
     Zero and half the pulse rate are excluded too. Missing pulses have zero residual.
     """
     pulse = np.round((view.time_s - view.time_s[0]) * view.pulse_rate_hz).astype(np.int64)
+    # Onto the regular grid of pulses, which the Fourier transform needs.
     series = np.zeros(int(pulse[-1]) + 1)
     series[pulse] = view.residual_m
     frequency_hz = np.fft.rfftfreq(series.size, 1 / view.pulse_rate_hz)
@@ -65,6 +66,7 @@ def periodogram(view: MotionView) -> tuple[FloatArray, FloatArray]:
 
 def whiteness_p(power: FloatArray) -> float:
     """Return the p-value of a periodogram (bin,) under white noise: Bartlett's cumulative periodogram test."""
+    # White noise has a uniform power: its cumulative sum is a straight line up to chance.
     cumulative = np.cumsum(power)[:-1] / power.sum()
     uniform = np.arange(1, power.size) / power.size
     return float(kolmogorov(math.sqrt(power.size - 1) * np.max(np.abs(cumulative - uniform))))
@@ -72,6 +74,7 @@ def whiteness_p(power: FloatArray) -> float:
 
 def line_p(power: FloatArray) -> float:
     """Return the p-value of a periodogram's (bin,) largest bin under white noise: Fisher's g, first term (a bound)."""
+    # Fisher: P(g > x) is about n (1 - x)^(n - 1) for the largest of n bins.
     largest = float(power.max() / power.sum())
     return min(1.0, power.size * (1 - largest) ** (power.size - 1))
 
@@ -89,6 +92,7 @@ def normalised_innovations(matrix: FloatArray, data: FloatArray, variance: Float
     state = covariance @ (scaled[:start].T @ target[:start])
     innovations = np.empty(len(matrix) - start)
     for index, (row, value) in enumerate(zip(scaled[start:], target[start:], strict=True)):
+        # Kalman gain and innovation of one pulse, then the update of state and covariance.
         gain = covariance @ row
         variance_ratio = 1 + row @ gain  # of the innovation, over the noise
         innovation = value - row @ state

@@ -125,6 +125,7 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     """Return the curves of ``shots`` over the first quantity that varies; None for a single shot."""
     if len(shots) < 2:
         return None
+    # An axis of the scene's sweep has priority over settings that vary in every scene.
     for name in shots[0].swept:
         if len({shot.swept[name] for shot in shots}) > 1:
             groups = [_joined(*_other_axes(shot, name, shots), _texts(shot, GROUPS_OF_AXIS, shots)) for shot in shots]
@@ -194,6 +195,7 @@ def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], g
 def _curve(frequency_hz: float, group: str, headlines: Sequence[Headline], x: FloatArray, linear: bool) -> SweepCurve:
     amplitude = np.array([headline.amplitude_m for headline in headlines])
     phase = np.array([headline.phase_rad for headline in headlines])
+    # One point for each value of x: the mean over its repeats.
     values = np.unique(x)
     masks = [x == value for value in values]
     amplitudes = [_mean_and_sd(amplitude[mask]) for mask in masks]

@@ -96,6 +96,7 @@ def result_grid(result: ResultData) -> Grid:
 
 def _motion(result: ResultData) -> Mapping[str, FloatArray]:
     motions = [shot.motion for shot in result.shots]
+    # Pulses are columns by their number in the shot; excluded ones stay NaN.
     pulses = max((int(item.pulse.max()) + 1 for item in motions if item is not None and item.pulse.size), default=0)
     if not pulses:
         return {}
@@ -116,6 +117,7 @@ def result_dataset(result: ResultData) -> xarray.Dataset:
         message = 'Result.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
         raise ModuleNotFoundError(message, name=error.name) from None
 
+    # Shots with different frequencies share no frequency axis: it then counts the harmonics.
     grid = result_grid(result)
     number = np.arange(1, grid.frequency_hz.shape[1] + 1)
     axis = ("frequency", number, {}) if grid.frequency is None else ("frequency", grid.frequency, {"units": "Hz"})

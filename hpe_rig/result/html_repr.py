@@ -36,6 +36,7 @@ def result_html(result: ResultData) -> str:
         parts.append(_table(f"shot {shot.shot + 1}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
     if len(result.shots) > MAX_SHOTS:
         parts.append(f"<p>and {len(result.shots) - MAX_SHOTS} more shots</p>")
+    # Warnings come last, after the numbers that they concern.
     warnings = (*result.warnings, *shot_warnings(result.shots))
     return "\n".join([*parts, *(f"<p><b>WARNING</b> {symbols(text)}</p>" for text in warnings)])
 

@@ -77,6 +77,7 @@ class MotionMap:
         except ModuleNotFoundError:
             what = 'MotionMap.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
             raise ModuleNotFoundError(what) from None
+        # Amplitudes and phases have a value for each frequency, all other quantities one for each pixel.
         pixel, pixel_and_frequency = ("line", "depth"), ("line", "depth", "frequency")
         variables: dict[str, Any] = {}
         for name, unit in _UNITS.items():

@@ -72,8 +72,10 @@ def phase_variance_at_rad2(
     true = amplitude_m[..., None] * np.exp(1j * _ANGLE_RAD)
     # Error of the observed phasor for each true angle, and its squared Mahalanobis distance.
     x, y = observed_m[..., None] - true.real, -true.imag
+    # x' C^-1 x for the 2 x 2 covariance.
     numerator = var_y[..., None] * x**2 - 2 * covariance[..., None] * x * y + var_x[..., None] * y**2
     distance = numerator / determinant[..., None]
+    # The smallest distance is subtracted to avoid underflow.
     likelihood = _WEIGHT * np.exp(-(distance - distance.min(axis=-1, keepdims=True)) / 2)
     mean_square = likelihood @ _ANGLE_RAD**2 / likelihood.sum(axis=-1)
     return _over_both_cases(np.where(strong, across / power, mean_square), power, noise_m2)
@@ -88,6 +90,7 @@ def rectified_variance_m2(
     variance the interval about an amplitude of noise alone contains zero with its stated probability. The weight is the
     probability of no motion, shifted to vanish from ``DETECTED`` on.
     """
+    # The Rician bias matters where the amplitude may be noise alone.
     square = np.square(amplitude_m) / np.maximum(along_m2, np.finfo(np.float64).tiny)
     at_detection = _no_motion_probability(DETECTED**2)
     weight = np.maximum(_no_motion_probability(square) - at_detection, 0.0) / (1 - at_detection)

@@ -15,6 +15,7 @@ UNITS = (
     (re.compile(r"(?<=/cm)2\b"), "²"),
     (re.compile(r"(?<=/m)3\b"), "³"),
 )
+# Names of Greek letters in plain texts.
 GREEK = {"sigma": "σ", "chi": "χ"}
 # A symbol with an index; not within a path, but in a quotient such as 1/T_b.
 SUBSCRIPT = re.compile(r"(?:(?<![\w./\\-])|(?<=[\s(]\d/))([A-Za-z]|sigma|chi)_([A-Za-z0-9]{1,4})(?![\w(/\\-]|\.\w)")

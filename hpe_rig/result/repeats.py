@@ -110,11 +110,13 @@ def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     """Return the mean of the estimates number ``index`` of ``shots``."""
     estimates = [shot.estimates[index] for shot in shots]
     headlines = [estimate.headline for estimate in estimates]
+    # Complex mean: amplitudes alone would average the noise of a weak harmonic to a positive value.
     phasor = _mean_phasor((headline.amplitude_m, headline.phase_rad) for headline in headlines)
     deviations = _deviations(headlines, phasor)
     independent = [_uncertainty(estimate, independent=True) for estimate in estimates]
     agreement = _agreement(deviations, independent, estimates)
     sources = _sources_of_mean(estimates, independent, deviations, agreement, abs(phasor))
+    # True phasors may differ between repeats: their mean is the truth of the mean.
     has_truth = all(estimate.true_amplitude_m is not None for estimate in estimates)
     truth = _mean_phasor((item.true_amplitude_m or 0.0, item.true_phase_rad or 0.0) for item in estimates)
     first = shots[0]
@@ -166,6 +168,7 @@ def _agreement(
     from scipy.special import gammaincc
 
     degrees_of_freedom = 2 * (len(estimates) - 1)
+    # The uncertainties are estimates too: the widening allows for their degrees of freedom.
     chi_square = sum(
         _squared_ratio(deviation, stated[axis] * student_widening(estimate.noise_freedom))
         for axis, of_axis in enumerate(deviations)

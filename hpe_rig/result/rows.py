@@ -42,6 +42,7 @@ def result_rows(result: ResultData) -> list[dict[str, Value]]:
         rows += [settings | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
     if not gates:
         return rows
+    # Rows of shots and of gates must have the same columns.
     names = dict.fromkeys(name for row in rows for name in row)
     return [{name: row.get(name) for name in names} for row in rows]
 

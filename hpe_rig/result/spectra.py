@@ -71,6 +71,7 @@ def phase_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Est
     """
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
+    # Neighbouring harmonics differ by less than half a turn; wrapped phases would hide the trend.
     phase = np.unwrap([item.headline.phase_rad for item in estimates])
     phase_at = dict(zip(frequency_hz.tolist(), phase.tolist(), strict=True))
 

@@ -171,11 +171,13 @@ def inline(svg: str, key: str, title: str, alt: str) -> str:
     """Return ``svg`` as an inline element: titled, with unique ids, as wide as its container."""
     body = svg[svg.index("<svg") :].strip()
     body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
+    # Ids and references get the key as prefix: several figures share a page.
     body = re.sub(r'\bid="', f'id="{key}-', body)
     body = re.sub(r'(url\(#|xlink:href="#)', rf"\g<1>{key}-", body)
     body = _BACKGROUND.sub(r"\g<1>var(--paper, #ffffff)", body)
     body = svg_symbols(re.sub(r"((?:fill|stroke): )(#[0-9a-f]{6})", _variable, body))
     head, _, content = body.partition(">")
+    # Without width and height the figure scales with its container.
     head = re.sub(r' (?:width|height)="[^"]*"', "", head)
     labels = (
         f'<title id="{key}-t">{escape(title, quote=False)}</title><desc id="{key}-d">{escape(alt, quote=False)}</desc>'

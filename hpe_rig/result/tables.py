@@ -39,7 +39,7 @@ def rich_table(headers: Sequence[str], rows: Iterable[Sequence[str]], words: int
 
     table, rows = Table(box=None, header_style="bold", pad_edge=False), list(rows)
     for index, header in enumerate(headers):
-        # On a narrow terminal cells fold, because a cut address is useless; the row's name in the first column does not.
+        # On a narrow terminal cells fold, because a cut address is useless; the name in the first column does not.
         min_width = max((len(row[0]) for row in rows), default=0) if index == 0 else None
         justify: Literal["left", "right"] = "left" if index < words else "right"
         table.add_column(header, justify=justify, overflow="fold", min_width=min_width)

@@ -199,6 +199,7 @@ def read_studies(
     if not isinstance(name_or_path, str | os.PathLike):
         kind = type(name_or_path).__name__
         raise TypeError(f"a study must be the name of a shipped one or the path of a TOML file, not {kind}")
+    # A collection lists studies by name or path, relative to its own folder.
     shipped, folder = shipped_studies(), Path(name_or_path).parent
     name, text = named_text(name_or_path, shipped, "study")
     tables = parse_toml(text, f"study {name}")

@@ -37,6 +37,7 @@ def completed(
     After the death of a worker the pool is opened again and its pending tasks are repeated. Raises ``SettingsError``
     after ``MAX_LOSSES`` deaths, and any exception of ``run``. Closing the generator cancels the pending tasks.
     """
+    # Few tasks are submitted ahead, so that a broken pool loses little.
     waiting = deque(tasks)
     losses = 0
     while waiting:

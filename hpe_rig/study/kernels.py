@@ -38,6 +38,7 @@ from hpe_rig.processing import (
     spec_of,
 )
 
+
 @dataclass(frozen=True, slots=True)
 class Train:
     """Pulse times, gate and wanted frequencies; hashable."""

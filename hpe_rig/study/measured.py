@@ -37,6 +37,7 @@ def measure_case(case: MeasuredCase) -> CaseRecord:
     frequencies = len(case.scene.wanted_frequencies_hz)
     # (draw, noise, frequency, value): amplitude, phase, true amplitude, true phase, whether the shot has warnings
     values = {name: np.full((case.scatterers, case.noise, frequencies, 5), np.nan) for name in case.estimators}
+    # A precise case stops early, checked every DRAWS_PER_CHECK draws.
     draws = 0
     while draws < case.scatterers and not is_precise(draws, case.standard_error_m, partial(_rows, case, values, draws)):
         for draw in range(draws, min(draws + DRAWS_PER_CHECK, case.scatterers)):

@@ -53,6 +53,7 @@ def run_study(
     }
     store = CaseStore(output / "cases")
     store.prepare()
+    # Equal cases of several studies have one key.
     cases = {point.case.key: point.case for _, points in studies.values() for point in points}
     records = {key: record for key in cases if (record := store.read(key)) is not None}
     if damaged := sum(store.is_damaged(key) for key in cases if key not in records):
@@ -98,6 +99,7 @@ def compute(cases: Sequence[AnyCase]) -> list[CaseRecord]:
 
 def batches(cases: Sequence[AnyCase]) -> list[list[AnyCase]]:
     """Return batches of cases with the same noise, sorted by echoes within, the longest batches first."""
+    # Cases of one batch share noise; neighbours with the same echoes share those too.
     ordered = sorted(cases, key=lambda case: (case.batch_key, case.key))
     result = []
     for _, group in itertools.groupby(ordered, lambda case: case.batch_key[0]):

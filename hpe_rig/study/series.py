@@ -126,6 +126,7 @@ def maps(result: StudyResult, view: View) -> Iterator[MapTable]:
     x, y = (np.array(axis.labels, dtype=np.float64) for axis in (x_axis, y_axis))
     names = [name for name, value in view.rows[0].items() if isinstance(value, float)]
     for outer_values in itertools.product(*(axis.labels for axis in outer_axes)):
+        # Rows have the last axis fastest: (x, y), transposed to (y, x) for the drawing.
         rows = _rows_at(view, outer_axes, outer_values)
         columns = {name: np.array([row[name] for row in rows]).reshape(len(x), len(y)).T for name in names}
         yield MapTable(outer_values, x, y, columns)

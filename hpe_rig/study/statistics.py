@@ -68,6 +68,7 @@ def phase_errors(phase_rad: FloatArray, true_rad: float) -> Errors:
     if len(error_rad) == 0:
         return errors(error_rad)
     centre = float(np.angle(np.exp(1j * error_rad).mean()))
+    # Jitter of the error wrapped about its circular mean; the resultant scales the standard error of the direction.
     deviation = error_rad - centre
     resultant = max(float(np.cos(deviation).mean()), 1e-12)
     centre_se = _standard_error(np.sin(deviation).mean(axis=1)) / resultant

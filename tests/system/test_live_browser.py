@@ -208,7 +208,7 @@ def test_a_phone_sees_where_the_run_is_and_pauses_it(
     assert re.search(r"Amplitudes of \d+ shots, the last: .* nm at 100 Hz, u ", over)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.click("#pause")
-    page.wait_for_selector("#pause:text-is('Go on')", timeout=30_000)
+    page.wait_for_selector("#pause:text-is('Continue')", timeout=30_000)
     deadline_s, before = time.monotonic() + 60, -1
     while records(page) != before and time.monotonic() < deadline_s:
         before = records(page)

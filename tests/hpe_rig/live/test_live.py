@@ -25,7 +25,7 @@ from hpe_rig.cli.options import WatchOptions
 from hpe_rig.cli.watch import supervise
 from hpe_rig.live import server
 from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
-from hpe_rig.live.history import TimeLeft
+from hpe_rig.live.history import RemainingTime
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State, band_verdict
@@ -160,16 +160,16 @@ LONG = b"GET / HTTP/1.1\r\nHost: localhost\r\nA: " + b"b" * 5000
 def test_a_half_open_request_is_ended_within_ten_seconds(
     page: LivePage, monkeypatch: pytest.MonkeyPatch, start: bytes, request_s: float | None
 ) -> None:
-    assert server.REQUEST_S + 2 * server.LOOK_S < 10
+    assert server.REQUEST_TIMEOUT_S + 2 * server.CHECK_PERIOD_S < 10
     if request_s:
-        monkeypatch.setattr(server, "REQUEST_S", request_s)
-        monkeypatch.setattr(server, "LOOK_S", 0.05)
+        monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", request_s)
+        monkeypatch.setattr(server, "CHECK_PERIOD_S", 0.05)
     assert is_ended(half_open(page, start))
 
 
 def test_a_second_request_that_stays_half_open_is_ended_too(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "REQUEST_S", 0.3)
-    monkeypatch.setattr(server, "LOOK_S", 0.05)
+    monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(server, "CHECK_PERIOD_S", 0.05)
     connection = half_open(page, WHOLE)
     reply = b""
     while not reply.partition(b"\r\n\r\n")[2]:
@@ -180,8 +180,8 @@ def test_a_second_request_that_stays_half_open_is_ended_too(page: LivePage, monk
 
 
 def test_a_viewer_stays_though_it_says_nothing(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "REQUEST_S", 0.2)
-    monkeypatch.setattr(server, "LOOK_S", 0.05)
+    monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(server, "CHECK_PERIOD_S", 0.05)
     with connect(watch(page), max_size=None) as viewer:
         first = json.loads(viewer.recv(timeout=10))["count"]
         time.sleep(1.0)
@@ -190,7 +190,7 @@ def test_a_viewer_stays_though_it_says_nothing(page: LivePage, monkeypatch: pyte
 
 
 def test_only_so_many_connections_are_open_at_once(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "MOST_CONNECTIONS", 3)
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 3)
     some = [half_open(page, b"GET / HT") for _ in range(3)]
     assert is_ended(half_open(page, b""))
     for connection in some:
@@ -288,15 +288,15 @@ def test_the_time_left_follows_from_the_records_so_far_and_a_pause_does_not_coun
 ) -> None:
     now_s = [100.0]
     monkeypatch.setattr("hpe_rig.live.history.time.monotonic", lambda: now_s[0])
-    clock = TimeLeft()
-    assert clock.left_s(10, 110, running=True) is None
+    clock = RemainingTime()
+    assert clock.remaining_s(10, 110, running=True) is None
     now_s[0] += 5.0
-    assert clock.left_s(60, 110, running=True) == 5.0
+    assert clock.remaining_s(60, 110, running=True) == 5.0
     now_s[0] += 1000.0
-    assert clock.left_s(60, 110, running=False) is None
-    assert clock.left_s(60, 110, running=True) is None
+    assert clock.remaining_s(60, 110, running=False) is None
+    assert clock.remaining_s(60, 110, running=True) is None
     now_s[0] += 1.0
-    assert clock.left_s(85, 110, running=True) == 1.0
+    assert clock.remaining_s(85, 110, running=True) == 1.0
 
 
 def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path, run_file: Path) -> None:

@@ -65,10 +65,10 @@ def test_half_the_motion_is_told_from_chance_whatever_else_differs(runs: tuple[P
 
 @pytest.mark.parametrize(("amplitude", "phase"), [(0.3, 0.1), (2.0, 0.0), (1.0, -3.0)])
 def test_the_probability_is_that_of_chi_square_with_two_degrees_of_freedom(amplitude: float, phase: float) -> None:
-    found = _probability(amplitude * 2e-9, 2e-9, phase * 0.01, 0.01)
+    found = _probability((amplitude * 2e-9, phase * 0.01), (2e-9, 0.01))
     assert found == pytest.approx(chdtrc(2, amplitude**2 + phase**2), rel=1e-12)
-    assert _probability(0.0, 0.0, 0.0, 0.0) == 1.0
-    assert _probability(1.0, 0.0, 0.0, 1.0) == 0.0
+    assert _probability((0.0, 0.0), (0.0, 0.0)) == 1.0
+    assert _probability((1.0, 0.0), (0.0, 1.0)) == 0.0
 
 
 def test_repeats_are_compared_by_their_means_and_what_has_no_partner_is_named(

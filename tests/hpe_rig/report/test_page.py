@@ -264,7 +264,7 @@ def test_what_is_told_of_aliasing_and_taken_off_has_its_line_among_the_errors() 
     as_it_is = Estimate(100.0, 1e-7, 1e-9, 0.1, 0.01, averaging_factor=0.9, averaging_phase_rad=0.0)
     told = replace(as_it_is, aliasing_factor=1.1, aliasing_phase_rad=math.radians(-3.0))
     lines = [
-        {stage.stage: stage.size for stage in error_stages(ShotResult(0, 0, 1e-4, 1.0, 9, 0, 1e-9, (each,), ()), None)}
+        {stage: size for stage, size, _ in error_stages(ShotResult(0, 0, 1e-4, 1.0, 9, 0, 1e-9, (each,), ()), None)}
         for each in (as_it_is, told)
     ]
     assert "mean aliasing" not in lines[0]
