@@ -54,7 +54,7 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
     assert len(moduli_figure(result).axes) == 2
 
 
-def test_every_place_has_its_own_truth_and_estimate(run: hpe.Run) -> None:
+def test_every_offset_has_a_truth_and_an_estimate(run: hpe.Run) -> None:
     result = run.estimate()
     places = [shot.lateral_offset_m for shot in result.shots]
     assert places == list(load_scene("gelatin-moduli").sweep.lateral_offset_m)
@@ -68,7 +68,7 @@ def test_every_place_has_its_own_truth_and_estimate(run: hpe.Run) -> None:
     assert with_places["lateral_offset_m"] == places[1]
 
 
-def test_two_runs_of_a_place_each_do_as_well(run: hpe.Run, tmp_path: Path) -> None:
+def test_two_runs_of_one_offset_each_give_the_moduli(run: hpe.Run, tmp_path: Path) -> None:
     one_place = {"sweep.lateral_offset_m": [1.0e-3]}
     other = {"sweep.lateral_offset_m": [3.5e-3]}
     scene = load_scene("gelatin-moduli")
@@ -92,7 +92,7 @@ def test_the_command_prints_what_the_function_returns(run: hpe.Run, tmp_path: Pa
     assert "voigt, zener, power_law, maxwell" in wrong.output
 
 
-def test_a_scene_that_cannot_tell_moduli_says_all_that_is_missing(tmp_path: Path) -> None:
+def test_a_scene_without_push_is_refused_with_all_reasons(tmp_path: Path) -> None:
     lacking = hpe.measure("table-1", path=tmp_path / "run.h5")
     with pytest.raises(SettingsError, match="nothing pushes"):
         hpe.fit_moduli(lacking)
@@ -100,13 +100,13 @@ def test_a_scene_that_cannot_tell_moduli_says_all_that_is_missing(tmp_path: Path
         hpe.fit_moduli()
 
 
-def test_the_report_describes_the_place_of_the_shot_it_shows(run: hpe.Run) -> None:
+def test_the_report_describes_the_offset_of_its_shot(run: hpe.Run) -> None:
     last = run.estimate().shots[-1]
     assert _scene_at(run, last).tracking.lateral_offset_m == 6e-3
     assert not _scene_at(run, last).sweep.lateral_offset_m
 
 
-def test_several_places_on_a_bench_need_somebody_to_move_the_transducer() -> None:
+def test_several_offsets_on_a_bench_need_a_mover() -> None:
     plan = prepare("gelatin-moduli").plan
     require_mover(plan, simulated=True, move=None)
     require_mover(plan, simulated=False, move=lambda lateral_m: None)
@@ -114,7 +114,7 @@ def test_several_places_on_a_bench_need_somebody_to_move_the_transducer() -> Non
         require_mover(plan, simulated=False, move=None)
 
 
-def test_the_transducer_is_moved_once_a_place_with_every_output_off(tmp_path: Path) -> None:
+def test_the_transducer_moves_once_for_each_offset_with_all_outputs_off(tmp_path: Path) -> None:
     from hpe_rig.measurement import Progress, Step
 
     seen: list[tuple[str, float]] = []

@@ -20,7 +20,7 @@ def forecast(values: dict[str, object]) -> ModuliForecast:
     return moduli_forecast(setup.scene.scene, setup.plan)
 
 
-def test_what_is_forecast_is_what_the_fit_states(tmp_path: Path) -> None:
+def test_the_forecast_equals_the_uncertainty_of_the_fit(tmp_path: Path) -> None:
     values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 2.25e-3, 4.75e-3]}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
     fit = hpe.fit_moduli(run, laws=["voigt"]).best
@@ -30,7 +30,7 @@ def test_what_is_forecast_is_what_the_fit_states(tmp_path: Path) -> None:
     np.testing.assert_allclose(expected.uncertainty, list(fit.uncertainty.values()), rtol=0.15)
 
 
-def test_more_places_and_better_known_ones_tell_more() -> None:
+def test_more_offsets_and_better_known_ones_reduce_the_uncertainty() -> None:
     two = forecast({"sweep.lateral_offset_m": [1e-3, 3e-3]})
     five = forecast({})
     known = forecast({"tracking.offset_uncertainty_m": 1e-6})
@@ -40,7 +40,7 @@ def test_more_places_and_better_known_ones_tell_more() -> None:
     assert noisy.uncertainty[1] > repeated.uncertainty[1] > five.uncertainty[1]
 
 
-def test_depths_are_counted_and_tell_more_but_for_what_they_share(tmp_path: Path) -> None:
+def test_depths_reduce_the_uncertainty_except_for_common_noise(tmp_path: Path) -> None:
     values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3], "processing.gate_profile_step_m": 1e-3}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
     found = hpe.fit_moduli(run, laws=["voigt"])
@@ -55,7 +55,7 @@ def test_depths_are_counted_and_tell_more_but_for_what_they_share(tmp_path: Path
     np.testing.assert_allclose(shared[1].covariance_m2, 2 * one_gate.covariance_m2)
 
 
-def test_the_declared_medium_counts_before_the_twins_and_a_typical_one_where_neither_is() -> None:
+def test_the_declared_medium_precedes_the_twins_and_a_typical_one() -> None:
     declared = forecast({"medium": {"shear_modulus_pa": 4e3, "shear_viscosity_pa_s": 0.5}})
     assert declared.values == pytest.approx((4e3, 0.5))
     assert declared.medium_source == "the declared medium"
@@ -64,7 +64,7 @@ def test_the_declared_medium_counts_before_the_twins_and_a_typical_one_where_nei
     assert "a typical medium of 9 kPa and 2 Pa s" in str(typical)
 
 
-def test_check_prints_it_for_a_scene_of_several_places_and_says_why_not_otherwise() -> None:
+def test_check_prints_the_forecast_for_several_offsets_or_the_reason_against_it() -> None:
     line = [line for line in str(hpe.check("gelatin-moduli")).splitlines() if line.startswith("moduli")]
     assert len(line) == 1
     assert "from 5 lateral offsets" in line[0]
@@ -76,6 +76,6 @@ def test_check_prints_it_for_a_scene_of_several_places_and_says_why_not_otherwis
     assert list(moduli_text(flat, setup.plan)) == ["moduli: no forecast, a force of 0.00034 m by 0.0002 m is not round"]
 
 
-def test_a_scene_in_which_nothing_stands_out_is_told_so() -> None:
+def test_a_scene_with_motion_below_the_noise_is_refused() -> None:
     with pytest.raises(ValueError, match="too few harmonics"):
         forecast({"simulation.specimen.force_density_n_per_m3": 1e3})

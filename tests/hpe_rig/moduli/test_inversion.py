@@ -61,7 +61,7 @@ def vibrations(
         (3e5, 20.0),
     ],
 )
-def test_without_noise_the_moduli_come_back_to_1e_6(medium: tuple[float, float], places: tuple[float, ...]) -> None:
+def test_noise_free_vibrations_give_the_moduli_to_1e_6(medium: tuple[float, float], places: tuple[float, ...]) -> None:
     specimen = Specimen(shear_modulus_pa=medium[0], shear_viscosity_pa_s=medium[1])
     fit = fit_medium(vibrations(specimen, places), PUSH)
     assert fit.values["shear_modulus_pa"] == pytest.approx(medium[0], rel=1e-6)
@@ -74,7 +74,7 @@ HELD = json.loads((Path(__file__).parents[2] / "fixtures" / "held_shear_field.js
 
 
 @pytest.mark.parametrize("medium", HELD["media"], ids=lambda medium: f"{medium['shear_modulus_pa']:g} Pa")
-def test_spectra_by_an_independent_quadrature_give_the_moduli_back_to_1e_6(medium: dict[str, Any]) -> None:
+def test_spectra_by_an_independent_quadrature_give_the_moduli_to_1e_6(medium: dict[str, Any]) -> None:
     """scripts/validation/held_shear_field.py uses none of our code: converged to 2e-11 of the largest amplitude."""
     push = Push(
         PushForce(tuple(HELD["width_m"][:1]), HELD["width_m"][1]), HELD["burst_rate_hz"], HELD["burst_length_s"]
@@ -100,7 +100,7 @@ def test_spectra_by_an_independent_quadrature_give_the_moduli_back_to_1e_6(mediu
         ("maxwell", {"shear_modulus_pa": 9e3, "shear_viscosity_pa_s": 8.0}),
     ],
 )
-def test_every_law_comes_back_and_is_the_likeliest(law: str, settings: dict[str, float]) -> None:
+def test_every_law_is_recovered_and_the_most_likely(law: str, settings: dict[str, float]) -> None:
     specimen = Specimen(medium=law, **settings)  # type: ignore[arg-type]
     names = {"viscosity_pa_s": "shear_viscosity_pa_s"}
     fit = fit_medium(vibrations(specimen, FIVE), PUSH, law)  # type: ignore[arg-type]
@@ -113,7 +113,7 @@ def test_every_law_comes_back_and_is_the_likeliest(law: str, settings: dict[str,
     assert next(each for each in fits if each.law == "voigt").excluded
 
 
-def test_voigt_data_do_not_exclude_a_zener_medium_that_holds_it() -> None:
+def test_voigt_data_do_not_exclude_a_zener_medium_that_includes_it() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     fits, _ = compare_media(vibrations(specimen, FIVE, np.random.default_rng(4)), PUSH, ("voigt", "zener"))
     assert not any(each.excluded for each in fits)
@@ -148,7 +148,7 @@ def test_the_stated_uncertainty_is_the_bound_at_the_truth() -> None:
     assert u_mu2 == pytest.approx(0.0075, abs=3e-4)
 
 
-def test_more_data_never_hurt_and_contributions_say_what_each_brings() -> None:
+def test_contributions_equal_the_growth_of_the_uncertainty_without_the_data() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     fit = fit_medium(vibrations(specimen, FIVE), PUSH)
     for part in (*fit.by_place, *fit.by_frequency):
@@ -159,7 +159,7 @@ def test_more_data_never_hurt_and_contributions_say_what_each_brings() -> None:
     np.testing.assert_allclose(fit.by_place[0].growth, grown, rtol=1e-6)
 
 
-def test_a_wrong_width_is_taken_up_where_it_is_uncertain_and_excluded_where_it_is_not() -> None:
+def test_a_wrong_width_is_adjusted_if_uncertain_and_excluded_if_certain() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     narrow = Push(PushForce((0.27e-3,), 3.6e-3), 100.0, 100e-6, width_uncertainty=(0.3, 0.3))
     measured = vibrations(specimen, FIVE, np.random.default_rng(6))
@@ -180,7 +180,7 @@ def test_too_few_data_are_refused() -> None:
         fit_medium([], PUSH)
 
 
-def test_a_place_beyond_what_the_field_was_tested_to_is_refused() -> None:
+def test_an_offset_beyond_the_tested_field_is_refused() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     with pytest.raises(ValueError, match=r"25 mm: the field is tested to 20 mm"):
         fit_medium(vibrations(specimen, (1e-3, 25e-3)), PUSH)
@@ -204,7 +204,7 @@ def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vi
     return found
 
 
-def test_slopes_by_everything_that_depths_add_are_those_of_finite_differences() -> None:
+def test_slopes_with_gates_over_depth_equal_finite_differences() -> None:
     # a force of several Gaussians of which something is not known, as an aperture's
     unsure = ("reach", ((0.1, 0.3), (0.0, 0.2))), ("loss", ((0.05, 0.0), (0.0, -0.1)))
     force = PushForce((0.34e-3, 0.8e-3), 3.6e-3, (-1e-3, 4e-3), ((0.7, 0.2), (0.1, 0.2)), unsure)
@@ -224,7 +224,7 @@ def test_slopes_by_everything_that_depths_add_are_those_of_finite_differences() 
         np.testing.assert_allclose(jacobian[:, i], slope, atol=2e-6 * np.abs(jacobian[:, i]).max())
 
 
-def test_depths_tell_more_but_not_of_what_the_stage_is_off() -> None:
+def test_depths_share_the_error_of_the_stage() -> None:
     """Three depths share the stage's error: they tell more than one, and less than if each had an error of its own."""
     # a stage so bad that little else counts
     deep = [replace(one, stage_uncertainty_m=0.3e-3) for one in at_depths((9e3, 2.0), (-1e-3, 0.0, 1e-3))]

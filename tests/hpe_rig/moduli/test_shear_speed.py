@@ -72,7 +72,7 @@ def test_order_of_places_does_not_matter_and_noise_free_phases_are_exact() -> No
     assert fit.viscosity_pa_s == pytest.approx(1.0, rel=1e-6)
 
 
-def test_what_gives_no_speed_is_refused_with_the_reason() -> None:
+def test_data_without_a_speed_are_refused_with_the_reason() -> None:
     with pytest.raises(ValueError, match="two different"):
         shear_speed([1e-3, 1e-3], [100.0], np.zeros((2, 1)), np.ones((2, 1)))
     with pytest.raises(ValueError, match="does not fall"):

@@ -20,7 +20,7 @@ def plain_text(name):
 
 
 @pytest.mark.parametrize(("name", "largest"), [("bovine-muscle", 0.002), ("bovine-muscle-synchronous", 0.01)])
-def test_with_the_prior_of_media_next_to_nothing_aliases(name, largest):
+def test_with_the_medium_prior_aliasing_is_negligible(name, largest):
     setup = prepare(name)
     ratio = fitted_over_true(setup.scene.scene, setup.plan.shots[0])
     assert np.abs(ratio - 1).max() < largest
@@ -28,7 +28,7 @@ def test_with_the_prior_of_media_next_to_nothing_aliases(name, largest):
     assert np.abs(paper - 1).max() > 5 * largest
 
 
-def test_aliasing_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
+def test_aliasing_of_synchronous_pulses_equals_that_of_the_twins_motion(tmp_path):
     """40 instants a burst period: the discrete transform of one period holds what is aliased.
 
     The twin's motion is that of the peak. Of aliased harmonics, less than a tenth of the wanted ones, the beam tracks
@@ -47,7 +47,7 @@ def test_aliasing_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
     assert np.abs(ratio - 1).max() > 0.1
 
 
-def test_check_tells_what_a_delay_of_shifting_pulses_costs():
+def test_check_prints_the_aliasing_of_a_delay_of_shifting_pulses():
     text = plain_text("bovine-muscle")
     later = prepare_text("later", text.replace("delay_s = 131e-6", "delay_s = 130e-6"))
     own = prepare_text("own", text)
@@ -59,13 +59,13 @@ def test_check_tells_what_a_delay_of_shifting_pulses_costs():
     assert "at most {:.2g} % and {:.2g} deg".format(*largest) in line
 
 
-def test_on_metal_nothing_is_said_of_the_medium_that_the_twin_alone_has():
+def test_a_real_bench_has_no_line_about_the_twins_medium():
     setup = prepare("bovine-muscle")
     scene, shot = setup.scene.scene, setup.plan.shots[0]
     assert [len(list(aliasing_text(scene, shot, simulated))) for simulated in (True, False)] == [1, 0]
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_nothing_is_said_where_nothing_pushes(simulated):
+def test_a_scene_without_push_has_no_aliasing_line(simulated):
     setup = prepare("table-1")
     assert not list(aliasing_text(setup.scene.scene, setup.plan.shots[0], simulated))

@@ -37,7 +37,7 @@ def test_trigger_jitter_of_a_nanosecond_is_that_of_the_theory_page():
     assert detection_floor(scene("muscle-force"), simulated=False).trigger_jitter_m == 0.0
 
 
-def test_floor_is_what_noise_exceeds_once_in_twenty():
+def test_noise_exceeds_the_floor_once_in_twenty():
     found = detection_floor(scene("muscle-force"))
     normal = np.random.default_rng(1).standard_normal((2, 40_000)) * found.quadrature_m
     share = np.mean(np.hypot(*normal) > found.detected_m)
@@ -48,12 +48,12 @@ def test_floor_is_what_noise_exceeds_once_in_twenty():
 @pytest.mark.parametrize(
     ("larger", "closed_form"), [(1.0, np.sqrt(2 * np.log(20))), (np.sqrt(2), np.sqrt(2) * 1.959964)]
 )
-def test_the_quantile_of_like_quadratures_is_rayleigh_s_and_of_one_alone_the_normal_one(larger, closed_form):
+def test_the_quantile_is_rayleighs_for_equal_quadratures_and_normal_for_a_single_one(larger, closed_form):
     assert amplitude_quantile(larger) == pytest.approx(closed_form, rel=1e-6)
 
 
 @pytest.mark.parametrize("larger", [1.1, 1.3, 1.41])
-def test_the_quantile_of_unlike_quadratures_is_exceeded_once_in_twenty(larger):
+def test_the_quantile_of_unequal_quadratures_is_exceeded_once_in_twenty(larger):
     deviations = np.array([larger, np.sqrt(2 - larger**2)])
     amplitude = np.hypot(*(np.random.default_rng(2).standard_normal((40_000, 2)) * deviations).T)
     # Three standard deviations of a binomial share of 1/20 in 40000.
@@ -62,7 +62,7 @@ def test_the_quantile_of_unlike_quadratures_is_exceeded_once_in_twenty(larger):
 
 
 @pytest.mark.parametrize("name", WITH_SPECIMEN)
-def test_every_scene_tells_its_dose_beside_its_floor(name):
+def test_every_scene_with_a_specimen_prints_its_dose(name):
     lines = list(detection_text(scene(name)))
     lengths = scene(name).excitation.burst_length_s
     assert lines[0].startswith("detection floor")
@@ -86,7 +86,7 @@ def test_without_specimen_or_excitation_there_is_no_dose():
     assert len(list(detection_text(scene("gelatin-8"), simulated=False))) == 1
 
 
-def test_pulses_that_shift_pay_for_the_harmonics_that_are_fitted_along():
+def test_shifting_pulses_cost_noise_for_the_other_fitted_harmonics():
     """Where every period is sampled alike the columns are orthogonal and a quadrature has 2/N of a pulse's noise."""
     least_squares = "[processing]\n", '[processing]\nharmonic = "least_squares"\n'
     names = "bovine-muscle-synchronous", "bovine-muscle"
@@ -101,7 +101,7 @@ def test_pulses_that_shift_pay_for_the_harmonics_that_are_fitted_along():
     assert known_m < 1.2 * plain
 
 
-def test_a_calibration_that_is_not_of_the_twins_force_is_told_with_both_intensities() -> None:
+def test_a_calibration_that_contradicts_the_twins_force_is_reported_with_both_intensities() -> None:
     setup = prepare("bovine-muscle")
     (line,) = calibration_text(setup.scene.scene, setup.bench.bench)
     # 0.55 dB/cm/MHz is 19.00 Np/m at 3 MHz; 5.2 W/cm2 in water, derated by 6.3 dB.
@@ -126,7 +126,7 @@ def calibrated(bench, amplitude_vpp, sppa_w_per_m2, simulated=False):
     return bench.model_copy(update={"calibration": calibration, "simulated": simulated})
 
 
-def test_an_output_scaled_from_another_drive_says_by_how_much_shocks_change_it() -> None:
+def test_an_output_scaled_from_another_drive_reports_the_change_by_shocks() -> None:
     setup = prepare("bovine-muscle")
     aperture = prepare("bovine-muscle-aperture").scene.scene
     scene, bench = setup.scene.scene, setup.bench.bench

@@ -46,7 +46,7 @@ def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Conditions,
     assert errors.noise_jitter_m == pytest.approx(0.993 * bound_m, rel=3e-3, abs=0)
 
 
-def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(table_one: Conditions) -> None:
+def test_the_mean_of_random_envelopes_equals_the_closed_form(table_one: Conditions) -> None:
     found = predict(table_one, ("coherent",), draws=3000).expected[0]
     gate = TrackingGate(table_one.tracking_width_m, 1e-3, table_one.pulse_length_m)
     factor = beam_averaging_factor(table_one.excitation_width_m, gate, table_one.scatterers_per_m3)
@@ -54,7 +54,7 @@ def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(ta
     assert 1 + found.bias_m / 1e-6 == pytest.approx(factor, abs=0.0033)
 
 
-def test_a_density_beyond_all_measure_is_drawn_in_bounded_memory_and_is_developed_speckle(
+def test_an_extreme_density_is_drawn_in_bounded_memory_as_developed_speckle(
     table_one: Conditions,
 ) -> None:
     dense = replace(table_one, scatterers_per_m3=1e5 * table_one.scatterers_per_m3)
@@ -107,7 +107,7 @@ def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: floa
 
 
 @pytest.mark.parametrize("over_noise", [0.0, 0.3, 99.9, 100.1, 3e4])
-def test_noise_lengthens_an_amplitude_as_the_rice_distribution_says(table_one: Conditions, over_noise: float) -> None:
+def test_the_bias_by_noise_is_that_of_the_rice_distribution(table_one: Conditions, over_noise: float) -> None:
     rigid = Speckle(np.ones((1, 64), complex), np.ones((1, 64), complex))
     generator = np.random.default_rng(0)
     deviation_m = estimator_errors(table_one, "coherent", rigid, generator).quadrature_m
@@ -118,7 +118,7 @@ def test_noise_lengthens_an_amplitude_as_the_rice_distribution_says(table_one: C
     assert found.bias_m == pytest.approx((length - over_noise) * deviation_m, abs=1e-12 * (amplitude_m + deviation_m))
 
 
-def test_remedies_reach_the_target_each_alone(table_one: Conditions) -> None:
+def test_each_remedy_reaches_the_target_without_the_others(table_one: Conditions) -> None:
     wanted_m = 5e-9
     remedy = remedies(predict(table_one, ("coherent",), 200), wanted_m, 70e-3)
     cases = (
@@ -133,7 +133,7 @@ def test_remedies_reach_the_target_each_alone(table_one: Conditions) -> None:
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Conditions, estimator: Estimator) -> None:
+def test_trigger_jitter_adds_to_the_noise_and_no_snr_removes_it(table_one: Conditions, estimator: Estimator) -> None:
     jitter_s, wanted_m = 0.1e-9, 8e-9
     quiet, shaken = (predict(replace(table_one, trigger_jitter_s=each), (estimator,), 200) for each in (0.0, jitter_s))
     # c/2 of it a pulse, 2/N in a quadrature, half as much again behind a Hann window
@@ -147,14 +147,14 @@ def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Co
     assert found.noise_jitter_m == pytest.approx(20e-9, rel=0.01 if estimator == "coherent" else 0.15)
 
 
-def test_check_prints_every_estimator_and_what_reaches_the_target() -> None:
+def test_check_prints_every_estimator_and_the_settings_for_the_target() -> None:
     setup = prepare("table-1")
     text = "\n".join(prediction_text(setup.scene.scene, setup.plan.shots[0], 1e-9))
     for word in ("loupas", "cross_spectrum", "target 1 nm with coherent: not reached", "N_c = 14", "beyond c/2z"):
         assert word in text
 
 
-def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> None:
+def test_harmonics_fitted_over_skipped_pulses_cost_the_noise_gain_of_the_fit() -> None:
     gains = {}
     for name in ("bovine-muscle", "bovine-muscle-synchronous"):
         text = scene_text(name)[1].replace("[processing]\n", '[processing]\nharmonic = "least_squares"\n')
@@ -175,7 +175,7 @@ def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> 
     assert along.noise_jitter_m == pytest.approx(gains["bovine-muscle"] * alone.noise_jitter_m, rel=0.02)
 
 
-def test_without_beams_or_snr_the_prediction_says_what_it_needs() -> None:
+def test_without_beams_or_snr_the_prediction_names_the_missing_settings() -> None:
     scene = parse_scene(*scene_text("table-1")).scene
     bare = scene.model_copy(update={"beams": None})
     assert conditions_of(bare) is None

@@ -54,7 +54,7 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
     assert re.findall(r"<td>([^<]*)</td>", row)[2] == noise
 
 
-def test_the_floor_is_the_noise_of_the_worst_frequency() -> None:
+def test_the_floor_has_the_noise_of_the_worst_frequency() -> None:
     setup = prepare("bovine-muscle", refuse=False)
     scene, shot = setup.scene.scene, setup.plan.shots[0]
     each = [forecast_of(scene, shot, hz, ("coherent",)) for hz in scene.wanted_frequencies_hz]

@@ -48,7 +48,7 @@ def require_truth(result: ModuliResult) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [5, 1])
-def test_the_heavy_tail_of_speckle_leaves_the_intervals_what_they_say(run: hpe.Run, count: int) -> None:
+def test_the_heavy_tail_of_speckle_keeps_the_coverage_of_intervals(run: hpe.Run, count: int) -> None:
     """To first order: what moves a place is drawn as speckle has it, kurtosis 5 to 6, all else is normal.
 
     12 000 draws of scatterers, and the 2000 of the stated spread, leave sd uncertain by sqrt(5 / 4 / n): 1.0 and 2.5 %.
@@ -76,7 +76,7 @@ def test_the_heavy_tail_of_speckle_leaves_the_intervals_what_they_say(run: hpe.R
     assert np.all(np.abs(np.mean(np.abs(ratio) < 1.96, axis=0) - 0.95) < 0.015)
 
 
-def test_harmonics_below_their_noise_are_left_out_and_named(run: hpe.Run) -> None:
+def test_harmonics_below_their_noise_are_omitted_and_named(run: hpe.Run) -> None:
     result = fitted(run, run.stored)
     require_truth(result)
     (line,) = result.omitted
@@ -86,7 +86,7 @@ def test_harmonics_below_their_noise_are_left_out_and_named(run: hpe.Run) -> Non
     assert f"omitted: {line}" in str(result)
 
 
-def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> None:
+def test_missing_and_untrusted_shots_are_omitted_and_named(run: hpe.Run) -> None:
     whole = fitted(run, run.stored)
     complete = np.array(run.stored.shot_complete)
     complete[1] = False
@@ -104,13 +104,13 @@ def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> Non
     assert result.best.uncertainty["shear_modulus_pa"] > whole.best.uncertainty["shear_modulus_pa"]
 
 
-def test_a_run_without_one_good_shot_is_refused_with_the_reasons(run: hpe.Run) -> None:
+def test_a_run_without_a_usable_shot_is_refused_with_the_reasons(run: hpe.Run) -> None:
     nothing = replace(run.stored, shot_complete=np.zeros(4, bool))
     with pytest.raises(ValueError, match=r"no vibration exceeds its noise.*1 mm: shot 1, incomplete"):
         fitted(run, nothing)
 
 
-def test_a_force_that_changed_between_places_needs_an_amplitude_a_place(tmp_path: Path, run: hpe.Run) -> None:
+def test_a_force_that_differs_between_offsets_needs_one_amplitude_for_each(tmp_path: Path, run: hpe.Run) -> None:
     strong = measured(tmp_path / "strong.h5", [1e-3, 2.25e-3])
     weak = measured(tmp_path / "weak.h5", [3.5e-3, 4.75e-3], **{FORCE: 3.5e6})
     common = hpe.fit_moduli(strong, weak, laws=["voigt"])
@@ -119,7 +119,7 @@ def test_a_force_that_changed_between_places_needs_an_amplitude_a_place(tmp_path
     require_truth(own)
 
 
-def test_a_declared_aperture_pushes_by_its_own_intensity_and_two_transducers_by_a_gaussian() -> None:
+def test_a_declared_aperture_pushes_with_its_intensity_and_two_transducers_with_a_gaussian() -> None:
     scene = hpe.load_scene("gelatin-moduli")
     one = scene.with_({"beams.transducer_diameter_m": 45e-3})
     two = one.with_({"beams.focus_depth_m": 70e-3, "beams.push_focus_depth_m": 60e-3})
