@@ -219,7 +219,7 @@ def _refuse_no_text(holder: Any, where: str) -> None:
         # Such text lies in a heap without checksums, where a damaged file can send the library into an endless loop.
         raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
     if holder.dtype.itemsize > MAX_TEXT_BYTES:
-        raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MOST_TEXT_BYTES}")
+        raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MAX_TEXT_BYTES}")
 
 
 def _text(value: Any, where: str) -> str:
@@ -229,7 +229,7 @@ def _text(value: Any, where: str) -> str:
     except UnicodeError:
         raise UntrustedError(f"{where} is not UTF-8 text") from None
     if len(text) > MAX_TEXT_BYTES:
-        raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MOST_TEXT_BYTES}")
+        raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MAX_TEXT_BYTES}")
     # A terminal would execute them.
     if control_character(text):
         raise UntrustedError(f"{where} holds control characters")

@@ -161,7 +161,7 @@ def test_an_instrument_whose_settings_cannot_be_read_is_one_row_of_the_table(mon
 
 def test_a_board_other_than_the_bench_file_says_is_told_with_the_key_to_change(tmp_path: Path) -> None:
     other = edited(tmp_path, ("dual_port_memory = true", "samples_per_channel = 4096"))
-    digitizer = survey(read_bench(other).bench).found[-1]
+    digitizer = survey(read_bench(other).bench).instruments[-1]
     assert any("digitizer.dual_port_memory = true" in problem for problem in digitizer.problems)
     assert any("digitizer.samples_per_channel = 8388608" in problem for problem in digitizer.problems)
 
@@ -186,7 +186,7 @@ def test_an_address_that_is_none_is_an_error_of_that_role(tmp_path: Path) -> Non
     bench = real_bench(tmp_path)
     wrong = bench.generators.master.model_copy(update={"address": "not an address"})
     bench = bench.model_copy(update={"generators": bench.generators.model_copy(update={"master": wrong})})
-    first = survey(bench).found[0]
+    first = survey(bench).instruments[0]
     assert first.role == "master"
     assert "not an address" in first.problems[0]
     assert "hpe-rig bench" in first.problems[0]
@@ -242,7 +242,7 @@ def test_a_run_is_compared_with_the_bench_as_it_stands(tmp_path: Path) -> None:
     )
     lines = compare_with(run, bench_state(other)).splitlines()
     assert lines[0] == "5 differences"
-    assert "  tracking pulser: high 500 mV in run.h5, 400 mV in the bench now" in lines
+    assert "  tracking pulser: high 0.5 V in run.h5, 0.4 V in the bench now" in lines
 
 
 def test_snapshots_of_all_acquired_shots_are_read(prepared: Prepare, tmp_path: Path) -> None:
