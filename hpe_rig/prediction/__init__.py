@@ -16,8 +16,7 @@
     output_text.py      acoustic output, dose and calibration as text
     text.py             forecasts as text
 
-Callers use ``forecast_of(scene, shot)``, ``predicted_averaging``, ``detection_floor`` and the functions ending in
-``_text``. Theory: docs/explanation/prediction.md.
+Callers use ``predicted_averaging``, ``detection_floor``, ``predict`` and the functions ending in ``_text``. Theory: docs/explanation/prediction.md.
 """
 
 import lazy_loader

@@ -17,7 +17,6 @@ from .forecast import (
     MIN_PULSES_PER_CYCLE as MIN_PULSES_PER_CYCLE,
     as_averaged as as_averaged,
     conditions_of as conditions_of,
-    forecast_of as forecast_of,
     predict as predict,
 )
 from .linear_fit import noise_gain as noise_gain
