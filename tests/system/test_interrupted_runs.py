@@ -76,13 +76,13 @@ class Both:
     bus = property(lambda self: self.there.bus)
     timeout_s = property(lambda self: self.there.timeout_s, lambda self, value: setattr(self.there, "timeout_s", value))
 
-reach = opening._reach
+connections_of = opening._connect
 def both(simulation, bench, first_shot, stack, lock=True):
-    there = reach(simulation, bench, first_shot, stack, lock)
+    there = connections_of(simulation, bench, first_shot, stack, lock)
     here = opening._world({"scatterers": {"per_cell": 0.05}}, bench)
     connect = lambda role: Both(there.connect(role), here.connect(role))
-    return opening.Reach(connect, here.alazar_library, here.clock, None)
-opening._reach = both
+    return opening.Connections(connect, here.alazar_library, here.clock, None)
+opening._connect = both
 records = AlazarDigitizer.records
 def slowly(board, deadline_s):
     for block in records(board, deadline_s):
