@@ -21,14 +21,16 @@ AVERAGING = Averaging(0.9, -0.02, 0.03, 0.018, 0.004, speckle_phase_rad=0.002, o
 def fit(residual_m: float = 1e-8, degrees_of_freedom: float = math.inf) -> HarmonicFit:
     """Return a fit of 100 nm and 0.3 rad with 1 nm of noise in either quadrature."""
     state = 1e-7 * np.array([math.cos(0.3), math.sin(0.3)])
-    return fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(residual_m**2), degrees_of_freedom, 100))
+    return fit_from_state(
+        np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(residual_m**2), degrees_of_freedom, 100)
+    )
 
 
 def parts(estimate: Estimate) -> dict[str, Component]:
     return {each.source: each for each in estimate.budget}
 
 
-def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it_says() -> None:
+def test_the_root_sum_of_squares_of_the_components_is_the_headlines_uncertainty() -> None:
     (estimate,) = estimates_of(
         fit(), ErrorSources(1540.0, 0.005, gate_edge=2e-4, quantisation_m=((3e-9, 4e-9),)), (AVERAGING,)
     )
@@ -56,7 +58,7 @@ def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it
         assert (found[name].amplitude_m, found[name].phase_rad) == pytest.approx(pair), name
 
 
-def test_aliasing_is_taken_out_of_noise_and_nothing_is_counted_twice() -> None:
+def test_aliasing_is_subtracted_from_noise_so_that_nothing_is_counted_twice() -> None:
     of_noise = fit()
     aliasing = np.array([[[3e-18, 0], [0, 5e-4]]])
     whole = replace(of_noise, covariance=of_noise.covariance + aliasing, aliasing=aliasing)
@@ -67,7 +69,7 @@ def test_aliasing_is_taken_out_of_noise_and_nothing_is_counted_twice() -> None:
 
 
 @pytest.mark.parametrize("shared", [0.5, -0.2, -0.9])
-def test_what_aliasing_and_beam_averaging_share_is_in_the_sum(shared: float) -> None:
+def test_the_covariance_of_aliasing_and_beam_averaging_is_in_the_sum(shared: float) -> None:
     # 0.02 rad of aliasing, 0.01 of averaging, correlated by `shared`; 3 and 2 % of the amplitude
     aliasing = np.array([[[9e-18, 0], [0, 4e-4]]])
     whole = replace(fit(), covariance=fit().covariance + aliasing, aliasing=aliasing)
@@ -83,7 +85,7 @@ def test_what_aliasing_and_beam_averaging_share_is_in_the_sum(shared: float) -> 
 
 
 @pytest.mark.parametrize(("jitter_s", "share"), [(5e-12, 0.148), (1e-10, 1.0)])
-def test_trigger_jitter_takes_its_share_of_the_residual(jitter_s: float, share: float) -> None:
+def test_trigger_jitter_is_a_fraction_of_the_residual(jitter_s: float, share: float) -> None:
     # 1540 m/s * 5 ps / 2 is 3.85 nm, of a residual of 10 nm; 100 ps would be more than there is.
     (estimate,) = estimates_of(fit(), ErrorSources(1540.0, 0.0, jitter_s))
     noise, jitter = parts(estimate)["noise"], parts(estimate)["trigger jitter"]
@@ -93,7 +95,7 @@ def test_trigger_jitter_takes_its_share_of_the_residual(jitter_s: float, share: 
     assert parts(still)["trigger jitter"].amplitude_m == 0
 
 
-def test_a_phase_divided_by_the_carrier_is_off_by_the_echo_s_own_mean_frequency() -> None:
+def test_dividing_by_the_carrier_errs_by_the_echos_mean_frequency() -> None:
     time_s, valid = np.arange(100) / 4000, np.ones(100, dtype=bool)
     moved_m = 1e-6 * np.sin(2 * np.pi * 200 * time_s) + 3e-6
     by_echo, by_carrier = (Motion(time_s, scale * moved_m, np.ones(100), valid) for scale in (1.0, 0.98))
@@ -107,7 +109,7 @@ def test_a_phase_divided_by_the_carrier_is_off_by_the_echo_s_own_mean_frequency(
     assert parts(with_beams)["carrier"].amplitude_m == pytest.approx(0.018e-7 / 0.9)
 
 
-def test_without_beams_the_headline_is_what_is_tracked() -> None:
+def test_without_beams_the_headline_is_the_tracked_displacement() -> None:
     (estimate,) = estimates_of(fit(), ErrorSources(1540.0, 0.005))
     lead = estimate.headline
     assert (lead.amplitude_m, lead.phase_rad, lead.corrected) == (estimate.amplitude_m, estimate.phase_rad, False)
@@ -124,7 +126,9 @@ def test_noise_alone_has_the_degrees_of_freedom_of_the_residual() -> None:
 
 def test_the_interval_of_an_unknown_phase_is_the_whole_circle() -> None:
     state = 1e-12 * np.array([1.0, 0.0])
-    of_noise = fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(1e-16), math.inf, 100))
+    of_noise = fit_from_state(
+        np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(1e-16), math.inf, 100)
+    )
     (unknown,) = estimates_of(replace(of_noise, covariance=np.array([[[1e-18, 0], [0, math.pi**2 / 3]]])))
     assert unknown.interval_95_rad == math.pi
 

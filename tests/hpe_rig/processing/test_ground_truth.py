@@ -26,7 +26,7 @@ def unasked(time_s):
 
 
 @pytest.mark.parametrize("breathing_m", [1e-4, 1e-3, 5e-3])
-def test_breathing_beside_the_wanted_motion_leaves_no_trace_in_the_truth(breathing_m):
+def test_breathing_does_not_change_the_truth(breathing_m):
     setup = moving((1.2, breathing_m, 0.3))
     shot = setup.plan.shots[0]
     ((in_phase_m, quadrature_m),) = true_harmonics_m(setup.scene.scene, shot, unasked)

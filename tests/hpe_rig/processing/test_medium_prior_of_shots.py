@@ -80,7 +80,7 @@ def test_all_harmonics_cost_hardly_more_than_one_sinusoid() -> None:
     assert np.all(np.linalg.eigvalsh(fit.aliasing) > -1e-12 * fit.covariance.max())
 
 
-def test_the_kalman_filter_says_the_same_and_raises_no_alarm() -> None:
+def test_the_kalman_filter_gives_the_same_fit_without_warning() -> None:
     batch = fitted(run().scene)
     filtered = fitted(run().scene.with_({"processing.harmonic": "kalman"}))
     largest = np.abs(batch.state).max()
@@ -90,7 +90,7 @@ def test_the_kalman_filter_says_the_same_and_raises_no_alarm() -> None:
     assert abs(found.autocorrelation) < found.autocorrelation_tolerance
 
 
-def test_the_smallest_amplitude_that_stands_out_of_trigger_jitter_falls_fivefold() -> None:
+def test_the_prior_lowers_the_smallest_detectable_amplitude_in_trigger_jitter_fivefold() -> None:
     """The floor is in proportion to the noise of the worst quadrature."""
 
     def worst_m(harmonic: str) -> float:
@@ -104,7 +104,7 @@ def test_the_smallest_amplitude_that_stands_out_of_trigger_jitter_falls_fivefold
     assert worst_m("least_squares") > 5 * worst_m("medium_prior")
 
 
-def test_the_motion_tells_how_much_of_the_peak_is_tracked() -> None:
+def test_the_motion_determines_the_beam_averaging() -> None:
     """Two of the posterior's standard deviations; most of them is the force's width, which one spot cannot tell."""
     scene = run().scene
     own = scene.with_({"medium.shear_modulus_pa": 9e3, "medium.shear_viscosity_pa_s": 2.0})
@@ -123,7 +123,7 @@ def test_the_motion_tells_how_much_of_the_peak_is_tracked() -> None:
         assert 1.1 < after.speckle_relative / true.speckle_relative < 1.5
 
 
-def test_the_result_takes_the_medium_from_the_motion_not_from_the_twin() -> None:
+def test_the_result_estimates_the_medium_from_the_motion_not_from_the_twin() -> None:
     result: Result = run().estimate("coherent")
     factors = [each.averaging_factor for each in result.shots[0].estimates]
     fit, before = fitted(run().scene), predicted_averaging(run().scene, "coherent")
@@ -132,7 +132,7 @@ def test_the_result_takes_the_medium_from_the_motion_not_from_the_twin() -> None
     assert result.shots[0].warnings == ()
 
 
-def test_a_declared_medium_narrows_the_ensemble_and_a_wrong_one_is_told() -> None:
+def test_a_declared_medium_narrows_the_ensemble_and_a_wrong_one_is_reported() -> None:
     def declared(modulus_pa: float, viscosity_pa_s: float) -> HarmonicFit:
         medium = {"medium.shear_modulus_pa": modulus_pa, "medium.shear_viscosity_pa_s": viscosity_pa_s}
         return fitted(run().scene.with_(medium))
@@ -160,7 +160,7 @@ def without(section: str) -> Scene:
         (hpe.load_scene("bovine-muscle").with_({"processing.harmonic": "least_squares"}), "least_squares"),
     ],
 )
-def test_where_no_prior_holds_least_squares_fit_and_check_says_why(scene: Scene, why: str) -> None:
+def test_without_a_prior_least_squares_is_used_and_check_gives_the_reason(scene: Scene, why: str) -> None:
     shot = run().plan.shots[0]
     assert prior_of(scene, shot) is None
     assert options_of(scene.processing).harmonic == "least_squares"
@@ -168,7 +168,7 @@ def test_where_no_prior_holds_least_squares_fit_and_check_says_why(scene: Scene,
     assert why in reason
 
 
-def test_estimators_with_a_fit_of_their_own_take_none() -> None:
+def test_estimators_with_another_fit_use_no_prior() -> None:
     shot = run().plan.shots[0]
     taking = {each: prior_of(run().scene, shot, each) is not None for each in ("kasai", "cross_spectrum")}
     assert taking == {"kasai": True, "cross_spectrum": False}
@@ -185,7 +185,7 @@ def test_a_prior_that_cannot_be_is_refused_with_a_remedy() -> None:
         hpe.load_scene("table-1").with_({"processing.harmonic": "medium_prior"})
 
 
-def test_motion_that_halves_is_told_apart_from_one_that_stays() -> None:
+def test_a_motion_that_halves_is_distinguished_from_a_stationary_one() -> None:
     """Noise of 11 nm over 600 pulses tells a hundredth of 700 nm: the change is right to three uncertainties."""
     scene, shot = run().scene, run().plan.shots[0]
     motion, prior = motion_of(scene, shot), prior_of(scene, shot)

@@ -47,7 +47,7 @@ def test_a_step_near_a_quarter_wavelength_is_a_warning(tmp_path: Path) -> None:
     assert 0.85 < float(told[0].partition(" up to ")[2].partition(" ")[0]) < 39.2 / 42.8
 
 
-def test_one_toneburst_and_pulses_after_the_last_are_told() -> None:
+def test_one_toneburst_and_pulses_after_the_last_toneburst_are_reported() -> None:
     time_s = np.arange(400) / 4000
     found = plan_and_check(_scene(1), read_bench().bench)[1]
     assert [str(each) for each in found if each.level == "warning" and "one toneburst leaves" in str(each)]
@@ -56,7 +56,7 @@ def test_one_toneburst_and_pulses_after_the_last_are_told() -> None:
     assert not list(setting_warnings(_scene(20), time_s, None))
 
 
-def test_a_reference_gate_without_echo_is_told() -> None:
+def test_a_reference_gate_without_echo_is_reported() -> None:
     time_s, still = np.arange(400) / 4000, replace(_motion(0.0), largest_step=0.1)
     assert not list(setting_warnings(_scene(20), time_s, still))
     noise = replace(still, largest_step=0.98)

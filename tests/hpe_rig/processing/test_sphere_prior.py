@@ -76,7 +76,7 @@ def test_without_noise_the_error_of_least_squares_is_what_the_closed_form_has_al
     assert np.abs(bare - (met - steady)).max() < 1e-9
 
 
-def test_least_squares_say_what_aliases_in_their_u(run: Run) -> None:
+def test_least_squares_include_aliasing_in_u(run: Run) -> None:
     off, u_m = errors_m(run, processing__harmonic="least_squares")
     assert np.abs(off[-1]) > 8e-9
     assert np.all(np.abs(off) < 3 * u_m)
@@ -87,7 +87,7 @@ def test_a_run_of_a_sphere_has_no_gates_over_depth(run: Run) -> None:
         run.with_profile(1e-3)
 
 
-def test_a_scene_has_a_sphere_or_beams_and_check_says_where_the_twins_is_another() -> None:
+def test_a_scene_has_a_sphere_or_beams_and_check_reports_a_different_one_on_the_twin() -> None:
     scene = hpe.load_scene("steel-sphere")
     assert scene.without_prior is None
     assert not list(contradictions(scene))

@@ -105,7 +105,7 @@ def test_the_phase_interval_of_a_mean_that_may_be_noise_is_at_most_the_circle() 
 
 
 @pytest.mark.parametrize("freedom", [3, 12])
-def test_repeats_of_few_pulses_tell_their_noise_together(freedom: int) -> None:
+def test_repeats_of_few_pulses_pool_their_noise(freedom: int) -> None:
     """Each u has ``freedom`` degrees of freedom; of 3000 means 95 % lie within the interval, known to 1.2 %."""
     random, within = np.random.default_rng(freedom), []
     for _ in range(3000):

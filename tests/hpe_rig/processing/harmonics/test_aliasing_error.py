@@ -59,7 +59,7 @@ def fits(prior: MediumPrior, estimator: str, count: int = 60) -> tuple[list[Harm
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-def test_least_squares_and_the_paper_s_chain_state_their_aliasing(prior: MediumPrior, estimator: str) -> None:
+def test_least_squares_and_the_papers_chain_state_their_aliasing(prior: MediumPrior, estimator: str) -> None:
     each, true = fits(prior, estimator)
     error = np.array([fit.state[:20] for fit in each]) - true
     stated = np.array([np.diagonal(fit.state_covariance)[:20] for fit in each])
@@ -71,7 +71,7 @@ def test_least_squares_and_the_paper_s_chain_state_their_aliasing(prior: MediumP
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-def test_what_the_prior_tells_of_the_aliasing_is_taken_off(prior: MediumPrior, estimator: str) -> None:
+def test_the_expected_aliasing_is_corrected(prior: MediumPrior, estimator: str) -> None:
     each, true = fits(prior, estimator)
     aliasing_corrected = [fit.aliasing_corrected for fit in each if fit.aliasing_corrected is not None]
     before, after = (np.array([fit.state[:20] for fit in some]) - true for some in (each, aliasing_corrected))
@@ -81,7 +81,7 @@ def test_what_the_prior_tells_of_the_aliasing_is_taken_off(prior: MediumPrior, e
     assert np.mean(after**2) < np.mean(before**2) / 9
 
 
-def test_the_estimate_itself_stays_as_it_is(prior: MediumPrior) -> None:
+def test_the_uncorrected_estimate_is_unchanged(prior: MediumPrior) -> None:
     random, valid = np.random.default_rng(6), np.ones(PULSES.size, dtype=bool)
     motion = Motion(
         PULSES,

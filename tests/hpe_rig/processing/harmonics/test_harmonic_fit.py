@@ -156,7 +156,7 @@ def test_intervals_of_few_pulses_hold_the_truth_as_often_as_those_of_many(
 
 
 @pytest.mark.parametrize("valid", [np.ones(40, bool), np.arange(40) % 7 != 3])
-def test_freedom_of_changes_is_that_of_their_covariance_written_out(valid: NDArray[np.bool_]) -> None:
+def test_degrees_of_freedom_of_differences_are_those_of_the_dense_covariance(valid: NDArray[np.bool_]) -> None:
     """(tr A)^2 / tr A^2 by dense matrices: of the changes of a fit's residual, and of velocities with gaps."""
     time_s, generator = np.arange(valid.size) / 4000, np.random.default_rng(3)
     model = linear_model(time_s, valid, np.array([300.0, 700.0]), background_order=1)
@@ -195,19 +195,19 @@ def test_velocity_chain_removes_gain_delay_and_90_degrees_exactly(frequency_hz: 
     assert fit.phase_rad[0] == pytest.approx(-2.0, abs=1e-7)
 
 
-def test_noise_of_intervals_must_stand_out_as_in_one_test_of_a_hundred() -> None:
+def test_interval_noise_has_a_false_alarm_rate_of_one_percent() -> None:
     """Twice the gain in log-likelihood is chi-square of one degree of freedom (Wilks)."""
     assert pytest.approx(chdtri(1, 0.01), rel=0.01) == 2 * LIKELIHOOD_GAIN
 
 
-def test_bins_beside_a_wanted_frequency_say_nothing_of_the_noise() -> None:
+def test_bins_next_to_a_wanted_frequency_are_excluded_from_the_noise() -> None:
     """The fit has taken up what was in them: of 49 bins between 0 and half the rate two, of 105 Hz in bins of 10 Hz."""
     still = Velocity(np.arange(100) * 1e-3, np.full(100, 1e-3), np.zeros(100), np.ones(100, bool))
     power, shape = _residual_spectrum(np.zeros(100), still, np.array([105.0]), 1e-3)
     assert power.size == shape.size == 47
 
 
-def test_velocity_chain_equals_the_papers_times_two_for_whole_cycles() -> None:
+def test_the_velocity_chain_equals_the_papers_times_two_for_complete_cycles() -> None:
     time_s = np.arange(101) / 4000
     displacement = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 0.5) + 1e-7 * np.sin(2 * np.pi * 600 * time_s)
     velocity = _velocity(displacement, 4000)
@@ -256,7 +256,7 @@ def test_stated_covariance_of_the_velocity_chain_is_true(gaps: bool, background_
         assert np.mean(error**2 / variance) == pytest.approx(1.03, abs=0.09)
 
 
-def test_velocity_noise_that_does_not_cancel_is_found_and_stated() -> None:
+def test_velocity_noise_that_does_not_cancel_is_estimated_and_stated() -> None:
     time_s = np.arange(101) / 4000
     generator = np.random.default_rng(9)
     velocity = _velocity(1e-6 * np.sin(2 * np.pi * 200 * time_s) + np.zeros((1000, 1)), 4000)
@@ -280,7 +280,7 @@ def test_velocity_noise_that_does_not_cancel_is_found_and_stated() -> None:
         ([0.5], 100, "cannot be resolved"),
     ],
 )
-def test_what_pulses_cannot_tell_is_refused_with_the_reason(
+def test_frequencies_that_the_pulses_do_not_resolve_are_refused_with_the_reason(
     frequencies_hz: list[float], pulses: int, message: str
 ) -> None:
     time_s = np.arange(pulses) / 4000
@@ -319,7 +319,7 @@ def test_a_motion_that_stops_halfway_is_suspicious_and_a_steady_one_is_not() -> 
     assert drift.significance[0] < -5
 
 
-def test_harmonics_fitted_along_are_no_residual_up_to_half_the_pulse_rate() -> None:
+def test_further_harmonics_up_to_half_the_pulse_rate_are_not_in_the_residual() -> None:
     time_s = np.arange(400) / 2000
     displacement = _sum_of_sines(time_s)  # its tenth harmonic is half the pulse rate: an alternating sign
     alone = least_squares(_motion(displacement, time_s), HARMONICS[:3])
@@ -332,7 +332,7 @@ def test_harmonics_fitted_along_are_no_residual_up_to_half_the_pulse_rate() -> N
     assert along.quality.residual_rms_m < 1e-9 * alone.quality.residual_rms_m
 
 
-def test_harmonics_above_half_the_pulse_rate_are_told_apart_when_the_pulses_shift_from_period_to_period() -> None:
+def test_harmonics_above_half_the_pulse_rate_are_resolved_when_the_pulses_shift_from_period_to_period() -> None:
     harmonics = 100.0 * np.arange(1, 61)
     amplitudes = 1e-6 / np.arange(1, 61)
     for rate_hz, bound in ((3990.0, 1e-9), (4000.0, np.inf)):
@@ -346,7 +346,7 @@ def test_harmonics_above_half_the_pulse_rate_are_told_apart_when_the_pulses_shif
             assert error > 0.05
 
 
-def test_frequencies_fitted_along_give_way_when_the_pulses_cannot_tell_them_apart() -> None:
+def test_further_frequencies_are_omitted_when_the_pulses_do_not_resolve_them() -> None:
     time_s = np.arange(600) / 3990.0
     valid = time_s % 0.01 > 1e-3  # a tenth of every period is never seen
     fit = least_squares(

@@ -133,7 +133,9 @@ def test_a_factor_for_each_pulse_gives_the_innovations_of_blocks(pulses: int, mo
     assert blocks.quality.innovations is not None
     assert each.quality.innovations is not None
     np.testing.assert_allclose(each.state, blocks.state, rtol=1e-9)
-    np.testing.assert_allclose(each.quality.innovations.normalised, blocks.quality.innovations.normalised, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        each.quality.innovations.normalised, blocks.quality.innovations.normalised, rtol=0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
@@ -177,7 +179,7 @@ def test_background_noise_is_that_of_the_highest_derivative(order: int) -> None:
     np.testing.assert_allclose(found.state_covariance[:2, :2], variance * covariance[:2, :2], rtol=1e-6)
 
 
-def test_nis_is_one_for_true_noise_and_tells_a_model_that_lacks_something() -> None:
+def test_nis_is_one_for_true_noise_and_detects_an_incomplete_model() -> None:
     generator = np.random.default_rng(7)
     good = _motion(_wave(400) + 1e-7 * generator.standard_normal((50, 400)), 1e-7)
     report = kalman(good, [200.0]).quality.innovations
@@ -235,7 +237,7 @@ def test_few_and_many_points_and_cycles_are_recovered(points: float, cycles: flo
     assert (fit.quality.condition > 4) == (cycles < 1)
 
 
-def test_two_points_a_cycle_are_refused_for_the_quadrature_that_cannot_be_seen() -> None:
+def test_two_points_a_cycle_are_refused_because_one_quadrature_is_not_measured() -> None:
     with pytest.raises(ValueError, match="only one of its two quadratures"):
         least_squares(_motion(_wave(100, 1e-6, 2000.0)), [2000.0])
 

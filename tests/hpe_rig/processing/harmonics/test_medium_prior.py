@@ -104,44 +104,44 @@ def harmonics(modulus_pa: ComplexArray, wider: float = 1.0, rms_m: float = RMS_M
 
 
 @cache
-def _columns(watched: float) -> FloatArray:
-    which = {3990.0: SHIFTING, 4000.0: AT_4000, 2500.0: AT_2500}[watched]
+def _columns(train: float) -> FloatArray:
+    which = {3990.0: SHIFTING, 4000.0: AT_4000, 2500.0: AT_2500}[train]
     return harmonic_columns(which.time_s, RATE_HZ * HARMONIC)
 
 
-def at(watched: Pulses, wave: ComplexArray) -> FloatArray:
+def at(train: Pulses, wave: ComplexArray) -> FloatArray:
     """Return the displacement (pulse,) of ``wave`` (harmonic,)."""
-    rate_hz = round(1 / float(watched.time_s[1] - watched.time_s[0]))
+    rate_hz = round(1 / float(train.time_s[1] - train.time_s[0]))
     return np.asarray(_columns(float(rate_hz)) @ np.stack([wave.real, wave.imag], axis=-1).ravel())
 
 
-def noisy(watched: Pulses, wave: ComplexArray, noise_m: float, trials: int, seed: int = 1) -> Motion:
+def noisy(train: Pulses, wave: ComplexArray, noise_m: float, trials: int, seed: int = 1) -> Motion:
     """Return ``trials`` of noise and of its negative, so that their mean has none."""
-    noise = noise_m * np.random.default_rng(seed).standard_normal((trials, watched.time_s.size))
-    return watched.motion(at(watched, wave) + np.concatenate([noise, -noise]))
+    noise = noise_m * np.random.default_rng(seed).standard_normal((trials, train.time_s.size))
+    return train.motion(at(train, wave) + np.concatenate([noise, -noise]))
 
 
 def wanted(wave: ComplexArray) -> FloatArray:
     return np.stack([wave[:10].real, wave[:10].imag], axis=-1).ravel()
 
 
-def errors(found: MediumFit, wave: ComplexArray) -> FloatArray:
+def errors(result: MediumFit, wave: ComplexArray) -> FloatArray:
     """Return errors of the quadratures over their stated uncertainty (..., state)."""
-    sd = np.sqrt(np.diagonal(found.fit.state_covariance, axis1=-2, axis2=-1))
-    return np.asarray((found.fit.state - wanted(wave)) / sd)
+    sd = np.sqrt(np.diagonal(result.fit.state_covariance, axis1=-2, axis2=-1))
+    return np.asarray((result.fit.state - wanted(wave)) / sd)
 
 
-def largest_bias(found: MediumFit, wave: ComplexArray) -> tuple[float, float]:
+def largest_bias(result: MediumFit, wave: ComplexArray) -> tuple[float, float]:
     """Return the largest errors over the wanted harmonics of the mean estimate: percent and degrees."""
-    mean = found.fit.state.mean(axis=0)
+    mean = result.fit.state.mean(axis=0)
     ratio = (mean[::2] + 1j * mean[1::2]) / wave[:10]
     return float(np.abs(np.abs(ratio) - 1).max() * 100), float(np.degrees(np.abs(np.angle(ratio)).max()))
 
 
-def peak_of(found: MediumFit) -> tuple[ComplexArray, FloatArray]:
+def peak_of(result: MediumFit) -> tuple[ComplexArray, FloatArray]:
     """Return peak over tracked motion and its covariance."""
-    assert found.fit.medium is not None
-    return found.fit.medium.peak_over_tracked, found.fit.medium.peak_covariance
+    assert result.fit.medium is not None
+    return result.fit.medium.peak_over_tracked, result.fit.medium.peak_covariance
 
 
 PRIOR = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
@@ -164,9 +164,11 @@ def test_the_ensembles_displacement_is_the_twins() -> None:
     frequency_hz = np.geomspace(50, 40e3, 40)
     modulus_pa = 9e3 + 2j * np.pi * frequency_hz * 2.0
     shear_k2 = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    found = focal_displacement(shear_k2[None], np.array([FORCE_M[0] ** 2]), np.array([FORCE_M[2] ** 2]))[0][0] / modulus_pa
+    result = (
+        focal_displacement(shear_k2[None], np.array([FORCE_M[0] ** 2]), np.array([FORCE_M[2] ** 2]))[0][0] / modulus_pa
+    )
     truth = frequency_response(specimen, FORCE_M, frequency_hz)
-    np.testing.assert_allclose(found / found[0], truth / truth[0], rtol=5e-4)
+    np.testing.assert_allclose(result / result[0], truth / truth[0], rtol=5e-4)
 
 
 def test_the_displacements_slope_is_its_change_with_the_width() -> None:
@@ -199,36 +201,36 @@ def test_columns_are_those_of_every_harmonic() -> None:
     np.testing.assert_allclose(columns, every[:, :20], atol=1e-11)
 
 
-@pytest.mark.parametrize("watched", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
+@pytest.mark.parametrize("train", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
 @pytest.mark.parametrize("noise_m", [77e-9, 7.7e-9])
-def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pulses, noise_m: float) -> None:
-    motion = noisy(watched, harmonics(voigt(9e3, 2.0))[0], noise_m, 1)
-    found = medium_fit(motion, WANTED_HZ, PRIOR)
+def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Pulses, noise_m: float) -> None:
+    motion = noisy(train, harmonics(voigt(9e3, 2.0))[0], noise_m, 1)
+    result = medium_fit(motion, WANTED_HZ, PRIOR)
     filtered = medium_kalman(motion, WANTED_HZ, PRIOR)
-    used = watched.valid
-    columns = harmonic_columns(watched.time_s[used], PRIOR.frequency_hz)
+    used = train.valid
+    columns = harmonic_columns(train.time_s[used], PRIOR.frequency_hz)
     states = PRIOR.states(range(400)) @ PRIOR.root
     power = np.sum(states[:20] ** 2, axis=1).reshape(-1, 2).mean(axis=1)
     start = states @ states.T
     start[np.arange(20), np.arange(20)] += HARMONIC_DEVIATION**2 * np.repeat(power, 2)
     # what stands still is left out by combinations of pulses that do not see it
-    still = np.linalg.svd(np.ones((1, used.sum())))[2][1:]
-    seen = still @ columns
+    contrasts = np.linalg.svd(np.ones((1, used.sum())))[2][1:]
+    projected = contrasts @ columns
     for index in range(2):
-        scale, variance = found.evidence.scale_m[index], found.evidence.total_m2[index]
+        scale, variance = result.evidence.scale_m[index], result.evidence.total_m2[index]
         prior = (PRIOR_WIDENING * scale) ** 2 * start
-        total = seen @ prior @ seen.T + variance * np.eye(len(still))
-        gain = np.linalg.solve(total, seen @ prior[:, :20]).T
-        estimate = gain @ (still @ motion.displacement_m[index, used])
+        total = projected @ prior @ projected.T + variance * np.eye(len(contrasts))
+        gain = np.linalg.solve(total, projected @ prior[:, :20]).T
+        estimate = gain @ (contrasts @ motion.displacement_m[index, used])
         largest = np.abs(estimate).max()
-        np.testing.assert_allclose(found.fit.state[index], estimate, atol=1e-9 * largest)
-        np.testing.assert_allclose(filtered.fit.state[index], found.fit.state[index], atol=1e-9 * largest)
-        np.testing.assert_allclose(found.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
-    np.testing.assert_allclose(found.noise_m2 + found.aliasing_m2, found.fit.state_covariance)
+        np.testing.assert_allclose(result.fit.state[index], estimate, atol=1e-9 * largest)
+        np.testing.assert_allclose(filtered.fit.state[index], result.fit.state[index], atol=1e-9 * largest)
+        np.testing.assert_allclose(result.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
+    np.testing.assert_allclose(result.noise_m2 + result.aliasing_m2, result.fit.state_covariance)
     # white and of unit variance but for the sharper start that weights of three times the scale deserve
     test = filtered.fit.quality.innovations
     assert test is not None
-    assert 0.85 < np.mean(test.nis / found.evidence.variance_m2) < 1.1
+    assert 0.85 < np.mean(test.nis / result.evidence.variance_m2) < 1.1
     assert np.abs(test.autocorrelation.mean()) < 0.15
 
 
@@ -258,7 +260,7 @@ def test_the_forces_width_may_be_wrong_by_two(wider: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["2 kPa", "9 kPa", "15 kPa"])
-def test_pulses_that_stand_still_leave_half_a_percent_of_voigt_media_where_plain_fits_leave_ten(name: str) -> None:
+def test_synchronous_pulses_err_by_half_a_percent_in_voigt_media_where_least_squares_err_by_ten(name: str) -> None:
     wave, _ = harmonics(IN_RANGE[name])
     percent, degrees = largest_bias(medium_fit(noisy(AT_4000, wave, 7.7e-9, 10), WANTED_HZ, PRIOR), wave)
     assert percent < 0.5
@@ -270,8 +272,8 @@ def test_pulses_that_stand_still_leave_half_a_percent_of_voigt_media_where_plain
 @pytest.mark.parametrize("noise_m", [770e-9, 77e-9, 7.7e-9])
 def test_uncertainty_is_that_of_one_sinusoid(noise_m: float) -> None:
     wave, _ = harmonics(IN_RANGE["9 kPa"])
-    found = medium_fit(noisy(SHIFTING, wave, noise_m, 5), WANTED_HZ, PRIOR)
-    stated = np.sqrt(np.mean(np.diagonal(found.fit.state_covariance, axis1=-2, axis2=-1)))
+    result = medium_fit(noisy(SHIFTING, wave, noise_m, 5), WANTED_HZ, PRIOR)
+    stated = np.sqrt(np.mean(np.diagonal(result.fit.state_covariance, axis1=-2, axis2=-1)))
     assert stated < 1.12 * noise_m * SHIFTING.sinusoid
 
 
@@ -299,22 +301,22 @@ def _drawn(count: int) -> list[ComplexArray]:
     return [tracked for tracked, _ in _drawn_pairs(count)]
 
 
-def _many(watched: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tuple[FloatArray, FloatArray]:
+def _many(train: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tuple[FloatArray, FloatArray]:
     generator, errors_over_u, significance = np.random.default_rng(8), [], []
     for wave in _drawn(120)[:count]:
-        noise = noise_m * generator.standard_normal(watched.time_s.size)
-        found = medium_fit(watched.motion(drive * at(watched, wave) + noise), WANTED_HZ, PRIOR)
-        errors_over_u.append(errors(found, drive * wave))
-        significance.append(float(found.evidence.significance))
+        noise = noise_m * generator.standard_normal(train.time_s.size)
+        result = medium_fit(train.motion(drive * at(train, wave) + noise), WANTED_HZ, PRIOR)
+        errors_over_u.append(errors(result, drive * wave))
+        significance.append(float(result.evidence.significance))
     return np.array(errors_over_u), np.array(significance)
 
 
 @pytest.mark.parametrize(
-    ("watched", "noise_m"),
+    ("train", "noise_m"),
     [(SHIFTING, 770e-9), (SHIFTING, 77e-9), (SHIFTING, 7.7e-9), (AT_4000, 77e-9), (AT_4000, 7.7e-9)],
 )
-def test_intervals_cover_media_of_every_family(watched: Pulses, noise_m: float) -> None:
-    over_u, significance = _many(watched, noise_m, 120)
+def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float) -> None:
+    over_u, significance = _many(train, noise_m, 120)
     assert 0.8 < np.mean(over_u**2) < 1.25
     assert abs(np.mean(np.abs(over_u) < 1) - 0.683) < 0.07
     assert abs(np.mean(np.abs(over_u) < 1.96) - 0.95) < 0.03
@@ -325,12 +327,12 @@ def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_
     noise = 7.7e-9 * np.random.default_rng(8).standard_normal((120, AT_4000.time_s.size))
     ratios = []
     for (tracked, peak), each in zip(_drawn_pairs(120), noise, strict=True):
-        found = medium_fit(AT_4000.motion(at(AT_4000, tracked) + each), WANTED_HZ, PRIOR).fit
-        assert found.medium is not None
-        state = found.state[::2] + 1j * found.state[1::2]
-        error = np.angle(state * found.medium.peak_over_tracked / peak[:10])
-        apart = found.covariance[:, 1, 1] + found.medium.peak_covariance[:, 1, 1]
-        ratios.append(error**2 / np.stack([apart, apart + 2 * found.medium.shared[:, 1]]))
+        result = medium_fit(AT_4000.motion(at(AT_4000, tracked) + each), WANTED_HZ, PRIOR).fit
+        assert result.medium is not None
+        state = result.state[::2] + 1j * result.state[1::2]
+        error = np.angle(state * result.medium.peak_over_tracked / peak[:10])
+        apart = result.covariance[:, 1, 1] + result.medium.peak_covariance[:, 1, 1]
+        ratios.append(error**2 / np.stack([apart, apart + 2 * result.medium.shared[:, 1]]))
     apart, together = np.mean(ratios, axis=(0, 2))
     assert apart < 0.95 * together
     assert 0.8 < together < 1.25
@@ -358,9 +360,9 @@ def test_what_every_period_repeats_is_no_medium(noise_m: float) -> None:
     for wave in _drawn(40):
         repeated = 1e-3 * RMS_M * np.tile(generator.standard_normal(40), AT_4000.time_s.size // 40)
         noise = noise_m * generator.standard_normal(AT_4000.time_s.size)
-        found = medium_fit(AT_4000.motion(at(AT_4000, wave) + repeated + noise), WANTED_HZ, PRIOR)
-        over_u.append(errors(found, wave))
-        significance.append(float(found.evidence.significance))
+        result = medium_fit(AT_4000.motion(at(AT_4000, wave) + repeated + noise), WANTED_HZ, PRIOR)
+        over_u.append(errors(result, wave))
+        significance.append(float(result.evidence.significance))
     # 40 media, +- 0.14; taken for a medium's, it gives 5.6 in the least noise and a warning nearly always
     assert 0.55 < np.mean(np.square(over_u)) < 1.4
     assert np.mean(np.array(significance) < 0.01) < 0.1
@@ -369,33 +371,33 @@ def test_what_every_period_repeats_is_no_medium(noise_m: float) -> None:
 def test_the_scale_is_the_rms_displacement() -> None:
     for rms_m in (5e-9, 0.5e-6, 50e-6):
         wave, _ = harmonics(IN_RANGE["9 kPa"], rms_m=rms_m)
-        found = medium_fit(noisy(SHIFTING, wave, rms_m / 30, 3), WANTED_HZ, PRIOR)
-        np.testing.assert_allclose(found.evidence.scale_m, rms_m, rtol=0.6)
-        np.testing.assert_allclose(found.evidence.variance_m2, (rms_m / 30) ** 2, rtol=0.3)
+        result = medium_fit(noisy(SHIFTING, wave, rms_m / 30, 3), WANTED_HZ, PRIOR)
+        np.testing.assert_allclose(result.evidence.scale_m, rms_m, rtol=0.6)
+        np.testing.assert_allclose(result.evidence.variance_m2, (rms_m / 30) ** 2, rtol=0.3)
 
 
 def test_noise_alone_is_no_motion() -> None:
     noise = 77e-9 * np.random.default_rng(5).standard_normal((500, AT_4000.time_s.size))
-    for watched in (SHIFTING, AT_4000):
-        fit = medium_fit(watched.motion(noise[:, : watched.time_s.size]), WANTED_HZ, PRIOR).fit
+    for train in (SHIFTING, AT_4000):
+        fit = medium_fit(train.motion(noise[:, : train.time_s.size]), WANTED_HZ, PRIOR).fit
         above = fit.amplitude_m > 3 * np.sqrt(fit.covariance[..., 0, 0])
         # 1.1 % by chance; ten correlated harmonics of 500 trains are good to 0.4 %
         assert np.mean(above) < 0.011 + 3 * 0.004
 
 
-def test_the_evidence_tells_a_medium_with_a_wall() -> None:
+def test_the_evidence_detects_a_medium_with_a_wall() -> None:
     wave, _ = harmonics(IN_RANGE["9 kPa"])
     frequency_hz = RATE_HZ * HARMONIC
     there_and_back = 0.3 * np.exp(-2j * np.pi * frequency_hz * 3.3e-3 - frequency_hz / 1500)
     reflected = wave * (1 - there_and_back)
-    for watched in (SHIFTING, AT_4000):
-        assert np.all(medium_fit(noisy(watched, reflected, 7.7e-9, 5), WANTED_HZ, PRIOR).evidence.significance < 1e-3)
-        assert np.all(medium_fit(noisy(watched, wave, 7.7e-9, 5), WANTED_HZ, PRIOR).evidence.significance > 0.01)
-    found = medium_fit(noisy(SHIFTING, reflected, 7.7e-9, 10), WANTED_HZ, PRIOR)
-    assert np.mean(errors(found, reflected) ** 2) < 1.25
+    for train in (SHIFTING, AT_4000):
+        assert np.all(medium_fit(noisy(train, reflected, 7.7e-9, 5), WANTED_HZ, PRIOR).evidence.significance < 1e-3)
+        assert np.all(medium_fit(noisy(train, wave, 7.7e-9, 5), WANTED_HZ, PRIOR).evidence.significance > 0.01)
+    result = medium_fit(noisy(SHIFTING, reflected, 7.7e-9, 10), WANTED_HZ, PRIOR)
+    assert np.mean(errors(result, reflected) ** 2) < 1.25
 
 
-def test_a_known_medium_narrows_what_pulses_that_stand_still_cannot_see() -> None:
+def test_a_known_medium_narrows_the_aliasing_of_synchronous_pulses() -> None:
     wave, peak = harmonics(IN_RANGE["9 kPa"])
     known = medium_prior(BEAMS, RATE_HZ, LENGTH_S, KnownMedium(9e3, 2.0))
     motion = noisy(AT_4000, wave, 7.7e-9, 5)
@@ -428,13 +430,13 @@ def test_trains_together_are_as_trains_alone() -> None:
         np.testing.assert_allclose(alone.evidence.significance, together.evidence.significance[index], rtol=1e-8)
 
 
-def test_a_drifting_background_is_taken_off() -> None:
+def test_a_drifting_background_is_removed() -> None:
     wave, _ = harmonics(IN_RANGE["9 kPa"])
     motion = noisy(SHIFTING, wave, 77e-9, 20)
     drift = 20e-6 * (SHIFTING.time_s - SHIFTING.time_s[0]) + 3e-6
     with_drift = replace(motion, displacement_m=motion.displacement_m + drift)
-    found = medium_fit(with_drift, WANTED_HZ, PRIOR, background_order=1)
-    assert 0.7 < np.mean(errors(found, wave) ** 2) < 1.3
+    result = medium_fit(with_drift, WANTED_HZ, PRIOR, background_order=1)
+    assert 0.7 < np.mean(errors(result, wave) ** 2) < 1.3
 
 
 def test_accumulated_steps_state_their_random_walk() -> None:
@@ -465,9 +467,7 @@ def test_a_train_of_the_same_times_is_not_worked_out_again() -> None:
 
 
 @pytest.mark.parametrize(("rate_hz", "pulse_rate_hz", "instants"), [(100, 5000, 50), (100, 200, 2), (50, 3990, 399)])
-def test_pulses_of_one_instant_are_told_however_long_the_train(
-    rate_hz: float, pulse_rate_hz: float, instants: int
-) -> None:
+def test_instants_are_counted_for_trains_of_any_length(rate_hz: float, pulse_rate_hz: float, instants: int) -> None:
     prior = replace(PRIOR, burst_rate_hz=rate_hz)
     for delay_s in (0.0, 131e-6):
         # a minute, in whose last periods an angle is known to 1e-11, and the middle of a period, where it turns over
@@ -475,7 +475,7 @@ def test_pulses_of_one_instant_are_told_however_long_the_train(
         assert prior.instant_count(time_s) == pytest.approx(instants, rel=1e-9)
 
 
-def test_imported_times_that_jitter_are_still_of_one_instant() -> None:
+def test_imported_times_with_jitter_count_as_one_instant() -> None:
     """50 ns: far less than any harmonic takes, and what the model leaves untold is the same in every period."""
     time_s = np.arange(6000) / 5000.0 + 50e-9 * np.random.default_rng(5).standard_normal(6000)
     assert PRIOR.instant_count(time_s) == pytest.approx(50, rel=1e-9)
@@ -484,37 +484,40 @@ def test_imported_times_that_jitter_are_still_of_one_instant() -> None:
 
 
 @pytest.mark.parametrize("order", [0, 1])
-def test_pulses_that_come_again_are_seen_as_each_alone(order: int) -> None:
-    """Every instant's rows once, or with a background of order 1, which moves on, every pulse's."""
-    watched = AT_4000
-    seen = project_prior(PRIOR, watched.time_s, watched.valid, WANTED_HZ, order)
-    used = watched.time_s[watched.valid]
-    rows, own = PRIOR.sampled_motions(used, range(10))
+def test_repeated_instants_give_the_projection_of_separate_pulses(order: int) -> None:
+    """One row for each instant; with a background of order 1, one for each pulse."""
+    train = AT_4000
+    projected = project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ, order)
+    used = train.time_s[train.valid]
+    rows, wanted_columns = PRIOR.sampled_motions(used, range(10))
     power = np.sum((PRIOR.states(range(10)) @ PRIOR.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
-    factor = np.hstack([rows @ PRIOR.root, own * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
-    np.testing.assert_allclose(seen.factor[seen.repeats], factor, atol=1e-12 * np.abs(factor).max())
-    moving = factor - seen.background @ (seen.background.T @ factor)
-    np.testing.assert_allclose((seen.left_vectors * seen.value) @ seen.right_vectors, moving, atol=1e-9 * seen.value[0])
-    np.testing.assert_allclose(seen.left_vectors.T @ seen.left_vectors, np.eye(seen.value.size), atol=1e-4)
+    factor = np.hstack([rows @ PRIOR.root, wanted_columns * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
+    np.testing.assert_allclose(projected.factor[projected.repeats], factor, atol=1e-12 * np.abs(factor).max())
+    moving = factor - projected.background @ (projected.background.T @ factor)
+    left, value = projected.left_vectors, projected.value
+    np.testing.assert_allclose((left * value) @ projected.right_vectors, moving, atol=1e-9 * value[0])
+    np.testing.assert_allclose(left.T @ left, np.eye(value.size), atol=1e-4)
 
 
-@pytest.mark.parametrize("watched", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
-def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(watched: Pulses) -> None:
-    seen = project_prior(PRIOR, watched.time_s, watched.valid, WANTED_HZ)
-    instant = np.round(watched.time_s[watched.valid] * RATE_HZ % 1, 9)
-    _, first, again = np.unique(instant, return_index=True, return_inverse=True)
-    shared = np.random.default_rng(9).standard_normal((400, first.size))[:, again]
-    shared -= (shared @ seen.background) @ seen.background.T
-    left = shared - (shared @ seen.left_vectors) @ seen.left_vectors.T
-    freedom = instant.size - 1 - seen.value.size
-    residual = np.mean(np.sum(left**2, axis=-1)) / freedom
+@pytest.mark.parametrize("train", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
+def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(train: Pulses) -> None:
+    projected = project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ)
+    instant = np.round(train.time_s[train.valid] * RATE_HZ % 1, 9)
+    _, first, repeats = np.unique(instant, return_index=True, return_inverse=True)
+    shared_error = np.random.default_rng(9).standard_normal((400, first.size))[:, repeats]
+    shared_error -= (shared_error @ projected.background) @ projected.background.T
+    left = shared_error - (shared_error @ projected.left_vectors) @ projected.left_vectors.T
+    degrees = instant.size - 1 - projected.value.size
+    residual = np.mean(np.sum(left**2, axis=-1)) / degrees
     # all of it: of the mean over an instant's pulses, counted for each as if they were independent
-    assert residual + seen.hidden_variance_factor == pytest.approx(instant.size / first.size, rel=0.02)
+    assert residual + projected.hidden_variance_factor == pytest.approx(instant.size / first.size, rel=0.02)
 
 
-def test_pulses_that_all_come_at_instants_of_their_own_show_what_the_model_leaves_untold() -> None:
-    watched = pulses(3989.0, 131e-6)
-    assert project_prior(PRIOR, watched.time_s, watched.valid, WANTED_HZ).hidden_variance_factor == pytest.approx(0, abs=1e-9)
+def test_pulses_at_distinct_instants_have_no_hidden_model_error() -> None:
+    train = pulses(3989.0, 131e-6)
+    assert project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ).hidden_variance_factor == pytest.approx(
+        0, abs=1e-9
+    )
 
 
 def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> None:
@@ -529,8 +532,8 @@ def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> N
     )
     for member in (*members, 3):
         modulus_pa = prior_modulus(np.asarray(2j * np.pi * plain.node_hz), 240)[member]
-        own = shear_motion(HarmonicMedium(plain.node_hz, modulus_pa), force, region).value[:, 0]
-        ratio = shaped.tracked[member] / own
+        wanted_columns = shear_motion(HarmonicMedium(plain.node_hz, modulus_pa), force, region).value[:, 0]
+        ratio = shaped.tracked[member] / wanted_columns
         assert np.abs(ratio / ratio.mean() - 1).max() < 4e-3
 
 
@@ -562,43 +565,43 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
     for walk, drift in ((None, creep), (np.asarray(1e-4), creep), (np.asarray(1e-4), 0 * creep)):
         motion = Motion(time_s, moved + drift, np.full(600, 1e-16), np.ones(600, bool), step_noise_ratio=walk)
         each.append(float(np.sqrt(np.trace(medium_fit(motion, [100.0], prior).noise_m2))))
-    white, of_steps, still = each
+    white, of_steps, contrasts = each
     assert white < of_steps < 1.1 * white
-    assert still < white / 3
+    assert contrasts < white / 3
 
 
 def test_media_that_hardly_move_at_a_frequency_do_not_decide_how_motion_changes_there() -> None:
     """Beside the push two waves leave nothing of some harmonics. Of noise alone all media are about as likely."""
     prior = medium_prior(replace(BEAMS, lateral_offset_m=4.75e-3), RATE_HZ, LENGTH_S)
     noise_m = np.random.default_rng(11).standard_normal(SHIFTING.time_s.size)
-    found = medium_fit(SHIFTING.motion(1e-9 * noise_m), WANTED_HZ, prior)
+    result = medium_fit(SHIFTING.motion(1e-9 * noise_m), WANTED_HZ, prior)
     places = list(prior.harmonic_indices(WANTED_HZ))
     amplitude_m, relative = prior.amplitude_m[:, places], prior.steepness[:, places]
-    own_m2 = found.evidence.member_scale_m2[:, None] * amplitude_m**2
-    assert found.fit.medium is not None
+    own_m2 = result.evidence.member_scale_m2[:, None] * amplitude_m**2
+    assert result.fit.medium is not None
 
     def rms(values: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(found.evidence.probability @ values**2))
+        return np.asarray(np.sqrt(result.evidence.probability @ values**2))
 
     # of the change itself, over the rms motion: a medium that hardly moves has hardly a part in it
     changed = rms(np.abs(relative) * np.sqrt(own_m2)) / rms(np.sqrt(own_m2))
-    stated = np.hypot(*found.fit.medium.steepness.T)
+    stated = np.hypot(*result.fit.medium.steepness.T)
     assert np.max(rms(np.abs(relative)) / stated) > 3
-    moving = own_m2 > MIN_RELATIVE_MOTION**2 * (found.evidence.probability @ own_m2)
+    moving = own_m2 > MIN_RELATIVE_MOTION**2 * (result.evidence.probability @ own_m2)
     assert np.all((stated >= rms(np.abs(relative) * moving)) & (stated <= changed / MIN_RELATIVE_MOTION))
 
 
 def test_a_record_of_nothing_at_a_null_of_the_bursts_spectrum_has_no_nan() -> None:
     """Bursts of half the period push nothing at 200 Hz."""
     prior = medium_prior(BEAMS, 100.0, 5e-3)
-    found = medium_fit(SHIFTING.motion(np.zeros(SHIFTING.time_s.size)), [100.0, 200.0], prior).fit
-    assert found.medium is not None
-    assert np.all(np.isfinite(found.medium.steepness))
-    np.testing.assert_array_equal(found.amplitude_m, 0.0)
+    result = medium_fit(SHIFTING.motion(np.zeros(SHIFTING.time_s.size)), [100.0, 200.0], prior).fit
+    assert result.medium is not None
+    assert np.all(np.isfinite(result.medium.steepness))
+    np.testing.assert_array_equal(result.amplitude_m, 0.0)
 
 
 @pytest.mark.parametrize("lateral_m", [0.25e-3, 1e-3])
-def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: float) -> None:
+def test_off_axis_motion_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: float) -> None:
     """Stiff and viscous: a thousandth of the motion is faster. Its own field, 1000 harmonics, 1 nm of noise a pulse."""
     beams = replace(BEAMS, lateral_offset_m=lateral_m)
     force, modulus = PushForce((FORCE_M[0],), FORCE_M[2]), voigt(12e3, 5.7)
@@ -607,9 +610,9 @@ def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(late
     duty = RATE_HZ * LENGTH_S * HARMONIC
     wave = 1j * np.sinc(duty) * np.exp(-1j * np.pi * duty) * field.value[:, 0]
     wave *= RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2)
-    found = medium_fit(noisy(SHIFTING, wave, 1e-9, 20), WANTED_HZ, medium_prior(beams, RATE_HZ, LENGTH_S))
+    result = medium_fit(noisy(SHIFTING, wave, 1e-9, 20), WANTED_HZ, medium_prior(beams, RATE_HZ, LENGTH_S))
     # Draws and their negatives have no noise on the mean. Harmonics to 8 kHz alone leave 3.1 and 0.16 nm.
-    assert np.abs(found.fit.state.mean(axis=0) - wanted(wave)).max() < 0.1e-9
+    assert np.abs(result.fit.state.mean(axis=0) - wanted(wave)).max() < 0.1e-9
 
 
 def test_ensembles_of_all_places_at_once_are_those_of_one_at_a_time() -> None:
@@ -624,7 +627,7 @@ def test_ensembles_of_all_places_at_once_are_those_of_one_at_a_time() -> None:
         assert (np.abs(one.peak - other.peak) < allowed).all()
 
 
-def test_beside_the_push_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
+def test_off_axis_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
     beams, harmonic = replace(BEAMS, lateral_offset_m=2.25e-3), np.arange(81, 401)
     ensemble = medium_ensemble(beams, RATE_HZ, 4e4)
     member = int(np.flatnonzero(ensemble.voigt)[1])

@@ -47,7 +47,7 @@ def test_errors_of_coarse_codes_are_as_large_as_stated(code_v: float, noise_v: f
 
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.2e-6])
-def test_the_noise_before_rounding_is_found_though_the_mean_echo_holds_a_part_of_the_rounding(
+def test_the_noise_before_rounding_is_estimated_with_part_of_the_rounding_in_the_mean_echo(
     amplitude_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     generator, found = np.random.default_rng(3), list[float]()

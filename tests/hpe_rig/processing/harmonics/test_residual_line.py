@@ -33,7 +33,7 @@ def test_white_noise_has_a_line_as_often_as_it_is_said_to_have() -> None:
 
 
 @pytest.mark.parametrize("line_hz", [738.0, 3262.0, 4738.0])
-def test_a_line_is_found_where_it_folds(line_hz: float) -> None:
+def test_a_line_is_found_at_its_alias(line_hz: float) -> None:
     generator = np.random.default_rng(2)
     valid = generator.random(PULSES) > 0.1
     moved = 1e-6 * np.sin(2 * np.pi * 200 * TIME_S) + 5e-9 * np.sin(2 * np.pi * line_hz * TIME_S + 1)
@@ -45,7 +45,7 @@ def test_a_line_is_found_where_it_folds(line_hz: float) -> None:
     assert line.amplitude_m == pytest.approx(5e-9, rel=0.4)
 
 
-def test_a_line_in_a_bin_is_told_to_every_digit_and_one_at_half_the_pulse_rate_is_none() -> None:
+def test_a_line_in_a_bin_is_measured_to_every_digit_and_none_at_half_the_pulse_rate() -> None:
     wanted = 1e-6 * np.sin(2 * np.pi * 200 * TIME_S)
     alone = residual_line(_motion(wanted + 5e-9 * np.sin(2 * np.pi * 740 * TIME_S), np.zeros(PULSES)), [200.0])
     assert alone is not None
@@ -58,7 +58,7 @@ def test_a_line_in_a_bin_is_told_to_every_digit_and_one_at_half_the_pulse_rate_i
     assert other.amplitude_m < 1e-8
 
 
-def test_what_folds_onto_a_wanted_frequency_leaves_no_line_and_too_few_bins_say_nothing() -> None:
+def test_aliases_of_a_wanted_frequency_leave_no_line_and_too_few_bins_give_none() -> None:
     moved = 1e-6 * np.sin(2 * np.pi * 200 * TIME_S) + 1e-6 * np.sin(2 * np.pi * 3800 * TIME_S)
     line = residual_line(_motion(moved, np.random.default_rng(3).standard_normal(PULSES)), [200.0])
     assert line is not None
