@@ -35,10 +35,10 @@ MAX_ANGLE_RAD = 3.0
 MAX_TERMS = 1000
 """Most terms of a series: more would need sums of over 10 MB for a gate."""
 
-_VALUES_PER_CHUNK = 1 << 18  # complex values of one temporary array, 4 MB
-_MIN_SCATTERERS_PER_CHUNK = 2048
+_VALUES_PER_CHUNK = 1 << 15  # complex values of one temporary array, 0.5 MB, which fits the cache
+_MIN_SCATTERERS_PER_CHUNK = 256
 _MAX_POWER = 64
-_JUMP_ORDERS = 20  # derivatives that bound the pulse near an end of its support
+_JUMP_ORDERS = 8  # derivatives that bound the pulse near an end of its support, to 1 %
 _TAYLOR_ORDERS = 40
 # Fractions of the tolerance: for the terms left out of the series, and for the corrections left out.
 _TAIL_FRACTION = 0.25
@@ -230,80 +230,63 @@ def _rest_sums(
 ) -> FloatArray:
     """Return U_a(t), float64 (row, term, sample), of the scatterers at rest.
 
-    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each support.
+    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each support. Scatterers alive at
+    the first sample are summed backwards from the sample they leave at, the others forwards from the sample they enter
+    at. Nothing is subtracted, since that would cost digits.
     """
     frequencies, _, samples = tables.rotation.shape
-    sums = np.zeros((len(scene.amplitude_s), len(degree), samples))
-    chunk_length = max(_MIN_SCATTERERS_PER_CHUNK, _VALUES_PER_CHUNK // (frequencies * len(degree)))
-    for row, (first, last) in enumerate(itertools.pairwise(scene.row_bounds)):
-        alive = _AliveRange.of(enter[first:last], leave[first:last], samples)
-        for cut in range(alive.begin, alive.end, chunk_length):
-            length = min(chunk_length, alive.end - cut)
-            part = slice(first + cut, first + cut + length)
-            # exp(-j w_m tau_n), times the beam's response, and I_n g_n^a.
-            phasor = phasors(pulse, scene.rest_s[part], -1)
-            if scene.response is not None:
-                phasor *= scene.response[:, part]
-            moments = _moments(scene.weight[part], scene.shape[:, part], steps)
-            # Some terms at a time: their products with all phasors fit the cache.
-            terms_per_group = max(1, _VALUES_PER_CHUNK // (frequencies * length))
-            for begin in range(0, len(degree), terms_per_group):
-                group = slice(begin, begin + terms_per_group)
-                inner = alive.sums(phasor, moments[group], cut)
-                rotation = tables.rotation[:, degree[group]]
-                sums[row, group] += np.einsum("fqi,fqi->qi", rotation, inner).real
+    rotation = tables.rotation[:, degree]
+    sums = np.empty((len(scene.amplitude_s), len(degree), samples))
+    row_bounds = scene.row_bounds
+    rows_per_chunk = max(1, _VALUES_PER_CHUNK // (frequencies * len(degree) * 2 * samples))
+    for first_row in range(0, len(sums), rows_per_chunk):
+        rows = slice(first_row, min(first_row + rows_per_chunk, len(sums)))
+        begin, end = row_bounds[rows.start], row_bounds[rows.stop]
+        alive = begin + np.flatnonzero(
+            (enter[begin:end] < leave[begin:end]) & (enter[begin:end] < samples) & (leave[begin:end] > 0)
+        )
+        # Two halves of cells a row: by the sample they leave at, backwards, and by the sample they enter at.
+        at_first = enter[alive] == 0
+        position = np.where(at_first, samples - leave[alive], samples + enter[alive])
+        cell = (scene.row[alive] - rows.start) * (2 * samples) + position
+        cells = np.zeros((frequencies, len(degree), rows.stop - rows.start, 2, samples), dtype=np.complex128)
+        _add_to_cells(cells.reshape(frequencies, len(degree), -1), scene, alive, cell, steps, pulse)
+        np.cumsum(cells, axis=-1, out=cells)
+        inner = cells[..., 1, :] + cells[..., 0, ::-1]
+        # Re sum_m c_m (-j w_m)^|a| exp(j w_m t) (inner sum over the alive scatterers).
+        sums[rows] = np.einsum("fqi,fqri->rqi", rotation, inner).real
     return sums
 
 
-@dataclass(frozen=True, slots=True)
-class _AliveRange:
-    """Scatterers of one row that are alive at each sample of a gate no longer than the pulse.
+def _add_to_cells(
+    cells: ComplexArray,
+    scene: ScattererRows,
+    scatterers: Int64Array,
+    cell: Int64Array,
+    steps: list[tuple[int, int, int]],
+    pulse: Pulse,
+) -> None:
+    """Add I_n g_n^a exp(-j w_m tau_n) of some scatterers to ``cells`` (frequency, term, cell), in place.
 
-    Scatterers ascend in delay, so at sample i those from ``first[i]`` to ``middle`` are alive since before the gate
-    and those from ``middle`` to ``last[i]`` have entered. A running sum in either direction from ``middle`` gives all
-    samples at once, without subtraction, which would cost digits.
+    ``cell`` (scatterer,); scatterers of one cell are neighbours.
     """
-
-    middle: int
-    first: Int64Array
-    """(sample,)"""
-    last: Int64Array
-    """(sample,)"""
-
-    @classmethod
-    def of(cls, enter: Int64Array, leave: Int64Array, samples: int) -> _AliveRange:
-        """Return the range from the first samples at or after start and end of each support, (scatterer,)."""
-        sample = np.arange(samples)
-        middle = int(enter.searchsorted(1))
-        last = np.maximum(enter.searchsorted(sample, side="right"), middle)
-        return cls(middle, leave.searchsorted(sample, side="right"), last)
-
-    @property
-    def begin(self) -> int:
-        """First scatterer that is alive at any sample."""
-        return int(self.first[0])
-
-    @property
-    def end(self) -> int:
-        """One after the last scatterer that is alive at any sample."""
-        return int(self.last[-1])
-
-    def sums(self, phasor: ComplexArray, moments: FloatArray, cut: int) -> ComplexArray:
-        """Return the sums of phasor times moment over the alive scatterers, (frequency, term, sample).
-
-        ``phasor`` (frequency, scatterer) and ``moments`` (term, scatterer) belong to the scatterers from ``cut`` on.
-        """
-        length = moments.shape[1]
-        middle = min(max(self.middle - cut, 0), length)
-        # One empty column at ``middle``, the start of the running sums backwards and forwards.
-        running = np.zeros((len(phasor), len(moments), length + 1), dtype=np.complex128)
-        np.multiply(phasor[:, None, :middle], moments[:, :middle], out=running[..., :middle])
-        np.multiply(phasor[:, None, middle:], moments[:, middle:], out=running[..., middle + 1 :])
-        np.cumsum(running[..., middle:], axis=-1, out=running[..., middle:])
-        np.cumsum(running[..., middle::-1], axis=-1, out=running[..., middle::-1])
-        sums = running.take(np.clip(self.last - cut, middle, length), axis=-1)
-        sums += running.take(np.clip(self.first - cut, 0, middle), axis=-1)
-        return np.asarray(sums)
+    frequencies, terms, _ = cells.shape
+    chunk_length = max(_MIN_SCATTERERS_PER_CHUNK, _VALUES_PER_CHUNK // (frequencies * terms))
+    for first in range(0, len(scatterers), chunk_length):
+        chunk = scatterers[first : first + chunk_length]
+        starts = np.flatnonzero(np.diff(cell[first : first + chunk_length], prepend=-1))
+        target = cell[first + starts]
+        # exp(-j w_m tau_n), times the beam's response, and I_n g_n^a.
+        phasor = phasors(pulse, scene.rest_s[chunk], -1)
+        if scene.response is not None:
+            phasor *= scene.response[:, chunk]
+        moments = _moments(scene.weight[chunk], scene.shape[:, chunk], steps)
+        # Some terms at a time: their products with all phasors fit the cache.
+        terms_per_group = max(1, _VALUES_PER_CHUNK // (frequencies * len(chunk)))
+        for first_term in range(0, terms, terms_per_group):
+            group = slice(first_term, first_term + terms_per_group)
+            products = phasor[:, None] * moments[group]
+            cells[:, group, target] += np.add.reduceat(products, starts, axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

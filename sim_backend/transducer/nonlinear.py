@@ -11,8 +11,8 @@
 This is the one-way Westervelt equation, with each harmonic a spectrum of plane waves. Wide angles are exact. Only the
 change by steepening is computed in space, in a window around the beam, and weighted with k_n / k_zn because an oblique
 wave has a longer path. Half a step of diffraction, steepening, and half a step of diffraction give second order.
-Harmonics are added as they arise. A linear beam equals the Rayleigh integral to 1e-7. See docs/explanation/nonlinear.md,
-section 2.
+Harmonics are added as they arise. A linear beam equals the Rayleigh integral to 1e-7. Derivation:
+docs/explanation/nonlinear.md, section 2.
 """
 
 from __future__ import annotations

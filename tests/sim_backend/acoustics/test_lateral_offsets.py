@@ -44,7 +44,7 @@ def test_overlapping_positions_share_scatterers() -> None:
 
 @pytest.mark.parametrize("lateral_offset_m", [1e-3, 4e-3, -4e-3])
 def test_the_true_motion_is_that_of_the_medium_at_the_offset(lateral_offset_m: float) -> None:
-    """In the steady state of a train, point over focus at the rate of the pushes is the ratio of the transfer functions.
+    """In the steady state of a train, point over focus at the push rate is the ratio of the transfer functions.
 
     The 30 pushes before leave a start-up of less than 0.1 %; the twin's table is good to 1e-5 of the static motion, far
     off some 1e-4 of what moves there: 0.3 %.
