@@ -46,9 +46,10 @@ MASTER_TRIGGER = PhaseReference("the master trigger's edge")
 
 
 def phase_reference_of(scene: Scene, shot: Shot | None = None) -> PhaseReference:
-    """Return the stated phase reference of ``shot``, or of the whole scene, whose ``delay_s`` is then not used."""
+    """Return the stated phase reference of ``shot``, or of the whole scene, then without ``delay_s``."""
     return FIRST_TONEBURST if scene.excitation else MASTER_TRIGGER
 
 
 def _shifted_rad(phase_rad: float, shift_rad: float) -> float:
+    # No shift leaves the phase bit for bit: the remainder could turn pi into -pi.
     return math.remainder(phase_rad + shift_rad, 2 * math.pi) if shift_rad else phase_rad
