@@ -344,6 +344,7 @@ def _raised_limits(bench: BenchFile, values: Mapping[KeyPath, int | float]) -> I
             yield Mistake(key, "a sweep cannot change the calibration of a real bench", "the bench file")
         elif path[0] == "limits" or str(path[-1]).startswith("max_"):
             limit: Any = bench
+            # A limit that the bench file does not state is None and must not be added by a sweep.
             for part in path:
                 limit = limit[part] if isinstance(part, int) else getattr(limit, part, None)
             if limit is None or value > limit:

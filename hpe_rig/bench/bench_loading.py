@@ -58,6 +58,7 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
 def parse_bench(name: str, text: str) -> BenchText:
     """Return the bench in ``text``; raise ``SettingsError`` with every mistake."""
     tables = parse_toml(text, f"bench {name}")
+    # The two kinds of files are easily exchanged on the command line.
     if {"tracking", "acquisition"} <= tables.keys():
         what, remedy = "this is a scene, not a bench file", "run the same command without --bench"
         remedy += "; hpe-rig new my-bench --like bench writes a bench file"
@@ -65,6 +66,7 @@ def parse_bench(name: str, text: str) -> BenchText:
     mistakes = mistakes_of(BenchFile, tables)
     if not mistakes:
         bench = BenchFile.model_validate(tables)
+        # Only a file with valid sections is checked as a whole.
         mistakes = _missing_addresses(bench) + _missing_cables(bench) + _crossed_cables(bench)
         mistakes += _wrong_transducer(bench)
     if mistakes:

@@ -100,6 +100,7 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
     with open_each(bench) as instruments:
         reports = tuple(_report(role, item, bench, addresses, clock_s) for role, item in instruments.items())
         if self_test:
+            # A self-test may drive an output, so all are off before the first one begins.
             make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
             reports = tuple(_with_self_test(report, instruments[report.role]) for report in reports)
     return BenchReport(bench.title, bench.simulated, reports, addresses)
@@ -178,6 +179,7 @@ def _digitizer_problems(board: DigitizerBoard, settings: Settings) -> Iterator[s
         reported = settings.get(reported_key)
         if reported is not None and reported != stated:
             yield f"the board reports {reported_key} = {reported}. Try: digitizer.{key} = {str(reported).lower()}"
+    # FPGA versions limit the records that an old board holds.
     version = str(settings.get("firmware", "")).removeprefix("FPGA ").partition(",")[0]
     if version.isdecimal() and board.max_records > (limit := board.board_model.record_limit(int(version))):
         yield f"FPGA version {version} holds {limit} single-port records. Try: digitizer.max_records = {limit}"

@@ -189,6 +189,7 @@ class TwinDeclaration:
         settings, specimen = self.settings, self.settings.specimen
         if specimen is None:
             return np.zeros(time_ps.shape)
+        # Only bursts before the last time matter.
         onset_ps = np.rint(burst_onset_s[burst_onset_s * 1e12 <= time_ps[-1]] * 1e12).astype(np.int64)
         carrier_hz, amplitude_vpp = (np.full(onset_ps.shape, value) for value in drive)
         length_ps = round(burst_length_s * 1e12)
@@ -251,6 +252,7 @@ class TwinDeclaration:
     def depth_shift_m(self, bench: BenchFile, trigger_delay_s: float) -> float:
         """Return how much deeper than planned the record is, due to latencies other than in the bench file."""
         simulated, board, pulser = self.settings.instruments, bench.digitizer, bench.generators.tracking_pulser
+        # Delay of sample 0 after the pulse: the twin's, minus the one that the plan assumed.
         shift_s = simulated.digitizer_latency_s - simulated.aux_latency_s - simulated.generator_latency_s
         shift_s -= board.latency_s - board.aux_latency_s - pulser.latency_s
         if simulated.aux_waits_for_trigger_delay and not board.aux_waits_for_trigger_delay:

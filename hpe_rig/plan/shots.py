@@ -146,6 +146,7 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     """
     if scene.sweep.axes:
         return _plan_of_points(scene, bench)
+    # Nested expansion: points, then offsets, then pulse rates; each inner plan numbers its shots anew.
     if len(scene.places) > 1:
         return _joined([make_plan(offset_scene, bench) for offset_scene in scene.places])
     (scene,) = scene.places
@@ -367,6 +368,7 @@ def input_range_v(scene: Scene, bench: BenchFile) -> float:
 def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capture: Capture) -> Timeline:
     tracking, excitation = scene.tracking, scene.excitation
     trigger_s, onset_s = tracking_path_s(bench)
+    # Start of the record after the pulse's onset.
     start_s = trigger_s + bench.digitizer.latency_s + capture.trigger_delay_samples / capture.sample_rate_hz - onset_s
     start_s = start_s if bench.recording is None else bench.recording.first_sample_s
     bursts = np.arange(excitation.burst_count if excitation else 0, dtype=np.float64)

@@ -92,6 +92,7 @@ def _models_under(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
 def _key_docstrings(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings below the fields of ``model``, those of its base classes included."""
     texts: dict[str, str] = {}
+    # From the base class to the model, whose docstrings replace inherited ones.
     for base in reversed(model.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
             texts |= _docstrings_in_module(base.__module__).get(base.__name__, {})
@@ -130,6 +131,7 @@ def _tables(root: JsonSchema, schema: JsonSchema, table: DescribedTable) -> Iter
     keys, inner_tables = [], []
     for name, entry in schema["properties"].items():
         inner_schema, repeated = _schema_inside(root, entry)
+        # Tables follow all keys of the table around them, as TOML requires.
         if inner_schema is None:
             keys.append(_key(name, entry, name in required))
         else:
@@ -159,6 +161,7 @@ def _schema_inside(root: JsonSchema, entry: JsonSchema) -> tuple[JsonSchema | No
 
 
 def _key(name: str, entry: JsonSchema, required: bool) -> DescribedKey:
+    # An optional key has the additional choice null, which TOML cannot write.
     choices = [choice for choice in entry.get("anyOf", [entry]) if choice.get("type") != "null"]
     kind, bounds = " or ".join(map(_kind, choices)), _bounds(choices[0])
     default = None if entry.get("default") is None else toml_value(entry["default"])

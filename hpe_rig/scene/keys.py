@@ -35,12 +35,14 @@ def keys_of(section: Section, tables: Mapping[str, Any]) -> list[Key]:
 def _keys_of_section(section: Section, tables: Any, prefix: KeyPath) -> Iterator[Key]:
     for name, field in type(section).model_fields.items():
         value, path = getattr(section, name), (*prefix, name)
+        # Sections by their model; lists of tables and [simulation], which has no model here, by the file's content.
         if isinstance(value, Section):
             yield from _keys_of_section(value, tables.get(name, {}), path)
         elif isinstance(tables.get(name), list):
             yield from _keys_of_value(tables[name], path)
         elif name != "simulation":
             number_types = set(_number_types(field.annotation))
+            # A list with one value can be varied like a single number.
             single = value[0] if isinstance(value, tuple) and len(value) == 1 else value
             if number_types and not isinstance(single, tuple):
                 yield Key(path, single, number_types == {int})
@@ -61,6 +63,7 @@ def _number_types(annotation: Any) -> Iterator[type]:
     elif get_origin(annotation) is tuple and Ellipsis in get_args(annotation):
         yield from _number_types(get_args(annotation)[0])
     elif get_origin(annotation) in (Annotated, Union, types.UnionType):
+        # Annotated has the type first, then its bounds; a union has types only.
         for inner in get_args(annotation)[: 1 if get_origin(annotation) is Annotated else None]:
             yield from _number_types(inner)
 
@@ -68,6 +71,7 @@ def _number_types(annotation: Any) -> Iterator[type]:
 def resolve(name: str, keys: Sequence[Key]) -> Key | Mistake:
     """Return the key that ``name`` means, the end of its path or all of it; a mistake if none or several match."""
     paths = {str(key): key for key in keys}
+    # The whole path first: a short name may also be the end of a longer path.
     matches = [name] if name in paths else [path for path in paths if path.endswith(f".{name}")]
     if len(matches) == 1:
         return paths[matches[0]]
@@ -96,6 +100,7 @@ def with_values(tables: Mapping[str, Any], values: Mapping[KeyPath, Any]) -> dic
             container = container_at(changed, tuple(sections))
             if isinstance(last, int) != isinstance(container, list):
                 raise TypeError
+            # Copied, so that later changes of the tables do not reach the caller's lists.
             container[last] = copy.deepcopy(value)
         except (LookupError, TypeError, ValueError):
             remedy = "a key of the scene, with [0] for the first entry of a list in the file"

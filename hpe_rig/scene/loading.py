@@ -55,6 +55,7 @@ def parse_scene(
     ``stored`` is as in ``scene_mistakes``.
     """
     tables = parse_toml(text, f"scene {name}")
+    # The two kinds of files are easily exchanged on the command line.
     if {"generators", "limits"} <= tables.keys():
         mistake = Mistake("", "this is a bench file, not a scene", "a scene, and this file behind --bench")
         raise SettingsError(f"scene {name}", [mistake])

@@ -91,6 +91,7 @@ class Scene(Section):
         for name in values:
             if not isinstance(name, str):
                 raise TypeError(f"the path of a setting must be text, not {type(name).__name__} {name!r}")
+        # Validated anew from the given settings, so that every rule is checked.
         tables = with_values(plain_tables(self), {path_of(name): value for name, value in values.items()})
         if mistakes := scene_mistakes(tables):
             raise SettingsError("the scene", mistakes)
@@ -171,9 +172,11 @@ class Scene(Section):
         """The scene at each pulse rate, with equal frequencies and equally many pulses."""
         if not self.sweep.pulse_rate_hz:
             return (self,)
+        # Fixed here, because the default frequencies depend on the pulse rate.
         processing = self.processing.model_copy(update={"frequencies_hz": self.wanted_frequencies_hz or None})
         count = self.tracking.pulse_count
         if count is None and self.excitation is not None:
+            # The fastest train determines the count, so that one run file holds the records of all.
             count = _pulses_in_train(self.excitation, max(self.sweep.pulse_rate_hz))
         unswept = {"processing": processing, "sweep": self.sweep.model_copy(update={"pulse_rate_hz": ()})}
         sections = (

@@ -77,6 +77,7 @@ def _not_toml(text: str, error: str) -> Mistake:
     number = int(match[1]) if match else len(lines)
     line = lines[number - 1].strip() if 0 < number <= len(lines) else ""
     where = f"line {number}, {shortened(line)!r}"
+    # The parser's message comes first, then the usual mistakes in the line that it names.
     if "overwrite" in error:
         return Mistake("", f"{where}: this key stands a second time in its table", "keep one of the two")
     if "twice" in error:
@@ -129,6 +130,7 @@ def _similar_names(source: str, shipped: Mapping[str, str], folder: Path) -> str
     files = [path.name for path in folder.glob("*.toml")]
     if f"{source}.toml" in files:
         return f"did you mean {source}.toml?"
+    # A name typed in part suggests all that begin with it.
     begins = [name for name in shipped if source and name.startswith(source)]
     # A different number is another figure and no typing error: fig-3 does not suggest fig-13.
     same_digits = [name for name in (*shipped, *files) if re.findall(r"\d+", name) == re.findall(r"\d+", source)]

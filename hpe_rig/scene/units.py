@@ -35,6 +35,7 @@ MIN_LENGTH_M, MAX_LENGTH_M = 1e-15, 1e-3
 
 def unit_of(key: str) -> str:
     """Return the unit that the name of a key ends with; empty if it has none."""
+    # The longest ending applies: sound_speed_m_per_s ends with _s too.
     endings = sorted((ending for ending in _UNITS if key.endswith(f"_{ending}")), key=len)
     return _UNITS[endings[-1]] if endings else ""
 

@@ -49,6 +49,7 @@ def mistakes_of(
     try:
         model.model_validate(tables, context=context)
     except ValidationError as error:
+        # One wrong value can give several entries; consequences of another mistake are dropped.
         entries = [dict(entry) for entry in error.errors(include_url=False)]
         return [_mistake(entry, model, tables, prefix, hint) for entry in entries if not _is_consequence(entry)]
     return []
@@ -80,6 +81,7 @@ def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], pr
     if path and path[-1] == 0 and not isinstance(_value_at(tables, path[:-1]), list | tuple):
         path = path[:-1]
     kind = entry["type"]
+    # Each type of mistake has a function for its words.
     if kind == "extra_forbidden":
         words = _unknown_key(str(path[-1]), _keys_at(model, path[:-1]))
     elif kind in _BOUNDS:

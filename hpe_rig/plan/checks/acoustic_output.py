@@ -88,6 +88,7 @@ def highest_output(bench: BenchFile, shots: Sequence[Shot]) -> AcousticOutput:
     if bench.calibration is None:
         return NO_OUTPUT
     outputs = [shot_output(bench.calibration, shot) for shot in shots]
+    # Shots do not add up: the time average is the largest of the shots'.
     peak = combined(outputs)
     return AcousticOutput(peak.mechanical_index, peak.sppa_w_per_m2, max(output.spta_w_per_m2 for output in outputs))
 
