@@ -132,7 +132,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     note_texts = getattr(error, "__notes__", ())
     notes, note_lines = ("".join(separator + note for note in note_texts) for separator in ("; ", "\n  "))
     # This comes first: after an interrupted import the imports below may fail. A stop from the live page is a subclass
-    # with a message of its own.
+    # with another message.
     if type(error) is KeyboardInterrupt:
         return f"interrupted{notes}", EXIT_INTERRUPTED
     from drivers.interfaces import InstrumentError

@@ -101,6 +101,7 @@ def _time(text: str | None, option: str, end: bool = False) -> datetime | None:
         raise SettingsError(
             "command line", [Mistake(option, what, "one such as 2026-03-05 or 2026-03-05T14:30")]
         ) from None
+    # A date without time ends at the last moment of its day.
     if end and len(text) <= len("2026-03-05"):
         time = time.replace(hour=23, minute=59, second=59, microsecond=999_999)
     return time.astimezone()

@@ -55,6 +55,7 @@ def run(
     setup = prepare(scene, bench, stages)
     estimator = chosen_estimator(result.estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
+    # An unwritable folder is an error before the measurement, not after it.
     refuse_unwritable(result_path(path, estimator))
     options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
     quiet = result.json or result.csv

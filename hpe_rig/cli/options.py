@@ -119,6 +119,21 @@ class RecordingOptions:
     ] = None
 
 
+@dataclass(frozen=True, slots=True)
+class SchedulerOptions:
+    """Processes on this machine, or a Dask scheduler."""
+
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes. Default: the number of cores.")] = (
+        None
+    )
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler: tls://HOST:8786, or tcp:// in a trusted network, or local.")
+    ] = None
+    tls_ca: Annotated[Path | None, typer.Option(help="Authority of the scheduler's certificate, a PEM file.")] = None
+    tls_cert: Annotated[Path | None, typer.Option(help="Client certificate for the scheduler, a PEM file.")] = None
+    tls_key: Annotated[Path | None, typer.Option(help="Key of that certificate, a PEM file.")] = None
+
+
 def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     """Return ``command`` with every parameter that is a dataclass replaced by one parameter for each field."""
     hints = get_type_hints(command, include_extras=True)
@@ -137,6 +152,7 @@ def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
         command(**values)
 
+    # Typer reads names, defaults and help texts from the signature, and types from the annotations.
     signature: Any = expanded
     signature.__signature__ = inspect.Signature(parameters)
     expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}

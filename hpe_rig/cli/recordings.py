@@ -32,7 +32,7 @@ def import_command(
     compress: Compress = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a run file of echoes that another program recorded. Prints what is inferred."""
+    """Make a run file of echoes that another program recorded. Prints the inferred values."""
     from hpe_rig.runs import import_recording
     from hpe_rig.store import WriteOptions
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import announce, guarded
-from hpe_rig.cli.options import BenchPath, SceneName, check_file_name
+from hpe_rig.cli.options import BenchPath, SceneName, SchedulerOptions, check_file_name
 
 studies = typer.Typer()
 
@@ -35,10 +35,26 @@ class EffortOptions:
     ] = None
 
 
+@dataclass(frozen=True, slots=True)
+class OwnSceneOptions:
+    """Accuracy study on a scene."""
+
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE", help="Measure the effect of estimator, fit, gate and field settings on this scene."
+        ),
+    ] = None
+    bench: BenchPath = None
+    seeds: Annotated[int | None, typer.Option(min=2, help="Draws of scatterers and noise with --scene.")] = None
+    quick: Annotated[bool, typer.Option("--quick", help="With --scene: fewer seeds, within a minute.")] = False
+
+
 @studies.command()
 @guarded
 def accuracy(
     effort: EffortOptions,
+    own_scene: OwnSceneOptions,
     part: Annotated[
         str | None,
         typer.Argument(
@@ -56,15 +72,6 @@ def accuracy(
     full: Annotated[
         bool, typer.Option("--full", help="All sizes and draws, which take minutes instead of one minute.")
     ] = False,
-    scene: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SCENE", help="Measure the effect of estimator, fit, gate and field settings on this scene."
-        ),
-    ] = None,
-    bench: BenchPath = None,
-    seeds: Annotated[int | None, typer.Option(min=2, help="Draws of scatterers and noise with --scene.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="With --scene: fewer seeds, within a minute.")] = False,
 ) -> None:
     """Measure error against run time. Of the simulated physics, of the estimators, end to end, or on a scene."""
     from dataclasses import replace
@@ -72,8 +79,9 @@ def accuracy(
     from hpe_rig.cli.terminal import progress_reporter
     from hpe_rig.validation import FULL, Effort, write_accuracy, write_accuracy_report, write_own_scene
 
-    if scene is not None:
+    if own_scene.scene is not None:
         _refuse_part(part)
+        scene, bench, seeds, quick = own_scene.scene, own_scene.bench, own_scene.seeds, own_scene.quick
         write_own_scene(scene, bench, seeds, quick, output, figure, typer.echo, announce)
         return
     stated = {name: value for name, value in asdict(effort).items() if value is not None}
@@ -150,21 +158,6 @@ def design(
         report=report,
     )
     write_design(request, typer.echo, announce)
-
-
-@dataclass(frozen=True, slots=True)
-class SchedulerOptions:
-    """Processes on this machine, or a Dask scheduler."""
-
-    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes. Default: the number of cores.")] = (
-        None
-    )
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler: tls://HOST:8786, or tcp:// in a trusted network, or local.")
-    ] = None
-    tls_ca: Annotated[Path | None, typer.Option(help="Authority of the scheduler's certificate, a PEM file.")] = None
-    tls_cert: Annotated[Path | None, typer.Option(help="Client certificate for the scheduler, a PEM file.")] = None
-    tls_key: Annotated[Path | None, typer.Option(help="Key of that certificate, a PEM file.")] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ import typer
 
 from hpe_rig.bench import interruptible
 from hpe_rig.cli.console import announce
-from hpe_rig.cli.studies import SchedulerOptions
+from hpe_rig.cli.options import SchedulerOptions
 from hpe_rig.cli.terminal import progress_reporter
 from hpe_rig.result import text_table
 from hpe_rig.study import (
@@ -43,6 +43,7 @@ def run_and_print(
     open_pool = functools.partial(cluster, scheduler, count, tls) if scheduler else functools.partial(processes, count)
     if scheduler and (warning := untrusted_network(scheduler)):
         announce(warning)
+    # Enough cases wait in the pool to keep all workers busy.
     cases_ahead = CLUSTER_CASES_AHEAD if scheduler else 2 * count + 2
     with interruptible(), progress_reporter(f"{name}: realisations") as progress:
         results = run_study(

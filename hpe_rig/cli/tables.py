@@ -110,6 +110,7 @@ def _console(columns: int) -> Console:
 
 def _print_means(result: Result, printer: Printer) -> None:
     """Print a table for every repeated setting, or a line each if there are more than `MAX_MEAN_TABLES`."""
+    # Means of the same shots belong to one setting.
     groups = [list(group) for _, group in groupby(result.means, key=lambda mean: mean.shots)]
     if len(groups) <= MAX_MEAN_TABLES or printer.wide:
         for group in groups:
@@ -118,6 +119,7 @@ def _print_means(result: Result, printer: Printer) -> None:
             printer.table(_mean_table(group, printer))
         return
     frequency_hz = lead_frequency_hz([shot for shot in result.shots if shot.estimates])
+    # One line per setting, at its frequency closest to that of the largest amplitude.
     leads = [min(group, key=lambda mean: abs(mean.frequency_hz - frequency_hz)) for group in groups]
     headers, settings = _varied(leads)
     printer.text(f"\nMEANS over repeats at {frequency_hz:g} Hz{_common(leads)}", bold=True)
@@ -151,6 +153,7 @@ def _print_shots(result: Result, printer: Printer) -> None:
         row = [f"{shot.shot + 1}", *cells, *_polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)]
         row += [*_angle(peak.phase_rad, peak.phase_uncertainty_rad), _digits(shot.residual_m * 1e9, 3)]
         rows.append((*row, " ".join(_flags(shot))))
+    # The column of flags is printed only if a shot has any.
     if any(row[-1] for row in rows):
         table = rich_table([*headers, "\n"], rows, words=0)
     else:
@@ -189,6 +192,7 @@ def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[st
     cells = {
         header: [_scaled(getattr(item, name), factor) for item in items] for header, (name, factor) in _SETTINGS.items()
     }
+    # Keys of a sweep are shortened to their last part.
     for name in items[0].swept:
         cells[f"{name.rpartition('.')[2]}\n"] = [f"{item.swept[name]:g}" for item in items]
     varied = [header for header, texts in cells.items() if len(set(texts)) > 1]
@@ -211,36 +215,37 @@ def times_text(provenance: Provenance) -> str:
     """Return begin and end of a run: 2026-03-05 14:02:11+01:00 to 14:10:07."""
     started, ended = provenance.started.replace("T", " "), provenance.ended.replace("T", " ")
     day, _, time = ended.partition(" ")
+    # The date and offset of the end are omitted if they equal those of the begin.
     until = time[:8] if ended[:10] == started[:10] and ended[19:] == started[19:] else f"{day} {time}".strip()
     return f"{started} to {until}" if ended else started
 
 
 def _shot_table(shot: ShotResult, printer: Printer) -> Table:
-    known = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
+    has_truth = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
     corrected = any(estimate.headline.corrected for estimate in shot.estimates)
     scale, unit = _unit([item.headline.amplitude_m for item in shot.estimates])
     headers = ["f\nHz"]
     headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
     headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
-    headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if known else []
-    rows = [_row(estimate, known, corrected, scale) for estimate in shot.estimates]
+    headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if has_truth else []
+    rows = [_row(estimate, has_truth, corrected, scale) for estimate in shot.estimates]
     if printer.narrow and corrected:
         # Without the tracked values and the truth, which --wide prints.
-        columns = [0, 1, 2, 3, 4, 5, 9, *([11, 12] if known else [])]
+        columns = [0, 1, 2, 3, 4, 5, 9, *([11, 12] if has_truth else [])]
         headers, rows = [headers[column] for column in columns], [[row[column] for column in columns] for row in rows]
     return rich_table(headers, rows, words=0)
 
 
 def _mean_table(means: Sequence[RepeatMean], printer: Printer) -> Table:
-    known = any(mean.true_amplitude_m is not None for mean in means)
+    has_truth = any(mean.true_amplitude_m is not None for mean in means)
     name = "peak" if means[0].corrected else "tracked"
     scale, unit = _unit([mean.amplitude_m for mean in means])
     headers = ["f\nHz", f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", f"sd\n{unit}", "sd\ndeg"]
     headers += ["chi-square\n", "p\n"]
-    headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if known else []
-    rows = [_mean_row(mean, known, scale) for mean in means]
+    headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if has_truth else []
+    rows = [_mean_row(mean, has_truth, scale) for mean in means]
     if printer.narrow:
-        columns = [0, 1, 2, 3, 4, 5, 6, 8, *([10, 11] if known else [])]
+        columns = [0, 1, 2, 3, 4, 5, 6, 8, *([10, 11] if has_truth else [])]
         headers, rows = [headers[column] for column in columns], [[row[column] for column in columns] for row in rows]
     return rich_table(headers, rows, words=0)
 
@@ -287,12 +292,12 @@ def _mean_title(mean: RepeatMean) -> str:
     return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *_settings(mean)])
 
 
-def _mean_row(mean: RepeatMean, known: bool, scale: float) -> list[str]:
+def _mean_row(mean: RepeatMean, has_truth: bool, scale: float) -> list[str]:
     row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m, scale)]
     row += _angle(mean.phase_rad, mean.phase_uncertainty_rad)
     row += [_digits(mean.amplitude_sd_m / scale), _digits(math.degrees(mean.phase_sd_rad))]
     row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
-    if known and mean.true_amplitude_m and mean.true_phase_rad is not None:
+    if has_truth and mean.true_amplitude_m and mean.true_phase_rad is not None:
         error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)
         row += [f"{mean.true_amplitude_m / scale:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+z.1f}"]
         row += [f"{math.degrees(error_rad):+z.2f}"]
@@ -321,14 +326,14 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
     yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
-def _row(estimate: Estimate, known: bool, corrected: bool, scale: float) -> list[str]:
+def _row(estimate: Estimate, has_truth: bool, corrected: bool, scale: float) -> list[str]:
     row, peak = [f"{estimate.frequency_hz:g}"], estimate.headline
     if corrected:
         row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)
         row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
     row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m, scale)
     row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
-    if known:
+    if has_truth:
         row.append(_or_dash(estimate.true_amplitude_m, 1 / scale, ".4g"))
         row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+z.1f"))
         row.append(_or_dash(estimate.corrected_phase_error_rad, 180 / math.pi, "+z.2f"))

@@ -10,7 +10,7 @@
     resumption.py     a stopped run continued with its missing shots
     queue.py          several runs one after another under one lock
     provenance.py     operator, time and place of a measurement
-    log.py            the log beside the run file
+    log.py            the log file of a run
 
 ``prepare`` and ``record_run`` are the two halves of a measurement.
 """

@@ -20,7 +20,7 @@ from .queue import (
     run_queue as run_queue,
     time_left_s as time_left_s,
 )
-from .resumption import Resumption as Resumption, prepare_resumption as prepare_resumption, resume as resume
+from .resumption import prepare_resumption as prepare_resumption, resume as resume
 from .run import record_run as record_run
 from .sequencer import (
     Observer as Observer,
@@ -28,7 +28,6 @@ from .sequencer import (
     ShotBlock as ShotBlock,
     Step as Step,
     acquire as acquire,
-    ignore_progress as ignore_progress,
     program_shot as program_shot,
 )
 from .setup import (
@@ -41,7 +40,6 @@ from .setup import (
     prepare_text as prepare_text,
     setup_of_run as setup_of_run,
     source_text as source_text,
-    with_scan_in_folder as with_scan_in_folder,
 )
 from .stop_request import (
     StopRequested as StopRequested,

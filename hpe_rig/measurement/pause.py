@@ -1,4 +1,4 @@
-"""Pause of a run between two shots, with every output off: a file beside the run file for as long as the pause lasts.
+"""Pause of a run between two shots, with every output off: a file next to the run file during the pause.
 
 Like a stop request it may come from another process, such as the live page, and it holds the identity of its run. The
 run writes it too, with a lateral offset in a second line, while it waits for a movement of the tracking transducer.
@@ -12,10 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
-from hpe_rig.measurement.stop_request import POLL_INTERVAL_S, StopRequested, stop_requested
-from hpe_rig.store import StoreError, atomic_file, reason
-
-MAX_REQUEST_BYTES = 128
+from hpe_rig.measurement.stop_request import POLL_INTERVAL_S, StopRequested, read_request, stop_requested, write_request
+from hpe_rig.store import StoreError, reason
 
 
 def pause_path(run_file: Path) -> Path:
@@ -24,27 +22,17 @@ def pause_path(run_file: Path) -> Path:
 
 
 def pause_requested(run_file: Path, run_id: str = "") -> bool:
-    """Return whether a pause of the run ``run_id`` in ``run_file`` is requested; "" stands for any run."""
-    lines = _request(run_file)
+    """Return whether a pause of the run ``run_id`` in ``run_file`` is requested; "" means any run."""
+    lines = read_request(pause_path(run_file))
     return bool(lines) and (not run_id or lines[0] in ("", run_id))
 
 
 def awaited_offset_m(run_file: Path, run_id: str = "") -> float | None:
     """Return the lateral offset to which the run waits for a movement of the transducer; None if it waits for none."""
-    lines = _request(run_file) if pause_requested(run_file, run_id) else []
+    lines = read_request(pause_path(run_file)) if pause_requested(run_file, run_id) else []
     with suppress(IndexError, ValueError):
         return float(lines[1])
     return None
-
-
-def _request(run_file: Path) -> list[str]:
-    """Return the lines of the request beside ``run_file``, at least one; an empty list without a request."""
-    path = pause_path(run_file)
-    with suppress(OSError, ValueError):
-        if path.is_file() and not path.is_symlink():
-            with path.open("rb") as file:
-                return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip().splitlines() or [""]
-    return []
 
 
 def toggle_pause(run_file: Path, run_id: str = "") -> bool:
@@ -57,7 +45,7 @@ def toggle_pause(run_file: Path, run_id: str = "") -> bool:
         if paused:
             pause_path(run_file).unlink(missing_ok=True)
         else:
-            _write_request(run_file, run_id)
+            write_request(pause_path(run_file), run_id)
     except OSError as error:
         what = f"the request to pause cannot be {'removed' if paused else 'written'} beside {run_file}"
         raise StoreError(f"{what} ({reason(error)}). Try: Ctrl-C, and hpe-rig resume later.") from None
@@ -76,7 +64,7 @@ def wait_for_move(
     Raises ``StopRequested`` if a stop is requested meanwhile, and ``StoreError`` if the pause cannot be written.
     """
     try:
-        _write_request(run_file, f"{run_id}\n{lateral_m!r}")
+        write_request(pause_path(run_file), f"{run_id}\n{lateral_m!r}")
     except OSError as error:
         what = f"the wait for the transducer at {lateral_m * 1e3:g} mm cannot be written beside {run_file}"
         remedy = "free space and the right to write there, then hpe-rig resume; --yes asks no confirmation"
@@ -88,11 +76,6 @@ def wait_for_move(
             sleep(POLL_INTERVAL_S)
     finally:
         clear_pause(run_file, run_id)
-
-
-def _write_request(run_file: Path, text: str) -> None:
-    with atomic_file(pause_path(run_file)) as draft, draft.open("x", encoding="ascii") as file:
-        file.write(text)
 
 
 def clear_pause(run_file: Path, run_id: str = "") -> None:

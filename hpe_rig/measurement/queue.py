@@ -1,6 +1,7 @@
 """Queue of runs: all are checked before the first, then measured one after another under one lock.
 
-The state of each run is stored in ``queue.json`` beside the run files, so that a stopped or killed queue can continue.
+The file ``queue.json`` in the folder of the run files holds the state of each run. With it a stopped or killed queue
+can continue.
 """
 
 from __future__ import annotations
@@ -159,6 +160,7 @@ def run_queue(
     another program uses a bench.
     """
     runs, results = list(queue), dict[int, Result]()
+    # All runs are planned before the first one: a mistake must not appear in the middle of the night.
     setups = [prepare_text(run.name, run.scene_toml, _bench(run)) for run in runs]
     runs = [replace(run, planned_s=setup.plan.duration_s) for run, setup in zip(runs, setups, strict=True)]
     with hold(sorted({name for setup in setups for name in resources(setup.bench.bench)})):
@@ -176,6 +178,7 @@ def run_queue(
                     hooks.report("the queue stops after this failure, as requested")
                     break
             except BaseException as error:
+                # A second interrupt must not leave the state at "running".
                 with uninterrupted():
                     _set(folder, runs, index, state="stopped", why=type(error).__name__)
                 error.add_note(f"hpe-rig queue --resume {folder} continues the queue")
@@ -241,6 +244,7 @@ def time_left_s(queue: Sequence[QueueRun], index: int) -> float:
 
     It is the duration by their plans, scaled by the measured over planned duration of the runs that are done.
     """
+    # Resumed runs have no measured duration.
     done = [run for run in queue if run.state == "done" and run.took_s]
     pace = sum(run.took_s for run in done) / sum(run.planned_s for run in done) if done else 1.0
     return pace * sum(run.planned_s for run in queue[index:] if run.state != "done")

@@ -93,7 +93,7 @@ class RunRecorder:
         self._open().run_time(stages.run_time_s)
 
     def _content_after_error(self) -> str:
-        """Return what the file of a run that ended early contains; remove a file without any event."""
+        """Return the content of the file after an early end; remove a file without any event."""
         if self._has_record:
             commands = f"hpe-rig process {self._path} estimates them, hpe-rig resume {self._path} measures the others"
             return f"{self._path} holds the records that had arrived: {commands}"

@@ -16,7 +16,7 @@ from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 _LOG = logging.getLogger("hpe_rig")
 MAX_SLEEP_S = 0.2
 RECHECK_INTERVAL_S = 1.0
-"""Interval at which outputs and settings are verified again during a long shot."""
+"""Interval between checks of outputs and settings during a long shot."""
 
 
 class Step(StrEnum):

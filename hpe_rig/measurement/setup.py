@@ -101,7 +101,7 @@ def prepare_text(
 
 
 def setup_of_run(stored: StoredRun) -> Setup:
-    """Return the setup with which ``stored`` was measured, planned again from its scene and bench file.
+    """Return the setup of the run ``stored``, planned again from its scene and bench file.
 
     Raises ``StoreError`` if the records do not fit the plan, and ``SettingsError`` if there is no plan.
     """

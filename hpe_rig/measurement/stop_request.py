@@ -1,7 +1,7 @@
-"""Request to stop a run in another process: a file beside the run file, checked between records.
+"""Request to stop a run from another process: a file in the folder of the run file, checked between records.
 
 The request needs no signal and no process number. It works on any system and over a network share for everyone who may
-write beside the run file. The file holds the identity of its run, so that no other run of that name obeys it or removes
+write to that folder. The file holds the identity of its run, so that no other run of that name obeys it or removes
 it. An empty file, made by hand, applies to any run.
 """
 
@@ -17,7 +17,7 @@ from hpe_rig.store import StoreError, atomic_file, is_taken, read_run, reason
 
 POLL_INTERVAL_S = 0.1
 """Each check costs a call to the file system, too much for every block of records."""
-MAX_REQUEST_BYTES = 64
+MAX_REQUEST_BYTES = 128
 
 
 class StopRequested(KeyboardInterrupt):
@@ -47,9 +47,7 @@ def write_stop(file: Path, run_id: str = "") -> None:
     Raises ``StoreError`` if it cannot be written.
     """
     try:
-        # The rename into place follows no link.
-        with atomic_file(stop_path(file)) as draft, draft.open("x", encoding="ascii") as request:
-            request.write(run_id)
+        write_request(stop_path(file), run_id)
     except OSError as error:
         raise StoreError(
             f"the request to stop cannot be written beside {file} ({reason(error)}). "
@@ -58,17 +56,17 @@ def write_stop(file: Path, run_id: str = "") -> None:
 
 
 def stop_requested(run_file: Path, run_id: str = "") -> bool:
-    """Return whether a stop of the run ``run_id`` in ``run_file`` is requested; "" stands for any run."""
-    requested_id = _request(run_file)
-    return requested_id is not None and (not run_id or requested_id in ("", run_id))
+    """Return whether a stop of the run ``run_id`` in ``run_file`` is requested; "" means any run."""
+    lines = read_request(stop_path(run_file))
+    return bool(lines) and (not run_id or lines[0] in ("", run_id))
 
 
 def clear_stop(run_file: Path, run_id: str = "") -> None:
-    """Remove a request to stop the run ``run_id``; "" stands for any run.
+    """Remove a request to stop the run ``run_id``; "" means any run.
 
     Raises ``StoreError`` if the request, or whatever has its name, cannot be removed.
     """
-    if _request(run_file) is not None and not stop_requested(run_file, run_id):
+    if read_request(stop_path(run_file)) and not stop_requested(run_file, run_id):
         return
     try:
         stop_path(run_file).unlink(missing_ok=True)
@@ -106,11 +104,17 @@ def with_stop_requests(
     return observe
 
 
-def _request(run_file: Path) -> str | None:
-    """Return the text of the request beside ``run_file``; None without one. A link is no request."""
-    path = stop_path(run_file)
+def write_request(path: Path, text: str) -> None:
+    """Write a request in one step; raise ``OSError`` if it cannot be written."""
+    # The rename into place follows no link.
+    with atomic_file(path) as draft, draft.open("x", encoding="ascii") as request:
+        request.write(text)
+
+
+def read_request(path: Path) -> list[str]:
+    """Return the lines of a request, at least one; an empty list without a request. A link is no request."""
     with suppress(OSError, ValueError):
         if path.is_file() and not path.is_symlink():
             with path.open("rb") as file:
-                return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip()
-    return None
+                return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip().splitlines() or [""]
+    return []

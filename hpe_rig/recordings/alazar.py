@@ -54,6 +54,7 @@ class Alazar:
         range_v = settings.input_range_v or header_range_v
         if range_v is None:
             raise ValueError("the input range is not stated: input_range_v = 0.8, plus and minus")
+        # The codes span plus and minus the input range.
         stated["scale_v"] = (2 * range_v / ((1 << model.code_bits) - 1), f"an input range of {range_v:g} V")
         codes = _codes(words, model, signed)
         return Contents({path.stem: codes}, stated, axes=("pulse", "sample"), board=settings.board)
@@ -94,6 +95,7 @@ def _has_headers(data: ByteArray, record_bytes: int, settings: RecordingSettings
     fits_without = data.size % (record_bytes * channels) == 0
     if not fits_with_headers or not fits_without:
         return fits_with_headers
+    # Both layouts fit the size of the file. With headers, the record numbers in the second word ascend by one.
     headers = np.ascontiguousarray(data.reshape(-1, record_bytes + HEADER_BYTES)[::channels, :HEADER_BYTES]).view("<u4")
     numbers = (headers[:, 1] & 0xFFFFFF).astype(np.int64)
     return bool(numbers.size > 1 and np.all(np.diff(numbers) == 1))
@@ -102,6 +104,7 @@ def _has_headers(data: ByteArray, record_bytes: int, settings: RecordingSettings
 def _stated_by_headers(headers: UInt32Array, model: Any, settings: RecordingSettings) -> dict[str, tuple[Any, str]]:
     """Return rate and range, by the vendor's numbers, and the trigger times in the ``headers`` (record, 4)."""
     stated: dict[str, tuple[Any, str]] = {}
+    # Rate and range are bit fields in the fourth word.
     rate_id = int(headers[0, 3] >> RATE_SHIFT) & ((1 << RATE_BITS) - 1)
     range_id = int(headers[0, 3] >> RANGE_SHIFT) & ((1 << RANGE_BITS) - 1)
     rates_hz = {number: rate_hz for rate_hz, number in model.rate_ids.items()}

@@ -137,8 +137,10 @@ class Csv:
         lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
         if not lines:
             raise ValueError("it holds no line of numbers: rows of values separated by commas")
+        # The first of these characters in the first line separates the numbers; else blanks do.
         separator = next((character for character in ";\t," if character in lines[0][1]), None)
         rows = list[list[complex] | list[float]]()
+        # A first line without numbers is a header.
         start = 0 if _numbers(lines[0][1], separator) is not None else 1
         for number, line in lines[start:]:
             values = _numbers(line, separator)
@@ -196,6 +198,7 @@ def contents(values: Mapping[str, NDArray[Any]]) -> Contents:
         if not _is_numbers(value.dtype):
             continue
         key = _key(name)
+        # MATLAB stores numbers and lists as matrices.
         squeezed = value.reshape(-1) if value.ndim and value.size == max(value.shape) else value
         if key in LIST_KEYS and squeezed.ndim == 1 and squeezed.size > 1:
             stated.setdefault(key, (tuple(map(float, np.real(squeezed).tolist())), name))

@@ -2,7 +2,7 @@
 
     r(t) = Re[ (I(t) + j Q(t)) exp(2 pi j f_d t) ],    f_d the demodulation frequency
 
-The phase of the mixer is unknown, but it is the same for all pulses and does not affect the estimated motion.
+The phase of the mixer is unknown. It is constant, so it does not affect the estimated motion.
 """
 
 from __future__ import annotations
@@ -26,13 +26,15 @@ def to_radio_frequency(
 ) -> tuple[SingleArray, float]:
     """Return real samples (..., sample) of complex ``values`` (..., sample), and their rate.
 
-    The rate is the smallest integer multiple of ``rate_hz`` at which the band is sampled twice as fast as needed.
+    The rate is the smallest integer multiple of ``rate_hz`` that samples the band twice as fast as needed.
     """
     from scipy.signal import resample_poly
 
+    # The band of the carrier and that of I and Q around the demodulation frequency must both fit.
     highest_hz = max(BAND_END * carrier_hz, demodulation_hz + rate_hz / 2)
     factor = max(1, math.ceil(MIN_SAMPLES_PER_PERIOD * highest_hz / rate_hz / 2))
     interpolated = values if factor == 1 else resample_poly(values, factor, 1, axis=-1)
     output_hz = rate_hz * factor
+    # Mix up: multiply by exp(2 pi j f_d t).
     carrier = np.exp(2j * np.pi * demodulation_hz / output_hz * np.arange(interpolated.shape[-1]))
     return np.asarray((interpolated * carrier).real, np.float32), output_hz

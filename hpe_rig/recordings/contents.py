@@ -18,7 +18,7 @@ class Contents:
 
     ``arrays``: possible samples by name, real, or complex for I and Q, with two axes or more. ``stated``: settings that
     the file states, by the keys of ``RecordingSettings``; each value with its name in the file, such as "fs". ``axes``:
-    of the samples, if the format defines them. ``board``: the digitizer whose codes the samples are, if known.
+    of the samples, if the format defines them. ``board``: the digitizer that produced the samples, if known.
     """
 
     arrays: Mapping[str, NDArray[Any]]

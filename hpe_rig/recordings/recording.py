@@ -83,7 +83,7 @@ def read_recording(
     """Return the recording in the file or array ``source``; ``origins``: of each of ``settings``.
 
     ``for_map``: by default all lines are selected, without positions; I and Q are not mixed up; invalid values are
-    kept, since the map marks its pixels. Raises ``SettingsError`` with every unreadable, missing or contradictory value.
+    kept, since the map marks its pixels. Raises ``SettingsError`` with every unreadable, missing or wrong value.
     """
     name = source.name if isinstance(source, Path) else "array"
     file_format, contents, sha256 = _open_source(source, settings, name)
@@ -136,6 +136,7 @@ class _Reader:
         first_s = statements.first_sample_s(sound_speed)
         if array is None or axes is None:
             raise self._error()
+        # All further steps collect mistakes, so that one error reports all of them.
         values = self._cut_samples(self._arrange(array, axes))
         demodulation_hz = self._demodulation_hz(values)
         recorded = self._find_recorded(values)
@@ -150,6 +151,7 @@ class _Reader:
             or pulses.time_s is None
         ):
             raise self._error()
+        # Cut samples shift the time of the first one.
         if self.settings.samples is not None:
             first_s += self.settings.samples[0] / rate_hz
         values = self._with_sign(lines)
@@ -195,6 +197,7 @@ class _Reader:
             what = "the file holds no array of numbers with two axes or more"
             self.statements.add_mistake("", what, "a file with samples")
             return "", None
+        # Without a stated name the largest array holds the samples, unless two are equally large.
         sizes = sorted(((array.size, name) for name, array in arrays.items()), reverse=True)
         largest = [name for name, array in arrays.items() if array.size == sizes[0][0]]
         if len(largest) > 1:
@@ -227,19 +230,20 @@ class _Reader:
     def _infer_axes(self, array: NDArray[Any], default: tuple[Dimension, ...]) -> tuple[Dimension, ...] | None:
         """Return the only order of axes that has the known lengths; None and a mistake if it is not unique."""
         lengths = {name: length for name, length in self._known_lengths().items() if length is not None}
+        # Try every order of the default axes against the lengths that settings, file or scene state.
         orders = [
             order
             for order in itertools.permutations(default)
             if all(lengths.get(name, length) == length for name, length in zip(order, array.shape, strict=True))
         ]
-        known = ", ".join(f"{length} along {name}" for name, length in lengths.items())
+        known_text = ", ".join(f"{length} along {name}" for name, length in lengths.items())
         if len(orders) == 1:
             order_text = f"axes: {', '.join(orders[0])} for {array.shape}"
-            self.statements.inferred.append(f"{order_text}, the only order with {known}")
+            self.statements.inferred.append(f"{order_text}, the only order with {known_text}")
             return orders[0]
         what = f"the order of axes of {array.shape} is not stated"
-        if known:
-            what += f", and {'several orders have' if orders else 'none has'} {known}"
+        if known_text:
+            what += f", and {'several orders have' if orders else 'none has'} {known_text}"
         self.statements.add_mistake("axes", what, f'such as axes = "{",".join(default)}"')
         return None
 
@@ -258,6 +262,7 @@ class _Reader:
         values = np.transpose(array, [axes.index(name) for name in names])
         if "iq" in names:
             values = values[..., 0] + 1j * values[..., 1]
+        # Absent axes get a length of 1.
         for index, name in enumerate(DIMENSIONS[:4]):
             if name not in names:
                 values = np.expand_dims(values, index)
@@ -312,6 +317,7 @@ class _Reader:
             constant = (values == values[..., :1]).all(axis=-1) & recorded
         if not constant.any():
             return
+        # A line is dead if all of its records are constant; single dead records are reported separately.
         dead_lines = (constant | ~recorded).all(axis=(1, 2))
         if dead_lines.any():
             numbers = ", ".join(str(int(line) + 1) for line in np.flatnonzero(dead_lines)[:MAX_LISTED])

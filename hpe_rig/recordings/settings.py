@@ -38,7 +38,7 @@ EXCLUSIVE_KEYS = (
 
 
 def _split_names(value: Any) -> Any:
-    return [part.strip() for part in value.split(",")] if isinstance(value, str) else value
+    return [name.strip() for name in value.split(",")] if isinstance(value, str) else value
 
 
 def _as_float(value: Any) -> Any:
@@ -50,7 +50,7 @@ Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 
 
 class RecordingSettings(Section):
-    """Settings of a recording besides its samples; absent ones are taken from the file or from the scene."""
+    """Settings of a recording. The file or the scene supplies absent ones."""
 
     format: str | None = None
     """Format: npy, npz, mat, hdf5, csv, raw, alazar, or an installed importer; default: by the file's suffix."""
@@ -65,7 +65,7 @@ class RecordingSettings(Section):
     carrier_hz: FrequencyHz | None = None
     """Frequency f_f of the tracking pulse."""
     demodulation_hz: FrequencyHz | None = None
-    """Frequency by which I and Q were mixed down; not for real samples."""
+    """Demodulation frequency of I and Q; not for real samples."""
     sound_speed_m_per_s: SpeedMPerS | None = None
     """Sound speed that converts times to depths."""
     pulse_time_s: Annotated[tuple[float, ...], Field(min_length=2)] | None = None

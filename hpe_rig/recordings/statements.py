@@ -70,6 +70,7 @@ class Statements:
         """Return the value of ``key``; if it is ``needed`` and nothing states it, add a mistake."""
         value = getattr(self.settings, key, None)
         in_file = self.contents.stated.get(key)
+        # Options and sidecar take precedence, but a contradiction to the file is reported.
         if value is not None:
             if in_file is not None and not np.isclose(float(in_file[0]), value, rtol=1e-6):
                 self.inferred.append(f"{key} = {value:g} from {self._origin(key)}, the file states {in_file[0]:g}")
@@ -155,12 +156,14 @@ class Statements:
         if sound_speed_m_per_s is None:
             self.add_mistake("first_sample_depth_m", "a depth needs a sound speed", "sound_speed_m_per_s = 1540.0")
             return 0.0
+        # Time of flight to the depth and back.
         return 2 * depth_m / sound_speed_m_per_s
 
     def line_positions_m(self, lines: int) -> FloatArray | None:
         """Return the lateral offsets of the lines from the push, (line,); None if they are not stated."""
         pitch_m = self.settings.line_pitch_m
         if pitch_m is not None:
+            # Lines are centred on the push.
             return np.asarray((np.arange(lines) - (lines - 1) / 2) * pitch_m, np.float64)
         stated = self.stated("line_position_m")
         if stated is None:

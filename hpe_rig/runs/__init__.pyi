@@ -11,7 +11,6 @@ from .importing import Imported as Imported, import_recording as import_recordin
 from .mapping import map_motion as map_motion, map_recording as map_recording
 from .run import (
     Run as Run,
-    StoredPoint as StoredPoint,
     estimate_points as estimate_points,
     open_run as open_run,
     points_over as points_over,

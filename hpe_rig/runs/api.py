@@ -143,17 +143,19 @@ def estimate(
     if not 0 < pulse_rate_hz < np.inf:
         raise ValueError(f"a pulse rate of {pulse_rate_hz:g} Hz: it must be positive and finite")
     stages = Stages()
-    chosen = chosen_estimator(estimator)
+    estimator_name = chosen_estimator(estimator)
     acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
     acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
     with stages("process"):
-        estimates = _shots(volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, chosen)
+        estimates = _shots(
+            volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, estimator_name
+        )
     return Result(
         title=f"Echoes of shape {volts.shape}",
         run_file="",
         simulated=False,
         status="complete",
-        estimator=chosen,
+        estimator=estimator_name,
         phase_reference="of sin(2 pi f t + phase), with t from the first pulse",
         shots=estimates.shots,
         warnings=tuple(incomplete_warnings(estimates)),

@@ -122,6 +122,9 @@ def plan_html(title: str, state: str, shot: Shot, findings: Iterable[CheckResult
 
     findings = list(findings)
     failures = [finding for finding in findings if finding.level != "passed"]
-    lines = [f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>", "".join(image(figure) for figure in timing_pictures(shot))]
+    lines = [
+        f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>",
+        "".join(image(figure) for figure in timing_pictures(shot)),
+    ]
     lines.append(f"<p>{len(findings) - len(failures)} of {len(findings)} checks of the plan passed.</p>")
     return "\n".join([*lines, *(f"<p><b>{finding.level.upper()}</b> {symbols(finding)}</p>" for finding in failures)])

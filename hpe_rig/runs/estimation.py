@@ -48,10 +48,12 @@ def estimate_shots(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estim
         estimates = estimate_run(place_scene, place_plan, stored, estimator, averaging, beams)
         shots += estimates.shots
         failures |= estimates.failures
+    # The estimates know their shot; the plan knows its point of the sweep.
     swept = [point.values for point in scene.points]
     shots = [replace(shot, swept=swept[plan.shots[shot.shot].point]) for shot in shots]
     if shots:
         return Estimates(tuple(shots), failures)
+    # No shot has an estimate. Report the first reason other than missing records.
     for why in failures.values():
         if why != NO_RECORDS:
             raise no_estimate(stored, why)

@@ -1,7 +1,7 @@
 """Import of a recording of another program: it becomes a run file, processed and reported like a measured one.
 
-The scene states what is measured. The recording states how it was recorded: its rates, counts and ranges replace those
-of the scene. The bench file in the run file describes no real bench. It holds the name and hash of the recording and
+The scene states gate, frequencies and beams. The rates, counts and ranges of the recording replace those of the
+scene. The bench file in the run file describes no real bench. It holds the name and hash of the recording and
 every value that was inferred from the file or the scene. An imported run cannot be resumed.
 """
 
@@ -83,9 +83,9 @@ def import_records(
 
     ``settings`` are those of a sidecar file (docs/how-to/import.md), such as ``axes="line,pulse,sample"`` and
     ``lines="12"``. They take precedence over the sidecar, then the file, then the scene. ``run.bench.recording``
-    states what was inferred and the file's SHA-256. Raises ``SettingsError`` with every mistake of recording, sidecar
-    or scene, ``PlanError`` if the records do not contain the scene's gate or frequencies, and ``StoreError`` if the run file
-    cannot be written.
+    lists the inferred values and the file's SHA-256. Raises ``SettingsError`` with every mistake of recording, sidecar
+    or scene, ``PlanError`` if the records do not contain the scene's gate or frequencies, and ``StoreError`` if the run
+    file cannot be written.
 
     >>> run = import_records("rf.npy", "my-scene.toml", axes="pulse,sample", sample_rate_hz=50e6, pulse_rate_hz=4e3)
     >>> print(run.estimate())
@@ -104,17 +104,20 @@ def import_recording(
     options: Mapping[str, Any] | None = None,
     write: WriteOptions | None = None,
 ) -> Imported:
-    """Write the run file of ``source`` and return its path and what was inferred; raises as ``import_records``."""
+    """Write the run file of ``source`` and return its path and the inferred values; raises as ``import_records``."""
     name, text = scene_text(scene)
     tables = parse_toml(text, f"scene {name}")
     settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
     recording = read_recording(source, settings, origins, stated_by_scene(name, text))
     samples = _to_codes(recording)
+    # Full scale is half a code above the highest code.
     code_limits = parse_bench("imported", _bench_text(recording, ())).bench.digitizer.board_model.code_limits
     values = _scene_values(tables, recording, samples.scale_v * (2 * code_limits[1] + 1) / 2)
     _refuse_sweeps(tables, f"scene {name}")
     scene_as_recorded = parse_scene(name, edited_text(text, values))
 
+    # The bench file holds the inferred values, but the warnings about quantisation need a plan, which needs a bench.
+    # So the bench file is made twice.
     inferred = (*recording.inferred, *samples.inferred, *_replacements(tables, values))
     bench = parse_bench("imported", _bench_text(recording, inferred))
     plan, findings = plan_and_check(scene_as_recorded.scene, bench.bench)
@@ -232,6 +235,7 @@ def _shifted_codes(recording: Recording) -> _Samples:
     values, scale_v = recording.values, recording.scale_v
     zero = 0 if values.dtype.kind == "i" else 1 << (8 * values.dtype.itemsize - 1)
     centred = values.astype(np.int32) - zero
+    # A run file marks missing records with the lowest int16, so that code is not available for samples.
     codes = np.maximum(centred, -MAX_CODE - 1).astype(np.int16)
     raised = int((centred < -MAX_CODE - 1).sum())
     inferred = [f"{raised} samples of the lowest code are replaced by the next higher code"] if raised else []
@@ -246,6 +250,7 @@ def _shifted_codes(recording: Recording) -> _Samples:
 def _quantisation_warnings(recording: Recording, codes: Int16Array, plan: Plan) -> tuple[str, ...]:
     """Return a warning if quantisation adds noticeable noise to the echoes of the gate."""
     gate = codes[..., plan.shots[0].gate].astype(np.float32)
+    # The mean is the offset of the digitizer.
     rms = float(np.sqrt(np.mean((gate - gate.mean()) ** 2)))
     if recording.values.dtype.kind != "f" or rms >= MIN_GATE_RMS_CODES:
         return ()

@@ -95,6 +95,7 @@ def _with_gates_of(varied: Plan, plan: Plan, scene: Scene, source: str) -> Plan:
     )
     outside = [shot for shot in shots if shot.gate.start < 0 or shot.gate.stop > shot.capture.record_samples]
     if outside:
+        # Depth is half the travelled distance.
         half_speed = scene.acquisition.sound_speed_m_per_s / 2
         start_mm, end_mm = (1e3 * half_speed * offset_s for offset_s in outside[0].timeline.record_offset_s)
         what = f"a gate leaves the records, which go from {start_mm:.4g} to {end_mm:.4g} mm"
@@ -108,6 +109,7 @@ def combine_results(results: Sequence[tuple[Mapping[str, float], Result]], failu
     Each warning occurs once, with the points that it concerns unless it concerns all. ``failures`` are the errors of
     points without a result, by the text of the point.
     """
+    # A run may have been measured as a sweep: its values are kept.
     shots = (replace(shot, swept={**shot.swept, **values}) for values, result in results for shot in result.shots)
     warnings = [(text, values) for values, result in results for text in result.warnings]
     without = [

@@ -89,6 +89,7 @@ class Run:
         scene = scene_of_shot(self.scene, self.plan.shots[shot])
         estimator = spec_of(scene.processing.estimator)
         motion = shot_motion(scene, self.plan.shots[shot], self._echoes(shot), estimator.motion)
+        # With a reference gate the displacement is relative to the motion in that gate.
         reference = reference_gate(scene, self.plan.shots[shot])
         if reference is not None:
             motion = relative_to(motion, coherent(self._echoes(shot, reference)))
@@ -102,21 +103,21 @@ class Run:
         """
         stages = stages or Stages()
         stages.come_after(self.stored.run_time_s)
-        chosen = chosen_estimator(estimator, self.scene)
+        name = chosen_estimator(estimator, self.scene)
         with stages("process"):
-            estimates = estimate_shots(self.scene, self.plan, self.stored, chosen)
-            profile = estimate_profile(self.scene, self.plan, self.stored, chosen)
+            estimates = estimate_shots(self.scene, self.plan, self.stored, name)
+            profile = estimate_profile(self.scene, self.plan, self.stored, name)
         warnings = run_warnings(self.scene, self.plan, self.findings, self.stored, estimates)
         return Result(
             title=self.scene.title,
             run_file=self.path.name,
             simulated=self.stored.simulated,
             status=self.stored.status,
-            estimator=chosen,
+            estimator=name,
             phase_reference=phase_reference_of(self.scene).words,
             shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
             warnings=(*warnings, *profile.failures),
-            omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, chosen), self.bench)),
+            omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, name), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
@@ -185,10 +186,10 @@ class Run:
         whole_train = {"window_start_s": 0.0, "window_length_s": None}
         planned_shot = self.plan.shots[shot]
         scene = scene_of_shot(self.scene, planned_shot)
-        whole = scene.model_copy(update={"processing": scene.processing.model_copy(update=whole_train)})
+        unwindowed = scene.model_copy(update={"processing": scene.processing.model_copy(update=whole_train)})
         samples = gate or samples_needed(scene, planned_shot)
         records = self.records.gated(shot, samples, margin=margin_needed(scene, planned_shot))
-        return shot_echoes(whole, planned_shot, records, select(whole, planned_shot))
+        return shot_echoes(unwindowed, planned_shot, records, select(unwindowed, planned_shot))
 
     def refreshed(self) -> Run:
         """Read the run file again, for a run that is still being written."""

@@ -46,7 +46,7 @@ def moving_echo(amplitude_m: float = 1e-6, phase_rad: float = 0.5, pulses: int =
     return np.asarray(np.exp(-((sample_s / 0.3e-6) ** 2)) * np.cos(2 * np.pi * ECHOES["carrier_hz"] * sample_s))
 
 
-def test_importing_the_package_loads_nothing_of_it_and_every_name_is_there() -> None:
+def test_importing_the_package_loads_no_module_of_it_and_defines_every_name() -> None:
     code = "import sys, hpe_rig; print(*sys.modules); [getattr(hpe_rig, name) for name in hpe_rig.__all__]"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert not {"numpy", "pydantic", "h5py", "hpe_rig.scene"} & set(done.stdout.split())
@@ -79,7 +79,7 @@ def test_a_name_a_path_and_a_scene_measure_the_same(run: hpe.Run, tmp_path: Path
 
 
 @pytest.mark.parametrize("name", shipped_scenes())
-def test_a_scene_written_into_a_run_file_is_read_back_the_same(name: str) -> None:
+def test_a_scene_is_read_back_unchanged_from_a_run_file(name: str) -> None:
     scene = hpe.load_scene(name).with_({"acquisition.gate_length_m": 1.1e-3})
     setup = prepare(scene, refuse=False)
     assert setup.scene.scene == scene
@@ -113,21 +113,21 @@ def test_with_changes_numbers_lists_and_sections_that_are_absent_and_refuses_all
         changed.with_({"excitation.force_fraction[2]": 1.0})
 
 
-def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken(tmp_path: Path) -> None:
-    for taken in (hpe.load_scene, hpe.check, hpe.measure):
-        with pytest.raises(TypeError, match="name of a shipped one, the path of a TOML file or a Scene, not (as )?int"):
-            taken(3)  # type: ignore[operator]
+def test_a_wrong_type_is_refused_with_the_expected_type(tmp_path: Path) -> None:
+    for function in (hpe.load_scene, hpe.check, hpe.measure):
+        with pytest.raises(TypeError, match=r"path of a TOML file or a Scene, not (as )?int"):
+            function(3)  # type: ignore[operator]
     with pytest.raises(TypeError, match="expected the path of a bench file or None, not dict"):
         hpe.check("table-1", bench={})  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="expected the path of a run file or None, not bytes"):
         hpe.measure("table-1", path=b"run.h5")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="mapping from path to value, not (as )?int"):
+    with pytest.raises(TypeError, match=r"mapping from path to value, not (as )?int"):
         hpe.load_scene("table-1").with_(3)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="the path of a setting must be text, not int 3"):
         hpe.load_scene("table-1").with_({3: 1.0})  # type: ignore[dict-item]
-    with pytest.raises(TypeError, match="name of a shipped one or the path of a TOML file, not (as )?int"):
+    with pytest.raises(TypeError, match=r"name of a shipped one or the path of a TOML file, not (as )?int"):
         hpe.run_study(3, tmp_path)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="path of a folder, not (as )?int"):
+    with pytest.raises(TypeError, match=r"path of a folder, not (as )?int"):
         hpe.run_study("fig-7", 3)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="path of a run file, not int"):
         hpe.open_run(3)  # type: ignore[arg-type]
@@ -152,7 +152,7 @@ def test_the_displacement_is_the_prescribed_one_averaged_over_the_beam(run: hpe.
     assert 0.8e-6 < estimate.amplitude_m < 1e-6
 
 
-def test_a_shot_that_the_run_does_not_have_is_refused_with_how_many_there_are(run: hpe.Run) -> None:
+def test_a_shot_beyond_the_last_is_refused_with_their_number(run: hpe.Run) -> None:
     for shot in (7, -2):
         with pytest.raises(IndexError, match=f"shot {shot} does not exist: the run has 1"):
             run.displacement_m(shot)
@@ -175,7 +175,7 @@ def test_a_pulse_that_is_missing_or_omitted_has_no_displacement(run: hpe.Run, tm
         skipping.displacement_m(1)
 
 
-def test_anybodys_echoes_of_any_real_type_give_the_motion_they_were_made_with() -> None:
+def test_echoes_of_any_real_type_give_their_true_motion() -> None:
     rf = moving_echo()
     for typed, tolerance in (
         (rf, 2e-3),
@@ -197,18 +197,18 @@ def test_anybodys_echoes_of_any_real_type_give_the_motion_they_were_made_with() 
     [("pulse_rate_hz", 0.0), ("pulse_rate_hz", -4e3), ("pulse_rate_hz", np.nan), ("sample_rate_hz", 17e6),
      ("carrier_hz", np.nan), ("sound_speed_m_per_s", 0.0), ("frequencies_hz", []), ("margin", (100, 100))],
 )  # fmt: skip
-def test_settings_of_anybodys_echoes_that_cannot_be_are_refused(setting: str, value: Any) -> None:
+def test_invalid_settings_of_echoes_are_refused(setting: str, value: Any) -> None:
     with pytest.raises(ValueError, match=r"rate|carrier|sound speed|frequency|margins"):
         hpe.estimate(moving_echo(), **ECHOES | {setting: value})
 
 
 @pytest.mark.parametrize("shape", [(0, 200), (0, 100, 200), (100, 0)])
-def test_echoes_of_no_size_are_refused(shape: tuple[int, ...]) -> None:
+def test_empty_echoes_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="holds no echo"):
         hpe.estimate(np.zeros(shape), **ECHOES)
 
 
-def test_a_train_without_an_echo_costs_the_others_of_its_batch_nothing() -> None:
+def test_a_train_without_an_echo_does_not_affect_other_trains() -> None:
     silent = np.zeros_like(moving_echo())
     result = hpe.estimate(np.stack([moving_echo(), silent, moving_echo(2e-6)]), **ECHOES)
     assert [shot.shot for shot in result.shots] == [0, 2]
@@ -222,7 +222,7 @@ def test_a_train_without_an_echo_costs_the_others_of_its_batch_nothing() -> None
         hpe.estimate(np.stack([silent, silent]), **ECHOES)
 
 
-def test_the_records_of_a_run_are_anybodys_echoes_too(run: hpe.Run) -> None:
+def test_the_records_of_a_run_can_be_estimated_as_echoes(run: hpe.Run) -> None:
     records, (shot,) = run.records[0], run.plan.shots
     around = slice(shot.gate.start - 67, shot.gate.stop + 67)
     result = hpe.estimate(records.codes[:, around] * records.volts_per_code, **ECHOES, margin=(67, 67))
@@ -246,7 +246,7 @@ def test_a_result_becomes_a_frame_and_a_figure(run: hpe.Run, monkeypatch: pytest
         result.to_frame()
 
 
-def test_a_run_is_shown_in_one_line_and_its_result_says_what_was_omitted_under_both_names(run: hpe.Run) -> None:
+def test_the_repr_of_a_run_is_one_line_and_its_result_lists_omissions_under_both_names(run: hpe.Run) -> None:
     assert repr(run) == f"<Run {str(run.path)!r}: {run.scene.title!r}, complete, 1 of 1 shots, simulated>"
     table = run.estimate().as_dict()
     assert table["omitted"] == table["left_out"]
@@ -263,7 +263,7 @@ def test_an_estimate_writes_nothing_until_it_is_saved(run: hpe.Run, tmp_path: Pa
     assert (tmp_path / "run.kasai.h5").exists()
 
 
-def test_check_says_what_the_command_says_and_what_refuses() -> None:
+def test_check_returns_the_text_of_the_command_and_its_refusals() -> None:
     checked = hpe.check("bovine-muscle", target="20nm")
     done = CliRunner().invoke(app, ["check", "bovine-muscle", "--target", "20nm"])
     assert done.stdout == f"{checked}\n"
@@ -273,7 +273,7 @@ def test_check_says_what_the_command_says_and_what_refuses() -> None:
     assert {item.check for item in refused.findings if item.level == "refused"} >= {"depth"}
 
 
-def test_an_open_bench_holds_the_instruments_of_the_scene_alone() -> None:
+def test_an_open_bench_holds_only_the_instruments_of_the_scene() -> None:
     with hpe.open_bench("table-1") as bench:
         assert bench.simulated
         assert bench.toneburst is None
@@ -288,7 +288,7 @@ def first_scene() -> str:
     return found.group(1)
 
 
-def test_the_readmes_first_scene_runs_on_the_default_muscle_and_says_so(
+def test_the_first_scene_of_the_readme_runs_on_the_default_muscle_and_states_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -306,9 +306,7 @@ def test_the_readmes_first_scene_runs_on_the_default_muscle_and_says_so(
     assert re.search(f"simulated specimen.*{DEFAULT_SPECIMEN}", render(Path("first.h5")), flags=re.DOTALL)
 
 
-def test_only_a_simulated_bench_without_a_described_specimen_takes_the_default_one(
-    run: hpe.Run, tmp_path: Path
-) -> None:
+def test_only_a_simulated_bench_without_a_specimen_gets_the_default_one(run: hpe.Run, tmp_path: Path) -> None:
     assert "simulated_specimen" not in run.estimate().as_dict()
     scene = hpe.load_scene("table-1")
     assert with_default_specimen(scene) == scene
@@ -322,7 +320,7 @@ def test_only_a_simulated_bench_without_a_described_specimen_takes_the_default_o
     assert DEFAULT_SPECIMEN not in hpe.check(plain, tmp_path / "metal.toml").text
 
 
-def test_a_scene_that_writes_the_default_specimen_out_describes_its_own() -> None:
+def test_a_scene_with_the_written_default_specimen_has_its_own_specimen() -> None:
     plain = parse_scene("plain", first_scene()).scene
     filled = with_default_specimen(plain)
     written = plain.with_({"simulation": filled.simulation})
@@ -334,7 +332,7 @@ def test_a_scene_that_writes_the_default_specimen_out_describes_its_own() -> Non
     assert DEFAULT_SPECIMEN in hpe.check(filled).text
 
 
-def test_the_default_muscle_echoes_at_the_gate_where_nothing_pushes(tmp_path: Path) -> None:
+def test_the_default_muscle_has_echoes_at_the_gate_without_a_push(tmp_path: Path) -> None:
     path = tmp_path / "still.toml"
     path.write_text(
         'title = "Aligning"\n[tracking]\npulse_rate_hz = 4000.0\npulse_count = 50\n'

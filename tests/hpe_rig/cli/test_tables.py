@@ -28,7 +28,9 @@ def printed(capsys: pytest.CaptureFixture[str], *shots: ShotResult, wide: bool =
     return capsys.readouterr().out.splitlines()
 
 
-def test_a_table_leads_with_the_peak_and_names_what_its_uncertainty_is_of(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_begins_with_the_peak_and_lists_sources_of_uncertainty(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     lines = printed(capsys, SHOT)
     assert max(map(len, lines)) <= TABLE_WIDTH
     (row,) = [line.split() for line in lines if line.startswith("1000 ")]
@@ -44,7 +46,7 @@ def test_a_table_leads_with_the_peak_and_names_what_its_uncertainty_is_of(capsys
     assert "gate edge" not in budget
 
 
-def test_the_result_leads_with_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_result_begins_with_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     part = (Component("noise", 14e-9, math.radians(0.5)),)
     found = Estimate(100.0, 787e-9, 1e-9, math.radians(73.4), 1e-3, 1.0, averaging_phase_rad=0.0, components=part)
     said = "787 +- 14 nm at 100 Hz (corrected, 95 %: 760 to 814), phase 73.40 +- 0.50 deg; simulated"
@@ -53,7 +55,7 @@ def test_the_result_leads_with_one_sentence(capsys: pytest.CaptureFixture[str]) 
     assert next(line for line in printed(capsys, shot) if line) == said
 
 
-def test_several_settings_lead_with_their_span_and_not_with_the_luckiest_shot() -> None:
+def test_the_sentence_of_several_settings_states_their_range() -> None:
     weak = replace(ESTIMATE, amplitude_m=1.2e-6)
     shots = (SHOT, replace(SHOT, shot=1, force_fraction=0.1, estimates=(weak,)))
     said = headline_sentence(result_of(*shots))
@@ -61,7 +63,7 @@ def test_several_settings_lead_with_their_span_and_not_with_the_luckiest_shot() 
     assert "over 2 settings, 2 shots" in said
 
 
-def test_repeats_lead_with_their_mean_and_shots_have_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_mean_of_repeats_comes_before_one_line_per_shot(capsys: pytest.CaptureFixture[str]) -> None:
     shots = [replace(SHOT, shot=index, repeat=index) for index in range(25)]
     lines = printed(capsys, *shots)
     assert "25 shots; simulated" in lines[1]
@@ -86,18 +88,18 @@ def test_nothing_is_wider_than_the_terminal(
 ) -> None:
     monkeypatch.setenv("COLUMNS", f"{columns}")
     shots = [replace(SHOT, shot=index, force_fraction=1 / (index + 1), warnings=(LONG,)) for index in range(4)]
-    for told in (shots[:1], shots, [replace(shot, force_fraction=0.8, repeat=shot.shot) for shot in shots]):
-        lines = printed(capsys, *told)
+    for printed_shots in (shots[:1], shots, [replace(shot, force_fraction=0.8, repeat=shot.shot) for shot in shots]):
+        lines = printed(capsys, *printed_shots)
         assert max(map(len, lines)) <= columns
         headers = [line.split() for line in lines if "phase" in line and "u" in line.split()]
-        # What is derived gives way first; the peak and its u never do.
+        # A narrow table omits derived columns, but not the peak and its u.
         assert all("peak" in header for header in headers)
         assert any("tracked" in header and "true" in header for header in headers) == (
-            columns == 120 and len(told) == 1
+            columns == 120 and len(printed_shots) == 1
         )
 
 
-def test_without_beams_the_tracked_values_stand_alone_and_the_legend_says_so(
+def test_without_beams_only_the_tracked_values_are_printed_and_the_legend_explains_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     bare = replace(ESTIMATE, averaging_factor=None, true_amplitude_m=None, true_phase_rad=None)
@@ -108,7 +110,7 @@ def test_without_beams_the_tracked_values_stand_alone_and_the_legend_says_so(
     assert any("(as tracked" in line for line in lines)
 
 
-def test_a_shot_that_is_not_to_be_trusted_is_named_in_the_first_line_and_in_its_own(
+def test_an_untrusted_shot_is_named_in_the_first_line_and_in_its_row(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     lines = list(_lines(printed(capsys, SHOT, replace(SHOT, shot=1, repeat=1, untrusted="the amplitude was changed"))))

@@ -28,7 +28,7 @@ def test_a_long_line_is_wrapped_and_indented_like_its_text() -> None:
     assert all(line.startswith(" " * 16 + "master") for line in table[1:])
 
 
-def test_an_address_is_never_broken() -> None:
+def test_an_address_is_not_wrapped() -> None:
     address = "http://127.0.0.1:8765/?token=" + "a-" * 40
     assert address in wrapped(f"live page: {address}", 60)
 
@@ -80,7 +80,7 @@ def test_durations_have_a_convenient_unit() -> None:
     assert [duration_text(duration_s) for duration_s in (40.2, 200.0, 7200.0)] == ["40 s", "3 min", "2.0 h"]
 
 
-def test_check_leads_with_its_verdict_and_lists_what_passed_when_asked() -> None:
+def test_check_begins_with_its_verdict_and_lists_passed_checks_with_verbose() -> None:
     quiet, full = (CliRunner().invoke(app, ["check", "table-1", *more]).stdout for more in ((), ("--verbose",)))
     assert quiet.splitlines()[2].startswith("CAN BE MEASURED")
     assert "  ok " not in quiet

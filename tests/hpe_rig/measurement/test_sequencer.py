@@ -1,4 +1,4 @@
-"""The sequencer by itself: what is programmed, when shots fire, and what those who watch are told."""
+"""The sequencer alone: programmed settings, times of shots, calls of the observer."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_shots_fire_a_shot_period_apart_where_the_instruments_are_ready_by_then(
         assert not sum(waits.values())
 
 
-def test_who_may_want_to_end_a_run_is_asked_five_times_a_second_while_it_waits(setup: Setup) -> None:
+def test_the_observer_is_called_five_times_a_second_while_a_shot_waits(setup: Setup) -> None:
     asked_s, fired_s = list[float](), list[float]()
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
 
@@ -77,7 +77,7 @@ def test_who_may_want_to_end_a_run_is_asked_five_times_a_second_while_it_waits(s
     assert 0 < fired_s[1] - asked_s[-1] < 0.5
 
 
-def test_those_who_watch_are_told_of_every_step_and_how_many_records_have_come(setup: Setup) -> None:
+def test_the_observer_gets_every_step_and_the_number_of_records(setup: Setup) -> None:
     seen: dict[int, list[tuple[Step, int]]] = {shot.index: [] for shot in setup.plan.shots}
     came = Counter[int]()
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
@@ -123,7 +123,7 @@ def test_the_log_has_every_step_and_not_every_block_of_records(setup: Setup, cap
     assert lines == [f"shot 1: {step.value}" for step in steps]
 
 
-def test_outputs_and_settings_are_read_back_once_after_a_train_that_is_soon_over(
+def test_outputs_and_settings_are_read_back_once_after_a_short_train(
     setup: Setup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked: list[float] = []

@@ -168,7 +168,7 @@ FORMATS = [npy, npz, matlab_5, matlab_73, hdf5, csv, raw_float32, raw_int16, ala
 
 
 @pytest.mark.parametrize("write", [*FORMATS, iq, iq_pairs_reversed])
-def test_every_format_gives_the_motion_that_made_its_echoes(
+def test_every_format_gives_the_true_motion_of_its_echoes(
     write: Callable[[Path], dict[str, Any]], scene: Path, tmp_path: Path
 ) -> None:
     settings = write(tmp_path / "rf")
@@ -188,7 +188,7 @@ def test_every_format_gives_the_motion_that_made_its_echoes(
     assert found.phase_rad == pytest.approx(PHASE_RAD, abs=3e-3)
 
 
-def test_an_imported_run_is_whole_says_where_it_comes_from_and_is_not_resumed(scene: Path, tmp_path: Path) -> None:
+def test_an_imported_run_is_sound_states_its_origin_and_is_not_resumed(scene: Path, tmp_path: Path) -> None:
     path = tmp_path / "rf.npz"
     npz(tmp_path / "rf")
     made = import_recording(path, scene, tmp_path / "run.h5")
@@ -201,7 +201,7 @@ def test_an_imported_run_is_whole_says_where_it_comes_from_and_is_not_resumed(sc
         prepare_resumption(made.path)
 
 
-def test_an_imported_run_is_swept_over_what_is_made_of_its_records(scene: Path) -> None:
+def test_an_imported_run_is_swept_over_its_processing_settings(scene: Path) -> None:
     run = hpe.import_records(RF, scene, scene.parent / "run.h5", axes="line,pulse,sample", lines="1", **RATES)
     result = run.sweep({"gate_length_m": [0.6e-3, 1e-3], "gate_depth_m": [1.2e-3, 1.0e-3]})
     names = ("acquisition.gate_length_m", "acquisition.gate_depth_m")
@@ -222,7 +222,7 @@ def test_an_imported_run_is_swept_over_what_is_made_of_its_records(scene: Path) 
     assert together.shots[1].estimates[0].amplitude_m != result.shots[2].estimates[0].amplitude_m
 
 
-def test_a_swept_window_takes_the_place_of_those_that_the_scene_lists(scene: Path) -> None:
+def test_a_swept_window_replaces_the_windows_of_the_scene(scene: Path) -> None:
     scene.write_text(f"{SCENE}[sweep]\nwindow_length_s = [5e-3, 10e-3]\n")
     run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
     assert [shot.window_length_s for shot in run.estimate().shots] == [5e-3, 10e-3]
@@ -247,7 +247,7 @@ def test_a_shot_without_result_at_some_points_of_a_sweep_names_them(scene: Path)
     assert any(text.startswith("at processing.window_start_s = 0.005: shot 2 left out") for text in result.warnings)
 
 
-def test_options_of_a_sweep_that_would_say_nothing_are_refused(scene: Path) -> None:
+def test_conflicting_options_of_a_sweep_are_refused(scene: Path) -> None:
     run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
     alone = CliRunner().invoke(app, ["process", str(run.path), "--together"])
     profile = ["--sweep", "background_order=0,1", "--gate-profile-step", "1mm"]
@@ -268,13 +268,15 @@ def test_options_of_a_sweep_that_would_say_nothing_are_refused(scene: Path) -> N
         ({"gate_length_m": []}, "gate_length_m"),
     ],
 )
-def test_what_the_records_do_not_hold_is_not_swept(axes: Mapping[str, list[float]], said: str, scene: Path) -> None:
+def test_an_axis_of_the_acquisition_is_not_swept_after_it(
+    axes: Mapping[str, list[float]], said: str, scene: Path
+) -> None:
     run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
     with pytest.raises(SettingsError, match=said):
         run.sweep(axes)
 
 
-def test_the_command_sweeps_a_stored_run_and_the_list_says_that_it_was_imported(scene: Path) -> None:
+def test_the_command_sweeps_a_stored_run_and_the_list_marks_it_as_imported(scene: Path) -> None:
     path = scene.parent / "run.h5"
     hpe.import_records(RF[0], scene, path, axes="pulse,sample", **RATES)
     options = ["--sweep", "gate_length_m=0.6e-3,1e-3", "--sweep", "background_order=0,1"]
@@ -339,7 +341,7 @@ def test_the_report_of_a_stored_runs_sweep_follows_its_axes(scene: Path) -> None
     assert (alone.exit_code, "no --sweep is given" in alone.output) == (2, True)
 
 
-def test_lines_become_places_or_their_mean(scene: Path) -> None:
+def test_lines_become_lateral_offsets_or_their_mean(scene: Path) -> None:
     rates = RATES | {"axes": "line,pulse,sample", "line_pitch_m": 0.3e-3}
     places = hpe.import_records(RF, scene, scene.parent / "all.h5", lines="all", **rates)
     assert [shot.lateral_offset_m for shot in places.plan.shots] == pytest.approx([-0.3e-3, 0.0, 0.3e-3])
@@ -349,7 +351,7 @@ def test_lines_become_places_or_their_mean(scene: Path) -> None:
     assert np.abs(volts - RF[1:].mean(axis=0)).max() <= 2.0 / 2**15
 
 
-def test_uneven_pulses_are_taken_at_their_own_times(scene: Path) -> None:
+def test_irregular_pulses_keep_their_times(scene: Path) -> None:
     # Every fourth pulse late by a third of the period: at even times the estimate would be off by many per cent.
     time_s = TIME_S + np.where(np.arange(PULSES) % 4 == 3, 0.3 / PULSE_RATE_HZ, 0.0)
     settings = RATES | {"axes": "pulse,sample", "pulse_time_s": time_s.tolist()}
@@ -371,7 +373,7 @@ def test_records_that_are_not_finite_may_count_as_missing(scene: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "0", "4", "3-1", "1-9", "x", "mean:7", "1,2", "-1", "1-"])
-def test_lines_that_are_not_there_are_a_mistake(text: str) -> None:
+def test_lines_that_do_not_exist_are_a_mistake(text: str) -> None:
     assert isinstance(select_lines(text, 3), Mistake)
 
 
@@ -492,7 +494,7 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
 }
 
 
-def test_a_matlab_file_whose_reading_never_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_matlab_file_that_takes_too_long_to_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(matlab, "TIMEOUT_S", 0.0)
     (tmp_path / "a.mat").write_bytes(mat_of_another_type())
     with pytest.raises(ValueError, match=r"not read within 0 s\): save it anew"):
@@ -523,7 +525,7 @@ def test_a_malformed_recording_is_refused_with_one_clear_message(case: str, scen
     assert sum(said in line for line in text.splitlines()) == 1
 
 
-def test_all_mistakes_of_a_recording_come_at_once(scene: Path) -> None:
+def test_all_mistakes_of_a_recording_are_reported_at_once(scene: Path) -> None:
     spoilt = _with((3, 7), np.nan)
     with pytest.raises(SettingsError) as refused:
         hpe.import_records(spoilt, scene, scene.parent / "run.h5", axes="pulse,sample", lines="9", samples=[0, 999])
@@ -532,7 +534,7 @@ def test_all_mistakes_of_a_recording_come_at_once(scene: Path) -> None:
         assert part in text
 
 
-def test_a_scene_of_the_recordings_name_is_no_sidecar(tmp_path: Path) -> None:
+def test_a_scene_with_the_name_of_the_recording_is_no_sidecar(tmp_path: Path) -> None:
     (tmp_path / "rf.toml").write_text(SCENE, encoding="utf-8")
     np.save(tmp_path / "rf.npy", RF[0])
     run = hpe.import_records(tmp_path / "rf.npy", tmp_path / "rf.toml", axes="pulse,sample", **RATES)
