@@ -166,7 +166,7 @@ def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
         (prediction.phase_jitter_rad, phase.jitter, phase.jitter_se),
     )
     if any(se > MAX_RELATIVE_ERROR * jitter for _, jitter, se in jitters):
-        return "unsure: more draws"
+        return "undecided: more draws needed"
     jitters_agree = all(
         abs(model - jitter) <= JITTER_TOLERANCE * jitter + STANDARD_ERRORS * se for model, jitter, se in jitters
     )

@@ -67,7 +67,7 @@ def _introduction(design: DesignResult, comparison: Comparison) -> tuple[str, ..
     row = GOAL_LABELS[design.problem.goal].row
     before, after = next((before, after) for name, before, after in comparison.outcome if name == row)
     headline = f"{_capitalised(row)}: {after} instead of {before}."
-    return headline, f"{comparison.request}.", *(f"{_capitalised(remark)}." for remark in comparison.remarks)
+    return headline, f"{_capitalised(comparison.request)}.", *(f"{_capitalised(remark)}." for remark in comparison.remarks)
 
 
 def _capitalised(text: str) -> str:
