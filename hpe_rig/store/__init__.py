@@ -18,7 +18,7 @@ Files, in the order in which a run passes through them::
     verification.py  ``verify``: every checksum of a file compared
 
 Other rooms write with ``RunWriter`` and ``write_result``, read with ``read_run`` and ``read_snapshots``, and catch
-``StoreError``. The format itself, with its promises, is described in ``docs/run-file.md`` and ``docs/integrity.md``.
+``StoreError``. The format itself, with its promises, is described in ``docs/reference/run-file.md`` and ``docs/reference/integrity.md``.
 """
 
 import lazy_loader

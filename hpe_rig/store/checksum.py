@@ -4,7 +4,7 @@ HDF5 itself vouches for its metadata, but neither for the values of datasets nor
 variable length, and what tells the axes of a dataset. What never changes after the start has its checksum in an
 attribute ``checksum`` of its own, the heap in one of the file, ``heap_checksum``. What is written during a run has one
 for each piece that is written at once, in a dataset of the same name below ``/checksum``; zero stands for a piece that
-was never written. ``docs/integrity.md`` describes what is covered and what reading does with what fails.
+was never written. ``docs/reference/integrity.md`` describes what is covered and what reading does with what fails.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 HDF5 allows nothing to be created while others read, so everything has its final size here and is filled in later. All
 but the echoes also has its place on the disk from the start: when the disk fills up, it is a chunk of echoes that does
-not fit, never something that the library would still have to write. ``docs/run-file.md`` describes what is in the file.
+not fit, never something that the library would still have to write. ``docs/reference/run-file.md`` describes what is in the file.
 """
 
 from __future__ import annotations

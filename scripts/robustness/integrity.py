@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.measurement import Progress, Setup, Step, prepare_rest, prepare_text, record_run, resume
+from hpe_rig.measurement import Progress, Setup, Step, prepare_resumption, prepare_text, record_run, resume
 from hpe_rig.plan import PlanError
 from hpe_rig.runs import process
 from hpe_rig.scene import SettingsError, shipped_scenes
@@ -349,7 +349,7 @@ def overwrite_by_run(path: Path) -> None:
 def resume_from(path: Path) -> None:
     """Try to continue the run that goes on."""
     try:
-        resume(prepare_rest(path), path.with_name("resumed.h5"))
+        resume(prepare_resumption(path), path.with_name("resumed.h5"))
     except StoreError:
         path.rename(path.with_name("refused.h5"))
 

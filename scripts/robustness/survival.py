@@ -36,7 +36,7 @@ from hpe_rig.measurement import (
     ShotBlock,
     Step,
     acquire,
-    prepare_rest,
+    prepare_resumption,
     prepare_text,
     record_run,
     resume,
@@ -183,7 +183,7 @@ def full(sizes: int) -> None:
                 here, there = stored.records[shot], whole.records[shot]
                 np.testing.assert_array_equal(here.codes[here.valid], there.codes[here.valid])
                 records += int(here.valid.sum())
-            done = resume(prepare_rest(left), folder / "resumed.h5")
+            done = resume(prepare_resumption(left), folder / "resumed.h5")
             assert table(done) == expected
             kept += 1
             for path in (left, done, folder / "resumed.coherent.h5"):

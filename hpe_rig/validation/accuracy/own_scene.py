@@ -21,7 +21,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
-from hpe_rig.measurement import planned, prepare
+from hpe_rig.measurement import plan_and_check, prepare
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result, text_table
 from hpe_rig.runs import Run, measure
@@ -219,7 +219,7 @@ def _measure_twice(scene: Scene, bench: Path | None, folder: Path, name: str) ->
 
 def _with_scene(run: Run, scene: Scene) -> Run:
     """Return the records of ``run`` with the plan and the processing settings of ``scene``."""
-    plan, findings = planned(scene, run.bench)
+    plan, findings = plan_and_check(scene, run.bench)
     return replace(run, scene=scene, plan=plan, findings=findings)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench import read_bench
 from hpe_rig.plan.shots import Shot, make_plan
 from hpe_rig.scene import parse_scene, shipped_scenes
 from hpe_rig.store.records import MISSING, assemble, place
