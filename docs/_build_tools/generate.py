@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.scene import DescribedKey
+from hpe_rig.scene.description import DescribedKey
 
 EXAMPLES = {
     "sweep.axes": '{"tracking.delay_s" = [0.0, 1e-4]}',
