@@ -22,42 +22,37 @@ RATE_SHIFT, RATE_BITS = 11, 7
 RANGE_SHIFT, RANGE_BITS = 18, 5
 
 
-class Alazar:
-    """Records of a stated board with a stated length."""
-
-    suffixes = (".alz", ".atb")
-
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the codes of one channel, (pulse, sample), and the settings in the headers."""
-        if settings.board is None or settings.record_samples is None:
-            absent = [name for name in ("board", "record_samples") if getattr(settings, name) is None]
-            raise ValueError(
-                f"the file does not state {' and '.join(absent)}: "
-                'board = "ATS460", record_samples = 512, in a sidecar file or with --set'
-            )
-        model = DigitizerBoard(model=settings.board).board_model
-        channel_index = "AB".index(settings.channel)
-        if channel_index >= settings.channels:
-            raise ValueError("channel B of a recording of one channel: channels = 2")
-        data = np.fromfile(path, np.uint8)
-        record_bytes = settings.record_samples * model.sample_bytes
-        if _has_headers(data, record_bytes, settings):
-            records = _split(data, record_bytes + HEADER_BYTES, settings, buffer_records=1)[:, channel_index]
-            headers = np.ascontiguousarray(records[:, :HEADER_BYTES]).view("<u4")
-            words, stated = records[:, HEADER_BYTES:], _stated_by_headers(headers, model, settings)
-            signed = bool(headers[0, 0] >> 30 & 1)
-        else:
-            total = data.size // (record_bytes * settings.channels)
-            records = _split(data, record_bytes, settings, settings.records_per_buffer or total)
-            words, stated, signed = records[:, channel_index], {}, False
-        header_range_v = stated.pop("input_range_v", (None, ""))[0]
-        range_v = settings.input_range_v or header_range_v
-        if range_v is None:
-            raise ValueError("the input range is not stated: input_range_v = 0.8, plus and minus")
-        # The codes span plus and minus the input range.
-        stated["scale_v"] = (2 * range_v / ((1 << model.code_bits) - 1), f"an input range of {range_v:g} V")
-        codes = _codes(words, model, signed)
-        return Contents({path.stem: codes}, stated, axes=("pulse", "sample"), board=settings.board)
+def read_alazar(path: Path, settings: RecordingSettings) -> Contents:
+    """Return the codes (pulse, sample) of one channel of a stated board, and the settings in the headers."""
+    if settings.board is None or settings.record_samples is None:
+        absent = [name for name in ("board", "record_samples") if getattr(settings, name) is None]
+        raise ValueError(
+            f"the file does not state {' and '.join(absent)}: "
+            'board = "ATS460", record_samples = 512, in a sidecar file or with --set'
+        )
+    model = DigitizerBoard(model=settings.board).board_model
+    channel_index = "AB".index(settings.channel)
+    if channel_index >= settings.channels:
+        raise ValueError("channel B of a recording of one channel: channels = 2")
+    data = np.fromfile(path, np.uint8)
+    record_bytes = settings.record_samples * model.sample_bytes
+    if _has_headers(data, record_bytes, settings):
+        records = _split(data, record_bytes + HEADER_BYTES, settings, buffer_records=1)[:, channel_index]
+        headers = np.ascontiguousarray(records[:, :HEADER_BYTES]).view("<u4")
+        words, stated = records[:, HEADER_BYTES:], _stated_by_headers(headers, model, settings)
+        signed = bool(headers[0, 0] >> 30 & 1)
+    else:
+        total = data.size // (record_bytes * settings.channels)
+        records = _split(data, record_bytes, settings, settings.records_per_buffer or total)
+        words, stated, signed = records[:, channel_index], {}, False
+    header_range_v = stated.pop("input_range_v", (None, ""))[0]
+    range_v = settings.input_range_v or header_range_v
+    if range_v is None:
+        raise ValueError("the input range is not stated: input_range_v = 0.8, plus and minus")
+    # The codes span plus and minus the input range.
+    stated["scale_v"] = (2 * range_v / ((1 << model.code_bits) - 1), f"an input range of {range_v:g} V")
+    codes = _codes(words, model, signed)
+    return Contents({path.stem: codes}, stated, axes=("pulse", "sample"), board=settings.board)
 
 
 def _split(data: ByteArray, length: int, settings: RecordingSettings, buffer_records: int) -> ByteArray:

@@ -33,127 +33,98 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 LIST_KEYS = ("pulse_time_s", "line_position_m")
 
 
-class Npy:
-    """NumPy files of one array."""
-
-    suffixes = (".npy",)
-
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the one array of ``path``."""
-        try:
-            with path.open("rb") as file:
-                return contents({path.stem: np.load(file, allow_pickle=False)})
-        except (EOFError, ValueError, zipfile.BadZipFile) as error:
-            raise ValueError(f"it is no NPY file of numbers ({_first_line(error)}): numpy.save writes one") from error
-
-
-class Npz:
-    """NumPy files of several arrays."""
-
-    suffixes = (".npz",)
-
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the arrays of ``path``."""
-        try:
-            # Opened here: NumPy would not close a file that is no archive.
-            with path.open("rb") as file:
-                loaded = np.load(file, allow_pickle=False)
-                if isinstance(loaded, np.ndarray):
-                    return contents({path.stem: loaded})
-                with loaded:
-                    return contents({name: loaded[name] for name in loaded.files})
-        except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise ValueError(f"it is no NPZ file of numbers ({_first_line(error)}): numpy.savez writes one") from error
+def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
+    """Return the array of an NPY file, or the arrays of an NPZ file."""
+    try:
+        # Opened here: NumPy would not close a file that is no archive.
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                return contents({path.stem: loaded})
+            with loaded:
+                return contents({name: loaded[name] for name in loaded.files})
+    except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        kind, function = ("NPZ", "savez") if path.suffix.lower() == ".npz" else ("NPY", "save")
+        raise ValueError(
+            f"it is no {kind} file of numbers ({_first_line(error)}): numpy.{function} writes one"
+        ) from error
 
 
-class Matlab:
-    """MATLAB files: version 5 through SciPy, version 7.3 as HDF5 with its axes in reverse order."""
+def read_matlab(path: Path, settings: RecordingSettings) -> Contents:
+    """Return the variables of a MATLAB file and the fields of its structures."""
+    import h5py
 
-    suffixes = (".mat",)
-
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the variables of ``path`` and the fields of its structures."""
-        import h5py
-
-        if h5py.is_hdf5(path):
-            return Hdf5(reverse=True).read(path, settings)
-        try:
-            folder = tempfile.TemporaryDirectory()
-        except OSError as error:
-            why = error.strerror or error
-            raise ValueError(f"no temporary file can be made for its numbers ({why}): {TEMPORARY_REMEDY}") from error
-        with folder:
-            converted = Path(folder.name) / "variables.npz"
-            matlab_to_npz(path, converted)
-            with np.load(converted) as loaded:
-                return contents({name.removeprefix(PREFIX): loaded[name] for name in loaded.files})
+    if h5py.is_hdf5(path):
+        # Version 7.3 is HDF5 with the axes in reverse order.
+        return read_hdf5(path, settings, reverse=True)
+    try:
+        folder = tempfile.TemporaryDirectory()
+    except OSError as error:
+        why = error.strerror or error
+        raise ValueError(f"no temporary file can be made for its numbers ({why}): {TEMPORARY_REMEDY}") from error
+    with folder:
+        converted = Path(folder.name) / "variables.npz"
+        matlab_to_npz(path, converted)
+        with np.load(converted) as loaded:
+            return contents({name.removeprefix(PREFIX): loaded[name] for name in loaded.files})
 
 
-class Hdf5:
-    """HDF5 files; complex numbers in the notation of h5py or MATLAB."""
+def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) -> Contents:
+    """Return the datasets and attributes of an HDF5 file; if ``settings`` name a dataset, no other large one.
 
-    suffixes = (".h5", ".hdf5", ".hdf")
+    ``reverse`` the order of axes. Complex numbers may have the notation of h5py or MATLAB.
+    """
+    import h5py
 
-    def __init__(self, reverse: bool = False) -> None:
-        """``reverse`` the order of axes, for files of MATLAB."""
-        self._reverse = reverse
+    values: dict[str, NDArray[Any]] = {}
+    variable = settings.variable
 
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the datasets and attributes of ``path``; if ``settings`` name a dataset, no other large one."""
-        import h5py
+    def visit(name: str, item: Any) -> None:
+        for key, value in item.attrs.items():
+            values.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
+        if isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
+            is_large = item.size > MAX_STATED_ENTRIES
+            if variable is None or not is_large or name.strip("/") == variable.strip("/"):
+                values[name] = _plain(item[()], reverse)
 
-        values: dict[str, NDArray[Any]] = {}
-        try:
-            with h5py.File(path, "r") as file:
-                variable = settings.variable
-
-                def visit(name: str, item: Any) -> None:
-                    for key, value in item.attrs.items():
-                        values.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
-                    if isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
-                        is_large = item.size > MAX_STATED_ENTRIES
-                        if variable is None or not is_large or name.strip("/") == variable.strip("/"):
-                            values[name] = _plain(item[()], self._reverse)
-
-                visit("", file)
-                file.visititems(visit)
-        except (OSError, RuntimeError, KeyError) as error:
-            raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
-        return contents(values)
+    try:
+        with h5py.File(path, "r") as file:
+            visit("", file)
+            file.visititems(visit)
+    except (OSError, RuntimeError, KeyError) as error:
+        raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
+    return contents(values)
 
 
-class Csv:
-    """Text files with one row per line, numbers separated by commas, semicolons, tabs or blanks."""
+def read_csv(path: Path, settings: RecordingSettings) -> Contents:
+    """Return the numbers of a text file as (row, column), separated by commas, semicolons, tabs or blanks.
 
-    suffixes = (".csv", ".txt", ".tsv")
-
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the numbers of ``path`` as (row, column); lines that begin with # and a header line are skipped."""
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except UnicodeDecodeError:
-            raise ValueError("it is no UTF-8 text: a CSV file of numbers") from None
-        lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
-        lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
-        if not lines:
-            raise ValueError("it holds no line of numbers: rows of values separated by commas")
-        # The first of these characters in the first line separates the numbers; else blanks do.
-        separator = next((character for character in ";\t," if character in lines[0][1]), None)
-        rows = list[list[complex] | list[float]]()
-        # A first line without numbers is a header.
-        start = 0 if _numbers(lines[0][1], separator) is not None else 1
-        for number, line in lines[start:]:
-            values = _numbers(line, separator)
-            if values is None:
-                raise ValueError(f"line {number} has values that are not numbers, {line[:40]!r}: numbers alone")
-            if rows and len(values) != len(rows[0]):
-                raise ValueError(
-                    f"line {number} has {len(values)} values, earlier lines {len(rows[0])}: rows of equal length"
-                )
-            rows.append(values)
-        if not rows:
-            raise ValueError("it holds no line of numbers: rows of values separated by commas")
-        return contents({path.stem: np.array(rows)})
+    Lines that begin with # and a header line are skipped.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError("it is no UTF-8 text: a CSV file of numbers") from None
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
+    lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
+    # The first of these characters in the first line separates the numbers; else blanks do.
+    separator = next((character for character in ";\t," if lines and character in lines[0][1]), None)
+    # A first line without numbers is a header.
+    if lines and _numbers(lines[0][1], separator) is None:
+        del lines[0]
+    if not lines:
+        raise ValueError("it holds no line of numbers: rows of values separated by commas")
+    rows = list[list[complex] | list[float]]()
+    for number, line in lines:
+        values = _numbers(line, separator)
+        if values is None:
+            raise ValueError(f"line {number} has values that are not numbers, {line[:40]!r}: numbers alone")
+        if rows and len(values) != len(rows[0]):
+            raise ValueError(
+                f"line {number} has {len(values)} values, earlier lines {len(rows[0])}: rows of equal length"
+            )
+        rows.append(values)
+    return contents({path.stem: np.array(rows)})
 
 
 def _numbers(line: str, separator: str | None) -> list[complex] | list[float] | None:
@@ -167,28 +138,23 @@ def _numbers(line: str, separator: str | None) -> list[complex] | list[float] | 
             return None
 
 
-class Raw:
-    """Files of raw values, described by a sidecar file."""
-
-    suffixes = (".raw", ".bin", ".dat", ".i16", ".f32", ".rf")
-
-    def read(self, path: Path, settings: RecordingSettings) -> Contents:
-        """Return the values of ``path`` in the stated shape."""
-        if settings.dtype is None or settings.shape is None:
-            absent = [name for name in ("dtype", "shape") if getattr(settings, name) is None]
-            raise ValueError(
-                f"a file of raw values needs {' and '.join(absent)}: a sidecar file "
-                f'{path.name}.toml with dtype = "int16", shape = [60, 512], axes = "pulse,sample" and the rates'
-            )
-        dtype = np.dtype(settings.dtype).newbyteorder("<" if settings.byte_order == "little" else ">")
-        size, expected = path.stat().st_size, math.prod(settings.shape) * dtype.itemsize + settings.header_bytes
-        if size != expected:
-            raise ValueError(
-                f"it has {size} bytes, {settings.shape} values of {settings.dtype} and a header of "
-                f"{settings.header_bytes} bytes take {expected}: the right shape, dtype or header_bytes"
-            )
-        values = np.fromfile(path, dtype, offset=settings.header_bytes).reshape(settings.shape)
-        return contents({path.stem: values.astype(dtype.newbyteorder("="), copy=False)})
+def read_raw(path: Path, settings: RecordingSettings) -> Contents:
+    """Return the values of a file of raw values in the stated shape."""
+    if settings.dtype is None or settings.shape is None:
+        absent = [name for name in ("dtype", "shape") if getattr(settings, name) is None]
+        raise ValueError(
+            f"a file of raw values needs {' and '.join(absent)}: a sidecar file "
+            f'{path.name}.toml with dtype = "int16", shape = [60, 512], axes = "pulse,sample" and the rates'
+        )
+    dtype = np.dtype(settings.dtype).newbyteorder("<" if settings.byte_order == "little" else ">")
+    size, expected = path.stat().st_size, math.prod(settings.shape) * dtype.itemsize + settings.header_bytes
+    if size != expected:
+        raise ValueError(
+            f"it has {size} bytes, {settings.shape} values of {settings.dtype} and a header of "
+            f"{settings.header_bytes} bytes take {expected}: the right shape, dtype or header_bytes"
+        )
+    values = np.fromfile(path, dtype, offset=settings.header_bytes).reshape(settings.shape)
+    return contents({path.stem: values.astype(dtype.newbyteorder("="), copy=False)})
 
 
 def contents(values: Mapping[str, NDArray[Any]]) -> Contents:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from pathlib import Path
 
 from hpe_rig.extensions import IMPORTERS, ExtensionError, installed, load, origin
@@ -11,15 +12,16 @@ from hpe_rig.recordings.contents import Contents, Importer
 from hpe_rig.recordings.settings import RecordingSettings
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-BUILT_IN: dict[str, Importer] = {
-    "npy": arrays.Npy(),
-    "npz": arrays.Npz(),
-    "mat": arrays.Matlab(),
-    "hdf5": arrays.Hdf5(),
-    "csv": arrays.Csv(),
-    "raw": arrays.Raw(),
-    "alazar": alazar.Alazar(),
+BUILT_IN: dict[str, tuple[tuple[str, ...], Callable[[Path, RecordingSettings], Contents]]] = {
+    "npy": ((".npy",), arrays.read_numpy),
+    "npz": ((".npz",), arrays.read_numpy),
+    "mat": ((".mat",), arrays.read_matlab),
+    "hdf5": ((".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
+    "csv": ((".csv", ".txt", ".tsv"), arrays.read_csv),
+    "raw": ((".raw", ".bin", ".dat", ".i16", ".f32", ".rf"), arrays.read_raw),
+    "alazar": ((".alz", ".atb"), alazar.read_alazar),
 }
+"""Formats by name: lower-case suffixes and reader of each. A reader raises as ``Importer.read``."""
 
 
 def importer_names() -> tuple[str, ...]:
@@ -31,7 +33,7 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
     """Return the format of ``path`` and its content; raise ``ValueError`` or ``OSError`` for an unreadable file."""
     name = settings.format or _infer_format(path, settings)
     if name in BUILT_IN:
-        return name, BUILT_IN[name].read(path, settings)
+        return name, BUILT_IN[name][1](path, settings)
     if name not in importer_names():
         close = difflib.get_close_matches(name, importer_names(), n=1)
         raise ValueError(
@@ -72,8 +74,8 @@ def _infer_format(path: Path, settings: RecordingSettings) -> str:
     if settings.dtype is not None:
         return "raw"
     suffix = path.suffix.lower()
-    for name, importer in BUILT_IN.items():
-        if suffix in importer.suffixes:
+    for name, (suffixes, _) in BUILT_IN.items():
+        if suffix in suffixes:
             return name
     for name in importer_names():
         if name not in BUILT_IN and suffix in foreign_importer(name).suffixes:

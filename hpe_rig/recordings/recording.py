@@ -64,15 +64,6 @@ class Recording:
     demodulation_hz: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class _Lines:
-    """Records of several lines: ``values`` (line, shot, pulse, sample), as in ``Recording``."""
-
-    values: NDArray[Any]
-    recorded: BoolArray
-    position_m: FloatArray | None
-
-
 def read_recording(
     source: Path | NDArray[Any],
     settings: RecordingSettings,
@@ -140,8 +131,9 @@ class _Reader:
         values = self._cut_samples(self._arrange(array, axes))
         demodulation_hz = self._demodulation_hz(values)
         recorded = self._find_recorded(values)
-        lines = self._select_lines(_Lines(values, recorded, statements.line_positions_m(values.shape[0])))
-        if not np.iscomplexobj(lines.values):
+        position_m = statements.line_positions_m(values.shape[0])
+        values, recorded, position_m = self._select_lines(values, recorded, position_m)
+        if not np.iscomplexobj(values):
             self._check_carrier(rate_hz, carrier_hz)
         if (
             statements.mistakes
@@ -154,7 +146,7 @@ class _Reader:
         # Cut samples shift the time of the first one.
         if self.settings.samples is not None:
             first_s += self.settings.samples[0] / rate_hz
-        values = self._with_sign(lines)
+        values = self._with_sign(values, recorded)
         if demodulation_hz is not None and not self.for_map:
             values, rate_hz = self._mix_up(values, rate_hz, demodulation_hz, carrier_hz)
         return Recording(
@@ -162,7 +154,7 @@ class _Reader:
             sha256=sha256,
             format=file_format,
             values=values,
-            recorded=lines.recorded,
+            recorded=recorded,
             scale_v=statements.number("scale_v", needed=False),
             sample_rate_hz=rate_hz,
             pulse_rate_hz=pulses.rate_hz,
@@ -171,7 +163,7 @@ class _Reader:
             pulse_time_s=pulses.time_s,
             regular=pulses.regular,
             first_sample_s=first_s,
-            line_position_m=lines.position_m,
+            line_position_m=position_m,
             inferred=tuple(statements.inferred),
             board=statements.contents.board,
             demodulation_hz=demodulation_hz,
@@ -272,6 +264,7 @@ class _Reader:
         return values
 
     def _cut_samples(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the stated range of samples; a mistake and all samples if the records are shorter."""
         if self.settings.samples is None:
             return values
         first, end = self.settings.samples
@@ -337,27 +330,27 @@ class _Reader:
         selection = select_lines(self.settings.lines, lines.size)
         return not isinstance(selection, Mistake) and not lines[selection[0]].any()
 
-    def _select_lines(self, lines: _Lines) -> _Lines:
-        """Return the selected lines, or their mean as one line."""
-        count = lines.values.shape[0]
-        selection = select_lines(self.settings.lines or ("all" if self.for_map else None), count)
+    def _select_lines(
+        self, values: NDArray[Any], recorded: BoolArray, position_m: FloatArray | None
+    ) -> tuple[NDArray[Any], BoolArray, FloatArray | None]:
+        """Return values, existing records and positions of the selected lines, or of their mean as one line."""
+        selection = select_lines(self.settings.lines or ("all" if self.for_map else None), values.shape[0])
         if isinstance(selection, Mistake):
             self.statements.mistakes.append(selection)
         selected, mean = (slice(0, 1), False) if isinstance(selection, Mistake) else selection
-        values, recorded = lines.values[selected], lines.recorded[selected]
-        position_m = None if lines.position_m is None else lines.position_m[selected]
+        values, recorded = values[selected], recorded[selected]
+        position_m = None if position_m is None else position_m[selected]
         if not mean:
             if values.shape[0] > 1 and position_m is None and not self.for_map:
                 what = f"{values.shape[0]} lines are selected, and their positions are not stated"
                 remedy = "line_pitch_m = 0.3e-3, or line_position_m with one position per line"
                 self.statements.add_mistake("line_position_m", what, remedy)
-            return _Lines(values, recorded, position_m)
+            return values, recorded, position_m
         self.statements.inferred.append(f"the mean of {values.shape[0]} lines is used")
-        return _Lines(
-            values.mean(axis=0, keepdims=True),
-            np.asarray(recorded.all(axis=0, keepdims=True), np.bool_),
-            None if position_m is None else position_m.mean(keepdims=True),
-        )
+        # A record of the mean exists if it exists in every line.
+        recorded = np.asarray(recorded.all(axis=0, keepdims=True), np.bool_)
+        position_m = None if position_m is None else position_m.mean(keepdims=True)
+        return values.mean(axis=0, keepdims=True), recorded, position_m
 
     def _check_carrier(self, rate_hz: float | None, carrier_hz: float | None) -> None:
         """Add a mistake if real samples violate the sampling theorem."""
@@ -365,9 +358,8 @@ class _Reader:
             what = f"a carrier of {carrier_hz:g} Hz does not fit a sampling rate of {rate_hz:g} Hz"
             self.statements.add_mistake("carrier_hz", what, "the right one of the two, or demodulation_hz for I and Q")
 
-    def _with_sign(self, lines: _Lines) -> NDArray[Any]:
+    def _with_sign(self, values: NDArray[Any], recorded: BoolArray) -> NDArray[Any]:
         """Return the values with their sign, and zeros for missing records."""
-        values, recorded = lines.values, lines.recorded
         values = np.where(recorded[..., None], values, 0) if not recorded.all() else values
         if self.settings.sign > 0:
             return values
