@@ -13,5 +13,5 @@ from .accuracy.report import (
     write_accuracy as write_accuracy,
     write_accuracy_report as write_accuracy_report,
 )
-from .paper.judgement import family as family
+from .paper.judgement import sidak_quantile as sidak_quantile
 from .paper.reproduction import reproduction_part as reproduction_part

@@ -1,4 +1,4 @@
-"""Claims of the paper that are more than a trend over SNR: its numbers, its maps, its remarks."""
+"""Judges of the paper's numbers, maps and remarks, which are more than a trend over a parameter."""
 
 from __future__ import annotations
 
@@ -7,164 +7,184 @@ import math
 
 import numpy as np
 
-from hpe_rig.study import PAPER_WIDTH_RATIO, StudyResult, lateral_average, with_error
+from hpe_rig.arrays import FloatArray
+from hpe_rig.study import PAPER_WIDTH_RATIO, StudyResult, lateral_average, maps, with_error
 from hpe_rig.validation.paper.judgement import (
     AGREES,
     DIFFERS,
     IN_PART,
+    INCONCLUSIVE,
     QUANTITIES,
     SIGNIFICANT,
     UNITS,
-    UNTOLD,
     Judgement,
-    at_point,
     below,
-    ends,
-    family,
+    bounds_of_largest,
     in_units,
-    judge_of,
-    map_of,
+    judge_factory,
     number,
-    span_of_largest,
+    paper_curves,
+    require_view,
+    sidak_quantile,
 )
 
 NM, DEGREES = 1e9, 180 / math.pi
+Columns = dict[str, FloatArray]
 
 
-@judge_of
+@judge_factory
 def at_highest_snr(
-    result: StudyResult, reading: str, quantity: str, said: float, rounding: float,
+    result: StudyResult, reading: str, quantity: str, stated: float, rounding: float,
     scale: float = 1.0, offset: float = 0.0, unit: str = "",
 ) -> Judgement:  # fmt: skip
-    """Judge "bias" or "jitter" of the amplitude over the true one, ``offset`` + ``scale`` times it."""
-    curve = ends(result, reading)[0]
+    """Judge ``offset`` + ``scale`` times the relative "bias" or "jitter" of the amplitude at the highest SNR."""
+    curve = paper_curves(result, reading)[0]
     value, se, truth = (curve.values(f"amplitude_{name}_m")[-1] for name in (quantity, f"{quantity}_se", "true"))
-    return number(offset + scale * value / truth, abs(scale) * se / truth, said, rounding, unit)
+    return number(offset + scale * value / truth, abs(scale) * se / truth, stated, rounding, unit)
 
 
 def levels_out(result: StudyResult, reading: str) -> Judgement:
-    """Judge whether the mean is constant, to a hundredth of the amplitude, over the three highest SNRs."""
-    curve = ends(result, reading)[0]
+    """Judge whether the mean changes by less than 1 % of the amplitude over the three highest SNRs."""
+    curve = paper_curves(result, reading)[0]
     bias, se = in_units(curve, "amplitude_bias")
-    change, margin = float(np.ptp(bias[-3:])), family(3) * math.hypot(se[-1], se[-3])
-    words = f"mean within {change:.2g} nm from {curve.x[-3]:g} to {curve.x[-1]:g} dB, s.e. {se[-1]:.2g} nm"
+    change, margin = float(np.ptp(bias[-3:])), sidak_quantile(3) * math.hypot(se[-1], se[-3])
     limit = 0.01 * curve.rows[-1]["amplitude_true_m"] * NM
-    return Judgement(words, AGREES if change < limit else DIFFERS if change - margin > limit else UNTOLD)
+    text = f"mean within {change:.2g} nm from {curve.x[-3]:g} to {curve.x[-1]:g} dB, standard error {se[-1]:.2g} nm"
+    return Judgement(text, AGREES if change < limit else DIFFERS if change - margin > limit else INCONCLUSIVE)
 
 
 def no_phase_bias(result: StudyResult, reading: str) -> Judgement:
-    """Judge whether the phase has a bias at any SNR."""
-    curve = ends(result, reading)[0]
+    """Judge whether the phase bias is insignificant at every SNR."""
+    curve = paper_curves(result, reading)[0]
     bias, se = in_units(curve, "phase_bias")
-    worst = int(np.argmax(np.abs(bias / se)))
-    sigmas, chance = abs(bias[worst] / se[worst]), family(bias.size)
-    words = f"at most {sigmas:.1f} s.e., {abs(bias[worst]):.2g} deg at {curve.x[worst]:g} dB"
-    return Judgement(f"{words} (chance: {chance:.1f} of {bias.size})", AGREES if sigmas < chance else DIFFERS)
+    largest = int(np.argmax(np.abs(bias / se)))
+    ratio, limit = abs(bias[largest] / se[largest]), sidak_quantile(bias.size)
+    text = f"at most {ratio:.1f} standard errors, {abs(bias[largest]):.2g} deg at {curve.x[largest]:g} dB"
+    return Judgement(f"{text} (limit {limit:.1f} for {bias.size} SNRs)", AGREES if ratio < limit else DIFFERS)
 
 
 def falls_by_20_db(result: StudyResult, reading: str) -> Judgement:
-    """Judge whether the displacement jitter has fallen at 20 dB."""
-    curve = ends(result, reading)[0]
+    """Judge whether the displacement jitter is significantly lower at 20 dB than at 0 dB."""
+    curve = paper_curves(result, reading)[0]
     jitter, se = in_units(curve, "amplitude_jitter")
-    at = int(np.argmin(np.abs(curve.x - 20)))
-    words = f"displacement jitter {jitter[0]:.3g}, {jitter[at]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
-    return Judgement(words, AGREES if jitter[0] - jitter[at] > 3 * math.hypot(se[0], se[at]) else DIFFERS)
+    k = int(np.argmin(np.abs(curve.x - 20)))
+    text = f"displacement jitter {jitter[0]:.3g}, {jitter[k]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
+    return Judgement(text, AGREES if jitter[0] - jitter[k] > SIGNIFICANT * math.hypot(se[0], se[k]) else DIFFERS)
 
 
 def hundred(result: StudyResult, reading: str) -> Judgement:
-    """Judge what 100 realisations know of the mean at 20 dB."""
-    curve = ends(result, reading)[0]
-    at = int(np.argmin(np.abs(curve.x - 20)))
-    row, se = curve.rows[at], curve.values("amplitude_bias_se_m")[at] * NM
+    """Judge whether the mean of 100 realisations at 20 dB has a standard error below 2 % of the amplitude."""
+    curve = paper_curves(result, reading)[0]
+    k = int(np.argmin(np.abs(curve.x - 20)))
+    row, se = curve.rows[k], curve.values("amplitude_bias_se_m")[k] * NM
     realisations = row["draws"] * row["noise"]
-    of_hundred = se * math.sqrt(realisations / 100)
-    words = f"mean at 20 dB to {se:.2g} nm from {realisations}, {of_hundred:.2g} nm from 100"
-    return Judgement(words, AGREES if of_hundred < 0.02 * row["amplitude_true_m"] * NM else DIFFERS)
+    se_of_100 = se * math.sqrt(realisations / 100)
+    text = f"standard error of the mean at 20 dB {se:.2g} nm from {realisations}, {se_of_100:.2g} nm from 100"
+    return Judgement(text, AGREES if se_of_100 < 0.02 * row["amplitude_true_m"] * NM else DIFFERS)
 
 
 def map_ratio(result: StudyResult, reading: str) -> Judgement:
-    """Judge the normalised displacement at W_x = W_y = 2.19, 0.82."""
-    _, x, y, table = map_of(result, reading)[-1]
-    truth = table["amplitude_true_m"]
-    value = at_point(x, y, 1 + table["amplitude_bias_m"] / truth, PAPER_WIDTH_RATIO)
-    return number(value, at_point(x, y, table["amplitude_bias_se_m"] / truth, PAPER_WIDTH_RATIO), 0.82, 0.005)
+    """Judge the normalised displacement at W_x = W_y = 2.19, stated as 0.82."""
+    _, x, y, columns = _maps(result, reading)[-1]
+    truth = columns["amplitude_true_m"]
+    value, se = at_width_ratio(x, y, 1 + columns["amplitude_bias_m"] / truth, columns["amplitude_bias_se_m"] / truth)
+    return number(value, se, 0.82, 0.005)
 
 
-@judge_of
+@judge_factory
 def phase_limit(result: StudyResult, reading: str, quantity: str) -> Judgement:
-    """Judge 5 degrees as the most where both W exceed 0.5."""
-    _, x, y, table = map_of(result, reading)[-1]
+    """Judge an upper limit of 5 degrees where W_x and W_y exceed 0.5."""
+    _, x, y, columns = _maps(result, reading)[-1]
     wide = (x[None, :] > 0.5) & (y[:, None] > 0.5)
-    value, se = (np.abs(table[f"{quantity}{of}_rad"])[wide] * DEGREES for of in ("", "_se"))
+    value, se = (np.abs(columns[f"{quantity}{suffix}_rad"])[wide] * DEGREES for suffix in ("", "_se"))
     return below(value, se, 5.0, " deg")
 
 
-@judge_of
+@judge_factory
 def map_trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judgement:
-    """Judge a trend along W_x = W_y: from first to last, and whether it first goes the other way."""
-    _, x, _, table = map_of(result, reading)[-1]
-    unit, scale, name = UNITS[quantity.split("_")[0]]
-    value = np.abs(np.diagonal(table[f"{quantity}_{unit}"])) * scale
-    se = np.diagonal(table[f"{quantity}_se_{unit}"]) * scale
-    whole = (value[-1] - value[0]) / math.hypot(se[0], se[-1]) * (-1 if falls else 1)
-    top = int(np.argmax(value if falls else -value))
-    back = abs(value[top] - value[0]) / max(math.hypot(se[0], se[top]), 1e-300) > family(len(x)) and top > 0
-    words = f"{QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {name} along W_x = W_y"
-    if back:
-        words += f", but first to {value[top]:.3g} at W = {x[top]:.2g}"
-    verdict = DIFFERS if whole < -SIGNIFICANT else UNTOLD if whole < SIGNIFICANT else AGREES
-    return Judgement(words, IN_PART if back and verdict == AGREES else verdict)
+    """Judge a trend along W_x = W_y from first to last; in part if the quantity first changes the other way."""
+    _, x, _, columns = _maps(result, reading)[-1]
+    suffix, scale, unit = UNITS[quantity.split("_")[0]]
+    value = np.abs(np.diagonal(columns[f"{quantity}_{suffix}"])) * scale
+    se = np.diagonal(columns[f"{quantity}_se_{suffix}"]) * scale
+    change = (value[-1] - value[0]) / math.hypot(se[0], se[-1]) * (-1 if falls else 1)
+    # The extreme in the direction opposite to the trend must not differ from the first value.
+    k = int(np.argmax(value if falls else -value))
+    opposite = abs(value[k] - value[0]) / max(math.hypot(se[0], se[k]), 1e-300)
+    reverses = opposite > sidak_quantile(len(x)) and k > 0
+    text = f"{QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {unit} along W_x = W_y"
+    if reverses:
+        text += f", but first to {value[k]:.3g} at W = {x[k]:.2g}"
+    verdict = DIFFERS if change < -SIGNIFICANT else INCONCLUSIVE if change < SIGNIFICANT else AGREES
+    return Judgement(text, IN_PART if reverses and verdict == AGREES else verdict)
 
 
-def _differences(result: StudyResult, reading: str) -> list[tuple[float, float, float, float]]:
-    """Return W_z, the largest difference from the lateral theory, and between which values the true one lies."""
-    out = []
-    for w_z, x, y, table in map_of(result, reading):
-        truth = table["amplitude_true_m"]
-        gap = np.abs(lateral_average(x[None, :], y[:, None]) - 1 - table["amplitude_bias_m"] / truth)
-        out.append((w_z, float(gap.max()), *span_of_largest(gap, table["amplitude_bias_se_m"] / truth)))
-    return sorted(out)
-
-
-@judge_of
-def difference_at(result: StudyResult, reading: str, which: int, said: float, and_more: bool = False) -> Judgement:
-    """Judge the largest difference from the lateral theory at one W_z, in ascending order."""
-    w_z, gap, low, high = _differences(result, reading)[which]
+@judge_factory
+def difference_at(result: StudyResult, reading: str, index: int, stated: float, or_more: bool = False) -> Judgement:
+    """Judge the largest difference from the lateral theory at one W_z, an index in ascending order."""
+    w_z, difference, low, high = _differences(result, reading)[index]
     # "Up to and greater than" and "as high as" are read off a figure: half a step of 0.05.
-    agrees = said - 0.025 <= high and (and_more or low <= said + 0.025)
-    words = f"at most {gap:.3f} at W_z = {w_z:g}, {low:.3f} to {high:.3f} with selection"
-    return Judgement(words, UNTOLD if high - low > said else AGREES if agrees else DIFFERS)
+    agrees = stated - 0.025 <= high and (or_more or low <= stated + 0.025)
+    text = f"largest {difference:.3f} at W_z = {w_z:g}, true value between {low:.3f} and {high:.3f}"
+    return Judgement(text, INCONCLUSIVE if high - low > stated else AGREES if agrees else DIFFERS)
 
 
 def differences_fall(result: StudyResult, reading: str) -> Judgement:
-    """Judge whether the largest difference falls from the least to the largest W_z, and rises nowhere between."""
-    found = _differences(result, reading)
-    rises = any(later[2] > earlier[3] for earlier, later in itertools.pairwise(found))
-    falls, overlap = found[0][2] > found[-1][3], found[-1][2] <= found[0][3]
-    words = "largest " + ", ".join(f"{gap:.2f} at {w_z:g}" for w_z, gap, *_ in found)
-    return Judgement(words, (IN_PART if rises else AGREES) if falls else UNTOLD if overlap else DIFFERS)
+    """Judge whether the largest difference falls from the lowest to the highest W_z without a significant rise."""
+    differences = _differences(result, reading)
+    (*_, first_low, first_high), (*_, last_low, last_high) = differences[0], differences[-1]
+    rises = any(later[2] > earlier[3] for earlier, later in itertools.pairwise(differences))
+    falls, overlap = first_low > last_high, last_low <= first_high
+    text = "largest " + ", ".join(f"{difference:.2f} at {w_z:g}" for w_z, difference, *_ in differences)
+    return Judgement(text, (IN_PART if rises else AGREES) if falls else INCONCLUSIVE if overlap else DIFFERS)
 
 
 def wider_axially(result: StudyResult, reading: str) -> Judgement:
-    """Judge whether wider axial beams change the mean by less than the deviation that the paper states, 3.4 %."""
-    curve = ends(result, reading)[0]
+    """Judge whether axially wider beams change the mean by less than the paper's standard deviation, 3.4 %."""
+    curve = paper_curves(result, reading)[0]
     ratio = 1 + curve.values("amplitude_bias_m") / curve.values("amplitude_true_m")
     jitter = curve.values("amplitude_jitter_m") / curve.values("amplitude_true_m")
     se = curve.values("amplitude_bias_se_m") / curve.values("amplitude_true_m")
-    each = ", ".join(f"{r:.3f} ± {j:.3f} at {x:g}" for x, r, j in zip(curve.x, ratio, jitter, strict=True))
-    low, high = span_of_largest(np.abs(ratio[1:] - ratio[0]), np.hypot(se[1:], se[0]))
-    return Judgement(each, AGREES if high < 0.034 else DIFFERS if low > 0.034 else UNTOLD)
+    text = ", ".join(f"{r:.3f} ± {j:.3f} at {x:g}" for x, r, j in zip(curve.x, ratio, jitter, strict=True))
+    low, high = bounds_of_largest(np.abs(ratio[1:] - ratio[0]), np.hypot(se[1:], se[0]))
+    return Judgement(text, AGREES if high < 0.034 else DIFFERS if low > 0.034 else INCONCLUSIVE)
 
 
 def phase_over_w_z(result: StudyResult, reading: str) -> Judgement:
-    """Judge whether the phase jitter at W_x = W_y = 2.19 is constant to a tenth from W_z = 0.5 on."""
-    found = [
-        (w_z, *(at_point(x, y, table[f"phase_jitter{of}_rad"], PAPER_WIDTH_RATIO) * DEGREES for of in ("", "_se")))
-        for w_z, x, y, table in map_of(result, reading)
-    ]
-    words = "phase jitter " + ", ".join(f"{with_error(value, se)} deg at {w_z:g}" for w_z, value, se in found)
-    kept = np.array([each[1:] for each in found if each[0] >= 0.5])
-    change, margin = float(np.ptp(kept[:, 0])), family(len(kept)) * float(np.hypot(*np.sort(kept[:, 1])[-2:]))
-    limit = 0.1 * float(kept[:, 0].mean())
-    verdict = AGREES if change + margin < limit else DIFFERS if change - margin > limit else UNTOLD
-    return Judgement(words, verdict)
+    """Judge whether the phase jitter at W_x = W_y = 2.19 is constant to 10 % from W_z = 0.5 on."""
+    jitters_deg = []
+    for w_z, x, y, columns in _maps(result, reading):
+        value, se = at_width_ratio(x, y, columns["phase_jitter_rad"], columns["phase_jitter_se_rad"])
+        jitters_deg.append((w_z, value * DEGREES, se * DEGREES))
+    text = "phase jitter " + ", ".join(f"{with_error(value, se)} deg at {w_z:g}" for w_z, value, se in jitters_deg)
+
+    value, se = np.array([jitter for w_z, *jitter in jitters_deg if w_z >= 0.5]).T
+    # The change is between two of the values; its standard error is at most that of the two least certain ones.
+    change, margin = float(np.ptp(value)), sidak_quantile(len(value)) * float(np.hypot(*np.sort(se)[-2:]))
+    limit = 0.1 * float(value.mean())
+    verdict = AGREES if change + margin < limit else DIFFERS if change - margin > limit else INCONCLUSIVE
+    return Judgement(text, verdict)
+
+
+def at_width_ratio(x: FloatArray, y: FloatArray, *maps: FloatArray) -> tuple[float, ...]:
+    """Return the value of each map (y, x) at x = y = 2.19, interpolated linearly in the logarithms of x and y."""
+    log_ratio = math.log(PAPER_WIDTH_RATIO)
+    rows = ([float(np.interp(log_ratio, np.log(x), row)) for row in values] for values in maps)
+    return tuple(float(np.interp(log_ratio, np.log(y), row)) for row in rows)
+
+
+def _maps(result: StudyResult, reading: str) -> list[tuple[float, FloatArray, FloatArray, Columns]]:
+    """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
+    tables = maps(result, require_view(result, reading))
+    return [(float(table.outer_values[0]), table.x, table.y, table.columns) for table in tables]
+
+
+def _differences(result: StudyResult, reading: str) -> list[tuple[float, float, float, float]]:
+    """Return W_z, the largest difference from the lateral theory, and the bounds of the true one, by W_z."""
+    differences = []
+    for w_z, x, y, columns in _maps(result, reading):
+        truth = columns["amplitude_true_m"]
+        difference = np.abs(lateral_average(x[None, :], y[:, None]) - 1 - columns["amplitude_bias_m"] / truth)
+        bounds = bounds_of_largest(difference, columns["amplitude_bias_se_m"] / truth)
+        differences.append((w_z, float(difference.max()), *bounds))
+    return sorted(differences)

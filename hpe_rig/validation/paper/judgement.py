@@ -1,30 +1,34 @@
-"""Judgement of a statement of the paper by a study's own numbers and their Monte Carlo errors, in one reading."""
+"""Judge a statement of the paper from the results of a study, for one reading of eq. (11) at a time.
+
+Values are Monte Carlo means or jitters with standard errors. A difference is significant beyond three standard errors,
+and the largest of n values beyond ``sidak_quantile(n)`` of them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Concatenate, ParamSpec
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, FloatArray
-from hpe_rig.study import Curve, StudyResult, View, curves, maps, paper_view, with_error
+from hpe_rig.arrays import FloatArray
+from hpe_rig.study import Curve, StudyResult, View, curves, paper_view, with_error
 
-Columns = dict[str, FloatArray]
 P = ParamSpec("P")
 
 SIGNIFICANT = 3.0
-"""Standard errors: of 200 comparisons of nothing with nothing, one in two such pages shows one by chance."""
-SHOWN_DB = 20.0
-JUDGED_DB = (0.0, 20.0, 40.0)
-"""At each of these a trend must show: at 0 dB it is noise, at 40 dB speckle."""
+"""Standard errors. A page of 200 comparisons without any difference has one beyond them in every second case."""
+HIGH_SNR_DB = 20.0
+TREND_SNR_DB = (0.0, 20.0, 40.0)
+"""A trend must hold at each of these: noise dominates at 0 dB, speckle at 40 dB."""
 LEVEL = 0.05
-"""A change that is less than this share of the quantity, by three standard errors, is none."""
-AGREES, IN_PART, DIFFERS, UNTOLD, ABSENT = "agrees", "in part", "differs", "inconclusive", "not run"
+"""A relative change that is significantly below this counts as none."""
+AGREES, IN_PART, DIFFERS, INCONCLUSIVE, NOT_RUN = "agrees", "in part", "differs", "inconclusive", "not run"
 UNITS = {"amplitude": ("m", 1e9, "nm"), "phase": ("rad", 180 / math.pi, "deg")}
+"""Suffix of the stored column, factor to the printed unit, and the printed unit."""
 QUANTITIES = {
     "amplitude_bias": "displacement bias",
     "amplitude_jitter": "displacement jitter",
@@ -35,149 +39,139 @@ QUANTITIES = {
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What came out, in words, and the verdict on what was said."""
+    """The result of the study in words, and the verdict on the statement."""
 
-    found: str
+    finding: str
     verdict: str
 
 
 Judge = Callable[[StudyResult, str], Judgement]
-"""From a study and a reading of eq. (11)."""
+"""Judges one statement from a study and the name of a reading."""
 
 
-def judge_of(rule: Callable[Concatenate[StudyResult, str, P], Judgement]) -> Callable[P, Judge]:
-    """Return ``rule`` (study, reading, what the paper says) as a function from what the paper says to its judge."""
-    return lambda *said, **more: lambda result, reading: rule(result, reading, *said, **more)
+def judge_factory(rule: Callable[Concatenate[StudyResult, str, P], Judgement]) -> Callable[P, Judge]:
+    """Return a function that takes the numbers stated by the paper and returns a judge by ``rule``."""
+    return lambda *stated, **options: lambda result, reading: rule(result, reading, *stated, **options)
 
 
-def judged(results: Mapping[str, StudyResult], study: str, reading: str, judge: Judge) -> Judgement:
-    """Return the finding, or that the study was not run in this reading."""
-    result = results.get(study)
-    if result is None or paper_view(result, reading) is None:
-        return Judgement(f"needs hpe-rig study {study}", ABSENT)
-    return judge(result, reading)
+def is_run(result: StudyResult | None, reading: str) -> bool:
+    """Return whether the study was run with the paper's chain in this reading."""
+    return result is not None and paper_view(result, reading) is not None
 
 
-def number(value: float, se: float, said: float, rounding: float, unit: str = "") -> Judgement:
-    """Judge a number: it agrees within how it was rounded and three standard errors."""
-    agrees = abs(value - said) <= rounding + SIGNIFICANT * se
+def number(value: float, se: float, stated: float, rounding: float, unit: str = "") -> Judgement:
+    """Judge a number: it agrees within its rounding and three standard errors."""
+    agrees = abs(value - stated) <= rounding + SIGNIFICANT * se
     return Judgement(f"{with_error(value, se)}{unit}", AGREES if agrees else DIFFERS)
 
 
-def family(count: int) -> float:
-    """Return how many standard errors are as rare, as the largest of ``count`` independent ones, as three of one.
+def sidak_quantile(count: int) -> float:
+    """Return the bound, in standard errors, for the largest of ``count`` independent normal values.
 
-    The largest of many found values is large by chance: what is said of it is judged by this (Sidak).
+    The largest exceeds it as rarely as a single value exceeds three standard errors (Sidak correction).
     """
-    rare = 2 * NormalDist().cdf(-SIGNIFICANT)
-    return -NormalDist().inv_cdf((1 - (1 - rare) ** (1 / max(count, 1))) / 2)
+    exceedance = 2 * NormalDist().cdf(-SIGNIFICANT)
+    return -NormalDist().inv_cdf((1 - (1 - exceedance) ** (1 / max(count, 1))) / 2)
 
 
-def span_of_largest(values: FloatArray, se: FloatArray) -> tuple[float, float]:
-    """Return between which values the largest of the true values lies, selection included."""
-    margin = family(values.size) * se
+def bounds_of_largest(values: FloatArray, se: FloatArray) -> tuple[float, float]:
+    """Return lower and upper bound of the largest true value, given estimates with standard errors."""
+    margin = sidak_quantile(values.size) * se
     return float((values - margin).max()), float((values + margin).max())
 
 
 def below(values: FloatArray, se: FloatArray, limit: float, unit: str) -> Judgement:
-    """Judge an upper limit for the largest of true values by those found and how far chance lifts the largest."""
-    low, high = span_of_largest(values, se)
-    verdict = AGREES if high < limit else DIFFERS if low > limit else UNTOLD
-    return Judgement(f"at most {values.max():.3g}{unit}, {low:.3g} to {high:.3g} with selection", verdict)
+    """Judge an upper limit for the largest true value."""
+    low, high = bounds_of_largest(values, se)
+    verdict = AGREES if high < limit else DIFFERS if low > limit else INCONCLUSIVE
+    return Judgement(f"largest {values.max():.3g}{unit}, true value between {low:.3g} and {high:.3g}", verdict)
 
 
-def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:
-    """Return the first and the last curve of the paper's chain in a reading."""
-    found = curves(result, _seen(result, reading))
-    return found[0], found[-1]
+def paper_curves(result: StudyResult, reading: str) -> list[Curve]:
+    """Return the curves over SNR of the paper's chain in a reading, one per value of the parameter."""
+    return curves(result, require_view(result, reading))
 
 
-@judge_of
+def require_view(result: StudyResult, reading: str) -> View:
+    """Return the rows of the paper's chain in a reading that was run."""
+    view = paper_view(result, reading)
+    assert view is not None  # noqa: S101
+    return view
+
+
+@judge_factory
 def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judgement:
     """Judge a trend from the first to the last value of the parameter, at 0, 20 and 40 dB.
 
-    It agrees where it is significant at all three, in part where at some; it differs where its opposite is significant
-    at one and it at none, or where the quantity stays level at all three. Equal random numbers along the parameter make
-    the standard errors upper bounds.
+    Agrees: significant at all three SNRs; in part: at some. Differs: the opposite trend is significant at one and the
+    stated one at none, or the quantity is level at all three. The standard errors are upper bounds, because all values
+    of the parameter share their random numbers.
     """
-    x, *found = _both_ends(result, reading, quantity)
-    judged_at = sorted({int(np.argmin(np.abs(x - db))) for db in JUDGED_DB})
-    a, a_se, b, b_se = (each[judged_at] for each in found)
-    change, margin = b - a, SIGNIFICANT * np.hypot(a_se, b_se)
-    right, wrong = (change < -margin, change > margin) if falls else (change > margin, change < -margin)
-    level = ~(right | wrong) & (np.abs(change) + margin < LEVEL * np.maximum(a, b))
-    unit, ways = UNITS[quantity.split("_")[0]][2], ("falls", "rises") if falls else ("rises", "falls")
-    names = np.select([right, wrong, level], [*ways, "level"], "unclear")
-    words = "; ".join(f"{x[n]:g} dB {a[k]:.3g} to {b[k]:.3g}, {names[k]}" for k, n in enumerate(judged_at))
-    missed = DIFFERS if wrong.any() or level.all() else UNTOLD
-    verdict = missed if not right.any() else AGREES if right.all() else IN_PART
-    return Judgement(f"{QUANTITIES[quantity]} ({unit}): {words}", verdict)
+    snr_db, value, se = _first_and_last(result, reading, quantity)
+    columns = sorted({int(np.argmin(np.abs(snr_db - db))) for db in TREND_SNR_DB})
+    first, last = value[:, columns]
+    change, margin = last - first, SIGNIFICANT * np.hypot(*se[:, columns])
+    stated, opposite = (change < -margin, change > margin) if falls else (change > margin, change < -margin)
+    level = ~(stated | opposite) & (np.abs(change) + margin < LEVEL * np.maximum(first, last))
+
+    directions = ("falls", "rises") if falls else ("rises", "falls")
+    names = np.select([stated, opposite, level], [*directions, "level"], "unclear")
+    values = zip(snr_db[columns], first, last, names, strict=True)
+    text = "; ".join(f"{db:g} dB {start:.3g} to {end:.3g}, {name}" for db, start, end, name in values)
+
+    otherwise = DIFFERS if opposite.any() or level.all() else INCONCLUSIVE
+    verdict = otherwise if not stated.any() else AGREES if stated.all() else IN_PART
+    return Judgement(f"{QUANTITIES[quantity]} ({_printed_unit(quantity)}): {text}", verdict)
 
 
-@judge_of
-def flat(result: StudyResult, reading: str, quantity: str, small: float, from_db: float = -math.inf) -> Judgement:
-    """Judge "no effect": at every SNR less than ``small`` (nm or degrees), or what chance makes of the largest change.
+@judge_factory
+def flat(result: StudyResult, reading: str, quantity: str, negligible: float, from_db: float = -math.inf) -> Judgement:
+    """Judge "no effect": the change is below ``negligible`` (nm or degrees), or insignificant, at every SNR.
 
-    Inconclusive where chance alone makes more than twice ``small`` at SNRs from 20 dB on: nothing could then be seen.
+    Inconclusive if a change of twice ``negligible`` could be insignificant at an SNR of 20 dB or more.
     """
-    x, a, a_se, b, b_se = _both_ends(result, reading, quantity, from_db)
-    change, se = np.abs(b - a), np.hypot(a_se, b_se)
-    effect = (change > family(change.size) * se) & (change > small)
-    blind = bool((SIGNIFICANT * se[x >= SHOWN_DB] > 2 * small).any())
-    place = int(np.argmax(change))
-    unit = UNITS[quantity.split("_")[0]][2]
-    words = f"{QUANTITIES[quantity]} changes at most by {with_error(change[place], se[place])} {unit}"
-    words += f", at {x[place]:g} dB"
+    snr_db, (first, last), (first_se, last_se) = _first_and_last(result, reading, quantity, from_db)
+    change, se = np.abs(last - first), np.hypot(first_se, last_se)
+    effect = (change > sidak_quantile(change.size) * se) & (change > negligible)
+    insensitive = bool((SIGNIFICANT * se[snr_db >= HIGH_SNR_DB] > 2 * negligible).any())
+
+    largest = int(np.argmax(change))
+    text = f"{QUANTITIES[quantity]} changes at most by {with_error(change[largest], se[largest])} "
+    text += f"{_printed_unit(quantity)}, at {snr_db[largest]:g} dB"
     if effect.any():
-        words += f"; significantly at {_places(x, effect)}"
-    verdict = DIFFERS if effect.all() else IN_PART if effect.any() else UNTOLD if blind else AGREES
-    return Judgement(words, verdict)
+        significant = ", ".join(f"{value:g}" for value in snr_db[effect]) + " dB"
+        text += f"; significantly at {'every SNR' if effect.all() else significant}"
+    verdict = DIFFERS if effect.all() else IN_PART if effect.any() else INCONCLUSIVE if insensitive else AGREES
+    return Judgement(text, verdict)
 
 
-@judge_of
-def slight(result: StudyResult, reading: str, quantity: str, share: float) -> Judgement:
-    """Judge a small change: less than ``share`` of the value at the SNRs from 20 dB on."""
-    x, a, a_se, b, b_se = _both_ends(result, reading, quantity, SHOWN_DB)
-    ratio, se = b / a - 1, np.hypot(a_se / a, b_se / b) * np.abs(b / a)
-    place = int(np.argmax(np.abs(ratio)))
-    low, high = span_of_largest(np.abs(ratio), se)
-    words = f"{QUANTITIES[quantity]} {ratio[place] * 100:+.0f} ± {se[place] * 100:.1g} % at {x[place]:g} dB"
-    return Judgement(words, AGREES if high < share else DIFFERS if low > share else UNTOLD)
-
-
-def map_of(result: StudyResult, reading: str) -> list[tuple[float, FloatArray, FloatArray, Columns]]:
-    """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
-    tables = maps(result, _seen(result, reading))
-    return [(float(table.outer_values[0]), table.x, table.y, table.columns) for table in tables]
-
-
-def at_point(x: FloatArray, y: FloatArray, values: FloatArray, place: float) -> float:
-    """Return a map's value at x = y = ``place``, linear between points in the logarithm of both."""
-    rows = [float(np.interp(math.log(place), np.log(x), row)) for row in values]
-    return float(np.interp(math.log(place), np.log(y), rows))
+@judge_factory
+def slight(result: StudyResult, reading: str, quantity: str, max_change: float) -> Judgement:
+    """Judge a small change: relative change below ``max_change`` at SNRs of 20 dB and more."""
+    snr_db, (first, last), (first_se, last_se) = _first_and_last(result, reading, quantity, HIGH_SNR_DB)
+    change, se = last / first - 1, np.hypot(first_se / first, last_se / last) * np.abs(last / first)
+    largest = int(np.argmax(np.abs(change)))
+    low, high = bounds_of_largest(np.abs(change), se)
+    percent = f"{change[largest] * 100:+.0f} ± {se[largest] * 100:.1g} %"
+    verdict = AGREES if high < max_change else DIFFERS if low > max_change else INCONCLUSIVE
+    return Judgement(f"{QUANTITIES[quantity]} {percent} at {snr_db[largest]:g} dB", verdict)
 
 
 def in_units(curve: Curve, quantity: str) -> tuple[FloatArray, FloatArray]:
     """Return value and standard error of a quantity along a curve, in nm or degrees."""
-    unit, scale, _ = UNITS[quantity.split("_")[0]]
-    return curve.values(f"{quantity}_{unit}") * scale, curve.values(f"{quantity}_se_{unit}") * scale
+    suffix, scale, _ = UNITS[quantity.split("_")[0]]
+    return curve.values(f"{quantity}_{suffix}") * scale, curve.values(f"{quantity}_se_{suffix}") * scale
 
 
-def _seen(result: StudyResult, reading: str) -> View:
-    one = paper_view(result, reading)
-    assert one is not None  # noqa: S101
-    return one
+def _printed_unit(quantity: str) -> str:
+    return UNITS[quantity.split("_")[0]][2]
 
 
-def _both_ends(result: StudyResult, reading: str, quantity: str, from_db: float = -math.inf) -> tuple[FloatArray, ...]:
-    """Return SNR, absolute value and error on the first curve, value and error on the last, all (SNR,)."""
-    first, last = ends(result, reading)
-    (a, a_se), (b, b_se) = in_units(first, quantity), in_units(last, quantity)
-    kept = first.x >= from_db
-    return first.x[kept], np.abs(a)[kept], a_se[kept], np.abs(b)[kept], b_se[kept]
-
-
-def _places(x: FloatArray, chosen: BoolArray) -> str:
-    if not chosen.any():
-        return "no SNR"
-    return "every SNR" if chosen.all() else ", ".join(f"{value:g}" for value in x[chosen]) + " dB"
+def _first_and_last(
+    result: StudyResult, reading: str, quantity: str, from_db: float = -math.inf
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return SNR (SNR,), absolute value and standard error (2, SNR) of the first and the last curve."""
+    first, *_, last = paper_curves(result, reading)
+    value, se = np.stack([in_units(first, quantity), in_units(last, quantity)], axis=1)
+    selected = first.x >= from_db
+    return first.x[selected], np.abs(value[:, selected]), se[:, selected]

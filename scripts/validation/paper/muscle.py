@@ -27,7 +27,7 @@ from hpe_rig.prediction import detection_floor
 from hpe_rig.report import fit_line
 from hpe_rig.result import MARKS
 from hpe_rig.scene import load_scene
-from hpe_rig.validation import family
+from hpe_rig.validation import sidak_quantile
 
 CHI2_16 = (0.66, 1.34)
 """Between which the root of a mean square over 16 degrees of freedom lies in 95 of 100 draws."""
@@ -336,7 +336,7 @@ def _figure_19_verdicts(windows: Mapping[float, Repeated], whose: str) -> Iterat
     yield Verdict(
         f"mean displacement does not change with T_s ({whose})",
         f"50 ms and 200 ms: largest of ten differences {apart:.1f} times its u",
-        apart < family(10),
+        apart < sidak_quantile(10),
     )
     turned = np.degrees(np.angle(np.exp(1j * np.radians(first.mean_deg - last.mean_deg))))
     u_deg = np.sqrt((first.sd_deg**2 + last.sd_deg**2) / REPEATS)

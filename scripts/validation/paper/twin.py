@@ -22,7 +22,7 @@ from hpe_rig.plan import disturbed_pulses, make_plan
 from hpe_rig.prediction import detection_floor
 from hpe_rig.result import MARKS
 from hpe_rig.scene import load_scene, shipped_scenes
-from hpe_rig.validation import family
+from hpe_rig.validation import sidak_quantile
 
 GELATINS = {"gelatin-8": "8 %, 4.0 kPa", "gelatin-12": "12 %, 7.25 kPa", "gelatin-15": "15 %, 13.5 kPa"}
 CLOSED_FORM = {
@@ -129,16 +129,16 @@ def figure_14(seed: int = 1) -> Experiment:
             ),
             Verdict(
                 "amplitudes as the truth at every instant, within their u",
-                f"within {off:.1f} u of the means ({family(TEN):.1f}: once in 370 the largest of ten); 8 % without "
+                f"within {off:.1f} u of the means ({sidak_quantile(TEN):.1f}: once in 370 the largest of ten); 8 % without "
                 f"trigger jitter within {quiet_nm:.0f} nm; that at the pulses alone, a plain fit's, is more by "
                 + ", ".join(f"{(sampled_m[name][0] / each.true_m[0] - 1) * 100:.0f} %" for name, each in found.items())
                 + " at 100 Hz",
-                off < family(TEN),
+                off < sidak_quantile(TEN),
             ),
             Verdict(
                 "curves as the closed form predicts within their u",
                 f"normalised, up to 600 Hz: within {error:.1f} u",
-                error < family(3),
+                error < sidak_quantile(3),
             ),
         ),
     )

@@ -15,7 +15,7 @@ from hpe_rig.study.map_figures import lateral_average
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import with_error
 from hpe_rig.validation.paper import claims as claim_judges, judgement, reproduction
-from hpe_rig.validation.paper.judgement import ABSENT, AGREES, DIFFERS, IN_PART, UNTOLD
+from hpe_rig.validation.paper.judgement import AGREES, DIFFERS, IN_PART, INCONCLUSIVE, NOT_RUN
 
 Values = Callable[[dict[str, float]], dict[str, float]]
 SNR_DB = [0.0, 20.0, 40.0]
@@ -31,13 +31,13 @@ def result(axes: dict[str, list[float]], values: Values, readings: tuple[str, ..
             "title": "prescribed",
             "scene": "table-1",
             "readings": {name: ["cross_spectrum"] for name in readings},
-            "axes": [{"name": name, "keys": {f"key.{name}": list(places)}} for name, places in axes.items()],
+            "axes": [{"name": name, "keys": {f"key.{name}": list(axis_values)}} for name, axis_values in axes.items()],
         }
     )
     rows = []
     for reading in readings:
-        for place in itertools.product(*axes.values()):
-            at = dict(zip(axes, place, strict=True))
+        for point in itertools.product(*axes.values()):
+            at = dict(zip(axes, point, strict=True))
             row: dict[str, Any] = {**at, "reading": reading, "estimator": "cross_spectrum", "frequency_hz": 200.0}
             row |= {"amplitude_true_m": 1e-6, "phase_true_rad": 0.0, "draws": 500, "noise": 2}
             for name in COLUMNS:
@@ -59,7 +59,7 @@ def curves(jitter_nm: Callable[[float, float], float]) -> StudyResult:
     [
         (lambda p, snr: 100 - 20 * p, AGREES),
         (lambda p, snr: 100 + 20 * p, DIFFERS),
-        (lambda p, snr: 100 - 2 * p, UNTOLD),
+        (lambda p, snr: 100 - 2 * p, INCONCLUSIVE),
         (lambda p, snr: 100 - 20 * p if snr < 30 else 100 + 20 * p, IN_PART),
         (lambda p, snr: 100 - 20 * p if snr < 10 else 100 + 2 * p, IN_PART),
         (lambda p, snr: 1000 - 2 * p, DIFFERS),
@@ -87,18 +87,18 @@ def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
 def test_a_limit_for_the_largest_of_many_knows_how_far_chance_lifts_it() -> None:
     one = np.ones(1)
     assert judgement.below(1.9 * one, one, 5.0, "").verdict == AGREES
-    assert judgement.below(4.9 * one, one, 5.0, "").verdict == UNTOLD
+    assert judgement.below(4.9 * one, one, 5.0, "").verdict == INCONCLUSIVE
     assert judgement.below(8.5 * one, one, 5.0, "").verdict == DIFFERS
-    assert judgement.below(np.full(121, 8.5), np.ones(121), 5.0, "").verdict == UNTOLD
-    assert judgement.family(1) == pytest.approx(3.0, abs=1e-9)
+    assert judgement.below(np.full(121, 8.5), np.ones(121), 5.0, "").verdict == INCONCLUSIVE
+    assert judgement.sidak_quantile(1) == pytest.approx(3.0, abs=1e-9)
     # Of 121 independent values the largest exceeds it as rarely as one exceeds three: to 0.0027 +- 3 sqrt(0.0027 / n).
     draws = np.abs(np.random.default_rng(1).standard_normal((20_000, 121))).max(axis=1)
     rare = 2 * 0.001349898
-    assert np.mean(draws > judgement.family(121)) == pytest.approx(rare, abs=3 * np.sqrt(rare / 20_000))
+    assert np.mean(draws > judgement.sidak_quantile(121)) == pytest.approx(rare, abs=3 * np.sqrt(rare / 20_000))
 
 
 def test_no_effect_is_inconclusive_where_chance_alone_would_hide_one() -> None:
-    assert judgement.flat("amplitude_jitter", 1.0)(curves(lambda p, snr: 100.0), "physical").verdict == UNTOLD
+    assert judgement.flat("amplitude_jitter", 1.0)(curves(lambda p, snr: 100.0), "physical").verdict == INCONCLUSIVE
 
 
 def test_the_lateral_theory_is_the_mean_motion_under_the_squared_beam() -> None:
@@ -115,7 +115,7 @@ def test_the_lateral_theory_is_the_mean_motion_under_the_squared_beam() -> None:
 def test_a_map_is_read_between_its_points_linearly_in_the_logarithms() -> None:
     x = np.geomspace(0.1, 10, 11)
     values = 2 * np.log(x)[None, :] + 3 * np.log(x)[:, None] + 1
-    assert judgement.at_point(x, x, values, 2.19) == pytest.approx(5 * np.log(2.19) + 1, rel=1e-12)
+    assert claim_judges.at_width_ratio(x, x, values) == pytest.approx([5 * np.log(2.19) + 1], rel=1e-12)
 
 
 def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:
@@ -127,10 +127,10 @@ def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:
 
     study = result({"W_z": [0.2, 0.4, 1.0], "W_x": w, "W_y": w}, values)
     assert claim_judges.differences_fall(study, "physical").verdict == AGREES
-    first, last = claim_judges.difference_at(0, 0.3, and_more=True), claim_judges.difference_at(-1, 0.3)
+    first, last = claim_judges.difference_at(0, 0.3, or_more=True), claim_judges.difference_at(-1, 0.3)
     assert first(study, "physical").verdict == AGREES  # "up to and above"
     assert last(study, "physical").verdict == DIFFERS
-    assert last(study, "physical").found == "at most 0.100 at W_z = 1, 0.096 to 0.104 with selection"
+    assert last(study, "physical").finding == "largest 0.100 at W_z = 1, true value between 0.096 and 0.104"
 
 
 def test_every_reading_is_judged_by_its_own_rows_and_what_was_not_run_says_so() -> None:
@@ -139,8 +139,8 @@ def test_every_reading_is_judged_by_its_own_rows_and_what_was_not_run_says_so() 
     )
     rows = {row["the paper"]: row for row in reproduction.rows({"fig-4": study})}
     assert rows["error at high SNR 18.5 %"]["verdict, physical"] == AGREES
-    assert rows["error at high SNR 18.5 %"]["verdict, literal"] == ABSENT
-    assert rows["phase jitter decreases as N_c increases"]["verdict, physical"] == ABSENT
+    assert rows["error at high SNR 18.5 %"]["verdict, literal"] == NOT_RUN
+    assert rows["phase jitter decreases as N_c increases"]["verdict, physical"] == NOT_RUN
     assert not any(row["why"] for row in rows.values() if row["verdict, physical"] == AGREES)
 
 
@@ -149,7 +149,7 @@ def test_a_miss_is_shown_with_its_reason() -> None:
     row = reproduction.rows({"fig-4": study})[0]
     assert row["verdict, physical"] == DIFFERS
     assert row["physical"] == "11.00 ± 0.10 %"
-    assert row["why"].startswith("physical: scatterers at their own depths")
+    assert row["why"].startswith("physical: scatterers at different depths")
 
 
 def test_every_statement_asks_for_a_study_that_is_shipped() -> None:
