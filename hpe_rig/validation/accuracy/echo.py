@@ -1,22 +1,25 @@
-"""Work-precision of the echo engine: relative error against run time, every evaluation, scenes small to large."""
+"""Error against run time of the echo engine: every evaluation, from small scenes to large ones.
+
+A scene has scatterers in Table I's volume, so that their density grows with their number, and echoes of Table I's pulse
+from motion of 1 um with 20 pulses per cycle. Errors are relative to the direct double sum.
+"""
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray, IndexArray
-from hpe_rig.result import csv_text, label_decades, mark
+from hpe_rig.arrays import FloatArray
+from hpe_rig.result import label_decades, mark
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.validation.accuracy.work_precision import file_mistakes
+from hpe_rig.validation.accuracy.work_precision import MIN_DRAWN_ERROR, file_mistakes, write_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,40 +30,43 @@ if TYPE_CHECKING:
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000)
 ECHOES = (10, 100, 1_000, 10_000)
+DRAWN_TOLERANCE = 1e-8
+"""Tolerance of the panels that show run time over the size of the scene."""
 
 _SAMPLES = 130
 _SAMPLE_PERIOD_S = 1e-8
+_CARRIER_HZ = 9.0e6
 _SOUND_SPEED_M_PER_S = 1540.0
 _AMPLITUDE_M = 1e-6
-_CHECKED_ECHOES = 6
-# Rough seconds a scatterer and echo, to know what to leave out before it is run.
+_COMPARED_ECHOES = 6
+# Approximate run time per scatterer and echo, s: evaluations that would take too long are omitted.
 _DIRECT_PAIR_S, _EXACT_PAIR_S = 6e-6, 2.5e-7
-CHOSEN = "engine"
-"""Among the evaluations: whichever the engine takes where it is only told the tolerance."""
+ENGINE = "engine"
+"""Evaluation selected by the engine for the tolerance."""
 REFERENCE = "direct"
-"""Among the evaluations: the double sum as written, which the engine never takes."""
+"""The double sum as written, which the engine never selects."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One evaluation of one scene."""
+    """Error and run time of one evaluation of one scene."""
 
     scatterers: int
     echoes: int
     samples: int
     evaluation: str
-    """By name, or ``engine``: the one it takes."""
+    """Name of the method, or ``engine`` if the engine selected it."""
     method: str
-    """What was run."""
+    """Method that was run."""
     tolerance: float
     terms: int
     """Terms of the series; 0 for an exact sum."""
     error: float
-    """Rms difference from the direct sum over its rms, in up to 6 of the echoes."""
+    """Root mean square difference from the direct sum, relative to it, in up to 6 of the echoes."""
     time_s: float
-    """Median."""
+    """Median wall time."""
     displacement_error_m: float
-    """What that error is as motion: error times c / (4 pi f)."""
+    """``error`` as displacement: error times c / (4 pi f)."""
     cores: int
 
 
@@ -71,10 +77,7 @@ def measurements(
     longest_s: float = 5.0,
     seed: int = 0,
 ) -> Iterator[Measurement]:
-    """Yield every evaluation of every scene that is expected to take at most ``longest_s``.
-
-    Scene: Table I's pulse, gate and 1 um of 20 pulses a cycle; the density of its scatterers grows with their number.
-    """
+    """Yield every evaluation of every scene that is expected to take at most ``longest_s``."""
     for count in scatterers:
         for echo_count in echoes:
             yield from _of_scene(count, echo_count, tolerances, longest_s, seed)
@@ -83,62 +86,58 @@ def measurements(
 def _of_scene(
     count: int, echoes: int, tolerances: tuple[float, ...], longest_s: float, seed: int
 ) -> Iterator[Measurement]:
-    from sim_backend.echoes import direct_sum, method_times_s, synthesise
+    from sim_backend.echoes import direct_sum, method_times_s, running_sum, synthesise
 
     delays, weight, pulse, gate_s = _scene(count, echoes, seed)
-    checked = np.unique(np.linspace(0, echoes - 1, _CHECKED_ECHOES).astype(int))
-    exact = _reference(delays, weight, pulse, gate_s, checked)
-    most_s, cores = min(0.3, longest_s / 10), os.cpu_count() or 1
+    compared = np.unique(np.linspace(0, echoes - 1, _COMPARED_ECHOES).astype(int))
+    compared_delay_s = delays.rest_s + delays.amplitude_s[compared] @ delays.shape
+    # The running sum is exact too: it equals the direct sum to 1e-13 and is faster for many scatterers.
+    exact_sum = direct_sum if count <= 10_000 else running_sum
+    exact = exact_sum(compared_delay_s, weight, pulse, gate_s)
+    repeated_s, cores = min(0.3, longest_s / 10), os.cpu_count() or 1
 
     def row(name: str, method: str, tolerance: float, terms: int, echo: FloatArray, time_s: float) -> Measurement:
-        error = float(np.sqrt(np.mean(np.square(echo[checked] - exact)) / np.mean(np.square(exact))))
-        moved_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6))
-        return Measurement(count, echoes, _SAMPLES, name, method, tolerance, terms, error, time_s, moved_m, cores)
+        error = float(np.sqrt(np.mean(np.square(echo[compared] - exact)) / np.mean(np.square(exact))))
+        error_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * _CARRIER_HZ))
+        return Measurement(count, echoes, _SAMPLES, name, method, tolerance, terms, error, time_s, error_m, cores)
 
     def measured(method: Method | None, tolerance: float) -> Measurement:
-        made = synthesise(delays, weight, pulse, gate_s, tolerance, method)
-        time_s = median_s(lambda: synthesise(delays, weight, pulse, gate_s, tolerance, method), most_s)
-        return row(method or CHOSEN, made.method, tolerance, made.terms, made.echo, time_s)
+        result = synthesise(delays, weight, pulse, gate_s, tolerance, method)
+        time_s = median_s(lambda: synthesise(delays, weight, pulse, gate_s, tolerance, method), repeated_s)
+        return row(method or ENGINE, result.method, tolerance, result.terms, result.echo, time_s)
 
     if count * echoes * _DIRECT_PAIR_S <= longest_s:
         delay_s = delays.delay_s()
-        time_s = median_s(lambda: direct_sum(delay_s, weight, pulse, gate_s), most_s)
+        time_s = median_s(lambda: direct_sum(delay_s, weight, pulse, gate_s), repeated_s)
         yield row(REFERENCE, REFERENCE, 0.0, 0, direct_sum(delay_s, weight, pulse, gate_s), time_s)
     if count * echoes * _EXACT_PAIR_S <= longest_s:
         yield measured("running_sum", 0.0)
     for tolerance in tolerances:
         times_s = method_times_s(delays, pulse, gate_s, tolerance)
         for method, time_s in times_s.items():
+            # The running sum does not depend on the tolerance and was measured above.
             if method != "running_sum" and time_s <= longest_s:
                 yield measured(method, tolerance)
         if min(times_s.values()) <= longest_s:
             yield measured(None, tolerance)
 
 
-def share_chosen_well(rows: list[Measurement], factor: float = 2.0) -> tuple[int, int]:
-    """Return in how many cases the engine's choice took at most ``factor`` of the fastest evaluation's time, of all."""
-    chosen = [row for row in rows if row.evaluation == CHOSEN]
-    well = 0
-    for row in chosen:
-        rivals = [
-            other.time_s
-            for other in rows
-            if (other.scatterers, other.echoes) == (row.scatterers, row.echoes)
-            and other.tolerance in (0.0, row.tolerance)
+def count_good_choices(rows: list[Measurement], factor: float = 2.0) -> tuple[int, int]:
+    """Return the number of cases in which the engine takes at most ``factor`` of the shortest time, and of all cases.
+
+    The shortest time is that of all evaluations of the same scene which keep the tolerance.
+    """
+    engine_rows = [row for row in rows if row.evaluation == ENGINE]
+    good = 0
+    for row in engine_rows:
+        times_s = [
+            competitor.time_s
+            for competitor in rows
+            if (competitor.scatterers, competitor.echoes) == (row.scatterers, row.echoes)
+            and competitor.tolerance in (0.0, row.tolerance)
         ]
-        well += row.time_s <= factor * min(rivals)
-    return well, len(chosen)
-
-
-def _reference(
-    delays: EchoDelays, weight: FloatArray, pulse: Pulse, gate_s: FloatArray, checked: IndexArray
-) -> FloatArray:
-    """Return the direct sum, or where that is too long the exact running sum, which equals it to 1e-13."""
-    from sim_backend.echoes import direct_sum, running_sum
-
-    delay_s = delays.rest_s + delays.amplitude_s[checked] @ delays.shape
-    exact = direct_sum if len(weight) <= 10_000 else running_sum
-    return exact(delay_s, weight, pulse, gate_s)
+        good += row.time_s <= factor * min(times_s)
+    return good, len(engine_rows)
 
 
 def _scene(count: int, echoes: int, seed: int) -> tuple[EchoDelays, FloatArray, Pulse, FloatArray]:
@@ -146,25 +145,25 @@ def _scene(count: int, echoes: int, seed: int) -> tuple[EchoDelays, FloatArray, 
     from sim_backend.settings import Beams, Scatterers
 
     scatterers = Scatterers()
-    place = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)) * np.array(scatterers.volume_m)
-    field = field_at(place, Beams())
+    position_m = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)) * np.array(scatterers.volume_m)
+    field = field_at(position_m, Beams())
     displacement_m = _AMPLITUDE_M * np.sin(2 * np.pi * np.arange(echoes) / 20 + 0.1)
     gate_s = np.asarray((np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * _SAMPLE_PERIOD_S, dtype=np.float64)
     rest_s = depth_delay_s(field, scatterers.axial_delay, _SOUND_SPEED_M_PER_S)
     amplitude_s = displacement_m[:, None] * (2 / _SOUND_SPEED_M_PER_S)
     delays = EchoDelays(rest_s, field.motion_weight[None], amplitude_s)
-    return delays, field.tracking_weight, hann_pulse(9.0e6, scatterers.bandwidth), gate_s
+    return delays, field.tracking_weight, hann_pulse(_CARRIER_HZ, scatterers.bandwidth), gate_s
 
 
-def median_s(run: Callable[[], object], most_s: float) -> float:
-    """Return the median run time of 1 to 15 runs that together take about ``most_s``, after one that warms up."""
+def median_s(run: Callable[[], object], total_s: float) -> float:
+    """Return the median wall time of 1 to 15 runs that together take about ``total_s``, after an untimed run."""
     run()
-    taken: list[float] = []
-    while len(taken) < 15 and (not taken or sum(taken) < most_s):
-        begin = time.perf_counter()
+    times_s: list[float] = []
+    while len(times_s) < 15 and (not times_s or sum(times_s) < total_s):
+        start_s = time.perf_counter()
         run()
-        taken.append(time.perf_counter() - begin)
-    return statistics.median(taken)
+        times_s.append(time.perf_counter() - start_s)
+    return statistics.median(times_s)
 
 
 def write_accuracy(
@@ -175,70 +174,48 @@ def write_accuracy(
     longest_s: float,
     show: Callable[[str], None],
 ) -> None:
-    """Measure and write table and figure; without a file for the table ``show`` gets it.
+    """Measure all scenes within the limits and write table and figure; without ``output``, ``show`` gets the table.
 
-    What was measured until an interruption is written. Raises SettingsError with everything that is wrong with the
-    options, before anything is measured.
+    After an interruption the rows measured so far are written. Raises ``SettingsError`` with all mistakes in the
+    options before the first measurement.
     """
-    _refuse_mistakes(output, figure, largest, most_echoes, longest_s)
-    scatterers = tuple(count for count in SCATTERERS if count <= largest)
-    echoes = tuple(count for count in ECHOES if count <= most_echoes)
-    rows: list[Measurement] = []
-    try:
-        rows.extend(measurements(scatterers, echoes, longest_s=longest_s))
-    finally:
-        if output is not None:
-            output.write_text(as_text(rows, output.suffix), encoding="utf-8")
-            show(f"{output}: {len(rows)} measurements")
-    well, of_all = share_chosen_well(rows)
-    if output is None:
-        show(as_text(rows, ".csv").rstrip())
-    else:
-        show(f"the engine's choice took at most twice the fastest evaluation's time in {well} of {of_all} cases")
-    if figure is not None:
-        write_figure(rows, figure)
-        show(f"{figure}")
-
-
-def _refuse_mistakes(
-    output: Path | None, figure: Path | None, largest: int, most_echoes: int, longest_s: float
-) -> None:
-    found = file_mistakes(output, figure)
+    mistakes = file_mistakes(output, figure)
     for option, value, least in (("--largest", largest, SCATTERERS[0]), ("--most-echoes", most_echoes, ECHOES[0])):
         if value < least:
-            found.append(Mistake(option, f"{value} leaves no scene to measure", f"{least} or more"))
+            mistakes.append(Mistake(option, f"{value} is below the smallest scene", f"{least} or more"))
     if not longest_s > 0:
-        found.append(Mistake("--longest-s", f"{longest_s} s leaves nothing to measure", "a time above 0"))
-    if found:
-        raise SettingsError("accuracy echo", found)
+        mistakes.append(Mistake("--longest-s", f"{longest_s} s excludes every evaluation", "a time above 0"))
+    if mistakes:
+        raise SettingsError("accuracy echo", mistakes)
+    rows = write_rows(rows_within(largest, most_echoes, longest_s), output, figure, write_figure, show)
+    if output is not None:
+        good, total = count_good_choices(rows)
+        show(f"the evaluation selected by the engine takes at most twice the shortest time in {good} of {total} cases")
 
 
-def as_text(rows: list[Measurement], suffix: str) -> str:
-    """Return the table as ``.csv`` or ``.json``; raises ValueError for another suffix."""
-    if suffix == ".json":
-        return json.dumps([asdict(row) for row in rows], indent=1) + "\n"
-    if suffix != ".csv":
-        raise ValueError(f"{suffix!r} is no table format here: end the file's name in .csv or .json")
-    return csv_text(rows)
+def rows_within(largest: int, most_echoes: int, longest_s: float) -> Iterator[Measurement]:
+    """Yield every evaluation of the scenes with at most ``largest`` scatterers and ``most_echoes`` echoes."""
+    scatterers = tuple(count for count in SCATTERERS if count <= largest)
+    echoes = tuple(count for count in ECHOES if count <= most_echoes)
+    return measurements(scatterers, echoes, longest_s=longest_s)
 
 
 def write_figure(rows: list[Measurement], path: Path) -> None:
-    """Write error against run time, a panel a number of scatterers, and the engine's run time against both numbers."""
+    """Draw error against run time, one panel per number of scatterers, and the engine's run time against both sizes."""
     from matplotlib.figure import Figure
 
     counts = sorted({row.scatterers for row in rows})
     figure = Figure(figsize=(max(7.0, 3.2 * len(counts)), 7.2), layout="constrained")
-    (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
-    panels = above.subplots(1, len(counts), sharey=True, squeeze=False)[0]
+    (upper,), (lower,) = figure.subfigures(2, 1, squeeze=False)
+    panels = upper.subplots(1, len(counts), sharey=True, squeeze=False)[0]
     for panel, count in zip(panels, counts, strict=True):
-        _draw_work([row for row in rows if row.scatterers == count], panel)
+        _draw_errors([row for row in rows if row.scatterers == count], panel)
         panel.set(xscale="log", yscale="log", xlabel="run time (s)", title=f"{count:.0e} scatterers")
     panels[0].set_ylabel("relative rms error")
-    above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
-    for panel, (along, other) in zip(
-        below.subplots(1, 2, sharey=True), (("scatterers", "echoes"), ("echoes", "scatterers")), strict=True
-    ):
-        _draw_cost(rows, panel, along, other)
+    upper.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    left, right = lower.subplots(1, 2, sharey=True)
+    _draw_times(rows, left, "scatterers", "echoes")
+    _draw_times(rows, right, "echoes", "scatterers")
     for panel in figure.get_axes():
         panel.grid(alpha=0.3)
         label_decades(panel.xaxis)
@@ -248,26 +225,31 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
     figure.savefig(path)
 
 
-def _draw_work(rows: list[Measurement], panel: Axes) -> None:
-    echoes = sorted({row.echoes for row in rows})
-    for kind_place, kind in enumerate(("direct", "running_sum", "series")):
-        marker, colour = mark(kind_place)
-        for place, echo_count in enumerate(echoes):
-            some = [row for row in rows if (row.evaluation, row.echoes) == (kind, echo_count)]
-            shade, label = 0.35 + 0.65 * (place + 1) / len(echoes), kind if place == 0 else None
-            times, errors = [row.time_s for row in some], [max(row.error, 1e-17) for row in some]
-            panel.plot(times, errors, marker=marker, color=colour, alpha=shade, ms=4, lw=0.8, label=label)
-    chosen = [row for row in rows if row.evaluation == CHOSEN]
-    times, errors = [row.time_s for row in chosen], [max(row.error, 1e-17) for row in chosen]
-    panel.plot(times, errors, "k.", ms=3, label="the engine's choice")
+def _draw_errors(rows: list[Measurement], panel: Axes) -> None:
+    """Draw error against run time of every method; more echoes are darker."""
+    echo_counts = sorted({row.echoes for row in rows})
+    for method_index, method in enumerate((REFERENCE, "running_sum", "series")):
+        marker, colour = mark(method_index)
+        for count_index, count in enumerate(echo_counts):
+            points = _points(row for row in rows if (row.evaluation, row.echoes) == (method, count))
+            alpha, label = 0.35 + 0.65 * (count_index + 1) / len(echo_counts), method if count_index == 0 else None
+            panel.plot(*points, marker=marker, color=colour, alpha=alpha, ms=4, lw=0.8, label=label)
+    panel.plot(*_points(row for row in rows if row.evaluation == ENGINE), "k.", ms=3, label="the engine's choice")
 
 
-def _draw_cost(rows: list[Measurement], panel: Axes, along: str, other: str) -> None:
-    tolerance = 1e-8
-    some = [row for row in rows if row.evaluation == CHOSEN and row.tolerance == tolerance]
-    for value in sorted({getattr(row, other) for row in some}):
-        line = sorted((getattr(row, along), row.time_s) for row in some if getattr(row, other) == value)
-        panel.plot(*zip(*line, strict=True), marker="o", ms=4, lw=0.8, label=f"{value:.0e} {other}")
-    panel.set(xscale="log", yscale="log", xlabel=along, ylabel="run time (s)", title=f"The engine at {tolerance:g}")
-    if some:
+def _points(rows: Iterable[Measurement]) -> tuple[list[float], list[float]]:
+    """Return run times and errors."""
+    pairs = [(row.time_s, max(row.error, MIN_DRAWN_ERROR)) for row in rows]
+    return [time_s for time_s, _ in pairs], [error for _, error in pairs]
+
+
+def _draw_times(rows: list[Measurement], panel: Axes, x_name: str, curve_name: str) -> None:
+    """Draw the engine's run time over the field ``x_name``, one curve per value of the field ``curve_name``."""
+    engine_rows = [row for row in rows if row.evaluation == ENGINE and row.tolerance == DRAWN_TOLERANCE]
+    for value in sorted({getattr(row, curve_name) for row in engine_rows}):
+        curve = sorted((getattr(row, x_name), row.time_s) for row in engine_rows if getattr(row, curve_name) == value)
+        panel.plot(*zip(*curve, strict=True), marker="o", ms=4, lw=0.8, label=f"{value:.0e} {curve_name}")
+    title = f"The engine at tolerance {DRAWN_TOLERANCE:g}"
+    panel.set(xscale="log", yscale="log", xlabel=x_name, ylabel="run time (s)", title=title)
+    if engine_rows:
         panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.1), ncols=3, frameon=False, fontsize=7)

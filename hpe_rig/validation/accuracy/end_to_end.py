@@ -36,7 +36,7 @@ PULSE_RATE_HZ, FIRST_PULSE_S, WINDOW_START_S = 3990.0, 130e-6, 50e-3
 FORCE_N_PER_M3, SNR_DB = 5.0e6, 40.0
 CARRIER_HZ, SAMPLE_RATE_HZ = 9e6, 100e6
 NUMERICAL_DRAWS = 16
-"""Draws of scatterers from which the numerical error is computed."""
+"""Draws of scatterers for the numerical error."""
 EXACT_TOLERANCE = 1e-12
 MAX_REPEATED = 10
 """Up to this number of realisations the minimum of three run times is reported."""
@@ -290,7 +290,7 @@ def _gate_s(variant: Variant) -> FloatArray:
 
 
 def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
-    """Draw the error of every variant over run time, and beside it the numerical error over tolerance and nodes."""
+    """Draw the error of every variant over run time, and the numerical error over tolerance and nodes."""
     figure = Figure(figsize=(11, 4.8))
     total, numerical = figure.subplots(1, 2, width_ratios=[3, 2])
     figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.8, wspace=0.18)
@@ -361,4 +361,4 @@ def _legend_above(axes: Axes, title: str, columns: int) -> None:
 def _star(axes: Axes, points: Sequence[tuple[float, float]]) -> None:
     if points:
         times_s, errors = zip(*points, strict=True)
-        axes.plot(times_s, errors, "*", label="shipped default", ms=15, mfc="none", mec="k", mew=1.3, zorder=5)
+        axes.plot(times_s, errors, "*", label="default settings", ms=15, mfc="none", mec="k", mew=1.3, zorder=5)

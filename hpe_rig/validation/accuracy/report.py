@@ -1,4 +1,4 @@
-"""Reports of ``hpe-rig accuracy``: table and figure of one part, or one page of them all."""
+"""Tables and figures of the accuracy studies, one study at a time or all on one page."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from hpe_rig.validation.accuracy.end_to_end import (
     rows as end_to_end_rows,
     variants,
 )
-from hpe_rig.validation.accuracy.extremes import Extreme, extremes
+from hpe_rig.validation.accuracy.extremes import extremes
 from hpe_rig.validation.accuracy.work_precision import Point, draw_points, grouped, points_text, write_rows
 
 Row = TypeVar("Row")
-Step = Callable[[int, int, str], None]
-"""What is told (parts done, of how many, doing what)."""
+ReportStep = Callable[[int, int, str], None]
+"""Called with the number of completed studies, of all studies, and the name of the present one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is tried: sizes of the echo engine's scenes, draws a case of the estimators; by default a minute's."""
+    """Largest scenes of the echo engine and draws per case of the estimators; the defaults take about a minute."""
 
     largest: int = 100_000
     most_echoes: int = 1_000
@@ -49,19 +49,22 @@ class Effort:
 
     @property
     def realisations(self) -> tuple[int, ...]:
-        """Realisations end to end."""
-        most = 10 * self.draws
-        return (*(count for count in (1, 10, 100) if count < most), most)
+        """Numbers of realisations of the end-to-end study, ascending."""
+        largest = 10 * self.draws
+        return (*(count for count in (1, 10, 100) if count < largest), largest)
 
 
 FULL = Effort(1_000_000, 10_000, 5.0, 100)
-"""Minutes: every size that the engine is made for."""
+"""All sizes that the engine supports; takes minutes."""
 
 
 def write_accuracy(
     part: str, output: Path | None, figure: Path | None, effort: Effort, show: Callable[[str], None]
 ) -> None:
-    """Run one accuracy study and write or show its table; raises ``SettingsError`` before anything is measured."""
+    """Run one accuracy study and write or show its table.
+
+    Raises ``SettingsError`` for mistakes in the arguments before the first measurement.
+    """
     if part == "echo":
         accuracy_echo.write_accuracy(output, figure, effort.largest, effort.most_echoes, effort.longest_s, show)
     elif part == "motion":
@@ -72,7 +75,7 @@ def write_accuracy(
         points = {"specimen": accuracy_specimen, "chain": accuracy_chain}[part].points()
         write_rows(points, output, figure, draw_points, show, points_text)
     else:
-        mistake = Mistake("PART", f"{part} is no part", "echo, motion, harmonic, specimen or chain")
+        mistake = Mistake("PART", f"there is no part {part}", "echo, motion, harmonic, specimen or chain")
         raise SettingsError("command line", [mistake])
 
 
@@ -80,208 +83,205 @@ def write_accuracy_report(
     path: Path,
     figure: Path | None,
     effort: Effort,
-    tell: Callable[[str], None],
-    step: Step = lambda done, total, doing: None,
+    announce: Callable[[str], None],
+    report_step: ReportStep = lambda done, total, name: None,
 ) -> None:
-    """Run every accuracy study and write the report, part by part; raises ``SettingsError`` where it cannot.
+    """Run every accuracy study and write the page, anew after each study.
 
-    ``step`` hears of every row, ``tell`` of every part.
+    ``report_step`` is called after every row, ``announce`` after every study. Raises ``SettingsError`` for mistakes in
+    the arguments before the first measurement.
     """
-    refuse(path, figure, effort)
-    parts: list[PageSection] = []
-    seconds: dict[str, float] = {}
+    _check_options(path, figure, effort)
+    sections: list[PageSection] = []
+    times_s: dict[str, float] = {}
     medium: list[Point] = []
 
-    def watched(rows: Iterable[Row]) -> Iterator[Row]:
+    def reporting(rows: Iterable[Row]) -> Iterator[Row]:
         for count, row in enumerate(rows, 1):
             yield row
-            step(len(seconds), len(studies), f"{name}, {count} tried")
+            report_step(len(times_s), len(studies), f"{name}, {count} measured")
 
+    def medium_section() -> PageSection:
+        # The points of the medium are also cases of the stiff and extreme study.
+        medium.extend(reporting(accuracy_specimen.points()))
+        return points_section("specimen", "Medium: response to a burst train", medium)
+
+    sizes = effort.largest, effort.most_echoes, effort.longest_s
     studies: dict[str, Callable[[], PageSection]] = {
-        "end to end": lambda: end_to_end_part(end_to_end_rows(effort.realisations, watched(variants()))),
-        "specimen": lambda: specimen_part(medium, list(watched(accuracy_specimen.points()))),
-        "stiff and extreme": lambda: extremes_part(list(watched(extremes(medium)))),
-        "echo": lambda: echo_part(list(watched(echo_rows(effort)))),
-        "chain": lambda: chain_part(list(watched(accuracy_chain.points()))),
-        "motion": lambda: motion_part(list(watched(accuracy_motion.rows(draws=effort.draws))), effort.draws),
-        "harmonic": lambda: harmonic_part(list(watched(accuracy_harmonic.rows()))),
+        "end to end": lambda: end_to_end_section(end_to_end_rows(effort.realisations, reporting(variants()))),
+        "specimen": medium_section,
+        "stiff and extreme": lambda: _extremes_section(list(reporting(extremes(medium)))),
+        "echo": lambda: _echo_section(list(reporting(accuracy_echo.rows_within(*sizes)))),
+        "chain": lambda: points_section(
+            "chain", "Receive chain: truncation and oversampling", list(reporting(accuracy_chain.points()))
+        ),
+        "motion": lambda: _motion_section(list(reporting(accuracy_motion.rows(draws=effort.draws))), effort.draws),
+        "harmonic": lambda: _harmonic_section(list(reporting(accuracy_harmonic.rows()))),
     }
     for name, study in studies.items():
         start_s = time.perf_counter()
-        step(len(seconds), len(studies), name)
+        report_step(len(times_s), len(studies), name)
         try:
-            parts.append(study())
+            sections.append(study())
         except KeyboardInterrupt as interrupt:
-            interrupt.add_note(f"{path} holds the parts before {name}" if parts else "no part was finished")
+            interrupt.add_note(f"{path} holds the parts before {name}" if sections else "no part was finished")
             raise
-        seconds[name] = time.perf_counter() - start_s
-        told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
-        # After every part, so that an interruption costs that part alone.
-        facts = {**versions(), "seconds by part": told}
-        write_text(path, render_sections("Error against run time", lead(parts[0].tables[0]), parts, facts))
-        tell(f"{name}: {seconds[name]:.1f} s, in {path}")
-    tell(f"{path}: open it in any browser")
+        times_s[name] = time.perf_counter() - start_s
+        # The page is written after every study, so that an interruption loses one study only.
+        facts = {**versions(), "seconds by part": ", ".join(f"{key} {value:.0f}" for key, value in times_s.items())}
+        introduction = lead(sections[0].tables[0])
+        write_text(path, render_sections("Error against run time", introduction, sections, facts))
+        announce(f"{name}: {times_s[name]:.1f} s, in {path}")
+    announce(f"{path}: open it in any browser")
 
 
-def refuse(path: Path, figure: Path | None, effort: Effort) -> None:
-    """Raise ``SettingsError`` with every mistake of the command line, before the minutes are spent."""
+def _check_options(path: Path, figure: Path | None, effort: Effort) -> None:
+    """Raise ``SettingsError`` with every mistake in the options."""
     mistakes = []
     if path.suffix not in (".html", ".htm"):
-        mistakes.append(Mistake("--output", f"{path.suffix!r} is no format of the report", "a name that ends in .html"))
+        mistakes.append(
+            Mistake("--output", f"the report cannot be a {path.suffix!r} file", "a name that ends in .html")
+        )
     elif why := unwritable(path):
-        mistakes.append(Mistake("--output", f"{path} cannot be written ({why})", "a folder that exists, another name"))
+        mistakes.append(Mistake("--output", f"{path} cannot be written ({why})", "an existing folder, or another name"))
     if figure is not None:
-        mistakes.append(Mistake("--figure", "the report has a figure of every part inside", "a PART beside it"))
+        mistakes.append(Mistake("--figure", "the report already holds a figure of every part", "--figure with a PART"))
     if not (effort.largest >= 100 and effort.most_echoes >= 10):
-        mistakes.append(Mistake("--largest, --most-echoes", "no scene is that small", "100 or more, and 10 or more"))
+        mistakes.append(Mistake("--largest, --most-echoes", "below the smallest scene", "100 or more, and 10 or more"))
     if mistakes:
         raise SettingsError("command line", mistakes)
 
 
 def lead(end_to_end: PageTable) -> list[str]:
-    """Return what matters most: how far the shipped default is from the front."""
+    """Return the introduction of the page: the error of the default settings by number of realisations."""
     shipped = [row for row in end_to_end.rows if row["shipped"]]
-    each = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
+    errors = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
     return [
-        f"Shipped default, error of the final amplitude by number of realisations: {'; '.join(each)}.",
-        f"Tolerance and nodes contribute {shipped[0]['numerical_error']:.1g}; the rest is scatterers and noise. Below: "
-        "every way the twin and the estimators can work, with how wrong and how long: times on one core of this "
-        "machine (processor time end to end, else wall time), errors against exact references.",
+        "Root mean square error of the final amplitude with default settings, by number of realisations: "
+        f"{'; '.join(errors)}.",
+        f"Echo tolerance and contour nodes contribute {shipped[0]['numerical_error']:.1g}, scatterers and noise the "
+        "remainder. The sections below compare all methods and settings of the twin and of the estimators by error and "
+        "run time. Times are for one core of this machine: processor time end to end, else wall time. Errors are "
+        "relative to exact references.",
     ]
 
 
-def end_to_end_part(rows: Sequence[EndToEnd]) -> PageSection:
+def end_to_end_section(rows: Sequence[EndToEnd]) -> PageSection:
     """Return the end-to-end section."""
-    front = [row for row in rows if row.on_front]
-    alt = "; ".join(
-        f"{row.estimator}, {row.realisations} realisations: {row.error:.1e} in {row.time_s:.2g} s" for row in front
+    front = "; ".join(
+        f"{row.estimator}, {row.realisations} realisations: {row.error:.1e} in {row.time_s:.2g} s"
+        for row in rows
+        if row.on_front
     )
-    words = (
-        "From tonebursts through medium, echoes and noise (40 dB) to the mean amplitude at 200 Hz over its beam "
-        "averaging, against the steady state in closed form. Error: bias and standard error together, rms; "
-        f"the bias is known to its own uncertainty, from {max(row.realisations for row in rows)} realisations.",
-        "The bias of cross_spectrum, the paper's chain, is its Hann window's: pulses at 3990 Hz alias what moves at "
-        "3.8 kHz onto 190 Hz, of which the window lets half into 200 Hz.",
-        _bought(rows),
+    paragraphs = (
+        "Tonebursts, medium, echoes and noise (SNR 40 dB) to the mean amplitude at 200 Hz, corrected for beam "
+        "averaging and compared with the steady state in closed form. The error combines bias and standard error. The bias is "
+        f"estimated from {max(row.realisations for row in rows)} realisations and has their uncertainty.",
+        "The bias of cross_spectrum, the paper's chain, is due to its Hann window: pulses at 3990 Hz alias motion at "
+        "3.8 kHz onto 190 Hz, and the window passes half of it into 200 Hz.",
+        _default_settings_text(rows),
     )
-    title = "Error of the final amplitude against seconds"
-    caption = "End to end: errors relative to the true amplitude; on front: nothing else is as good in less time."
-    return _part("end-to-end", "End to end", rows, draw_end_to_end, title, f"Front: {alt}.", caption, words)
+    title = "Error of the final amplitude against run time"
+    caption = "End to end: errors relative to the true amplitude. On front: no row is better in both time and error."
+    alt = f"Pareto front: {front}."
+    return _section("end-to-end", "End to end", rows, draw_end_to_end, title, alt, caption, paragraphs)
 
 
-def _bought(rows: Sequence[EndToEnd]) -> str:
-    """Return what the shipped default buys where others are as right in less time."""
+def _default_settings_text(rows: Sequence[EndToEnd]) -> str:
+    """State which variants reach the error of the default settings in less run time, and the benefit of the latter."""
     shipped = max((row for row in rows if row.shipped), key=lambda row: row.realisations)
-    each = "; ".join(
-        f"{_changed(row, shipped)} in {100 * share:.0f} % of its time, numerical error "
-        f"{row.numerical_error:.1g} in place of {shipped.numerical_error:.1g}"
-        for row, share in faster_than_shipped(rows)
+    faster = "; ".join(
+        f"{_changed_settings(row, shipped)} in {100 * relative_time:.0f} % of the time, numerical error "
+        f"{row.numerical_error:.1g} instead of {shipped.numerical_error:.1g}"
+        for row, relative_time in faster_than_shipped(rows)
     )
-    if not each:
-        return "Nothing is as right as the shipped default in less time, beyond what times and draws leave open."
+    if not faster:
+        return (
+            "No variant reaches the error of the default settings in less run time. Differences of less than 10 % in "
+            "time, or within the Monte Carlo uncertainty of the errors, do not count."
+        )
     return (
-        f"As right as the shipped default in less time, within chance: {each}. What it buys instead: an estimator with "
-        "the least noise at any SNR that follows motion of many wavelengths, and echoes and a medium that are exact "
-        "next to any noise, whatever is measured on them."
+        "These variants reach the error of the default settings in less run time, within the Monte Carlo uncertainty: "
+        f"{faster}. The default settings have other benefits: their estimator has the lowest noise at any SNR and "
+        "tracks motion of many wavelengths, and the numerical errors of echoes and medium are far below any noise."
     )
 
 
-def _changed(row: EndToEnd, shipped: EndToEnd) -> str:
-    """Return the settings of ``row`` that are not the shipped ones."""
-    both = zip(_settings(row), _settings(shipped), strict=True)
-    return ", ".join(own for own, other in both if own != other)
-
-
-def _settings(row: EndToEnd) -> tuple[str, ...]:
-    numbers = f"tolerance {row.tolerance:g}", f"{row.nodes} nodes", f"{row.degrees} degrees"
-    return row.estimator, f"gate of {1e3 * row.gate_length_m:g} mm", *numbers
-
-
-def specimen_part(found: list[Point], points: Sequence[Point]) -> PageSection:
-    """Return the medium's section; its ``points`` are added to ``found``."""
-    found += points
-    return _points_part("specimen", "Medium: response to a burst train", found)
-
-
-def extremes_part(cases: Sequence[Extreme]) -> PageSection:
-    """Return the table of stiff and extreme cases."""
-    words = (
-        "Cases chosen to break a method, noise-free, shipped settings; stages whose result is exact in closed form are "
-        "compared with it. A dash: the method gave up.",
+def _changed_settings(row: EndToEnd, shipped: EndToEnd) -> str:
+    """Return the settings of ``row`` that differ from the default ones."""
+    settings, defaults = (
+        (
+            *(item.estimator, f"gate of {1e3 * item.gate_length_m:g} mm", f"tolerance {item.tolerance:g}"),
+            *(f"{item.nodes} nodes", f"{item.degrees} degrees"),
+        )
+        for item in (row, shipped)
     )
-    return PageSection(
-        "stiff", "Stiff and extreme cases", words, (), (page_table("extremes", "Error by case.", cases, folded=False),)
+    return ", ".join(value for value, default in zip(settings, defaults, strict=True) if value != default)
+
+
+def _extremes_section(cases: Sequence[Any]) -> PageSection:
+    paragraphs = (
+        "Cases that challenge each method, noise-free, with default settings. Results are compared with closed forms "
+        "where they exist. A dash: the method failed.",
     )
+    table = page_table("extremes", "Error by case.", cases, folded=False)
+    return PageSection("stiff", "Stiff and extreme cases", paragraphs, (), (table,))
 
 
-def echo_rows(effort: Effort) -> Iterator[accuracy_echo.Measurement]:
-    """Yield every evaluation of the scenes that ``effort`` allows for."""
-    scatterers = tuple(count for count in accuracy_echo.SCATTERERS if count <= effort.largest)
-    echoes = tuple(count for count in accuracy_echo.ECHOES if count <= effort.most_echoes)
-    return accuracy_echo.measurements(scatterers, echoes, longest_s=effort.longest_s)
-
-
-def echo_part(rows: Sequence[accuracy_echo.Measurement]) -> PageSection:
-    """Return the echo engine's section."""
+def _echo_section(rows: Sequence[accuracy_echo.Measurement]) -> PageSection:
     least, most = (bound(row.scatterers for row in rows) for bound in (min, max))
     alt = f"Relative error against run time, {least} to {most} scatterers: the table has the numbers."
     caption = "Echo engine: error relative to the direct sum, every evaluation."
-    title = "Echoes: error against run time"
-    return _part("echo", "Echo engine", rows, accuracy_echo.write_figure, title, alt, caption)
+    draw, title = accuracy_echo.write_figure, "Echoes: error against run time"
+    return _section("echo", "Echo engine", rows, draw, title, alt, caption)
 
 
-def chain_part(points: Sequence[Point]) -> PageSection:
-    """Return the receive chain's section."""
-    return _points_part("chain", "Receive chain: tails and oversampling", points)
+def _motion_section(rows: list[accuracy_motion.MotionRow], draws: int) -> PageSection:
+    ratios = {
+        name: [row.noise_jitter_m / row.bound_m for row in estimator_rows]
+        for name, estimator_rows in grouped(rows, lambda row: row.estimator).items()
+    }
+    alt = "; ".join(f"{name}: {min(ratio):.2f} to {max(ratio):.2f} of the bound" for name, ratio in ratios.items())
+    caption = f"Estimators: the paper's parameters are varied one at a time, with {draws} draws per case."
+    draw, title = accuracy_motion.draw_motion, "Estimators: noise jitter relative to its bound, against run time"
+    return _section("motion", "Echoes to amplitude and phase", rows, draw, title, f"{alt}.", caption)
 
 
-def motion_part(rows: list[accuracy_motion.MotionRow], draws: int) -> PageSection:
-    """Return the section of the estimators of displacement."""
-    alt = "; ".join(_best(rows, name) for name in dict.fromkeys(row.estimator for row in rows))
-    title = "Estimators: noise jitter over its bound against time"
-    caption = f"Estimators, the paper's parameters one at a time, {draws} draws a case."
-    draw = accuracy_motion.draw_motion
-    return _part("motion", "Echoes to amplitude and phase", rows, draw, title, f"{alt}.", caption)
-
-
-def harmonic_part(rows: Sequence[accuracy_harmonic.HarmonicRow]) -> PageSection:
-    """Return the section of the fits."""
+def _harmonic_section(rows: Sequence[accuracy_harmonic.HarmonicRow]) -> PageSection:
     alt = "; ".join(
         f"{row.method}, {row.pulses} pulses: {row.jitter_m / row.bound_m:.2f} in {row.time_s:.2g} s" for row in rows
     )
-    title = "Fits: jitter over its bound against time"
     caption = "Displacement to amplitude and phase, 200 realisations."
-    draw = accuracy_harmonic.draw_harmonic
-    return _part("harmonic", "Displacement to harmonics", rows, draw, title, f"{alt}.", caption)
+    draw, title = accuracy_harmonic.draw_harmonic, "Fits: jitter relative to its bound, against run time"
+    return _section("harmonic", "Displacement to harmonics", rows, draw, title, f"{alt}.", caption)
 
 
-def _points_part(key: str, title: str, points: Sequence[Point]) -> PageSection:
-    known = grouped((point for point in points if not math.isnan(point.error)), lambda point: point.case)
-    best = [min(own, key=lambda point: point.error) for own in known.values()]
+def points_section(key: str, title: str, points: Sequence[Point]) -> PageSection:
+    """Return a section with the lowest error of each case in its description."""
+    cases = grouped((point for point in points if not math.isnan(point.error)), lambda point: point.case)
+    best = [min(case_points, key=lambda point: point.error) for case_points in cases.values()]
     alt = "; ".join(f"{p.case}: {cell_text(p.error)} by {p.method}, {p.setting}" for p in best)
-    drawn = f"{title}: error against run time"
-    return _part(key, title, points, draw_points, drawn, f"Least errors: {alt}.", "Largest error over largest value.")
+    caption = "Largest error relative to the largest value."
+    return _section(
+        key, title, points, draw_points, f"{title}: error against run time", f"Lowest errors: {alt}.", caption
+    )
 
 
-def _part(
+def _section(
     key: str,
     title: str,
     rows: Sequence[Any],
     draw: Callable[[Any, Path], None],
-    drawn: str,
+    picture_title: str,
     alt: str,
     caption: str,
-    words: tuple[str, ...] = (),
+    paragraphs: tuple[str, ...] = (),
 ) -> PageSection:
-    """Return a section with the picture that ``draw`` writes of ``rows``, entitled ``drawn``, and their table."""
+    """Return a section with the picture written by ``draw`` and the table of ``rows``."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "drawn.svg"
+        path = Path(folder) / "picture.svg"
         with rc_context(STYLE):
             draw(rows, path)
-        svg = inline(path.read_text(encoding="utf-8"), key, drawn, alt)
-    return PageSection(f"{key}-part", title, words, (Picture(key, drawn, alt, svg),), (page_table(key, caption, rows),))
-
-
-def _best(rows: Sequence[accuracy_motion.MotionRow], name: str) -> str:
-    own = [row.noise_jitter_m / row.bound_m for row in rows if row.estimator == name]
-    return f"{name}: {min(own):.2f} to {max(own):.2f} of the bound"
+        svg = inline(path.read_text(encoding="utf-8"), key, picture_title, alt)
+    picture, table = Picture(key, picture_title, alt, svg), page_table(key, caption, rows)
+    return PageSection(f"{key}-part", title, paragraphs, (picture,), (table,))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def measured(
 
 
 def grouped(rows: Iterable[Row], key: Callable[[Row], Group]) -> dict[Group, list[Row]]:
-    """Group the rows by ``key`` in the order in which they come."""
+    """Group the rows by ``key``, in their order of appearance."""
     groups: dict[Group, list[Row]] = {}
     for row in rows:
         groups.setdefault(key(row), []).append(row)
@@ -102,14 +102,14 @@ def points_text(points: Sequence[Point]) -> str:
 
 
 def write_rows(
-    rows: Iterable[Any],
+    rows: Iterable[Row],
     output: Path | None,
     figure: Path | None,
-    draw: Callable[[list[Any], Path], None],
+    draw: Callable[[list[Row], Path], None],
     show: Callable[[str], None],
-    as_text: Callable[[list[Any]], str] = csv_text,
-) -> None:
-    """Compute ``rows``; write them to ``output`` and ``figure``, or pass the table ``as_text`` to ``show``.
+    as_text: Callable[[list[Row]], str] = csv_text,
+) -> list[Row]:
+    """Compute and return ``rows``; write them to ``output`` and ``figure``, or pass the table ``as_text`` to ``show``.
 
     After an interruption the rows computed so far are written. Raises ``SettingsError`` for invalid file names before
     the first row.
@@ -117,7 +117,7 @@ def write_rows(
     mistakes = file_mistakes(output, figure)
     if mistakes:
         raise SettingsError("command line", mistakes)
-    computed: list[Any] = []
+    computed: list[Row] = []
     try:
         computed.extend(rows)
     finally:
@@ -130,6 +130,7 @@ def write_rows(
     if figure is not None:
         draw(computed, figure)
         show(f"{figure}: error against run time")
+    return computed
 
 
 def draw_points(points: Sequence[Point], path: Path) -> None:
@@ -154,8 +155,8 @@ def draw_panels(
 ) -> None:
     """Draw one panel per title with the (time, error) points of each method, on logarithmic axes.
 
-    A method has the same mark in every panel, and one legend stands above all panels. ``over_bound``: errors are ratios
-    to a bound; all panels then share the error axis, and a line is drawn at 1.
+    A method has the same mark in every panel, with one legend for all panels. ``over_bound``: errors are ratios to a
+    bound; all panels then share the error axis, and a line is drawn at 1.
     """
     from matplotlib.figure import Figure
 

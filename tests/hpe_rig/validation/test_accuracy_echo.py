@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
-from hpe_rig.validation.accuracy.echo import CHOSEN, Measurement, as_text, measurements, share_chosen_well, write_figure
+from hpe_rig.validation.accuracy.echo import ENGINE, Measurement, count_good_choices, measurements, write_figure
 from hpe_rig.validation.accuracy.work_precision import Point, draw_points, write_rows
 
 
@@ -18,14 +18,14 @@ def rows() -> list[Measurement]:
     return list(measurements((100, 400), (10, 30), (1e-2, 1e-8), longest_s=0.1))
 
 
-def test_every_evaluation_keeps_its_tolerance_and_the_exact_ones_rounding(rows: list[Measurement]) -> None:
-    assert {row.evaluation for row in rows} == {"direct", "running_sum", "series", CHOSEN}
+def test_the_error_of_every_evaluation_is_within_tolerance_or_rounding(rows: list[Measurement]) -> None:
+    assert {row.evaluation for row in rows} == {"direct", "running_sum", "series", ENGINE}
     for row in rows:
         assert row.error <= (row.tolerance or 1e-12)
         assert row.time_s > 0
 
 
-def test_the_engine_is_held_against_every_evaluation_of_its_scene_and_tolerance() -> None:
+def test_the_engine_is_compared_with_every_evaluation_of_the_same_scene_and_tolerance() -> None:
     def row(evaluation: str, tolerance: float, time_s: float, echoes: int = 10) -> Measurement:
         return Measurement(100, echoes, 130, evaluation, "series", tolerance, 3, 0.0, time_s, 0.0, 2)
 
@@ -33,23 +33,19 @@ def test_the_engine_is_held_against_every_evaluation_of_its_scene_and_tolerance(
         row("running_sum", 0.0, 1.0),
         row("series", 1e-6, 0.4),
         row("series", 1e-2, 0.1),
-        row(CHOSEN, 1e-6, 0.8),
-        row(CHOSEN, 1e-2, 0.3),
+        row(ENGINE, 1e-6, 0.8),
+        row(ENGINE, 1e-2, 0.3),
         row("series", 1e-2, 1e-9, echoes=20),
     ]
-    assert share_chosen_well(rows) == (1, 2)
-    assert share_chosen_well(rows, 3.1) == (2, 2)
+    assert count_good_choices(rows) == (1, 2)
+    assert count_good_choices(rows, 3.1) == (2, 2)
 
 
-def test_table_reads_back_and_another_format_is_refused(rows: list[Measurement]) -> None:
-    assert json.loads(as_text(rows, ".json"))[0]["scatterers"] == 100
-    assert as_text(rows, ".csv").count("\n") == len(rows) + 1
-    with pytest.raises(ValueError, match=r"'\.xls' is no table format here"):
-        as_text(rows, ".xls")
-
-
-def test_figure_is_written(rows: list[Measurement], tmp_path: Path) -> None:
-    write_figure([row for row in rows if row.scatterers == 100], tmp_path / "work.svg")
+def test_table_and_figure_read_back(rows: list[Measurement], tmp_path: Path) -> None:
+    write_rows(rows, tmp_path / "t.json", tmp_path / "work.svg", write_figure, print)
+    assert json.loads((tmp_path / "t.json").read_text(encoding="utf-8"))[0]["scatterers"] == 100
+    write_rows(rows, tmp_path / "t.csv", None, write_figure, print)
+    assert (tmp_path / "t.csv").read_text(encoding="utf-8").count("\n") == len(rows) + 1
     assert "<svg" in (tmp_path / "work.svg").read_text(encoding="utf-8")
 
 
@@ -63,7 +59,7 @@ def test_command_writes_the_table(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8").startswith("scatterers,echoes,samples,evaluation,method,tolerance")
 
 
-def test_every_wrong_option_is_named_before_anything_is_measured(tmp_path: Path) -> None:
+def test_all_invalid_options_are_reported_before_the_first_measurement(tmp_path: Path) -> None:
     wrong = ["--output", str(tmp_path / "a.xls"), "--figure", str(tmp_path / "no" / "b.svg"), "--largest", "5"]
     done = CliRunner().invoke(app, ["accuracy", "echo", *wrong, "--most-echoes", "0", "--longest-s", "0"])
     assert done.exit_code == 2
@@ -73,7 +69,7 @@ def test_every_wrong_option_is_named_before_anything_is_measured(tmp_path: Path)
 
 
 @pytest.mark.parametrize("part", ["specimen", "chain"])
-def test_invalid_file_names_are_refused_before_anything_is_measured(
+def test_invalid_file_names_are_refused_before_the_first_measurement(
     tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("time.perf_counter", lambda: pytest.fail("a measurement began"))
@@ -94,16 +90,16 @@ def test_points_until_an_interruption_are_written(tmp_path: Path) -> None:
     assert (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[1] == "case,method,setting,0.001,0.5"
 
 
-def test_what_was_measured_until_an_interruption_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The interruption comes where Ctrl-C would: while a later scene is measured."""
+def test_measurements_until_an_interruption_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The interruption comes while a later scene is measured, as Ctrl-C would."""
     from hpe_rig.validation.accuracy import echo as accuracy_echo
 
-    whole = accuracy_echo._of_scene
+    measure_scene = accuracy_echo._of_scene
 
-    def interrupted(count: int, *rest: Any) -> Iterator[Measurement]:
+    def interrupted(count: int, *arguments: Any) -> Iterator[Measurement]:
         if count > 100:
             raise KeyboardInterrupt
-        return whole(count, *rest)
+        return measure_scene(count, *arguments)
 
     monkeypatch.setattr(accuracy_echo, "_of_scene", interrupted)
     path = tmp_path / "echo.json"

@@ -1,4 +1,4 @@
-"""End to end and extreme cases: the truth is independent, the front is the front, every table reaches the report."""
+"""End-to-end and extreme cases: reference solutions, Pareto front, and the page of all studies."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from hpe_rig.cli.app import app
 from hpe_rig.validation.accuracy import end_to_end, report as accuracy_report
 from hpe_rig.validation.accuracy.end_to_end import EndToEnd, Variant, pareto
 from hpe_rig.validation.accuracy.extremes import extremes
-from hpe_rig.validation.accuracy.report import FULL, Effort, end_to_end_part, lead, write_accuracy_report
+from hpe_rig.validation.accuracy.report import FULL, Effort, end_to_end_section, lead, write_accuracy_report
 from hpe_rig.validation.accuracy.work_precision import Point
 
 
-def test_the_truth_in_closed_form_is_the_fit_of_the_tabulated_displacement() -> None:
+def test_the_true_amplitude_in_closed_form_equals_a_fit_of_the_computed_displacement() -> None:
     time_s = 50e-3 + np.arange(399) / 3990.0
     angle = 2 * np.pi * 100.0 * np.outer(time_s, np.arange(1, 11))
     model = np.column_stack([np.sin(angle), np.cos(angle), np.ones(len(time_s))])
     fitted = np.linalg.lstsq(model, end_to_end.displacement(32, 24), rcond=None)[0]
-    # what is left of the start after 50 ms and of harmonics above 1 kHz
+    # Tolerance: the transient after 50 ms and harmonics above 1 kHz.
     assert np.hypot(fitted[1], fitted[11]) == pytest.approx(end_to_end.true_amplitude_m(), rel=1e-4)
 
 
-def test_shipped_tolerance_and_nodes_cost_nothing_and_fewer_cost_what_they_say() -> None:
+def test_the_numerical_error_of_default_settings_is_negligible_and_grows_with_coarser_settings() -> None:
     shipped = end_to_end.numerical_error(Variant())
     assert shipped < Variant().tolerance
     assert end_to_end.numerical_error(replace(Variant(), nodes=6, degrees=6)) > 1e3 * shipped
     assert shipped < end_to_end.numerical_error(replace(Variant(), tolerance=1e-2)) < 1e-2
 
 
-def test_the_final_amplitude_is_true_within_its_own_error() -> None:
-    found = end_to_end.amplitudes(Variant(), 64, 5) / end_to_end.true_amplitude_m()
-    # averaging factor in closed form to 0.5 %, and three standard errors of 64 realisations
-    assert found.mean() == pytest.approx(1.0, abs=0.005 + 3 * found.std(ddof=1) / 8)
-    assert found.std(ddof=1) == pytest.approx(0.07, abs=3 * 0.07 / math.sqrt(2 * 63))
+def test_the_final_amplitude_is_true_within_its_standard_error() -> None:
+    relative = end_to_end.amplitudes(Variant(), 64, 5) / end_to_end.true_amplitude_m()
+    # Tolerance: 0.5 % of the averaging factor, and three standard errors of 64 realisations.
+    assert relative.mean() == pytest.approx(1.0, abs=0.005 + 3 * relative.std(ddof=1) / 8)
+    assert relative.std(ddof=1) == pytest.approx(0.07, abs=3 * 0.07 / math.sqrt(2 * 63))
 
 
-def test_the_front_is_what_nothing_beats_in_both() -> None:
+def test_no_other_point_is_better_than_one_of_the_front_in_both_time_and_error() -> None:
     rng = np.random.default_rng(3)
     times, errors = rng.integers(0, 12, 60).tolist(), rng.integers(0, 12, 60).astype(float).tolist()
     errors[7] = math.nan
@@ -56,29 +56,29 @@ def test_the_front_is_what_nothing_beats_in_both() -> None:
     assert all(times[a] < times[b] and errors[a] > errors[b] for a, b in itertools.pairwise(front))
 
 
-def test_extreme_cases_stay_within_what_their_stage_promises() -> None:
+def test_errors_of_extreme_cases_are_within_the_limits_of_their_stage() -> None:
     medium = [
         Point("elastic 7.25 kPa", "hyperbola, panels of log time", "32 nodes, 24 degrees", 2e-10, 0.01),
         Point("elastic 7.25 kPa", "Fourier synthesis, padded", "1 s, 10 kHz", 3e-3, 0.5),
         Point("elastic 7.25 kPa", "Fourier synthesis, padded", "0.25 s, 2 kHz", 6e-1, 0.02),
         Point("bovine muscle", "hyperbola, panels of log time", "32 nodes, 24 degrees", 1e-12, 0.01),
     ]
-    found = list(extremes(medium, longest_cycles=40.0))
-    assert [row.error for row in found if row.stage == "medium"] == [2e-10, 3e-3]
+    cases = list(extremes(medium, longest_cycles=40.0))
+    assert [row.error for row in cases if row.stage == "medium"] == [2e-10, 3e-3]
     limits = {"echoes": 1e-6, "fit": 1e-6}
-    for row in found:
+    for row in cases:
         if row.stage in limits:
             assert row.error <= limits[row.stage], row
         if row.stage == "estimators":
-            # a gate shorter than its pulse: the echo's cut edges; the paper's chain windows it besides
+            # The gate is shorter than the pulse and cuts its edges; the paper's chain also applies a window.
             assert row.error <= (2e-3 if row.method == "cross_spectrum" else 1e-3), row
 
 
-def two_ways() -> list[EndToEnd]:
-    own = {"tolerance": 1e-6, "degrees": 24, "gate_length_m": 1e-3, "bias": 0.0, "bias_uncertainty": 0.0, "cores": 1}
+def two_variants() -> list[EndToEnd]:
+    common = {"tolerance": 1e-6, "degrees": 24, "gate_length_m": 1e-3, "bias": 0.0, "bias_uncertainty": 0.0, "cores": 1}
     return [
         EndToEnd(
-            **own, varied="nodes", estimator="coherent", nodes=nodes, realisations=count, numerical_error=1e-9,
+            **common, varied="nodes", estimator="coherent", nodes=nodes, realisations=count, numerical_error=1e-9,
             standard_error=0.07 / count, error=0.07 / count, time_s=0.1 * count, shipped=nodes == 32, on_front=True,
         )
         for nodes in (32, 6)
@@ -86,25 +86,25 @@ def two_ways() -> list[EndToEnd]:
     ]  # fmt: skip
 
 
-def test_the_report_marks_the_shipped_default_and_the_front() -> None:
-    part = end_to_end_part(two_ways())
-    assert "shipped default" in part.pictures[0].svg
-    assert "Pareto front" in part.pictures[0].svg
-    assert re.search(r"7 % in 0.1 s from 1; 1.8 % in 0.4 s from 4\.", lead(part.tables[0])[0])
+def test_the_report_marks_the_default_settings_and_the_front() -> None:
+    section = end_to_end_section(two_variants())
+    assert "default settings" in section.pictures[0].svg
+    assert "Pareto front" in section.pictures[0].svg
+    assert re.search(r"7 % in 0.1 s from 1; 1.8 % in 0.4 s from 4\.", lead(section.tables[0])[0])
 
 
-def test_the_report_says_what_the_shipped_default_buys_where_others_are_as_right_in_less_time() -> None:
-    rows = two_ways()
-    assert any("Nothing is as right" in word for word in end_to_end_part(rows).words)
+def test_the_report_states_variants_that_reach_the_error_of_the_default_settings_in_less_time() -> None:
+    rows = two_variants()
+    assert any(text.startswith("No variant reaches the error") for text in end_to_end_section(rows).paragraphs)
     coarse = [replace(row, degrees=6, time_s=0.8 * row.time_s, numerical_error=4e-2) for row in rows[2:]]
-    (told,) = (word for word in end_to_end_part(rows[:2] + coarse).words if "As right" in word)
-    assert "6 nodes, 6 degrees in 80 % of its time, numerical error 0.04 in place of 1e-09" in told
-    # one beyond the chance of 4 draws, one part in 2.8, and one whose time is the same
-    assert not end_to_end.beating(rows[:2] + [replace(row, error=1.4 * row.error) for row in coarse])
-    assert not end_to_end.beating(rows[:2] + [replace(row, time_s=1.15 * row.time_s) for row in coarse])
+    (text,) = (text for text in end_to_end_section(rows[:2] + coarse).paragraphs if "These variants" in text)
+    assert "6 nodes, 6 degrees in 80 % of the time, numerical error 0.04 instead of 1e-09" in text
+    # An error beyond the chance of 4 draws (1 in 2.8), and a time that is not shorter.
+    assert not end_to_end.faster_than_shipped(rows[:2] + [replace(row, error=1.4 * row.error) for row in coarse])
+    assert not end_to_end.faster_than_shipped(rows[:2] + [replace(row, time_s=1.15 * row.time_s) for row in coarse])
 
 
-def test_mistakes_of_the_command_line_are_told_at_once_before_anything_runs(tmp_path: Path) -> None:
+def test_all_mistakes_of_the_command_line_are_reported_before_the_first_measurement(tmp_path: Path) -> None:
     done = CliRunner().invoke(
         app, ["accuracy", "--output", str(tmp_path / "x.csv"), "--figure", "x.svg", "--largest", "5"]
     )
@@ -118,7 +118,7 @@ def interrupted() -> None:
 
 
 def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations, chosen: two_ways())
+    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations, tried: two_variants())
     monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
     done = CliRunner().invoke(app, ["accuracy", "--output", str(tmp_path / "a.html")])
     assert done.exit_code == 130
@@ -126,7 +126,7 @@ def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: 
     assert 'download="end-to-end.csv"' in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
-def test_full_tries_more_of_everything_and_what_is_stated_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_raises_every_limit_and_stated_options_take_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
     efforts: list[Effort] = []
     monkeypatch.setattr(validation, "write_accuracy_report", lambda path, figure, effort, *_: efforts.append(effort))
     for arguments in ([], ["--full"], ["--full", "--draws", "7"], ["--largest", "500"]):
@@ -137,15 +137,15 @@ def test_full_tries_more_of_everything_and_what_is_stated_counts(monkeypatch: py
     assert (stated, small) == (replace(FULL, draws=7), replace(Effort(), largest=500))
 
 
-def test_every_part_tells_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations, chosen: list(chosen) and two_ways())
+def test_every_study_reports_its_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations, tried: list(tried) and two_variants())
     monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
-    heard: list[tuple[int, int, str]] = []
+    steps: list[tuple[int, int, str]] = []
     with pytest.raises(KeyboardInterrupt):
-        write_accuracy_report(tmp_path / "a.html", None, Effort(), lambda text: None, lambda *step: heard.append(step))
-    assert heard[0] == (0, 7, "end to end")
-    assert heard[1] == (0, 7, "end to end, 1 tried")
-    assert heard[-1] == (1, 7, "specimen")
+        write_accuracy_report(tmp_path / "a.html", None, Effort(), lambda text: None, lambda *step: steps.append(step))
+    assert steps[0] == (0, 7, "end to end")
+    assert steps[1] == (0, 7, "end to end, 1 measured")
+    assert steps[-1] == (1, 7, "specimen")
 
 
 @pytest.mark.slow
