@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "_build_tools"))
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS / "_build_tools"))
 
-from generate import write_pages  # noqa: E402, found on the path set above
+from generate import write_pages  # noqa: E402, on the path set above
 
 project = "hpe_rig"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -38,4 +38,4 @@ autodoc_typehints = "signature"
 autodoc_use_type_comments = False
 nitpicky = False
 
-write_pages(HERE / "reference" / "generated")
+write_pages(DOCS / "reference" / "generated")

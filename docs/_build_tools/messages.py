@@ -1,4 +1,4 @@
-"""The error messages that users meet first, each provoked in an empty folder: printed as a page in Markdown."""
+"""Frequent error messages, each provoked in an empty folder: printed as a page in Markdown."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Case:
 
 
 def scene(old: str = "", new: str = "") -> dict[str, str | bytes]:
-    """Return ``s.toml``, a valid scene in which ``old`` is replaced by ``new``."""
+    """Return ``s.toml``, a valid scene with ``old`` replaced by ``new``."""
     return {"s.toml": SCENE.replace(old, new) if old else SCENE}
 
 
 def bench(old: str, new: str) -> dict[str, str | bytes]:
-    """Return ``b.toml``, the simulated bench in which ``old`` is replaced by ``new``."""
+    """Return ``b.toml``, the simulated bench with ``old`` replaced by ``new``."""
     from hpe_rig.bench import read_bench
 
     return {"b.toml": read_bench().text.replace(old, new, 1)}
@@ -122,7 +122,7 @@ def provoked() -> tuple[tuple[str, Case, int, str], ...]:
                 for name, content in case.files.items():
                     Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
                 code, message = _run(case.typed)
-                # The path of the temporary folder is of no interest.
+                # The path of the temporary folder differs from run to run.
                 message = re.sub(re.escape(os.fspath(Path.cwd())) + r"[/\\]?", "", message).strip()
             answers.append((subject, case, code, message))
     return tuple(answers)
@@ -144,9 +144,9 @@ def markdown() -> str:
     lines = [
         "# Error messages",
         "",
-        "The mistakes that users make first, each with the answer of this version. All mistakes of a file are ",
-        "reported at once, with the key, the likely cause and a remedy. Nothing is opened, switched on or written before they ",
-        "are corrected. For symptoms of a bench see [troubleshooting](../../how-to/troubleshooting.md).",
+        "Frequent mistakes, each with the message of this version. All mistakes of a file are reported together, with",
+        "key, the likely cause and a remedy. Nothing is opened, switched on or written before they are corrected. For",
+        "symptoms of a bench see [troubleshooting](../../how-to/troubleshooting.md).",
         "",
     ]
     previous = ""

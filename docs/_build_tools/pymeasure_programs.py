@@ -2,8 +2,8 @@
 
 Usage: python docs/_build_tools/pymeasure_programs.py
 
-Needs PyMeasure, an independent package of drivers. Each property is set to each of its values from the state after
-*RST and read back, and the error queue is read.
+Needs PyMeasure, an independent package of drivers. After *RST each property is set to each of its values and read back,
+and the error queue is read.
 """
 
 import argparse
@@ -31,96 +31,96 @@ READ_ONLY = {"complete", "id", "status", "options", "next_error"}
 NOT_OFFERED = {"adapter", "read_termination"}
 
 
-class Tried(NamedTuple):
-    """Values of a property, and what has to be sent before them so that they are possible."""
+class PropertyValues(NamedTuple):
+    """Values of a property, and the command that makes them valid."""
 
     values: tuple[Any, ...]
     before: str = ""
 
 
-def tried(*values: Any, before: str = "") -> Tried:
-    return Tried(values, before)
+def values_of(*values: Any, before: str = "") -> PropertyValues:
+    return PropertyValues(values, before)
 
 
-ON_OFF = tried(True, False)
-COMMON: Mapping[str, Tried] = {
-    "frequency": tried(1.0, 5e3, 2e7),
-    "amplitude": tried(0.05, 1.5, 10.0),
-    "amplitude_unit": tried("VRMS", "DBM", "VPP"),
-    "offset": tried(-1.5, 4.0),
-    "voltage_high": tried(0.25, 5.0),
-    "voltage_low": tried(-0.25, -5.0),
-    "square_dutycycle": tried(20.0, 80.0),
-    "ramp_symmetry": tried(0.0, 25.5, 100.0),
-    "burst_mode": tried("TRIG", "GAT"),
-    "trigger_source": tried("EXT", "BUS", "IMM"),
+ON_OFF = values_of(True, False)
+COMMON: Mapping[str, PropertyValues] = {
+    "frequency": values_of(1.0, 5e3, 2e7),
+    "amplitude": values_of(0.05, 1.5, 10.0),
+    "amplitude_unit": values_of("VRMS", "DBM", "VPP"),
+    "offset": values_of(-1.5, 4.0),
+    "voltage_high": values_of(0.25, 5.0),
+    "voltage_low": values_of(-0.25, -5.0),
+    "square_dutycycle": values_of(20.0, 80.0),
+    "ramp_symmetry": values_of(0.0, 25.5, 100.0),
+    "burst_mode": values_of("TRIG", "GAT"),
+    "trigger_source": values_of("EXT", "BUS", "IMM"),
 }
-VALUES: Mapping[str, Mapping[str, Tried]] = {
+VALUES: Mapping[str, Mapping[str, PropertyValues]] = {
     "33250A": {
         **COMMON,
-        "shape": tried("SQU", "RAMP", "PULS", "NOIS", "DC", "USER", "SIN"),
-        "frequency": tried(1e-6, 5e3, 8e7),
-        "pulse_period": tried(2e-4, 2000.0),
-        "pulse_width": tried(8e-9, 5e-4),
-        "pulse_transition": tried(5e-9, 5e-5),
-        "burst_ncycles": tried(1, 1_000_000, "INF", before="TRIG:SOUR BUS"),
-        "output_load": tried(1.0, 75.0, 10_000.0, math.inf),
+        "shape": values_of("SQU", "RAMP", "PULS", "NOIS", "DC", "USER", "SIN"),
+        "frequency": values_of(1e-6, 5e3, 8e7),
+        "pulse_period": values_of(2e-4, 2000.0),
+        "pulse_width": values_of(8e-9, 5e-4),
+        "pulse_transition": values_of(5e-9, 5e-5),
+        "burst_ncycles": values_of(1, 1_000_000, "INF", before="TRIG:SOUR BUS"),
+        "output_load": values_of(1.0, 75.0, 10_000.0, math.inf),
         "output_enabled": ON_OFF,
-        "output_polarity": tried("INV", "NORM"),
-        "sync_output_enabled": tried(False, True),
+        "output_polarity": values_of("INV", "NORM"),
+        "sync_output_enabled": values_of(False, True),
         "burst_enabled": ON_OFF,
-        "burst_period": tried(0.02, 500.0),
-        "burst_phase": tried(-360.0, 90.0),
-        "trigger_delay": tried(0.0, 85.0, before="TRIG:SOUR EXT"),
-        "trigger_slope": tried("NEG", "POS"),
+        "burst_period": values_of(0.02, 500.0),
+        "burst_phase": values_of(-360.0, 90.0),
+        "trigger_delay": values_of(0.0, 85.0, before="TRIG:SOUR EXT"),
+        "trigger_slope": values_of("NEG", "POS"),
         "trigger_output_enabled": ON_OFF,
-        "trigger_output_slope": tried("NEG", "POS"),
+        "trigger_output_slope": values_of("NEG", "POS"),
     },
     "33220A": {
         **COMMON,
-        "shape": tried("SQUARE", "RAMP", "PULSE", "NOISE", "DC", "USER", "SINUSOID"),
-        "pulse_period": tried(2e-4, 2000.0),
-        "pulse_hold": tried("DCYC", "WIDTH"),
-        "pulse_width": tried(5e-4, 1e-4),
-        "pulse_dutycycle": tried(25.0, 50.0),
-        "pulse_transition": tried(5e-9, 1e-7),
+        "shape": values_of("SQUARE", "RAMP", "PULSE", "NOISE", "DC", "USER", "SINUSOID"),
+        "pulse_period": values_of(2e-4, 2000.0),
+        "pulse_hold": values_of("DCYC", "WIDTH"),
+        "pulse_width": values_of(5e-4, 1e-4),
+        "pulse_dutycycle": values_of(25.0, 50.0),
+        "pulse_transition": values_of(5e-9, 1e-7),
         "output": ON_OFF,
         "burst_state": ON_OFF,
-        "burst_ncycles": tried(1, 50_000, before="TRIG:SOUR BUS"),
+        "burst_ncycles": values_of(1, 50_000, before="TRIG:SOUR BUS"),
         "trigger_state": ON_OFF,
-        "beeper_state": tried(False, True),
-        "remote_local_state": tried("RWL", "REM"),
+        "beeper_state": values_of(False, True),
+        "remote_local_state": values_of("RWL", "REM"),
     },
     "33500B": {
         **COMMON,
-        "shape": tried("SQU", "TRI", "RAMP", "PULS", "PRBS", "NOIS", "ARB", "DC", "SIN"),
-        "phase": tried(-360.0, 90.0),
-        "square_dutycycle": tried(0.01, 99.98),
-        "pulse_period": tried(2e-4, 1e5),
-        "pulse_hold": tried("DCYC", "WIDT"),
-        "pulse_width": tried(16e-9, 5e-4),
-        "pulse_dutycycle": tried(25.0, 50.0),
-        "pulse_transition": tried(8.4e-9, 1e-6),
+        "shape": values_of("SQU", "TRI", "RAMP", "PULS", "PRBS", "NOIS", "ARB", "DC", "SIN"),
+        "phase": values_of(-360.0, 90.0),
+        "square_dutycycle": values_of(0.01, 99.98),
+        "pulse_period": values_of(2e-4, 1e5),
+        "pulse_hold": values_of("DCYC", "WIDT"),
+        "pulse_width": values_of(16e-9, 5e-4),
+        "pulse_dutycycle": values_of(25.0, 50.0),
+        "pulse_transition": values_of(8.4e-9, 1e-6),
         "output": ON_OFF,
-        "output_load": tried(75.0, "INF"),
+        "output_load": values_of(75.0, "INF"),
         "burst_state": ON_OFF,
-        "burst_period": tried(0.02, 8000.0),
-        "burst_ncycles": tried(1, 99_999, before="TRIG:SOUR BUS"),
-        "arb_file": tried("SINC"),
-        "arb_advance": tried("TRIG", "SRAT"),
-        "arb_filter": tried("STEP", "OFF", "NORM"),
-        "arb_srate": tried(1e6, 2.5e8),
+        "burst_period": values_of(0.02, 8000.0),
+        "burst_ncycles": values_of(1, 99_999, before="TRIG:SOUR BUS"),
+        "arb_file": values_of("SINC"),
+        "arb_advance": values_of("TRIG", "SRAT"),
+        "arb_filter": values_of("STEP", "OFF", "NORM"),
+        "arb_srate": values_of(1e6, 2.5e8),
         "ext_trig_out": ON_OFF,
-        "display": tried("hello"),
+        "display": values_of("hello"),
     },
 }
 
 
 @dataclass
 class Outcome:
-    """What became of the properties of one driver over one transport."""
+    """Numbers of settings by result, for one driver over one transport."""
 
-    kept: int = 0
+    confirmed: int = 0
     not_simulated: int = 0
     in_local: int = 0
     wrong: list[str] = field(default_factory=list)
@@ -128,23 +128,23 @@ class Outcome:
 
 def properties(driver: type) -> set[str]:
     """Return the properties of a driver that can be set."""
-    found = {name for name in dir(driver) if isinstance(getattr(driver, name), property) and not name.startswith("_")}
-    return {name for name in found if getattr(driver, name).fset} - READ_ONLY - NOT_OFFERED
+    names = {name for name in dir(driver) if isinstance(getattr(driver, name), property) and not name.startswith("_")}
+    return {name for name in names if getattr(driver, name).fset} - READ_ONLY - NOT_OFFERED
 
 
-class Logged(logging.Handler):
-    """The numbers of errors that a driver reads from the queue itself: it raises nothing, it logs them."""
+class ErrorNumbers(logging.Handler):
+    """Collects the numbers of errors that a driver reads from the queue: it logs them and raises no exception."""
 
     def __init__(self) -> None:
         super().__init__()
         self.numbers: list[int] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        found = re.search(r": ([+-]?[0-9]+)(?:\.0)?, ", record.getMessage())
-        self.numbers += [int(found[1])] if found else []
+        match = re.search(r": ([+-]?[0-9]+)(?:\.0)?, ", record.getMessage())
+        self.numbers += [int(match[1])] if match else []
 
 
-LOGGED = Logged()
+LOGGED_ERRORS = ErrorNumbers()
 
 
 def drivers() -> dict[str, type]:
@@ -156,7 +156,7 @@ def drivers() -> dict[str, type]:
 
 
 @contextmanager
-def opened(model: str, transport: str) -> Iterator[Any]:
+def connect(model: str, transport: str) -> Iterator[Any]:
     """Yield PyMeasure's driver of ``model``, connected to a fresh twin of it over ``transport``."""
     from pymeasure.adapters import VISAAdapter
 
@@ -178,30 +178,30 @@ def opened(model: str, transport: str) -> Iterator[Any]:
 
 
 def errors(instrument: Any) -> list[int]:
-    """Return and clear the numbers in the error queue, and those that the driver has read from it."""
-    numbers, LOGGED.numbers = LOGGED.numbers, []
+    """Return and clear the error numbers of the queue and of the driver's log."""
+    numbers, LOGGED_ERRORS.numbers = LOGGED_ERRORS.numbers, []
     while (number := int(instrument.ask("SYST:ERR?").split(",")[0])) != 0:
         numbers.append(number)
     return numbers
 
 
-def same(one: Any, other: Any) -> bool:
-    """Return whether what was read is what was set: numbers to six digits, words in their short form."""
-    if isinstance(one, str) and isinstance(other, str):
-        short = other.strip().strip('"').upper()
-        return one.upper().startswith(short) or one == short
-    if isinstance(one, str) or isinstance(other, str):
-        return math.isinf(float(one)) and float(other) > 9e37
-    return math.isclose(float(one), float(other), rel_tol=1e-5, abs_tol=1e-12)
+def are_equal(value: Any, reply: Any) -> bool:
+    """Return whether the reply confirms the value: numbers to six digits, words in their short form."""
+    if isinstance(value, str) and isinstance(reply, str):
+        short = reply.strip().strip('"').upper()
+        return value.upper().startswith(short) or value == short
+    if isinstance(value, str) or isinstance(reply, str):
+        return math.isinf(float(value)) and float(reply) > 9e37
+    return math.isclose(float(value), float(reply), rel_tol=1e-5, abs_tol=1e-12)
 
 
-def exercise(part: Any, instrument: Any, name: str, value: Any, outcome: Outcome) -> None:
-    """Set a property, read it back, ask the error queue, and count what happened."""
+def exercise(target: Any, instrument: Any, name: str, value: Any, outcome: Outcome) -> None:
+    """Set a property of the instrument or channel ``target``, read it and the error queue, and count the result."""
     where = f"{name} = {value}"
     try:
-        setattr(part, name, value)
-        readable = getattr(type(part), name).fget is not None and name not in ("display", "remote_local_state")
-        read = getattr(part, name) if readable else value
+        setattr(target, name, value)
+        readable = getattr(type(target), name).fget is not None and name not in ("display", "remote_local_state")
+        read = getattr(target, name) if readable else value
     except Exception as error:
         outcome.wrong.append(f"{where}: {error}")
         instrument.clear()
@@ -211,20 +211,20 @@ def exercise(part: Any, instrument: Any, name: str, value: Any, outcome: Outcome
         outcome.not_simulated += 1
     elif queued and set(queued) == {IN_LOCAL}:
         outcome.in_local += 1
-    elif queued or not same(value, read):
+    elif queued or not are_equal(value, read):
         outcome.wrong.append(f"{where}: read {read}, errors {queued}")
     else:
-        outcome.kept += 1
+        outcome.confirmed += 1
 
 
 def run(model: str, transport: str, remote: bool = True) -> Outcome:
-    """Return what becomes of every property; on RS-232 the instrument is put in remote first, or never."""
+    """Set every property of a driver; on RS-232 ``remote`` sends `SYST:REM` first."""
     outcome = Outcome()
-    with opened(model, transport) as instrument:
-        parts = [(instrument, properties(type(instrument)))]
+    with connect(model, transport) as instrument:
+        targets = [(instrument, properties(type(instrument)))]
         if model == "33500B":
-            parts += [(channel, properties(type(channel))) for channel in (instrument.ch_1, instrument.ch_2)]
-        for part, names in parts:
+            targets += [(channel, properties(type(channel))) for channel in (instrument.ch_1, instrument.ch_2)]
+        for target, names in targets:
             for name in sorted(names):
                 for value in VALUES[model][name].values:
                     if transport == "serial" and remote:
@@ -232,25 +232,28 @@ def run(model: str, transport: str, remote: bool = True) -> Outcome:
                     instrument.write("*RST;*CLS")
                     if VALUES[model][name].before:
                         before = VALUES[model][name].before
-                        instrument.write(before if part is instrument else before.replace("TRIG", f"TRIG{part.id}"))
-                    # Never put in remote, even these were refused.
+                        instrument.write(before if target is instrument else before.replace("TRIG", f"TRIG{target.id}"))
+                    # An instrument in local mode has refused even these commands.
                     errors(instrument)
-                    exercise(part, instrument, name, value, outcome)
+                    exercise(target, instrument, name, value, outcome)
     return outcome
 
 
 HEAD = """\
 # PyMeasure on the twin
 
-The drivers `Keysight33250A`, `Agilent33220A` and `Agilent33500` of PyMeasure, an independent package, on the
-simulated generators. Each property is set to every value of a list from the state after `*RST` and read back, and the
-error queue is read; both channels of the 33500 are tested. `python docs/_build_tools/pymeasure_programs.py` writes this
-page; a test with the marker `external` runs the same and compares.
+The drivers `Keysight33250A`, `Agilent33220A` and `Agilent33500` of PyMeasure, an independent package, are tested on the
+simulated generators. After `*RST` each property is set to every value of a list and read back, and the
+error queue is read. Both channels of the 33500 are tested.
 
-*Kept*: read back as set, no error. *Not simulated*: arbitrary waveforms and bit sequences, refused with -241. *In
-local*: refused with 550, since PyMeasure sends no `SYST:REM` over RS-232, as an instrument in local mode refuses it.
+`python docs/_build_tools/pymeasure_programs.py` writes this page; a test with the marker `external` compares it.
 
-| driver | transport | settings | kept | not simulated | in local | wrong |
+* *Confirmed*: read back as set, no error.
+* *Not simulated*: arbitrary waveforms and bit sequences, refused with -241.
+* *In local*: refused with 550. PyMeasure sends no `SYST:REM` over RS-232, and an instrument in local mode refuses
+  settings.
+
+| driver | transport | settings | confirmed | not simulated | in local | wrong |
 |---|---|---|---|---|---|---|
 """
 
@@ -266,10 +269,10 @@ def rows() -> Iterator[tuple[str, str, Outcome]]:
 
 def page() -> str:
     """Return the whole page."""
-    logging.getLogger("pymeasure").addHandler(LOGGED)
+    logging.getLogger("pymeasure").addHandler(LOGGED_ERRORS)
     lines = []
     for driver, over, outcome in rows():
-        counts = outcome.kept, outcome.not_simulated, outcome.in_local, len(outcome.wrong)
+        counts = outcome.confirmed, outcome.not_simulated, outcome.in_local, len(outcome.wrong)
         lines.append(f"| {' | '.join(map(str, (driver, over, sum(counts), *counts)))} |")
         for wrong in outcome.wrong:
             print(driver, over, wrong)

@@ -139,7 +139,7 @@ def test_an_installed_medium_moves_the_twin_and_is_fitted(found: Any) -> None:
 def test_an_installed_importer_reads_its_files_and_names_itself_where_it_cannot(found: Any) -> None:
     assert found["imported"] == [True, "bench_x"]
     assert "rf.bx, read as bench_x (hpe_rig.importers, of hpe-example 1.0)" in found["of_import"]
-    assert "importer bench_x (hpe_rig.importers, of hpe-example 1.0): it is no file of bench X" in found["refused"]
+    assert "importer bench_x (hpe_rig.importers, of hpe-example 1.0): this is not a file of bench X" in found["refused"]
 
 
 BROKEN = {

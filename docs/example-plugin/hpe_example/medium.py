@@ -1,4 +1,4 @@
-"""A spring beside a springpot: mu(s) = mu1 + mu_100 (s / 2 pi 100 Hz)^p, a Voigt medium for p = 1."""
+"""A spring parallel to a springpot: mu(s) = mu1 + mu_100 (s / 2 pi 100 Hz)^p, a Voigt medium for p = 1."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ REFERENCE_RAD_PER_S = 2 * np.pi * 100.0
 
 
 def modulus(s, values):
-    """Return mu(s), Pa, (..., frequency) and its derivatives by the parameters (..., frequency, parameter)."""
+    """Return mu(s), Pa, (..., frequency), and its derivatives by parameter (..., frequency, parameter)."""
     spring, pot, power = (values[..., i, None] for i in range(3))
     powers = (s / REFERENCE_RAD_PER_S) ** power
-    found = spring + pot * powers
-    by_power = pot * powers * np.log(s / REFERENCE_RAD_PER_S)
-    return found, np.stack([np.ones_like(found), powers, by_power], axis=-1)
+    modulus_pa = spring + pot * powers
+    power_derivative = pot * powers * np.log(s / REFERENCE_RAD_PER_S)
+    return modulus_pa, np.stack([np.ones_like(modulus_pa), powers, power_derivative], axis=-1)
 
 
 FRACTIONAL_VOIGT = Law(
