@@ -3,8 +3,6 @@ from .accuracy.motion import (
     MotionCase as MotionCase,
     MotionRow as MotionRow,
     case_rows as case_rows,
-    gate as gate,
-    twin_echoes as twin_echoes,
 )
 from .accuracy.own_scene import write_own_scene as write_own_scene
 from .accuracy.report import (

@@ -1,13 +1,12 @@
-"""Time of `hpe-rig study paper`, what drawing its random numbers alone costs, and the error each way buys in what time.
+"""Time the studies of the paper and compare the error that several sampling methods reach per run time.
 
-At the paper's own sizes: 1000 realisations of every point of Fig. 4 to 11, 500 draws of scatterers with two of the
-noise, and 100 of every point of Fig. 12 and 13; read physically by two estimators and literally by one. The first table
-is one run in this process: processor time, and of it what the generators of random numbers took, the floor. With
-``--workers`` the same run follows in processes, by the clock.
+First table: the paper's studies at their own sizes, in one process with one thread. That is 1000 realisations of every
+point of Fig. 4 to 11 (500 draws of scatterers with two of the noise) and 100 of every point of Fig. 12 and 13. Printed:
+processor time, and the part of it that draws random numbers, a lower limit. `--workers` repeats it in processes.
 
-The second table: random numbers of their own at every point, the same ones along an axis (``common``), and a stop at a
-stated standard error (``standard_error_m``), over ``--seeds`` seeds. Error is the standard deviation over the seeds.
-The last two lines are the same bias without a study, with and without a control variate, which studies do not have.
+Second table: independent random numbers at every point, the same numbers along an axis (`common`), and a stop at a
+stated standard error (`standard_error_m`). Errors are standard deviations over the seeds. The last two rows compute the
+same bias without a study, without and with a control variate, which studies do not have.
 
     python scripts/benchmarks/study_time.py --workers 2
 """
@@ -17,12 +16,10 @@ from __future__ import annotations
 
 import os
 
-from hpe_rig.arrays import FloatArray
-
-# One thread, as a worker of a study has: two that wait for one another count as processor time. Before any import of
-# what has threads.
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_threads] = "1"
+# One thread, as in a worker of a study: threads that wait for each other would count as processor time. The libraries
+# read these variables when NumPy is imported.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
 
 import argparse
 import statistics
@@ -37,29 +34,33 @@ from typing import Any
 
 import numpy as np
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import estimate
 from hpe_rig.study import StudyResult, processes, run_study
-from hpe_rig.validation import MotionCase, gate, twin_echoes
+from hpe_rig.validation import MotionCase
 
-POINTS = {
+CURVE_SIZES = {
     "scatterers": 500,
     "noise": 2,
     "readings": {"physical": ["cross_spectrum", "coherent"], "literal": ["cross_spectrum"]},
 }
-MAPS = {"scatterers": 50, "noise": 2, "readings": {"physical": ["cross_spectrum"], "literal": ["cross_spectrum"]}}
-PAPER = ((range(4, 12), POINTS), (range(12, 14), MAPS))
+MAP_SIZES = {"scatterers": 50, "noise": 2, "readings": {"physical": ["cross_spectrum"], "literal": ["cross_spectrum"]}}
+PAPER_STUDIES = ((range(4, 12), CURVE_SIZES), (range(12, 14), MAP_SIZES))
+"""Numbers of the figures, and the sizes of their studies."""
 SNR_DB = (20.0, 40.0)
-STATED_M = 5e-9
+DRAWS = 400
+STANDARD_ERROR_M = 5e-9
 CONTROL_DRAWS = 20_000
-WAYS: dict[str, Mapping[str, Any]] = {
-    "own random numbers": {"common": []},
-    "common random numbers": {"common": ["SNR"]},
-    f"stop at {STATED_M * 1e9:g} nm": {"common": ["SNR"], "standard_error_m": STATED_M},
+"""Draws that determine the mean of the control variate."""
+METHODS: dict[str, Mapping[str, Any]] = {
+    "independent numbers": {"common": []},
+    "common numbers": {"common": ["SNR"]},
+    f"stop at {STANDARD_ERROR_M * 1e9:g} nm": {"common": ["SNR"], "standard_error_m": STANDARD_ERROR_M},
 }
-DEFINITION = f"""
+STUDY = f"""
 title = "Table I at two levels of noise"
 scene = "table-1"
-scatterers = 400
+scatterers = {DRAWS}
 readings = {{ physical = ["coherent"] }}
 [set]
 "tracking.pulse_count" = 100
@@ -70,28 +71,28 @@ keys = {{ "simulation.receiver.snr_db" = {list(SNR_DB)} }}
 """
 
 
-class Timed(np.random.Generator):
-    """A generator that adds up the processor time of what studies draw."""
+class TimedGenerator(np.random.Generator):
+    """Random generator that sums the processor time of the distributions that studies use."""
 
     seconds = 0.0
 
 
 def _timed(name: str) -> Callable[..., Any]:
-    def draw(rng: Timed, *args: Any, **kwargs: Any) -> Any:
-        since = time.process_time()
-        drawn = getattr(np.random.Generator, name)(rng, *args, **kwargs)
-        Timed.seconds += time.process_time() - since
-        return drawn
+    def draw(rng: TimedGenerator, *args: Any, **kwargs: Any) -> Any:
+        start_s = time.process_time()
+        values = getattr(np.random.Generator, name)(rng, *args, **kwargs)
+        TimedGenerator.seconds += time.process_time() - start_s
+        return values
 
     return draw
 
 
 for _name in ("standard_normal", "random", "standard_exponential", "binomial"):
-    setattr(Timed, _name, _timed(_name))
+    setattr(TimedGenerator, _name, _timed(_name))
 
 
-class _Here(Executor):
-    """Computes at once, in this process."""
+class SynchronousExecutor(Executor):
+    """Executor that computes each task when it is submitted, in this process."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -100,117 +101,120 @@ class _Here(Executor):
 
 
 @contextmanager
-def here() -> Iterator[Executor]:
-    """Open this process as the one worker."""
-    yield _Here()
+def this_process() -> Iterator[Executor]:
+    """Open this process as the only worker of a study."""
+    yield SynchronousExecutor()
 
 
-def paper(folder: Path, **how: Any) -> list[StudyResult]:
-    """Run the figures of the paper at its sizes."""
+def run_paper_studies(open_pool: Callable[[], Any]) -> list[StudyResult]:
+    """Run the studies of the paper's figures at its sizes."""
     results = []
-    for figures, sizes in PAPER:
-        collection = folder / f"from-{figures.start}.toml"
-        names = [f"fig-{number}" for number in figures]
-        collection.write_text(f'title = "Fig. {names}"\nstudies = {names}\n', encoding="utf-8")
-        results += run_study(collection, folder / "paper", replaced=sizes, **how)
+    with tempfile.TemporaryDirectory() as folder:
+        for figures, sizes in PAPER_STUDIES:
+            collection = Path(folder) / f"from-{figures.start}.toml"
+            names = [f"fig-{number}" for number in figures]
+            collection.write_text(f'title = "Fig. {names}"\nstudies = {names}\n', encoding="utf-8")
+            results += run_study(collection, Path(folder) / "paper", replaced=sizes, open_pool=open_pool)
     return results
 
 
-def timed_paper() -> None:
-    """Print processor time and memory of the paper's figures, and what of it draws random numbers."""
-    np.random.default_rng = lambda seed=None: Timed(np.random.PCG64(seed))  # type: ignore[arg-type]
-    with tempfile.TemporaryDirectory() as folder:
-        results = paper(Path(folder), open_pool=here)
+def print_processor_time_of_paper() -> None:
+    """Print processor time and memory of the paper's studies in this process, and the time spent in random numbers."""
+    np.random.default_rng = lambda seed=None: TimedGenerator(np.random.PCG64(seed))
+    results = run_paper_studies(this_process)
+    # Figures share cases; each case is computed and counted once.
     cases = {key: row for result in results for key, row in result.cases.items()}
-    total = sum(row["seconds"] for row in cases.values())
+    total_s = sum(row["seconds"] for row in cases.values())
     print(f"{len(cases)} cases, {sum(row['draws'] * row['noise'] for row in cases.values())} realisations")
-    print(f"processor time {total:.1f} s, of which {Timed.seconds:.1f} s draw random numbers")
+    print(f"processor time {total_s:.1f} s, including {TimedGenerator.seconds:.1f} s for random numbers")
     print(f"peak memory {max(result.peak_memory_mib for result in results):.0f} MiB")
 
 
-def clocked_paper(workers: int) -> None:
-    """Print how long the same takes in processes."""
-    since = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        results = paper(Path(folder), open_pool=partial(processes, workers))
-    peak = max(result.peak_memory_mib for result in results)
-    print(f"{workers} workers: {time.perf_counter() - since:.1f} s by the clock, {peak:.0f} MiB a worker\n")
+def print_elapsed_time_of_paper(workers: int) -> None:
+    """Print elapsed time and memory of the paper's studies in ``workers`` processes."""
+    start_s = time.perf_counter()
+    results = run_paper_studies(partial(processes, workers))
+    peak_mib = max(result.peak_memory_mib for result in results)
+    print(f"{workers} workers: {time.perf_counter() - start_s:.1f} s elapsed, {peak_mib:.0f} MiB per worker\n")
 
 
-def ways(seeds: int) -> None:
-    """Print of every way the bias and its change with SNR, their errors, and the processor time of one study."""
+def print_sampling_methods(seeds: int) -> None:
+    """Print for each method the bias, its change with SNR, their errors, and the processor time of one study."""
     print(f"{'':24}{'bias at 20 dB':>18}{'change to 40 dB':>20}{'draws':>8}{'time':>10}")
     with tempfile.TemporaryDirectory() as folder:
-        study = Path(folder) / "own.toml"
-        study.write_text(DEFINITION, encoding="utf-8")
-        for name, way in WAYS.items():
-            rows, seconds = [], []
+        study = Path(folder) / "two-levels.toml"
+        study.write_text(STUDY, encoding="utf-8")
+        for name, settings in METHODS.items():
+            results = []
             for seed in range(1, seeds + 1):
-                replaced = {**way, "seed": seed}
-                (result,) = run_study(study, Path(folder) / name / f"{seed}", here, replaced=replaced)
-                rows.append(result.rows)
-                seconds.append(result.seconds)
-            bias_nm = [[row["amplitude_bias_m"] * 1e9 for row in each] for each in rows]
-            shown = (spread([low for low, _ in bias_nm]), spread([high - low for low, high in bias_nm]))
-            draws = statistics.mean(row["draws"] for each in rows for row in each)
-            print(f"{name:24}{shown[0]:>18}{shown[1]:>20}{draws:8.0f}{statistics.median(seconds) * 1e3:7.0f} ms")
+                target = Path(folder) / name / f"{seed}"
+                results += run_study(study, target, this_process, replaced={**settings, "seed": seed})
+            biases_nm = [[row["amplitude_bias_m"] * 1e9 for row in result.rows] for result in results]
+            bias = mean_and_deviation([low for low, _ in biases_nm])
+            change = mean_and_deviation([high - low for low, high in biases_nm])
+            draws = statistics.mean(row["draws"] for result in results for row in result.rows)
+            time_ms = statistics.median(result.seconds for result in results) * 1e3
+            print(f"{name:24}{bias:>18}{change:>20}{draws:8.0f}{time_ms:7.0f} ms")
 
 
-def control_variate(seeds: int) -> None:
-    """Print what a control variate would gain: the same bias with its draws' energy times what they are off by.
+def print_control_variate(seeds: int) -> None:
+    """Print the bias and its error without and with a control variate.
 
-    Tracked motion is a ratio of sums over pairs of scatterers, N / D. Of D (N / D - E N / E D), without noise, the mean
-    is zero, and it goes with the estimate. E N / E D is taken from more draws, whose time is not counted.
+    The tracked motion is a ratio of sums over pairs of scatterers, N / D. Without noise, D (N / D - E N / E D) has zero
+    mean and correlates with the estimate: it is the control variate. E N / E D comes from ``CONTROL_DRAWS`` further
+    draws, which are not timed.
     """
-
-    def drawn(seed: int, draws: int) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
-        generator, times = np.random.default_rng(seed), [time.process_time()]
-        clean = twin_echoes(case, draws, generator)
-        energy = np.square(clean).mean(axis=(1, 2))
-        noise = generator.standard_normal(clean.shape) * np.sqrt(energy / 10 ** (case.snr_db / 10))[:, None, None]
-        found = []
-        for volts in (clean + noise, clean):
-            found.append(1e9 * estimate(gate(case, volts), [case.frequency_hz], "coherent").amplitude_m[:, 0])
-            times.append(time.process_time())
-        return found[0], found[1], energy, times
-
     case = MotionCase(snr_db=SNR_DB[0])
-    _, clean_nm, energy, _ = drawn(0, CONTROL_DRAWS)
-    mean_nm = (energy * clean_nm).mean() / energy.mean()
-    plain, controlled, times = [], [], []
+    _, noise_free_nm, energy, _ = _amplitudes_nm(case, 0, CONTROL_DRAWS)
+    mean_nm = (energy * noise_free_nm).mean() / energy.mean()
+    plain_nm, controlled_nm, times_s = [], [], []
     for seed in range(1, seeds + 1):
-        noisy_nm, clean_nm, energy, read = drawn(seed, 400)
-        control = energy * (clean_nm - mean_nm)
+        noisy_nm, noise_free_nm, energy, seed_times_s = _amplitudes_nm(case, seed, DRAWS)
+        control = energy * (noise_free_nm - mean_nm)
+        # The regression coefficient on the control minimises the variance.
         slope = np.cov(noisy_nm, control)[0, 1] / control.var(ddof=1)
         error_nm = noisy_nm - case.amplitude_m * 1e9
-        plain.append(float(error_nm.mean()))
-        controlled.append(float((error_nm - slope * control).mean()))
-        times.append(read)
-    for name, values, last in (("plain", plain, 1), ("control variate", controlled, 2)):
-        seconds = statistics.median(read[last] - read[0] for read in times)
-        print(f"{name:24}{spread(values):>18}{'':20}{400:8}{seconds * 1e3:7.0f} ms")
+        plain_nm.append(float(error_nm.mean()))
+        controlled_nm.append(float((error_nm - slope * control).mean()))
+        times_s.append(seed_times_s)
+    for column, (name, biases_nm) in enumerate({"no study": plain_nm, "control variate": controlled_nm}.items()):
+        time_ms = statistics.median(seed_times_s[column] for seed_times_s in times_s) * 1e3
+        print(f"{name:24}{mean_and_deviation(biases_nm):>18}{'':20}{DRAWS:8}{time_ms:7.0f} ms")
 
 
-def spread(values_nm: list[float]) -> str:
-    """Return the mean of ``values_nm`` and their standard deviation, that of a single study."""
+def _amplitudes_nm(case: MotionCase, seed: int, draws: int) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
+    """Return noisy and noise-free amplitudes and echo energies (draw,), and the times without and with the last two."""
+    generator, start_s = np.random.default_rng(seed), time.process_time()
+    echoes = case.twin_echoes(draws, generator)
+    energy = np.square(echoes).mean(axis=(1, 2))
+    noise = generator.standard_normal(echoes.shape) * np.sqrt(energy / 10 ** (case.snr_db / 10))[:, None, None]
+    amplitudes_nm, times_s = [], []
+    for volts in (echoes + noise, echoes):
+        amplitudes_nm.append(1e9 * estimate(case.gate(volts), [case.frequency_hz], "coherent").amplitude_m[:, 0])
+        times_s.append(time.process_time() - start_s)
+    return amplitudes_nm[0], amplitudes_nm[1], energy, times_s
+
+
+def mean_and_deviation(values_nm: list[float]) -> str:
+    """Return the mean over the seeds and the standard deviation of a single study."""
     return f"{statistics.mean(values_nm):.2f} +- {statistics.stdev(values_nm):.2f} nm"
 
 
 def main() -> None:
     """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=24, help="studies of every way")
-    parser.add_argument("--workers", type=int, help="processes, by the clock as well")
-    parser.add_argument("--ways", action="store_true", help="the ways to a figure alone")
-    asked = parser.parse_args()
-    if asked.seeds < 2:
-        parser.error("--seeds: at least 2, of which the standard deviation is printed")
-    if not asked.ways:
-        timed_paper()
-        if asked.workers:
-            clocked_paper(asked.workers)
-    ways(asked.seeds)
-    control_variate(asked.seeds)
+    parser.add_argument("--seeds", type=int, default=24, help="studies of each method in the second table")
+    parser.add_argument("--workers", type=int, help="also print the elapsed time in this number of processes")
+    parser.add_argument("--ways", action="store_true", help="print the second table only")
+    options = parser.parse_args()
+    if options.seeds < 2:
+        parser.error("--seeds must be at least 2: the table has standard deviations over the seeds")
+    if not options.ways:
+        print_processor_time_of_paper()
+        if options.workers:
+            print_elapsed_time_of_paper(options.workers)
+    print_sampling_methods(options.seeds)
+    print_control_variate(options.seeds)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ from hpe_rig.medium import TrackingGate, beam_averaging_factor, scatterer_densit
 from hpe_rig.prediction import force_spectrum
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples, spec_of
 from hpe_rig.result import MARKS, label_decades, mark
-from hpe_rig.validation.accuracy.work_precision import pareto
+from hpe_rig.validation.accuracy.work_precision import pareto, timed
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -211,12 +212,10 @@ def _rows_of(varied: str, variant: Variant, realisations: Sequence[int], seed: i
     amplitude_m = amplitudes(variant, realisations[0], seed)
     times_s = []
     for count in realisations:
-        repeats_s = []
-        for _ in range(3 if count <= MAX_REPEATED else 1):
-            start_s = time.process_time()
-            amplitude_m = amplitudes(variant, count, seed)
-            repeats_s.append(time.process_time() - start_s)
-        times_s.append(min(repeats_s))
+        run = partial(amplitudes, variant, count, seed)
+        runs = [timed(run, time.process_time) for _ in range(3 if count <= MAX_REPEATED else 1)]
+        amplitude_m, _ = runs[-1]
+        times_s.append(min(time_s for _, time_s in runs))
     # Bias and deviation come from the largest number of realisations, the last.
     truth_m = true_amplitude_m()
     bias, deviation = float(amplitude_m.mean() / truth_m - 1), float(amplitude_m.std(ddof=1) / truth_m)
@@ -320,10 +319,7 @@ def _draw_total(axes: Axes, rows: Sequence[EndToEnd]) -> None:
         if row.shipped:
             count = f"{row.realisations} realisation{'s' if row.realisations > 1 else ''}"
             axes.annotate(count, (row.time_s, row.error), (6, 8), textcoords="offset points", fontsize=7)
-    axes.set(
-        xlabel="processor time, scene to amplitude (s)",
-        ylabel="rms error / true amplitude",
-    )
+    axes.set(xlabel="processor time, scene to amplitude (s)", ylabel="rms error / true amplitude")
     _legend_above(axes, "Final amplitude; larger marks: longer gates", 4)
 
 
@@ -346,10 +342,7 @@ def _draw_numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     for row in shipped:
         axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {largest}")
     axes.margins(x=0.12)
-    axes.set(
-        xlabel=f"processor time of {largest} realisations (s)",
-        ylabel="rms numerical error / amplitude",
-    )
+    axes.set(xlabel=f"processor time of {largest} realisations (s)", ylabel="rms numerical error / amplitude")
     _legend_above(axes, "Part due to tolerance and nodes", 2)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import statistics
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +13,12 @@ import numpy as np
 from hpe_rig.processing import (
     HarmonicFit,
     Motion,
-    Steps,
     kalman,
     least_squares,
     velocity_between_pulses,
     velocity_to_harmonics,
 )
-from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
+from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, timed
 
 AMPLITUDE_M = 1e-6
 PHASE_RAD = 0.4
@@ -35,9 +33,9 @@ METHODS: dict[str, Callable[[Motion, list[float]], HarmonicFit]] = {
     "kalman_with_nis": kalman,
     "kalman_process_noise": lambda motion, f: kalman(motion, f, process_noise=1e-6),
     "kalman_acceleration": lambda motion, f: kalman(motion, f, background_order=2, innovations=False),
-    "velocity_kalman": lambda motion, f: _fit_velocity(motion, f, Steps(band_pass=False, hann=False)),
-    "velocity_hann_kalman": lambda motion, f: _fit_velocity(motion, f, Steps(band_pass=False, hann=True)),
-    "velocity_band_pass_hann_kalman": lambda motion, f: _fit_velocity(motion, f, Steps()),
+    "velocity_kalman": lambda motion, f: _fit_velocity(motion, f, with_band_pass=False, with_hann=False),
+    "velocity_hann_kalman": lambda motion, f: _fit_velocity(motion, f, with_band_pass=False),
+    "velocity_band_pass_hann_kalman": lambda motion, f: _fit_velocity(motion, f),
 }
 """Fits by name. The last is the slow-time chain of the paper; the two before it omit its optional steps."""
 
@@ -89,11 +87,8 @@ def noisy_motion(pulses: int, generator: np.random.Generator, realisations: int 
 
 
 def _row(name: str, method: Callable[[Motion, list[float]], HarmonicFit], motion: Motion, repeats: int) -> HarmonicRow:
-    times_s = []
-    for _ in range(repeats):
-        start_s = time.perf_counter()
-        fit = method(motion, [FREQUENCY_HZ])
-        times_s.append(time.perf_counter() - start_s)
+    fits, times_s = zip(*(timed(lambda: method(motion, [FREQUENCY_HZ])) for _ in range(repeats)), strict=True)
+    fit = fits[-1]
     error_m = fit.amplitude_m[:, 0] - AMPLITUDE_M
     pulses = motion.time_s.size
     return HarmonicRow(
@@ -104,6 +99,7 @@ def _row(name: str, method: Callable[[Motion, list[float]], HarmonicFit], motion
         bias_m=float(error_m.mean()),
         jitter_m=float(error_m.std()),
         phase_jitter_rad=float(fit.phase_rad[:, 0].std()),
+        # Cramer-Rao bound of the amplitude of a sinusoid in white noise.
         bound_m=NOISE_M * float(np.sqrt(2 / pulses)),
         normalised_error=float(np.mean(error_m**2 / fit.covariance[:, 0, 0, 0])),
         time_s=statistics.median(times_s),
@@ -111,5 +107,8 @@ def _row(name: str, method: Callable[[Motion, list[float]], HarmonicFit], motion
     )
 
 
-def _fit_velocity(motion: Motion, frequencies_hz: list[float], steps: Steps) -> HarmonicFit:
-    return velocity_to_harmonics(velocity_between_pulses(motion), frequencies_hz, steps=steps)
+def _fit_velocity(
+    motion: Motion, frequencies_hz: list[float], with_band_pass: bool = True, with_hann: bool = True
+) -> HarmonicFit:
+    velocity = velocity_between_pulses(motion)
+    return velocity_to_harmonics(velocity, frequencies_hz, with_band_pass=with_band_pass, with_hann=with_hann)

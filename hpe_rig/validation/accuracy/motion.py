@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import scatterer_density
 from hpe_rig.prediction import Conditions, EstimatorErrors, draw_speckle, echo_bound, estimator_errors
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns, margin_samples
-from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
+from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, timed
 
 PARAMETERS: dict[str, tuple[float, ...]] = {
     "snr_db": (0, 10, 20, 30, 40, 60),
@@ -49,7 +48,7 @@ class MotionCase:
 
     @property
     def pulse_time_s(self) -> FloatArray:
-        """Times at which the pulses sample the motion, s, (pulse,)."""
+        """Sampling times of the motion, s, (pulse,)."""
         return np.arange(round(self.cycles * self.points)) / (self.points * self.frequency_hz)
 
     @property
@@ -57,6 +56,25 @@ class MotionCase:
         """Sample times relative to the echo of the focus, margins included, s, (sample,)."""
         samples = round(2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz) + 2 * self.margin
         return np.asarray((np.arange(samples) - (samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
+
+    def twin_echoes(self, draws: int, generator: np.random.Generator) -> FloatArray:
+        """Return noise-free echoes of the twin (draw, pulse, sample) from scatterers that move by D_0 sin(2 pi f t)."""
+        from sim_backend.echoes import drawn_echoes, hann_pulse
+        from sim_backend.settings import Scatterers, SimulationSettings
+
+        settings = SimulationSettings(
+            scatterers=Scatterers(per_cell=self.per_cell, bandwidth=self.bandwidth),
+            sound_speed_m_per_s=self.sound_speed_m_per_s,
+        )
+        displacement_m = self.amplitude_m * np.sin(2 * np.pi * self.frequency_hz * self.pulse_time_s)
+        pulse = hann_pulse(self.carrier_hz, self.bandwidth)
+        return np.concatenate(list(drawn_echoes(settings, displacement_m, pulse, self.gate_s, generator, draws, 1e-7)))
+
+    def gate(self, volts: FloatArray) -> EchoGate:
+        """Return echoes (..., pulse, sample) as input of the estimators."""
+        valid, margins = np.ones(volts.shape[-2], dtype=bool), (self.margin, self.margin)
+        carrier_hz, speed_m_per_s = self.carrier_hz, self.sound_speed_m_per_s
+        return EchoGate(volts, self.sample_rate_hz, self.pulse_time_s, carrier_hz, speed_m_per_s, valid, margins)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +93,7 @@ class MotionRow:
     phase_jitter_rad: float
     bound_m: float
     efficiency: float
-    """Bound over noise jitter; the jitter is half the width of the central 68 % of errors, robust against jumps."""
+    """Bound over noise jitter, the jitter from the central 68 % of the errors."""
     normalised_error: float
     """Mean square noise error over the stated variance: 1 if the stated uncertainty is right."""
     predicted_bias_m: float
@@ -118,7 +136,7 @@ def case_rows(
 ) -> Iterator[MotionRow]:
     """Yield a row for every estimator, from the same echoes and noise and with the margins of a record."""
     case = replace(case, margin=margin_samples(case.sample_rate_hz, case.carrier_hz))
-    clean = twin_echoes(case, draws, np.random.default_rng([seed, 0]))
+    clean = case.twin_echoes(draws, np.random.default_rng([seed, 0]))
     gated = clean[..., case.margin : -case.margin]
     noise_v = np.sqrt(np.mean(gated**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
     noisy = clean + noise_v * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
@@ -129,20 +147,6 @@ def case_rows(
     for name in estimators:
         model = estimator_errors(conditions, name, speckle, np.random.default_rng([seed, 3]))
         yield _row(case, parameter, value, name, clean, noisy, np.sqrt(bound[:, 0, 0]), model)
-
-
-def twin_echoes(case: MotionCase, draws: int, generator: np.random.Generator) -> FloatArray:
-    """Return noise-free echoes of the twin (draw, pulse, sample) from scatterers that move by D_0 sin(2 pi f t)."""
-    from sim_backend.echoes import drawn_echoes, hann_pulse
-    from sim_backend.settings import Scatterers, SimulationSettings
-
-    settings = SimulationSettings(
-        scatterers=Scatterers(per_cell=case.per_cell, bandwidth=case.bandwidth),
-        sound_speed_m_per_s=case.sound_speed_m_per_s,
-    )
-    displacement_m = case.amplitude_m * np.sin(2 * np.pi * case.frequency_hz * case.pulse_time_s)
-    pulse = hann_pulse(case.carrier_hz, case.bandwidth)
-    return np.concatenate(list(drawn_echoes(settings, displacement_m, pulse, case.gate_s, generator, draws, 1e-7)))
 
 
 def conditions_of(case: MotionCase) -> Conditions:
@@ -165,20 +169,6 @@ def conditions_of(case: MotionCase) -> Conditions:
     )
 
 
-def gate(case: MotionCase, volts: FloatArray) -> EchoGate:
-    """Return echoes (..., pulse, sample) as input of the estimators."""
-    valid = np.ones(volts.shape[-2], dtype=bool)
-    return EchoGate(
-        volts,
-        case.sample_rate_hz,
-        case.pulse_time_s,
-        case.carrier_hz,
-        case.sound_speed_m_per_s,
-        valid,
-        (case.margin, case.margin),
-    )
-
-
 def _row(
     case: MotionCase,
     parameter: str,
@@ -189,12 +179,11 @@ def _row(
     bound_m: FloatArray,
     model: EstimatorErrors,
 ) -> MotionRow:
-    noise_free = estimate(gate(case, clean), [case.frequency_hz], name)
-    start_s = time.perf_counter()
-    fit = estimate(gate(case, noisy), [case.frequency_hz], name)
-    time_s = time.perf_counter() - start_s
+    noise_free = estimate(case.gate(clean), [case.frequency_hz], name)
+    fit, time_s = timed(lambda: estimate(case.gate(noisy), [case.frequency_hz], name))
     amplitude_m, phase_rad = fit.amplitude_m[:, 0], fit.phase_rad[:, 0]
     error_m = amplitude_m - noise_free.amplitude_m[:, 0]
+    # Half the width of the central 68 % is robust against jumps by a wavelength.
     low, high = np.quantile(error_m / bound_m, [0.1587, 0.8413])
     return MotionRow(
         parameter=parameter,

@@ -8,12 +8,12 @@ Every measurement is made twice and the second is timed: imports, compilation an
 
 from __future__ import annotations
 
+import contextlib
 import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -23,12 +23,12 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.measurement import plan_and_check, prepare
 from hpe_rig.processing import ESTIMATORS
-from hpe_rig.result import Result, text_table
+from hpe_rig.result import text_table
 from hpe_rig.runs import Run, measure
 from hpe_rig.scene import Mistake, Processing, Scene, SettingsError
 from hpe_rig.store import StoreError
 from hpe_rig.study import one_shot
-from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, write_rows
+from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, timed, write_rows
 
 Value = TypeVar("Value")
 
@@ -42,7 +42,7 @@ UNCHANGED = "own settings"
 EQUALITY_TOLERANCE = 0.05
 """Relative difference below which two times or two errors count as equal."""
 SIGNIFICANT_STANDARD_ERRORS = 3.0
-"""Standard errors over the seeds by which the errors of two variants must differ to be called different."""
+"""Errors of two variants are different if they differ by this number of standard errors over the seeds."""
 BENEFITS: Mapping[str, str] = {
     "estimator": "the lowest noise at any SNR, and motion of many wavelengths can be tracked",
     "harmonic": "a fit that remains valid for other media, noise levels and gaps than those of this scene",
@@ -134,15 +134,12 @@ def variants(scene: Scene) -> list[Variant]:
     if twin is not None and twin.settings.specimen is not None:
         field = "gaussian" if twin.settings.specimen.field == "medium" else "medium"
         candidates.append(Variant("field", field, {"simulation.specimen.field": field}, new_records=True))
-    return [variant for variant in candidates if _is_valid(scene, variant)]
-
-
-def _is_valid(scene: Scene, variant: Variant) -> bool:
-    try:
-        scene.with_(variant.values)
-    except SettingsError:
-        return False
-    return True
+    valid = []
+    for variant in candidates:
+        with contextlib.suppress(SettingsError):
+            scene.with_(variant.values)
+            valid.append(variant)
+    return valid
 
 
 def scene_rows(
@@ -162,13 +159,7 @@ def scene_rows(
         if len(trials_by_seed) >= 2 and elapsed_s + time_per_seed_s > max_time_s:
             report_progress(f"no time for more than {len(trials_by_seed)} of {seeds} seeds")
             break
-        trials_by_seed.append(
-            list(
-                _trials_of_seed(
-                    scene, bench, tried, seed, partial(_report_seed, report_progress, f"seed {seed} of {seeds}")
-                )
-            )
-        )
+        trials_by_seed.append(_trials_of_seed(scene, bench, tried, seed, report_progress, f"seed {seed} of {seeds}"))
     trials = [list(of_variant) for of_variant in zip(*trials_by_seed, strict=True)]
     unchanged = next((trials[i] for i, variant in enumerate(tried) if variant.varied == UNCHANGED), trials[0])
     return [
@@ -192,52 +183,47 @@ class _Trial:
 
 
 def _trials_of_seed(
-    scene: Scene, bench: Path | None, tried: Sequence[Variant], seed: int, report_progress: Callable[[str], None]
-) -> Iterator[_Trial]:
-    seeded = scene.with_({"simulation.seed": seed})
+    scene: Scene,
+    bench: Path | None,
+    tried: Sequence[Variant],
+    seed: int,
+    report_progress: Callable[[str], None],
+    label: str,
+) -> list[_Trial]:
+    seeded, trials = scene.with_({"simulation.seed": seed}), []
     with tempfile.TemporaryDirectory() as folder:
         shared_run, shared_s = _measure_twice(seeded, bench, Path(folder), "shared")
         for number, variant in enumerate(tried):
-            report_progress(f"{variant.varied} {variant.setting}")
+            report_progress(f"{label}: {variant.varied} {variant.setting}")
             run, run_s = shared_run, shared_s
             if variant.new_records:
                 run, run_s = _measure_twice(seeded.with_(variant.values), bench, Path(folder), str(number))
             elif variant.values:
-                run = _with_scene(shared_run, seeded.with_(variant.values))
-            yield _trial(run, run_s)
-
-
-def _report_seed(report_progress: Callable[[str], None], seed: str, text: str) -> None:
-    report_progress(f"{seed}: {text}")
+                # The same records, with the plan and the processing settings of the variant.
+                changed = seeded.with_(variant.values)
+                plan, findings = plan_and_check(changed, shared_run.bench)
+                run = replace(shared_run, scene=changed, plan=plan, findings=findings)
+            trials.append(_trial(run, run_s))
+    return trials
 
 
 def _measure_twice(scene: Scene, bench: Path | None, folder: Path, name: str) -> tuple[Run, float]:
     """Return the run of ``scene`` in a new file, and the processor time of the second of two measurements, s."""
     paths = iter([folder / f"{name}-first.h5", folder / f"{name}.h5"])
-    return _timed(lambda: measure(scene, bench, next(paths)))
-
-
-def _with_scene(run: Run, scene: Scene) -> Run:
-    """Return the records of ``run`` with the plan and the processing settings of ``scene``."""
-    plan, findings = plan_and_check(scene, run.bench)
-    return replace(run, scene=scene, plan=plan, findings=findings)
+    return _timed_again(lambda: measure(scene, bench, next(paths)))
 
 
 def _trial(run: Run, run_s: float) -> _Trial:
     try:
-        result, estimation_s = _timed(run.estimate)
+        result, estimation_s = _timed_again(run.estimate)
     except StoreError:
         missing = np.full(len(run.scene.wanted_frequencies_hz), np.nan)
         return _Trial(missing, missing, run_s, math.nan)
-    estimated_m, true_m = _amplitudes_m(result)
-    return _Trial(estimated_m - true_m, true_m, run_s + estimation_s, estimation_s)
-
-
-def _amplitudes_m(result: Result) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated amplitudes, corrected where a correction is predicted, and the true ones (frequency,), m."""
     estimates = result.shots[0].estimates
+    # Amplitudes are corrected for beam averaging where that is predicted.
     estimated = [e.amplitude_m if e.corrected_amplitude_m is None else e.corrected_amplitude_m for e in estimates]
-    return np.array(estimated), np.array([e.true_amplitude_m or 0.0 for e in estimates])
+    true_m = np.array([e.true_amplitude_m or 0.0 for e in estimates])
+    return _Trial(np.array(estimated) - true_m, true_m, run_s + estimation_s, estimation_s)
 
 
 def _beats(trials: Sequence[_Trial], competitor: Sequence[_Trial]) -> bool:
@@ -284,19 +270,16 @@ def _row(variant: Variant, trials: Sequence[_Trial]) -> SceneRow:
 def scene_text(rows: Sequence[SceneRow]) -> str:
     """Return the table, and the variants that beat the scene's settings with the benefit of those settings."""
     cells = (
-        (row.varied, row.setting, *_percents(row), f"{row.time_s:.3f}", f"{row.estimation_s:.3f}", _mark(row))
+        (
+            *(row.varied, row.setting),
+            *("no estimate" if math.isnan(x) else f"{100 * x:.3g}" for x in (row.bias, row.sd, row.error)),
+            *(f"{row.time_s:.3f}", f"{row.estimation_s:.3f}"),
+            ", ".join(["this scene"] * row.own + ["Pareto front"] * row.on_front),
+        )
         for row in rows
     )
     headers = ("varied", "setting", "bias %", "sd %", "rms error %", "time s", "estimation s", "")
     return "\n".join([text_table(headers, cells, words=2), "", *_conclusions(rows)])
-
-
-def _percents(row: SceneRow) -> tuple[str, ...]:
-    return tuple("no estimate" if math.isnan(x) else f"{100 * x:.3g}" for x in (row.bias, row.sd, row.error))
-
-
-def _mark(row: SceneRow) -> str:
-    return ", ".join(word for word, applies in (("this scene", row.own), ("Pareto front", row.on_front)) if applies)
 
 
 def _conclusions(rows: Sequence[SceneRow]) -> Iterator[str]:
@@ -331,12 +314,10 @@ def draw_scene(rows: Sequence[SceneRow], path: Path) -> None:
     draw_panels(panels, path, "processor time (s)", "rms error / true amplitude")
 
 
-def _timed(run: Callable[[], Value]) -> tuple[Value, float]:
+def _timed_again(run: Callable[[], Value]) -> tuple[Value, float]:
     """Call ``run`` twice; return the second value and its processor time, s."""
     run()
-    start_s = time.process_time()
-    value = run()
-    return value, time.process_time() - start_s
+    return timed(run, time.process_time)
 
 
 def _alternative_fits(scene: Scene) -> list[str]:

@@ -175,8 +175,8 @@ def end_to_end_section(rows: Sequence[EndToEnd]) -> PageSection:
     )
     paragraphs = (
         "Tonebursts, medium, echoes and noise (SNR 40 dB) to the mean amplitude at 200 Hz, corrected for beam "
-        "averaging and compared with the steady state in closed form. The error combines bias and standard error. The bias is "
-        f"estimated from {max(row.realisations for row in rows)} realisations and has their uncertainty.",
+        "averaging and compared with the steady state in closed form. The error combines bias and standard error. The "
+        f"bias is estimated from {max(row.realisations for row in rows)} realisations and has their uncertainty.",
         "The bias of cross_spectrum, the paper's chain, is due to its Hann window: pulses at 3990 Hz alias motion at "
         "3.8 kHz onto 190 Hz, and the window passes half of it into 200 Hz.",
         _default_settings_text(rows),

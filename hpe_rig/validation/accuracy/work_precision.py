@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
 Row = TypeVar("Row")
+Value = TypeVar("Value")
 Group = TypeVar("Group", bound=Hashable)
 
 PANELS_PER_ROW = 4
@@ -42,20 +43,23 @@ class Point:
     """Median wall time, s."""
 
 
+def timed(run: Callable[[], Value], clock: Callable[[], float] = time.perf_counter) -> tuple[Value, float]:
+    """Return the value of ``run()`` and its duration by ``clock``, s."""
+    start_s = clock()
+    value = run()
+    return value, clock() - start_s
+
+
 def measured(
     case: str, method: str, setting: str, compute: Callable[[], FloatArray], exact: FloatArray, repeats: int = 3
 ) -> Point:
     """Compare ``compute()`` with ``exact`` and time it ``repeats`` times; the error is NaN if it raises."""
-    times_s = []
-    error = float("nan")
-    for _ in range(repeats):
-        start_s = time.perf_counter()
-        try:
-            value = compute()
-        except (ValueError, ArithmeticError, FloatingPointError):
-            return Point(case, method, setting, error, time.perf_counter() - start_s)
-        times_s.append(time.perf_counter() - start_s)
-    error = float(np.abs(value - exact).max() / np.abs(exact).max())
+    start_s = time.perf_counter()
+    try:
+        values, times_s = zip(*(timed(compute) for _ in range(repeats)), strict=True)
+    except (ValueError, ArithmeticError):
+        return Point(case, method, setting, float("nan"), time.perf_counter() - start_s)
+    error = float(np.abs(values[-1] - exact).max() / np.abs(exact).max())
     return Point(case, method, setting, error, float(np.median(times_s)))
 
 
@@ -82,9 +86,8 @@ def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
     files = (("--output", output, (".csv", ".json")), ("--figure", figure, (".svg", ".png", ".pdf")))
     for option, path, suffixes in files:
         if path is not None and path.suffix not in suffixes:
-            mistakes.append(
-                Mistake(option, f"{path}: unknown format", f"a file name that ends in {' or '.join(suffixes)}")
-            )
+            remedy = f"a file name that ends in {' or '.join(suffixes)}"
+            mistakes.append(Mistake(option, f"{path}: unknown format", remedy))
         if path is not None and not path.parent.is_dir():
             mistakes.append(Mistake(option, f"the folder {path.parent} does not exist", "create it, or choose another"))
         elif path is not None and (why := unwritable(path)):
@@ -187,11 +190,6 @@ def draw_panels(
             panel.axhline(1, color="0.6", lw=0.8)
     for panel in axes[::columns]:
         panel.set_ylabel(y_label)
-    figure.legend(
-        [lines_by_method[method] for method in marks],
-        list(marks),
-        loc="outside upper center",
-        ncols=names_per_row,
-        frameon=False,
-    )
+    lines = [lines_by_method[method] for method in marks]
+    figure.legend(lines, list(marks), loc="outside upper center", ncols=names_per_row, frameon=False)
     figure.savefig(path)

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.processing import HarmonicFit, estimate
-from hpe_rig.validation.accuracy.motion import MotionCase, twin_echoes
+from hpe_rig.validation.accuracy.motion import MotionCase
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -107,6 +107,6 @@ def test_stated_uncertainties_are_true(
 
 
 def test_the_twins_echoes_track_the_expected_part_of_the_peak(table_one: TableOne) -> None:
-    volts = twin_echoes(MotionCase(), 200, np.random.default_rng(25))
+    volts = MotionCase().twin_echoes(200, np.random.default_rng(25))
     for estimator, expected in (("coherent", 0.887), ("cross_spectrum", 0.892)):
         _check_tracked(replace(table_one, phase_rad=0.0), volts, estimator, expected)

@@ -16,7 +16,7 @@ from hpe_rig.processing import (
     estimate,
 )
 from hpe_rig.processing.harmonics.model import harmonic_columns
-from hpe_rig.validation.accuracy.motion import MotionCase, twin_echoes
+from hpe_rig.validation.accuracy.motion import MotionCase
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -106,7 +106,7 @@ def test_noise_alone_explains_6000_measurements(table_one: TableOne, estimator: 
     generator = np.random.default_rng(32)
     squares = []
     for _ in range(60):
-        clean = twin_echoes(MotionCase(), 100, generator)
+        clean = MotionCase().twin_echoes(100, generator)
         noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 100)
         fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
         error = fit.amplitude_m - estimate(table_one.gate(clean), [200.0], estimator).amplitude_m
@@ -122,7 +122,7 @@ def test_jitter_over_100_speckles_is_within_five_percent_of_the_bound(wide: Tabl
     generator, ratios = np.random.default_rng(33), []
     # A gate so long that it holds the wanted one with its margins.
     with_margins = MotionCase(gate_length_m=(wide.samples + 2 * wide.margin) / 100e6 * 1540.0 / 2)
-    for echo in twin_echoes(with_margins, 100, generator):
+    for echo in with_margins.twin_echoes(100, generator):
         resting = echo[0, wide.margin : -wide.margin]
         noise_v = np.sqrt(np.mean(resting**2) / 10 ** (snr_db / 10))
         volts = echo + noise_v * generator.standard_normal((30, *echo.shape))
@@ -138,7 +138,7 @@ def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOn
     generator = np.random.default_rng(31)
     ratios, noise = [], []
     for _ in range(20):
-        clean = twin_echoes(MotionCase(), 100, generator)
+        clean = MotionCase().twin_echoes(100, generator)
         noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 100)
         fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
         ratios.append(fit.amplitude_m[:, 0] / table_one.amplitude_m)
