@@ -1,9 +1,9 @@
-"""Time the echo engine against the direct sum and public simulators: same scatterers, echoes and samples, one run.
+"""Compare the echo engine with the direct sum and with public simulators: same scatterers, echoes and samples.
 
-Usage: python scripts/benchmarks/benchmark_echo.py [--rounds 7] [--output table.json].
-Peers are optional (`echo_peers.py`); missing ones are named.
-Processor time of one core. Every contender runs once a round and medians over rounds are compared, so that a busy
-machine slows all alike.
+Processor time of one core. All run once per round and medians over the rounds are compared, so that a busy machine
+slows all of them alike. Simulators are optional (`echo_peers.py`); missing ones are named.
+
+    python scripts/benchmarks/benchmark_echo.py [--rounds 7] [--output table.json]
 """
 
 # ruff: noqa: E402
@@ -11,19 +11,20 @@ from __future__ import annotations
 
 import os
 
-# One core each, whatever the libraries would like: before any of them is imported.
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ[_threads] = "1"
+# One thread per library. They read these variables when they are imported.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_variable] = "1"
 
 import argparse
 import json
 import statistics
-import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from echo_peers import CARRIER_HZ, DEPTH_M, GATE_S, PEER_SAYS, PULSE, C, found_peers
+from echo_peers import CARRIER_HZ, DEPTH_M, GATE_S, PEER_MODELS, PULSE, SOUND_SPEED, available_peers
+from process_cost import processor_times_s
 
 from sim_backend.echoes import (
     EchoDelays,
@@ -39,213 +40,230 @@ from sim_backend.echoes import (
 from sim_backend.settings import Beams, Scatterers, SimulationSettings
 
 DISPLACEMENT_M = 1e-6 * np.sin(2 * np.pi * np.arange(101) / 20)
+ECHOES = len(DISPLACEMENT_M)
 FIELD = draw_field(Scatterers(), Beams(), np.random.default_rng(0))
-REST_S = depth_delay_s(FIELD, "two_way", C)
-WEIGHT, G = FIELD.tracking_weight, FIELD.motion_weight
-AMPLITUDE_S = DISPLACEMENT_M[:, None] * 2 / C
-PEERS, MISSING = found_peers()
+MOTION = EchoDelays(
+    depth_delay_s(FIELD, "two_way", SOUND_SPEED), FIELD.motion_weight[None], DISPLACEMENT_M[:, None] * 2 / SOUND_SPEED
+)
+WEIGHT = FIELD.tracking_weight
+PEERS, MISSING_PEERS = available_peers()
+TOLERANCES = (1e-6, 1e-8, 1e-13)
+REFERENCE = "batch, 1e-08"
+"""Contender that the others are compared with: the engine as studies use it."""
 
 
-def vectorised_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the double sum with one array of samples by scatterers an echo: eq. (10) as printed."""
-    out = np.empty((len(delay_s), len(GATE_S)))
-    window, carrier = 2 * np.pi * CARRIER_HZ * 0.065, 2 * np.pi * CARRIER_HZ
-    for echo, tau in zip(out, delay_s, strict=True):
-        age = GATE_S[:, None] - tau
-        echo[:] = (
-            np.where(np.abs(age) < PULSE.end_s, (0.5 + 0.5 * np.cos(window * age)) * np.cos(carrier * age), 0.0)
-            @ weight
-        )
-    return out
+@dataclass(frozen=True)
+class Contender:
+    """A program that computes ``echo_count`` of the echoes per call, and where they are in its result."""
+
+    compute: Callable[[], object]
+    echo_count: int
+    echo_of: Callable[[object], object] = lambda result: result
 
 
-def masked_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the same by matrix products of each echo's supports, which spares the cosines: the fairest denominator."""
+@dataclass(frozen=True)
+class Timing:
+    """Times for all echoes, and the relative rms error of the echoes; None if the model differs."""
+
+    median_s: float
+    best_s: float
+    error: float | None
+
+
+def vectorised_direct_sum(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the double sum of eq. (10) with an array (sample, scatterer) for each echo."""
+    echoes = np.empty((len(delay_s), len(GATE_S)))
+    window_rad_per_s, carrier_rad_per_s = 2 * np.pi * CARRIER_HZ * 0.065, 2 * np.pi * CARRIER_HZ
+    for echo, tau in zip(echoes, delay_s, strict=True):
+        age_s = GATE_S[:, None] - tau
+        pulse = (0.5 + 0.5 * np.cos(window_rad_per_s * age_s)) * np.cos(carrier_rad_per_s * age_s)
+        echo[:] = np.where(np.abs(age_s) < PULSE.end_s, pulse, 0.0) @ weight
+    return echoes
+
+
+def matrix_direct_sum(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the double sum of eq. (10) as matrix products, which save the cosines: the fairest reference.
+
+    The Hann pulse is a sum of three cosines. The products of each with the mask of scatterers within the pulse give the
+    complex amplitudes at every sample.
+    """
     omega = 2 * np.pi * np.array(PULSE.frequency_hz)
     rotation = np.array(PULSE.amplitude)[:, None] * np.exp(1j * omega[:, None] * GATE_S)
-    out = np.empty((len(delay_s), len(GATE_S)))
-    for echo, tau in zip(out, delay_s, strict=True):
+    echoes = np.empty((len(delay_s), len(GATE_S)))
+    for echo, tau in zip(echoes, delay_s, strict=True):
         inside = (np.abs(GATE_S[:, None] - tau) < PULSE.end_s).astype(float)
-        turns = weight * np.exp(-1j * omega[:, None] * tau)
-        sums = inside @ np.concatenate([turns.real, turns.imag]).T
+        phasors = weight * np.exp(-1j * omega[:, None] * tau)
+        sums = inside @ np.concatenate([phasors.real, phasors.imag]).T
         echo[:] = (rotation.T * (sums[:, :3] + 1j * sums[:, 3:])).real.sum(axis=1)
-    return out
+    return echoes
 
 
-def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[str]]:
-    """Return what runs, and how much of the 101 echoes one run makes; and who is missing."""
-    motion = EchoDelays(REST_S, G[None], AMPLITUDE_S)
-    delay_s = motion.delay_s()
-    still = ScattererRows(np.zeros(len(REST_S), dtype=np.int64), REST_S, WEIGHT, G[None], AMPLITUDE_S[None])
-    ten = delay_s[:10]
-    runs: dict[str, tuple[Callable[[], object], float]] = {
-        "NumPy direct, vectorised": (lambda: vectorised_direct(ten, WEIGHT), 10 / 101),
-        "NumPy direct, by products": (lambda: masked_direct(ten, WEIGHT), 10 / 101),
-        "running sum": (lambda: running_sum(delay_s, WEIGHT, PULSE, GATE_S), 1.0),
+def contenders() -> dict[str, Contender]:
+    """Return all programs that compute the echoes of Table I."""
+    delay_s = MOTION.delay_s()
+    rows = ScattererRows(
+        np.zeros(len(WEIGHT), dtype=np.int64), MOTION.rest_s, WEIGHT, MOTION.shape, MOTION.amplitude_s[None]
+    )
+    entries = {
+        "NumPy direct, vectorised": Contender(lambda: vectorised_direct_sum(delay_s[:10], WEIGHT), 10),
+        "NumPy direct, by products": Contender(lambda: matrix_direct_sum(delay_s[:10], WEIGHT), 10),
+        "running sum": Contender(lambda: running_sum(delay_s, WEIGHT, PULSE, GATE_S), ECHOES),
     }
-    for tolerance in (1e-6, 1e-8, 1e-13):
-        runs[f"engine, {tolerance:g}"] = (
-            lambda tolerance=tolerance: synthesise(motion, WEIGHT, PULSE, GATE_S, tolerance),
-            1.0,
-        )
-        runs[f"batch, {tolerance:g}"] = (lambda tolerance=tolerance: batch(still, PULSE, GATE_S, tolerance), 1.0)
+    for tolerance in TOLERANCES:
+        engine = lambda tolerance=tolerance: synthesise(MOTION, WEIGHT, PULSE, GATE_S, tolerance)  # noqa: E731
+        entries[f"engine, {tolerance:g}"] = Contender(engine, ECHOES, lambda result: result.echo)
+        batched = lambda tolerance=tolerance: batch(rows, PULSE, GATE_S, tolerance)  # noqa: E731
+        entries[f"batch, {tolerance:g}"] = Contender(batched, ECHOES, lambda result: result[0])
     x_m, z_m = FIELD.offset_m[:, 0], FIELD.offset_m[:, 2]
     for name, peer in PEERS.items():
-        runs[name] = (lambda peer=peer: peer(x_m, z_m, WEIGHT), 1 / 101)
-    if "finufft" in PEERS:
-        # It sums the same echoes as ours, so all of them are made, moved, and compared.
-        runs["finufft"] = (lambda: np.stack([PEERS["finufft"](x_m, C / 2 * tau, WEIGHT) for tau in delay_s]), 1.0)
-    return runs, MISSING
+        entries[name] = Contender(lambda peer=peer: peer(x_m, z_m, WEIGHT), 1)
+    if finufft := PEERS.get("finufft"):
+        # It has the twin's model, so it computes all echoes of the motion, which are compared.
+        moving = lambda: np.stack([finufft(x_m, SOUND_SPEED / 2 * tau, WEIGHT) for tau in delay_s])  # noqa: E731
+        entries["finufft"] = Contender(moving, ECHOES)
+    return entries
+
+
+def timings(rounds: int) -> dict[str, Timing]:
+    """Run all contenders alternately."""
+    entries = contenders()
+    # A slow contender once per round, a fast one 25 times; the first calls compile.
+    repeats = {name: 1 if min(processor_times_s(entry.compute, 2)) > 0.05 else 25 for name, entry in entries.items()}
+    times_s: dict[str, list[float]] = {name: [] for name in entries}
+    for _ in range(rounds):
+        for name, entry in entries.items():
+            calls_s = processor_times_s(entry.compute, repeats[name])
+            times_s[name] += [time_s * ECHOES / entry.echo_count for time_s in calls_s]
+    exact = direct_sum(MOTION.delay_s(), WEIGHT, PULSE, GATE_S)
+    return {
+        name: Timing(statistics.median(times_s[name]), min(times_s[name]), relative_error(entry, exact))
+        for name, entry in entries.items()
+    }
+
+
+def relative_error(contender: Contender, exact: np.ndarray) -> float | None:
+    """Return the relative rms error of all echoes; None if the contender computes fewer."""
+    if contender.echo_count != ECHOES:
+        return None
+    echoes = np.asarray(contender.echo_of(contender.compute()))
+    return float(np.sqrt(np.mean((echoes - exact) ** 2) / np.mean(exact**2)))
+
+
+def print_timings(table: dict[str, Timing], rounds: int) -> None:
+    """Print times and ratios to the faster direct sum and to ``REFERENCE``."""
+    direct = [timing for name, timing in table.items() if name.startswith("NumPy direct")]
+    direct_s, direct_best_s = min(item.median_s for item in direct), min(item.best_s for item in direct)
+    reference = table[REFERENCE]
+    print(f"Table I, {len(WEIGHT)} scatterers, {ECHOES} echoes x {len(GATE_S)} samples; medians of {rounds} rounds")
+    print(f"{os.cpu_count()} cores, one used; ratios to the faster of the direct sums, and to '{REFERENCE}'")
+    print("best: the fastest run and the ratio of the fastest, which a busy machine disturbs least")
+    print(f"{'':28}{'ms':>11}{'best':>11}{'direct / this':>15}{'best':>9}{'this / ours':>13}{'best':>10}{'error':>10}")
+    for name, timing in table.items():
+        times = f"{timing.median_s * 1e3:11.3f}{timing.best_s * 1e3:11.3f}"
+        speedup = f"{direct_s / timing.median_s:15.2f}{direct_best_s / timing.best_s:9.2f}"
+        slowdown = f"{timing.median_s / reference.median_s:13.1f}{timing.best_s / reference.best_s:10.1f}"
+        error = "" if timing.error is None else f"{timing.error:.1e}"
+        print(f"{name:28}{times}{speedup}{slowdown}{error:>10}")
+    for name in MISSING_PEERS:
+        print(f"not run: {name}")
+    for name, model in PEER_MODELS.items():
+        print(f"{name} computes {model}")
+    print("The engine computes neither apertures nor diffraction: the beams are the Gaussians of eq. (8) and (12).")
 
 
 def draw_time_s(draws: int, tolerance: float) -> float:
-    """Return seconds a study draw, new scatterers, weights, 101 echoes: median of five batches of ``draws``."""
+    """Return the time per study draw (new scatterers, weights, 101 echoes), median of five batches of ``draws``."""
     settings = SimulationSettings()
 
-    def batch_of_draws() -> None:
+    def compute_draws() -> None:
         rng = np.random.default_rng(0)
         for _ in drawn_echoes(settings, DISPLACEMENT_M, PULSE, GATE_S, rng, draws, tolerance):
             pass
 
-    return _median_s(batch_of_draws, 5) / draws
+    return statistics.median(processor_times_s(compute_draws, 5)) / draws
 
 
-def displacement_error_m(make: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Return the rms error, as motion, of ``make(moved_m (echo,))``: one scatterer at 70 mm that moves 100 nm.
+def displacement_error_m(echoes_of: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Return the rms displacement error of a simulator, from one scatterer at 70 mm that moves by 100 nm.
 
-    The phase of every echo against the first, and what is left of it when a straight line in the true motion has been
-    taken off: whatever the contender's pulse and centre frequency are, its own phase per metre is fitted.
+    ``echoes_of`` maps displacements (echo,), m, to echoes (echo, sample). The error is the residual of the echo phase
+    about a straight line in the displacement. The fitted slope makes it independent of pulse and centre frequency.
     """
-    moved_m = 100e-9 * np.sin(2 * np.pi * np.arange(100) / 20 + 0.3)
-    echo = np.asarray(make(moved_m), dtype=np.float64)
-    spectrum = np.fft.rfft(echo, axis=1)
-    phase = np.angle(np.sum(spectrum * np.conj(spectrum[0]), axis=1))
-    line = np.polynomial.Polynomial.fit(moved_m, phase, 1).convert().coef
-    return float(np.sqrt(np.mean((phase - line[0] - line[1] * moved_m) ** 2)) / abs(line[1]))
+    displacement_m = 100e-9 * np.sin(2 * np.pi * np.arange(100) / 20 + 0.3)
+    spectrum = np.fft.rfft(np.asarray(echoes_of(displacement_m), dtype=np.float64), axis=1)
+    phase_rad = np.angle(np.sum(spectrum * np.conj(spectrum[0]), axis=1))
+    offset, slope = np.polynomial.Polynomial.fit(displacement_m, phase_rad, 1).convert().coef
+    return float(np.sqrt(np.mean((phase_rad - offset - slope * displacement_m) ** 2)) / abs(slope))
 
 
-def accuracy_rows() -> dict[str, float]:
-    """Return displacement error in nm: the engine, its positions in float32, and the peers."""
+def displacement_errors_nm() -> dict[str, float]:
+    """Return the displacement error of the engine, of positions in float32, and of the peers."""
+    zero, one = np.zeros(1), np.ones(1)
 
-    def engine(moved_m: np.ndarray, tolerance: float) -> np.ndarray:
-        motion = EchoDelays(np.zeros(1), np.ones((1, 1)), moved_m[:, None] * 2 / C)
-        return synthesise(motion, np.ones(1), PULSE, GATE_S, tolerance).echo
+    def engine(displacement_m: np.ndarray, tolerance: float) -> np.ndarray:
+        motion = EchoDelays(zero, one[None], displacement_m[:, None] * 2 / SOUND_SPEED)
+        return synthesise(motion, one, PULSE, GATE_S, tolerance).echo
 
-    def single(moved_m: np.ndarray) -> np.ndarray:
-        depth_m = (DEPTH_M + moved_m).astype(np.float32).astype(float) - float(np.float32(DEPTH_M))
-        return direct_sum(2 / C * depth_m[:, None], np.ones(1), PULSE, GATE_S)
+    def single_precision(displacement_m: np.ndarray) -> np.ndarray:
+        depth_m = (DEPTH_M + displacement_m).astype(np.float32).astype(float) - float(np.float32(DEPTH_M))
+        return direct_sum(2 / SOUND_SPEED * depth_m[:, None], one, PULSE, GATE_S)
 
-    rows = {
-        f"engine, {tolerance:g}": displacement_error_m(lambda m, tolerance=tolerance: engine(m, tolerance)) * 1e9
-        for tolerance in (1e-6, 1e-8, 1e-13)
+    simulators: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        f"engine, {tolerance:g}": lambda z_m, tolerance=tolerance: engine(z_m, tolerance) for tolerance in TOLERANCES
     }
-    rows["direct sum, positions in float32"] = displacement_error_m(single) * 1e9
-    nothing, one = np.zeros(1), np.ones(1)
+    simulators["direct sum, positions in float32"] = single_precision
     for name, peer in PEERS.items():
-        rows[name] = displacement_error_m(lambda m, peer=peer: np.stack([peer(nothing, z[None], one) for z in m])) * 1e9
-    return rows
+        simulators[name] = lambda z_m, peer=peer: np.stack([peer(zero, z[None], one) for z in z_m])
+    return {name: displacement_error_m(simulator) * 1e9 for name, simulator in simulators.items()}
 
 
 def scaling() -> list[tuple[str, int, float]]:
-    """Return seconds against scatterers (101 echoes) and against echoes (Table I's scatterers), tolerance 1e-8."""
+    """Return times against scatterers (101 echoes) and against echoes (Table I's scatterers), tolerance 1e-8."""
     rows = []
     for count in (1_000, 10_000, 100_000, 1_000_000):
-        place = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3)) * np.array([1e-3, 1e-3, 5e-3])
-        tau = np.sort(2 * place[:, 2] / C)
-        motion, weight = (
-            EchoDelays(tau, np.exp(-np.square(place[:, :1].T) / 5e-8), AMPLITUDE_S),
-            np.exp(-np.square(place[:, 1]) / 1e-8),
-        )
-        rows.append(
-            ("scatterers", count, _median_s(lambda m=motion, w=weight: synthesise(m, w, PULSE, GATE_S, 1e-8), 3))
-        )
-    for echoes in (10, 100, 1_000, 10_000):
-        amplitude_s = 2e-6 / C * np.sin(np.arange(echoes))[:, None]
-        motion = EchoDelays(REST_S, G[None], amplitude_s)
-        rows.append(("echoes", echoes, _median_s(lambda m=motion: synthesise(m, WEIGHT, PULSE, GATE_S, 1e-8), 5)))
+        position_m = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3)) * np.array([1e-3, 1e-3, 5e-3])
+        shape = np.exp(-np.square(position_m[:, :1].T) / 5e-8)
+        motion = EchoDelays(np.sort(2 * position_m[:, 2] / SOUND_SPEED), shape, MOTION.amplitude_s)
+        rows.append(("scatterers", count, _synthesis_time_s(motion, np.exp(-np.square(position_m[:, 1]) / 1e-8), 3)))
+    for count in (10, 100, 1_000, 10_000):
+        amplitude_s = 2e-6 / SOUND_SPEED * np.sin(np.arange(count))[:, None]
+        motion = EchoDelays(MOTION.rest_s, MOTION.shape, amplitude_s)
+        rows.append(("echoes", count, _synthesis_time_s(motion, WEIGHT, 5)))
     return rows
 
 
-def _times_s(run: Callable[[], object], rounds: int) -> list[float]:
-    taken = []
-    for _ in range(rounds):
-        begin = time.process_time()
-        run()
-        taken.append(time.process_time() - begin)
-    return taken
-
-
-def _median_s(run: Callable[[], object], rounds: int) -> float:
-    return statistics.median(_times_s(run, rounds))
+def _synthesis_time_s(motion: EchoDelays, weight: np.ndarray, calls: int) -> float:
+    return statistics.median(processor_times_s(lambda: synthesise(motion, weight, PULSE, GATE_S, 1e-8), calls))
 
 
 def main() -> None:
-    """Run every contender in turn and print the tables."""
+    """Run all contenders and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--output", type=Path)
+    parser.add_argument("--output", type=Path, help="also write the numbers to this JSON file")
     options = parser.parse_args()
-    runs, missing = contenders()
-    taken: dict[str, list[float]] = {name: [] for name in runs}
-    # A slow contender once a round, a fast one 25 times.
-    repeats = {name: 1 if min(_times_s(run, 2)) > 0.05 else 25 for name, (run, _) in runs.items()}
-    for _ in range(options.rounds):
-        for name, (run, share) in runs.items():
-            taken[name] += [one / share for one in _times_s(run, repeats[name])]
-    time_s = {name: statistics.median(values) for name, values in taken.items()}
-    best_s = {name: min(values) for name, values in taken.items()}
-    exact = direct_sum(REST_S + AMPLITUDE_S @ G[None], WEIGHT, PULSE, GATE_S)
-    ours = "batch, 1e-08"
-    base_s, base_best_s = (
-        min(some["NumPy direct, vectorised"], some["NumPy direct, by products"]) for some in (time_s, best_s)
-    )
-    print(f"Table I, {len(WEIGHT)} scatterers, 101 echoes x 130 samples; medians of {options.rounds} rounds")
-    print(f"{os.cpu_count()} cores, one used; ratios to the faster of the direct sums, and to '{ours}'")
-    print("best: the fastest run and the ratio of the fastest, which a busy machine disturbs least")
-    print(f"{'':28}{'ms':>11}{'best':>11}{'direct / this':>15}{'best':>9}{'this / ours':>13}{'best':>10}{'error':>10}")
-    errors = {}
-    for name, (run, share) in runs.items():
-        made = run()
-        echo = (
-            np.asarray(getattr(made, "echo", made)[0] if name.startswith("batch") else getattr(made, "echo", made))
-            if share == 1
-            else None
-        )
-        error = (
-            float(np.sqrt(np.mean((echo - exact) ** 2) / np.mean(exact**2)))
-            if echo is not None and echo.shape == exact.shape
-            else None
-        )
-        errors[name] = error
-        shown = "" if error is None else f"{error:.1e}"
-        faster = f"{base_s / time_s[name]:15.2f}{base_best_s / best_s[name]:9.2f}"
-        slower = f"{time_s[name] / time_s[ours]:13.1f}{best_s[name] / best_s[ours]:10.1f}"
-        print(f"{name:28}{time_s[name] * 1e3:11.3f}{best_s[name] * 1e3:11.3f}{faster}{slower}{shown:>10}")
-    for name in missing:
-        print(f"not run: {name}")
-    for name, says in PEER_SAYS.items():
-        print(f"{name} computes {says}")
-    print("Ours computes neither apertures nor diffraction: the beams are the Gaussians of eq. (8) and (12).")
-    draws = {f"{tolerance:g}": draw_time_s(1000, tolerance) for tolerance in (1e-6, 1e-8)}
-    for name, value in draws.items():
-        print(f"study draw, {name}: {value * 1e3:.3f} ms")
-    moved = accuracy_rows()
-    for name, value in moved.items():
-        print(f"rms displacement error, one scatterer at 70 mm moving 100 nm, {name}: {value:.2e} nm")
-    grown = scaling()
-    for kind, count, value in grown:
-        print(f"{count:>8} {kind}: {value * 1e3:9.2f} ms")
+    table = timings(options.rounds)
+    print_timings(table, options.rounds)
+    draws_s = {f"{tolerance:g}": draw_time_s(1000, tolerance) for tolerance in (1e-6, 1e-8)}
+    for name, time_s in draws_s.items():
+        print(f"study draw, {name}: {time_s * 1e3:.3f} ms")
+    errors_nm = displacement_errors_nm()
+    for name, error_nm in errors_nm.items():
+        print(f"rms displacement error, one scatterer at 70 mm moving 100 nm, {name}: {error_nm:.2e} nm")
+    sizes = scaling()
+    for kind, count, time_s in sizes:
+        print(f"{count:>8} {kind}: {time_s * 1e3:9.2f} ms")
     if options.output:
-        table = {
-            "time_s": time_s,
-            "best_s": best_s,
-            "error": errors,
-            "missing": missing,
-            "draw_s": draws,
-            "moved_nm": moved,
-            "scaling": grown,
+        numbers = {
+            "time_s": {name: timing.median_s for name, timing in table.items()},
+            "best_s": {name: timing.best_s for name, timing in table.items()},
+            "error": {name: timing.error for name, timing in table.items()},
+            "missing": MISSING_PEERS,
+            "draw_s": draws_s,
+            "moved_nm": errors_nm,
+            "scaling": sizes,
         }
-        options.output.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+        options.output.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,9 @@
-"""Cold start: processor time and modules of commands, each run in fresh processes, and of the libraries they need.
+"""Measure the processor time and loaded modules of commands in fresh processes.
 
-Usage: python scripts/benchmarks/cold_start.py [--repeats 7] [--against TREE ...] [--clock] [--libraries]
+Runs alternate, so that a busy machine slows all of them alike; the table has the median and the minimum. The column
+"floor" is a process that only loads the libraries that the command needs: no command can be faster.
 
-Median and least of several runs, in turn, so that a busy machine slows all alike. The floor of a command is a process
-that loads the libraries that it needs as the program does and does nothing: no command can take less. ``--against``
-runs the package of other trees, such as those of earlier versions, beside it: the last columns are the medians of each
-and the ratio to it. ``--clock`` takes the time by the clock, for an idle machine. ``--libraries``: each library alone.
+    python scripts/benchmarks/cold_start.py [--repeats 7] [--against TREE ...] [--clock] [--libraries]
 """
 
 from __future__ import annotations
@@ -26,14 +24,14 @@ app = typer.Typer()
 app.command()(lambda: None)
 app([], standalone_mode=False)
 """
-COMPILED = """
+NUMBA_MODULE = """
 import numba
 @numba.njit(cache=True)
 def total(values):
-    found = 0.0
+    result = 0.0
     for value in values:
-        found += value
-    return found
+        result += value
+    return result
 """
 LIBRARIES = {
     "Python": "",
@@ -48,6 +46,7 @@ LIBRARIES = {
     "jinja2": "import jinja2",
     "numba": "import numpy, compiled; compiled.total(numpy.ones(3))",
 }
+"""Code that loads each library as the program does, first use included."""
 CHECK = ("numpy", "pydantic", "typer")
 RUN = (*CHECK, "h5py", "rich")
 COMMANDS = {
@@ -60,54 +59,41 @@ COMMANDS = {
     "report muscle.h5": (*CHECK, "h5py", "scipy.special", "matplotlib", "jinja2"),
     "list": (*CHECK, "h5py", "rich"),
 }
-"""What each needs; numba none."""
+"""Libraries that each command needs; no command needs numba."""
 ROOT = Path(__file__).parents[2]
-COUNTING = "import atexit, sys\natexit.register(lambda: print(len(sys.modules), file=sys.stderr))\n"
-PROGRAM = COUNTING + 'import runpy\nrunpy.run_module("hpe_rig", run_name="__main__", alter_sys=True)\n'
-Run = Callable[[str, str], tuple[float, int]]
+COUNT_MODULES = "import atexit, sys\natexit.register(lambda: print(len(sys.modules), file=sys.stderr))\n"
+PROGRAM = COUNT_MODULES + 'import runpy\nrunpy.run_module("hpe_rig", run_name="__main__", alter_sys=True)\n'
+Cost = tuple[float, int]
+"""Time, s, and number of modules loaded."""
+RunCode = Callable[[str, str], Cost]
 
 
 def main() -> None:
     """Print one row for each command, or for each library."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--against", type=Path, nargs="+", default=[], help="other trees with the package")
-    parser.add_argument("--clock", action="store_true", help="time by the clock, for an idle machine")
-    parser.add_argument("--libraries", action="store_true", help="what each library takes alone")
-    asked = parser.parse_args()
-    trees = [ROOT, *(tree.resolve() for tree in asked.against)]
+    parser.add_argument(
+        "--against", type=Path, nargs="+", default=[], help="other source trees to compare with, such as old versions"
+    )
+    parser.add_argument("--clock", action="store_true", help="elapsed instead of processor time, for an idle machine")
+    parser.add_argument("--libraries", action="store_true", help="time each library instead of the commands")
+    options = parser.parse_args()
+    trees = [ROOT, *(tree.resolve() for tree in options.against)]
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "compiled.py").write_text(COMPILED, encoding="utf-8")
-        runs = [_runner(tree, Path(folder), asked.clock) for tree in trees]
-        if asked.libraries:
-            _print_libraries(runs[0], asked.repeats)
+        (Path(folder) / "compiled.py").write_text(NUMBA_MODULE, encoding="utf-8")
+        runs = [code_runner(tree, Path(folder), options.clock) for tree in trees]
+        if options.libraries:
+            print_libraries(runs[0], options.repeats)
             return
-        more = "".join(f" {tree.name}, s | ratio |" for tree in trees[1:])
-        print(f"| command | median, s | least, s | floor, s | modules |{more}")
-        print("|---" * (5 + more.count("|")) + "|")
+        comparisons = "".join(f" {tree.name}, s | ratio |" for tree in trees[1:])
+        print(f"| command | median, s | least, s | floor, s | modules |{comparisons}")
+        print("|---" * (5 + comparisons.count("|")) + "|")
         for command in COMMANDS:
-            print(_row(command, runs, asked.repeats), flush=True)
+            print(command_row(command, runs, options.repeats), flush=True)
 
 
-def _print_libraries(run: Run, repeats: int) -> None:
-    print("| library | median, s | beyond Python, s | modules |")
-    print("|---|---|---|---|")
-    found = _in_turn([lambda text=text: run(COUNTING + text, "") for text in LIBRARIES.values()], repeats)
-    bare = statistics.median(each[0] for each in found[0])
-    for name, each in zip(LIBRARIES, found, strict=True):
-        median = statistics.median(used for used, _ in each)
-        print(f"| {name} | {median:.3f} | {median - bare:.3f} | {each[0][1]} |")
-
-
-def _in_turn(calls: list[Callable[[], tuple[float, int]]], repeats: int) -> list[list[tuple[float, int]]]:
-    """Return what each call gives, ``repeats`` times; called once before, for the bytecode and the disk's cache."""
-    rounds = [[call() for call in calls] for _ in range(repeats + 1)][1:]
-    return [list(each) for each in zip(*rounds, strict=True)]
-
-
-def _runner(tree: Path, folder: Path, by_clock: bool) -> Run:
-    """Return a function that runs code with the package of ``tree``: time, s, and modules loaded."""
-    # Guarded, as it is not there on Windows.
+def code_runner(tree: Path, folder: Path, by_clock: bool) -> RunCode:
+    """Return a function that runs code in a fresh process with the package of ``tree``; POSIX only."""
     import resource
 
     environment = os.environ | {
@@ -118,27 +104,45 @@ def _runner(tree: Path, folder: Path, by_clock: bool) -> Run:
     }
 
     def now_s() -> float:
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        return time.perf_counter() if by_clock else used.ru_utime + used.ru_stime
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return time.perf_counter() if by_clock else usage.ru_utime + usage.ru_stime
 
-    def run(code: str, arguments: str) -> tuple[float, int]:
-        begun_s = now_s()
-        words = [sys.executable, "-c", code, *arguments.split()]
-        done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=folder, env=environment)
-        return now_s() - begun_s, int(done.stderr.split()[-1])
+    def run(code: str, arguments: str) -> Cost:
+        start_s = now_s()
+        command = [sys.executable, "-c", code, *arguments.split()]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=folder, env=environment)
+        return now_s() - start_s, int(done.stderr.split()[-1])
 
     return run
 
 
-def _row(command: str, runs: list[Run], repeats: int) -> str:
-    floor = COUNTING + "\n".join(LIBRARIES[name] for name in COMMANDS[command])
+def alternating_costs(calls: list[Callable[[], Cost]], repeats: int) -> list[list[Cost]]:
+    """Return the costs (call, repeat); a first round, which fills the bytecode and disk caches, is dropped."""
+    rounds = [[call() for call in calls] for _ in range(repeats + 1)][1:]
+    return [list(costs) for costs in zip(*rounds, strict=True)]
+
+
+def print_libraries(run: RunCode, repeats: int) -> None:
+    print("| library | median, s | beyond Python, s | modules |\n|---|---|---|---|")
+    calls = [lambda code=code: run(COUNT_MODULES + code, "") for code in LIBRARIES.values()]
+    library_costs = dict(zip(LIBRARIES, alternating_costs(calls, repeats), strict=True))
+    medians_s = {name: median_s(costs) for name, costs in library_costs.items()}
+    for name, time_s in medians_s.items():
+        print(f"| {name} | {time_s:.3f} | {time_s - medians_s['Python']:.3f} | {library_costs[name][0][1]} |")
+
+
+def median_s(costs: list[Cost]) -> float:
+    return statistics.median(time_s for time_s, _ in costs)
+
+
+def command_row(command: str, runs: list[RunCode], repeats: int) -> str:
+    load_libraries = COUNT_MODULES + "\n".join(LIBRARIES[name] for name in COMMANDS[command])
     calls = [lambda run=run: run(PROGRAM, command) for run in runs]
-    *found, bare = _in_turn([*calls, lambda: runs[0](floor, "")], repeats)
-    used = [[each for each, _ in tree] for tree in found]
-    medians = [statistics.median(each) for each in used]
-    least_s, floor_s, modules = min(used[0]), statistics.median(each for each, _ in bare), found[0][0][1]
-    row = f"| `{command}` | {medians[0]:.2f} | {least_s:.2f} | {floor_s:.2f} | {modules} |"
-    return row + "".join(f" {other_s:.2f} | {medians[0] / other_s:.2f} |" for other_s in medians[1:])
+    *tree_costs, floor_costs = alternating_costs([*calls, lambda: runs[0](load_libraries, "")], repeats)
+    time_s, *other_times_s = (median_s(costs) for costs in tree_costs)
+    least_s, modules = min(tree_costs[0])[0], tree_costs[0][0][1]
+    row = f"| `{command}` | {time_s:.2f} | {least_s:.2f} | {median_s(floor_costs):.2f} | {modules} |"
+    return row + "".join(f" {other_s:.2f} | {time_s / other_s:.2f} |" for other_s in other_times_s)
 
 
 if __name__ == "__main__":

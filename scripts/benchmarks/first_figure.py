@@ -1,7 +1,6 @@
-"""Time from `git clone` to the first figure, and the commands that are typed for it, of two versions in turns.
+"""Time the steps from `git clone` to the first report page for two versions, alternately.
 
-Each round clones REPOSITORY, checks out the commit, makes a virtual environment, and types what the README of that
-version says. Printed: seconds of every command and round; then the ratio of the sums and the numbers of commands.
+Each round clones the repository, checks out the version, makes a virtual environment, installs and measures.
 """
 
 from __future__ import annotations
@@ -14,52 +13,56 @@ import tempfile
 import time
 from pathlib import Path
 
-BEFORE = ("hpe-rig run bovine-muscle", "hpe-rig report bovine-muscle.h5")
-AFTER = ("hpe-rig run bovine-muscle --report",)
-"""What each version needs typed after the installation; the page is then opened in a browser."""
+COMMANDS_BEFORE = ("hpe-rig run bovine-muscle", "hpe-rig report bovine-muscle.h5")
+COMMANDS_AFTER = ("hpe-rig run bovine-muscle --report",)
+"""Commands typed after the installation in versions without and with the option `--report`."""
+INSTALLATION_COMMANDS = 5
+"""Clone, enter the folder, make the environment, activate it, install."""
 
 
 def main() -> None:
-    """Time both versions in turns and print what was found."""
+    """Time both versions alternately and print the ratio of the sums and the numbers of commands."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("repository", help="what git can clone")
-    parser.add_argument("before", help="commit of the version before")
-    parser.add_argument("after", help="commit of the version after")
+    parser.add_argument("repository", help="address or folder for `git clone`")
+    parser.add_argument("before", help="commit without the option --report")
+    parser.add_argument("after", help="commit with it")
     parser.add_argument("rounds", nargs="?", type=int, default=2)
-    given = parser.parse_args()
-    taken: dict[str, list[float]] = {given.before: [], given.after: []}
-    for _ in range(given.rounds):
-        for commit, words in ((given.before, BEFORE), (given.after, AFTER)):
-            taken[commit].append(timed(given.repository, commit, words))
-    ratio = sum(taken[given.after]) / sum(taken[given.before])
-    print(f"after over before: {ratio:.2f}; commands typed: {5 + len(BEFORE)} and {5 + len(AFTER)}")
+    options = parser.parse_args()
+    before_s = after_s = 0.0
+    for _ in range(options.rounds):
+        before_s += time_to_page_s(options.repository, options.before, COMMANDS_BEFORE)
+        after_s += time_to_page_s(options.repository, options.after, COMMANDS_AFTER)
+    counts = [INSTALLATION_COMMANDS + len(commands) for commands in (COMMANDS_BEFORE, COMMANDS_AFTER)]
+    print(f"after over before: {after_s / before_s:.2f}; commands typed: {counts[0]} and {counts[1]}")
 
 
-def timed(repository: str, commit: str, words: tuple[str, ...]) -> float:
-    """Return the seconds from the clone to the page, each command's told on the way."""
+def time_to_page_s(repository: str, commit: str, measurement_commands: tuple[str, ...]) -> float:
+    """Return the seconds from the clone to the page, and print the seconds of every command."""
     with tempfile.TemporaryDirectory() as folder:
-        there = Path(folder) / "hpe_rig"
-        programs = there / ".venv" / ("Scripts" if os.name == "nt" else "bin")
-        path = {**os.environ, "PATH": os.pathsep.join((str(programs), os.environ["PATH"]))}
-        path.pop("PYTHONPATH", None)
+        clone = Path(folder) / "hpe_rig"
+        programs = clone / ".venv" / ("Scripts" if os.name == "nt" else "bin")
+        environment = {**os.environ, "PATH": os.pathsep.join((str(programs), os.environ["PATH"]))}
+        environment.pop("PYTHONPATH", None)
         commands = [
             (f"git clone -q {repository} hpe_rig", folder),
-            (f"git checkout -q {commit}", there),
-            (f"{sys.executable} -m venv .venv", there),
-            ("python -m pip install -q .", there),
-            *((command, there) for command in words),
+            (f"git checkout -q {commit}", clone),
+            (f"{sys.executable} -m venv .venv", clone),
+            ("python -m pip install -q .", clone),
+            *((command, clone) for command in measurement_commands),
         ]
-        begun_s = time.monotonic()
-        each = []
-        for command, where in commands:
+        steps, total_s = [], 0.0
+        for command, working_folder in commands:
             start_s = time.monotonic()
-            subprocess.run(command, shell=True, cwd=where, env=path, check=True, stdout=subprocess.DEVNULL)
-            each.append(f"{command.split()[0]} {command.split()[1]} {time.monotonic() - start_s:.1f} s")
-        if not (there / "bovine-muscle.html").exists():
-            raise FileNotFoundError("no page came of it")
-        took_s = time.monotonic() - begun_s
-        print(f"{commit}: {took_s:.1f} s ({', '.join(each)})", flush=True)
-        return took_s
+            subprocess.run(
+                command, shell=True, cwd=working_folder, env=environment, check=True, stdout=subprocess.DEVNULL
+            )
+            step_s = time.monotonic() - start_s
+            total_s += step_s
+            steps.append(f"{' '.join(command.split()[:2])} {step_s:.1f} s")
+        if not (clone / "bovine-muscle.html").exists():
+            raise FileNotFoundError("the commands wrote no page")
+        print(f"{commit}: {total_s:.1f} s ({', '.join(steps)})", flush=True)
+        return total_s
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Cost of a measurement against its number of pulses: seconds by stage and peak memory, each in a fresh process.
+"""Measure run time per stage and peak memory of a measurement against its number of pulses.
 
-Usage: python scripts/benchmarks/many_pulses.py [1e3 1e4 1e5 1e6]
+The scene is `table-1` with a longer train. Each row is a fresh process, from import to the stored result.
+Waiting for the disk or for other programs does not count as processor time.
 
-The scene is ``table-1`` with a longer train. Processor time counts what waits for the disk or for other programs as
-nothing; the peak is that of the whole process, from ``import`` to the written result.
+    python scripts/benchmarks/many_pulses.py [1e3 1e4 1e5 1e6]
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from process_cost import resource_usage
+
 STAGES = ("plan", "collect", "store", "truth", "process")
 
 
@@ -22,21 +24,19 @@ def main() -> None:
     """Print one row for each number of pulses."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("pulses", nargs="*", type=float, default=[1e3, 1e4, 1e5, 1e6])
-    parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.alone:
-        print(_row(int(asked.pulses[0])), flush=True)
+    parser.add_argument("--in-process", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.in_process:
+        print(table_row(int(options.pulses[0])), flush=True)
         return
     print("| pulses | " + " | ".join(f"{name}, s" for name in STAGES) + " | all, s | processor, s | peak, MB |")
     print("|---" * (len(STAGES) + 4) + "|")
-    for count in asked.pulses:
-        subprocess.run([sys.executable, __file__, "--alone", str(count)], check=True)
+    for pulses in options.pulses:
+        subprocess.run([sys.executable, __file__, "--in-process", str(pulses)], check=True)
 
 
-def _row(pulses: int) -> str:
-    # Guarded, as it is not there on Windows.
-    import resource
-
+def table_row(pulses: int) -> str:
+    """Measure and process a scene of ``pulses`` pulses in this process; return its row of the table."""
     import hpe_rig as hpe
     from hpe_rig.measurement import prepare, record_run
     from hpe_rig.result import Stages
@@ -46,11 +46,10 @@ def _row(pulses: int) -> str:
     with tempfile.TemporaryDirectory() as folder:
         setup = prepare(hpe.load_scene("table-1").with_({"tracking.pulse_count": pulses}), stages=stages)
         process(record_run(setup, Path(folder) / "run.h5", stages=stages), stages=stages)
-    all_s, used = time.perf_counter() - start_s, resource.getrusage(resource.RUSAGE_SELF)
-    # macOS counts bytes, everybody else kilobytes
-    peak_mb = used.ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-    seconds = [stages.run_time_s.get(name, 0.0) for name in STAGES] + [all_s, used.ru_utime + used.ru_stime]
-    return f"| {pulses} | " + " | ".join(f"{each:.3g}" for each in seconds) + f" | {peak_mb:.0f} |"
+    all_s = time.perf_counter() - start_s
+    processor_s, peak_mb = resource_usage()
+    times_s = [*(stages.run_time_s.get(name, 0.0) for name in STAGES), all_s, processor_s]
+    return f"| {pulses} | " + " | ".join(f"{time_s:.3g}" for time_s in times_s) + f" | {peak_mb:.0f} |"
 
 
 if __name__ == "__main__":

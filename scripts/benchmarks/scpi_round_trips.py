@@ -1,10 +1,10 @@
-"""Count SCPI messages and round trips, and what the sequencer costs a shot, over every transport.
+"""Count SCPI messages and round trips, and time the sequencer's overhead per shot, for every transport.
 
-Usage: python scripts/benchmarks/scpi_round_trips.py [SCENE]
+A round trip is a reply that the program waits for. On the twin the train takes no time, and the echoes are computed
+while records are collected. The times of the other steps are those of sequencer, drivers and transport. The step
+"verify" includes the snapshot and its way into the run file.
 
-A round trip is a reply that was waited for. The twin's train takes no wall time and its echoes are worked out while
-records are collected, so that every other step's wall time is the sequencer's, the drivers' and the transport's own;
-verifying includes the snapshot and its way into the run file.
+    python scripts/benchmarks/scpi_round_trips.py [SCENE]
 """
 
 import argparse
@@ -25,87 +25,89 @@ from sim_backend.world import GeneratorConnection
 
 SWEEP = ("burst_length_s = 100e-6", "burst_length_s = [100e-6, 120e-6, 80e-6, 100e-6, 60e-6]")
 RS232_BYTES_PER_S = 5760.0
-COUNTED = ("messages", "round trips", "bytes")
+COUNTS = ("messages", "round trips", "bytes")
 
 
 class Ledger:
-    """What went over the connections, and the wall time, by step of each shot."""
+    """Traffic of the connections and elapsed time, for each step of each shot."""
 
     def __init__(self) -> None:
         self.counts: dict[tuple[int, Step], Counter[str]] = defaultdict(Counter)
-        self.wall_s: Counter[tuple[int, Step]] = Counter()
-        self._now: tuple[int, Step] | None = None
-        self._since_s = 0.0
+        self.elapsed_s: Counter[tuple[int, Step]] = Counter()
+        self._step: tuple[int, Step] | None = None
+        self._start_s = 0.0
 
     def observe(self, progress: Progress) -> None:
-        """Note that the sequencer goes on to another step."""
-        now_s, here = time.perf_counter(), (progress.shot.index, progress.step)
-        if self._now is not None:
-            # Making safe begins when the last record is stored, and ends where its own step is told.
-            self.wall_s[here if progress.step is Step.SAFE else self._now] += now_s - self._since_s
-        # What the store and the twin's truth take after a shot is not the sequencer's.
-        self._now, self._since_s = None if progress.step is Step.SAFE else here, now_s
+        """Book the time since the last step, and begin the next one."""
+        now_s, step = time.perf_counter(), (progress.shot.index, progress.step)
+        if self._step is not None:
+            # Making safe begins when the last record is stored and is reported at its end, unlike the other steps.
+            self.elapsed_s[step if progress.step is Step.SAFE else self._step] += now_s - self._start_s
+        # Storing the shot and computing the twin's truth come after it and are no overhead of the sequencer.
+        self._step, self._start_s = None if progress.step is Step.SAFE else step, now_s
 
-    def count(self, what: str, size: int) -> None:
-        """Note a message or a reply of the present step."""
-        if self._now is not None:
-            self.counts[self._now].update({what: 1, "bytes": size + 1})
-
-
-def counting(ledger: Ledger, method: str, what: str) -> Callable[..., Any]:
-    """Return a wrapper of a connection's ``method`` that keeps the ledger."""
-
-    def wrap(original: Callable[..., Any]) -> Callable[..., Any]:
-        def counted(connection: Any, *message: str) -> Any:
-            reply = original(connection, *message)
-            ledger.count(what, len(message[0] if method == "write" else reply))
-            return reply
-
-        return counted
-
-    return wrap
+    def count(self, kind: str, size: int) -> None:
+        """Count a message or a reply of the present step."""
+        if self._step is not None:
+            self.counts[self._step].update({kind: 1, "bytes": size + 1})
 
 
-def measured(scene: Path, transport: str | None, folder: Path) -> Ledger:
-    """Return the ledger of one sweep over ``transport``; None is in process."""
+def counting(ledger: Ledger, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap the method ``name`` of a connection so that ``ledger`` counts its calls."""
+
+    def counted(connection: Any, *message: str) -> Any:
+        reply = method(connection, *message)
+        if name == "write":
+            ledger.count("messages", len(message[0]))
+        else:
+            ledger.count("round trips", len(reply))
+        return reply
+
+    return counted
+
+
+def measure_sweep(scene: Path, transport: str | None, folder: Path) -> Ledger:
+    """Measure the sweep over ``transport`` (in this process if None) and return its ledger."""
     bench = folder / f"{transport}.toml"
     line = f'simulated = true\ntransport = "{transport}"' if transport else "simulated = true"
     bench.write_text(read_bench().text.replace("simulated = true", line), encoding="utf-8")
     ledger, connection = Ledger(), VisaConnection if transport else GeneratorConnection
-    before = {method: getattr(connection, method) for method in ("write", "read")}
-    for method, what in (("write", "messages"), ("read", "round trips")):
-        setattr(connection, method, counting(ledger, method, what)(before[method]))
+    originals = {name: getattr(connection, name) for name in ("write", "read")}
+    for name, method in originals.items():
+        setattr(connection, name, counting(ledger, name, method))
     try:
         record_run(prepare(str(scene), bench), folder / f"{transport}.h5", ledger.observe)
     finally:
-        for method, original in before.items():
-            setattr(connection, method, original)
+        for name, method in originals.items():
+            setattr(connection, name, method)
     return ledger
 
 
 def print_counts(ledger: Ledger) -> None:
-    """Print what the first shot and a later one exchange with all generators together, step by step."""
+    """Print the traffic of all generators together in the first shot and in a later one, for each step."""
     print(f"{'SCPI, 5 generators':22}{'first shot':>36}{'later shot of a sweep':>36}")
-    print(f"{'':22}" + 2 * "".join(f"{name:>12}" for name in COUNTED) + f"{'s at 57600 Bd':>16}")
-    steps = (Step.CONFIGURE, Step.VERIFY, Step.ENABLE, Step.FIRE, Step.COLLECT)
-    total: Counter[str] = Counter()
-    for step in steps:
-        first, later = ledger.counts[0, step], ledger.counts[1, step]
-        total.update({f"0 {name}": first[name] for name in COUNTED} | {f"1 {name}": later[name] for name in COUNTED})
+    print(f"{'':22}" + 2 * "".join(f"{name:>12}" for name in COUNTS) + f"{'s at 57600 Bd':>16}")
+    totals: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
+    for step in (Step.CONFIGURE, Step.VERIFY, Step.ENABLE, Step.FIRE, Step.COLLECT):
+        counts = ledger.counts[0, step], ledger.counts[1, step]
+        for total, count in zip(totals, counts, strict=True):
+            total.update(count)
+        # Messages between the last record and the end of the shot switch outputs off.
         name = "make safe" if step is Step.COLLECT else step.value
-        print(f"{name:22}" + "".join(f"{count[key]:12}" for count in (first, later) for key in COUNTED))
-    cells = "".join(f"{total[f'{shot} {name}']:12}" for shot in (0, 1) for name in COUNTED)
-    print(f"{'total':22}{cells}{total['1 bytes'] / RS232_BYTES_PER_S:16.2f}\n")
+        print(f"{name:22}" + "".join(f"{count[key]:12}" for count in counts for key in COUNTS))
+    cells = "".join(f"{total[key]:12}" for total in totals for key in COUNTS)
+    print(f"{'total':22}{cells}{totals[1]['bytes'] / RS232_BYTES_PER_S:16.2f}\n")
 
 
 def print_overhead(ledgers: dict[str, Ledger]) -> None:
-    """Print the wall time a shot of a sweep takes beyond its train, step by step, in ms."""
+    """Print for each transport the time per shot beyond its train, ms, by step."""
     steps = (Step.CONFIGURE, Step.VERIFY, Step.ARM, Step.ENABLE, Step.FIRE, Step.SAFE)
     print("overhead a shot, ms   " + "".join(f"{step.value:>16}" for step in steps) + f"{'sum':>10}")
     for name, ledger in ledgers.items():
-        shots = sorted({shot for shot, _ in ledger.wall_s})[1:]
-        ms = [1e3 * median(ledger.wall_s[shot, step] for shot in shots) for step in steps]
-        print(f"{name:22}" + "".join(f"{value:16.2f}" for value in ms) + f"{sum(ms):10.2f}")
+        # The first shot programs everything; later shots only what changes.
+        shots = sorted({shot for shot, _ in ledger.elapsed_s})[1:]
+        times_ms = [1e3 * median(ledger.elapsed_s[shot, step] for shot in shots) for step in steps]
+        print(f"{name:22}" + "".join(f"{time_ms:16.2f}" for time_ms in times_ms) + f"{sum(times_ms):10.2f}")
 
 
 def main() -> None:
@@ -115,11 +117,10 @@ def main() -> None:
     parser.add_argument("scene", nargs="?", default="bovine-muscle", choices=scenes, help="a shipped scene")
     scene = parser.parse_args().scene
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        path = folder / "sweep.toml"
+        path = Path(name) / "sweep.toml"
         path.write_text(shipped_scenes()[scene].replace(*SWEEP), encoding="utf-8")
-        transports = [item for item in TRANSPORTS if item != "serial" or sys.platform != "win32"]
-        ledgers = {item or "in process": measured(path, item, folder) for item in (None, *transports)}
+        transports = [None, *(item for item in TRANSPORTS if item != "serial" or sys.platform != "win32")]
+        ledgers = {item or "in process": measure_sweep(path, item, path.parent) for item in transports}
     print_counts(ledgers["in process"])
     print_overhead(ledgers)
 
