@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -16,30 +15,22 @@ from hpe_rig.cli.tables import wide_console
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, installed, origin
 from hpe_rig.result import csv_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
-from hpe_rig.store import RunEntry, chosen, list_runs
+from hpe_rig.store import RunEntry, list_runs, matching_runs
 
 MAX_NOTE = 40
 """Characters of a note in the table."""
 
 
-@dataclass(frozen=True, slots=True)
-class RunFilter:
-    """Selection of runs: those that contain all ``words``, from ``since`` to ``until``."""
+def print_runs(
+    folder: Path, below: bool, words: Sequence[str], dates: tuple[str | None, str | None], *, json: bool, csv: bool
+) -> None:
+    """Print the runs of ``folder`` that contain all ``words``, from the first to the last of ``dates``.
 
-    words: Sequence[str]
-    since: datetime | None
-    until: datetime | None
-
-    @classmethod
-    def of_options(cls, words: Sequence[str], since: str | None, until: str | None) -> RunFilter:
-        """Return the filter of the command line; raise ``SettingsError`` for invalid dates."""
-        return cls(words, _time(since, "--since"), _time(until, "--until", end=True))
-
-
-def print_runs(folder: Path, below: bool, run_filter: RunFilter, json: bool, csv: bool) -> None:
-    """Print the selected runs of ``folder``, with those ``below`` it; announce unreadable files."""
+    ``below`` includes subfolders. Unreadable files are announced. Raises ``SettingsError`` for invalid dates.
+    """
+    since, until = _time(dates[0], "--since"), _time(dates[1], "--until", end=True)
     entries, unreadable = list_runs(folder, below)
-    selected = chosen(entries, run_filter.words, run_filter.since, run_filter.until)
+    selected = matching_runs(entries, words, since, until)
     for text in unreadable:
         announce(f"hpe-rig: {printable(text)}")
     if json:

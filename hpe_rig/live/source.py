@@ -12,15 +12,10 @@ from hpe_rig.live.state import State, harmonic_state, image_state, level_state, 
 from hpe_rig.measurement import awaited_offset_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
 from hpe_rig.plan import phase_reference_of, scene_of_shot
 from hpe_rig.prediction import beam_widths
-from hpe_rig.processing import (
-    estimates_of,
-    fit_motion,
-    options_of,
-    shot_prior,
-)
-from hpe_rig.report import echo_view, gate_records, motion_view, selected_pulses, tracked_motion
+from hpe_rig.processing import estimates_of, fit_motion, options_of, shot_prior
+from hpe_rig.report import echo_view, motion_view, selected_pulses, tracked_motion
 from hpe_rig.runs import Run, open_run
-from hpe_rig.store import ShotRecords, StoredRun, StoreError, is_taken, read_run
+from hpe_rig.store import ShotRecords, StoredRun, StoreError, is_locked, read_run
 
 MAX_HISTORY = 240
 """States in the history of amplitudes."""
@@ -81,7 +76,7 @@ class RunSource:
             toggle_pause(self._path)
             return
         stored = read_run(self._path)
-        if stored.status != "running" or is_taken(self._path) is False:
+        if stored.status != "running" or is_locked(self._path) is False:
             raise StoreError(f"the run in {self._path} has ended: there is nothing to pause. Try: reload the page.")
         toggle_pause(self._path, stored.run_id)
 
@@ -149,7 +144,7 @@ class RunSource:
         }
         try:
             # Selection, prior and fit of the result with the estimator "coherent", over the pulses so far.
-            motion = tracked_motion(scene, shot, gate_records(scene, shot, records))
+            motion = tracked_motion(scene, shot, records)
             selection = selected_pulses(scene, shot)
             options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))
             fit = fit_motion(motion, selection.wanted_hz, "coherent", selection.driven_hz, options)

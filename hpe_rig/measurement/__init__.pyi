@@ -1,4 +1,4 @@
-from .log import log_path as log_path, run_log as run_log
+from .log import run_log as run_log
 from .mover import Mover as Mover
 from .pause import (
     awaited_offset_m as awaited_offset_m,
@@ -10,7 +10,6 @@ from .pause import (
 )
 from .provenance import provenance_now as provenance_now
 from .queue import (
-    QUEUE_FILE as QUEUE_FILE,
     QueueHooks as QueueHooks,
     QueueList as QueueList,
     QueueRun as QueueRun,
@@ -18,6 +17,7 @@ from .queue import (
     queue_entries as queue_entries,
     read_queue as read_queue,
     run_queue as run_queue,
+    stop_queue as stop_queue,
     time_left_s as time_left_s,
 )
 from .resumption import prepare_resumption as prepare_resumption, resume as resume
@@ -33,8 +33,6 @@ from .sequencer import (
 from .setup import (
     BenchSource as BenchSource,
     Setup as Setup,
-    as_path as as_path,
-    bench_path as bench_path,
     plan_and_check as plan_and_check,
     prepare as prepare,
     prepare_text as prepare_text,
@@ -49,5 +47,4 @@ from .stop_request import (
     stop_path as stop_path,
     stop_requested as stop_requested,
     with_stop_requests as with_stop_requests,
-    write_stop as write_stop,
 )

@@ -14,19 +14,16 @@ from hpe_rig.measurement.setup import Setup
 from hpe_rig.store import StoreError, reason, versions
 
 
-def log_path(run_file: Path) -> Path:
-    """Return the path of the log of a run file; it never equals the run file's path."""
-    stem = run_file.name if run_file.suffix == ".log" else run_file.stem
-    return run_file.parent / f"{stem}.log"
-
-
 @contextlib.contextmanager
-def run_log(setup: Setup, log_file: Path) -> Iterator[Callable[[Observer], Observer]]:
-    """Yield a function that wraps an observer so that ``log_file`` gets a line for every step of the sequencer.
+def run_log(setup: Setup, run_file: Path) -> Iterator[Callable[[Observer], Observer]]:
+    """Yield a function that wraps an observer so that the log of ``run_file`` gets a line for every step.
 
     The last line states how the run ended. An existing log is extended: it may explain why this run is refused.
     Raises ``StoreError`` if the file cannot be written.
     """
+    # The log of a run file RUN.log is RUN.log.log.
+    stem = run_file.name if run_file.suffix == ".log" else run_file.stem
+    log_file = run_file.parent / f"{stem}.log"
     try:
         file = log_file.open("a", encoding="utf-8", buffering=1)
     except OSError as error:

@@ -26,7 +26,7 @@ from hpe_rig.measurement.resumption import Resumption, prepare_resumption, resum
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Observer
 from hpe_rig.measurement.setup import Setup, prepare_text, source_text
-from hpe_rig.measurement.stop_request import StopRequested, clear_stop, stop_requested
+from hpe_rig.measurement.stop_request import StopRequested, clear_stop, stop_requested, write_stop
 from hpe_rig.plan import PlanError
 from hpe_rig.result import Result
 from hpe_rig.scene import Mistake, Section, SettingsError, parse_toml, validated
@@ -101,7 +101,11 @@ def queue_entries(sources: Sequence[str], bench: Path | None) -> tuple[list[tupl
         if "run" in tables:
             queue = validated(QueueList, tables, f"queue {path}")
             default = bench or _in_folder_of(path, queue.bench)
-            entries = [(_scene_of(path, item), _in_folder_of(path, item.bench) or default) for item in queue.run]
+            entries = []
+            for item in queue.run:
+                # A name without suffix is that of a shipped scene.
+                scene = os.fspath(path.parent / item.scene) if Path(item.scene).suffix else item.scene
+                entries.append((scene, _in_folder_of(path, item.bench) or default))
             return entries, queue.on_failure == "stop"
     return [(source, bench) for source in sources], False
 
@@ -185,6 +189,11 @@ def run_queue(
                 raise
         clear_stop(folder / QUEUE_FILE)
     return tuple(runs), results
+
+
+def stop_queue(folder: Path) -> None:
+    """Request that the queue in ``folder`` starts no other run; raise ``StoreError`` if that is impossible."""
+    write_stop(folder / QUEUE_FILE)
 
 
 def _run_and_time(folder: Path, runs: list[QueueRun], index: int, setup: Setup, hooks: QueueHooks) -> Result:
@@ -282,13 +291,9 @@ def _in_folder_of(path: Path, name: str | None) -> Path | None:
     return None if name is None else path.parent / name
 
 
-def _scene_of(path: Path, item: QueueItem) -> str:
-    """Return the scene of an item: a path relative to the folder of the list, or the name of a shipped scene."""
-    return os.fspath(path.parent / item.scene) if Path(item.scene).suffix else item.scene
-
-
 def _next_free_path(path: Path) -> Path:
     """Return the first path NAME-2.h5, NAME-3.h5 ... that does not exist."""
+    # A resumed run keeps its earlier file, whose shots it has copied.
     number = 2
     while (free_path := path.with_name(f"{path.stem}-{number}.h5")).exists():
         number += 1

@@ -53,7 +53,7 @@ class RunRecorder:
 
     def copy_shots(self, earlier: StoredRun, shots: int) -> None:
         """Copy the first ``shots`` shots of an earlier run of the same plan."""
-        self._open().take_over(earlier, shots)
+        self._open().copy_shots(earlier, shots)
         self._has_record = self._has_record or shots > 0
 
     def write(self, event: Event, scene: Scene, bench: Bench, stages: Stages) -> None:
@@ -63,34 +63,34 @@ class RunRecorder:
             case ShotReady() if self._writer is None:
                 self._first_settings = event
             case ShotReady(shot, settings):
-                self._open().settings(shot, settings)
+                self._open().write_settings(shot, settings)
             case ShotBlock(shot, block):
                 self._open().append(shot, block)
                 self._has_record = self._has_record or block.codes.size > 0
             case ShotUntrusted(shot, why):
-                self._open().untrusted(shot, why)
+                self._open().write_untrusted(shot, why)
             case ShotDone():
                 self._finish_shot(event, scene, bench, stages)
 
     def _finish_shot(self, event: ShotDone, scene: Scene, bench: Bench, stages: Stages) -> None:
         writer = self._open()
-        writer.clipped(event.shot, event.clipped)
+        writer.write_clipped(event.shot, event.clipped)
         if bench.world is not None:
             with stages("truth"):
                 displacement_m = bench.world.true_displacement_m()
                 harmonics_m = true_harmonics_m(scene, event.shot, bench.world.true_motion_m)
-            writer.ground_truth(event.shot, displacement_m)
-            writer.true_harmonics(event.shot, harmonics_m)
+            writer.write_ground_truth(event.shot, displacement_m)
+            writer.write_true_harmonics(event.shot, harmonics_m)
         writer.finish(event.shot)
 
     def check_file_present(self) -> None:
         """Raise ``StoreError`` if the run file was removed or replaced."""
         if self._writer is not None:
-            self._writer.look()
+            self._writer.check_file()
 
     def write_run_time(self, stages: Stages) -> None:
         """Write the wall time of each stage so far."""
-        self._open().run_time(stages.run_time_s)
+        self._open().write_run_times(stages.run_time_s)
 
     def _content_after_error(self) -> str:
         """Return the content of the file after an early end; remove a file without any event."""
@@ -111,5 +111,5 @@ class RunRecorder:
                 # A signal between the creation of the file and this assignment would leave its status at "running".
                 self._writer = self._create()
             if self._first_settings is not None:
-                self._writer.settings(self._first_settings.shot, self._first_settings.settings)
+                self._writer.write_settings(self._first_settings.shot, self._first_settings.settings)
         return self._writer

@@ -17,7 +17,7 @@ from hpe_rig.store import (
     StoreError,
     WriteOptions,
     free_path,
-    is_taken,
+    is_locked,
     read_run,
     sha256_of_scan,
 )
@@ -49,7 +49,7 @@ def prepare_resumption(
             f"{path} was imported from {recording.source}: no instrument can continue it. "
             f"Try: hpe-rig import {recording.source} again."
         )
-    if is_taken(path):
+    if is_locked(path):
         raise StoreError(f"{path} is being written by a run. Try: wait for its end, or stop it.")
     if scene is None:
         setup = prepare_text(earlier.scene_name, earlier.scene_toml, bench_path, stages, stored=path)
@@ -82,7 +82,7 @@ def resume(
 def _count_sound_shots(stored: StoredRun) -> int:
     """Return how many shots, from the first on, are complete and match their checksums."""
     shots = range(stored.shot_complete.size)
-    return next((shot for shot in shots if not stored.shot_complete[shot] or not stored.is_sound(shot)), len(shots))
+    return next((shot for shot in shots if not stored.shot_complete[shot] or not stored.is_intact(shot)), len(shots))
 
 
 def _refuse_differences(earlier: StoredRun, earlier_setup: Setup, setup: Setup) -> None:

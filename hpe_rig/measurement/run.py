@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uni
 from hpe_rig.measurement.mover import Mover, choose_mover, require_mover
 from hpe_rig.measurement.recording import RunRecorder
 from hpe_rig.measurement.sequencer import Observer, Progress, ShotDone, Step, acquire, ignore_progress
-from hpe_rig.measurement.setup import Setup
+from hpe_rig.measurement.setup import Setup, as_path
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.result import Stages
 from hpe_rig.scene import Scene
@@ -21,7 +22,7 @@ from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_
 
 def record_run(
     setup: Setup,
-    path: Path | None = None,
+    path: str | os.PathLike[str] | None = None,
     observer: Observer = ignore_progress,
     stages: Stages | None = None,
     options: WriteOptions | None = None,
@@ -38,7 +39,7 @@ def record_run(
     options = options or WriteOptions()
     refuse_conflicts(setup.findings)
     require_mover(setup.plan, setup.bench.bench.simulated, move)
-    path = path or free_path(setup.scene.name, Path())
+    path = as_path(path, "the path of a run file") or free_path(setup.scene.name, Path())
     replaces = options.overwrite and path.exists()
     if replaces:
         refuse_to_replace(path)
@@ -51,9 +52,9 @@ def record_run(
         if earlier is not None:
             with timer("take over"):
                 recorder.copy_shots(earlier, options.predecessor.shots)
-        acquisition = _Acquisition(recorder, _timed(_checking_file(observer, recorder), timer), move, timer)
+        watched = _timed(_checking_file(observer, recorder), timer)
         for segment in _segments(setup, options.predecessor.shots):
-            acquisition.record(segment, setup.plan, store_times=stages is not None)
+            _record(segment, setup.plan, recorder, watched, move=move, timer=timer, store_times=stages is not None)
     return path
 
 
@@ -85,31 +86,30 @@ def _segments(setup: Setup, first_shot: int) -> Iterator[_Segment]:
         start = end
 
 
-@dataclass(frozen=True, slots=True)
-class _Acquisition:
-    """Where the events of a run go: file, observer and timer; ``move`` moves the tracking transducer."""
-
-    recorder: RunRecorder
-    observer: Observer
-    move: Mover | None
-    timer: Stages
-
-    def record(self, segment: _Segment, plan: Plan, store_times: bool) -> None:
-        """Acquire and write the shots of ``segment``; ``plan`` is that of the whole run."""
-        timer = self.timer
-        with ExitStack() as stack:
-            with timer("open bench"):
-                opening = open_bench(segment.scenes[0], segment.bench, plan.roles, segment.plan.shots[0].index)
-                bench = stack.enter_context(opening)
-            mover = choose_mover(plan, bench, self.move)
-            events = acquire(segment.plan, bench, self.observer, mover)
-            with timer("configure"), closing(events):
-                for event in events:
-                    with timer("store"):
-                        scene = segment.scenes[event.shot.point - segment.first_point]
-                        self.recorder.write(event, scene, bench, timer)
-                    if store_times and isinstance(event, ShotDone):
-                        self.recorder.write_run_time(timer)
+def _record(
+    segment: _Segment,
+    plan: Plan,
+    recorder: RunRecorder,
+    observer: Observer,
+    *,
+    move: Mover | None,
+    timer: Stages,
+    store_times: bool,
+) -> None:
+    """Acquire and write the shots of ``segment``; ``plan`` is that of the whole run."""
+    with ExitStack() as stack:
+        with timer("open bench"):
+            opening = open_bench(segment.scenes[0], segment.bench, plan.roles, segment.plan.shots[0].index)
+            bench = stack.enter_context(opening)
+        # Roles and lateral offsets are those of the whole run, whose segments use one transducer position or more.
+        events = acquire(segment.plan, bench, observer, choose_mover(plan, bench, move))
+        with timer("configure"), closing(events):
+            for event in events:
+                with timer("store"):
+                    recorder.write(event, segment.scenes[event.shot.point - segment.first_point], bench, timer)
+                # The stored times include those of the shots so far, also if the run is stopped.
+                if store_times and isinstance(event, ShotDone):
+                    recorder.write_run_time(timer)
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:

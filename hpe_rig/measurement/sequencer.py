@@ -74,15 +74,6 @@ class ShotDone:
     clipped: bool
 
 
-class UntrustedShotError(InstrumentError):
-    """Settings changed during a shot, and the scene does not accept that."""
-
-    def __init__(self, shot: Shot, why: str) -> None:
-        remedy = 'hpe-rig resume, which measures it again; acquisition.changed_settings = "continue" accepts changes'
-        cause = "its records are stored and marked as untrusted"
-        super().__init__("bench", f"shot {shot.index + 1} is not to be trusted: {why}", cause, remedy)
-
-
 Event = ShotReady | ShotBlock | ShotUntrusted | ShotDone
 Observer = Callable[[Progress], None]
 
@@ -98,7 +89,7 @@ def acquire(
 
     If records stop before the deadline, those that arrived are yielded; ``DeadlineError`` is raised if none did.
     Outputs and settings are read back before the first and after the last record. If one has changed, the shot yields
-    ``ShotUntrusted`` and, unless the plan accepts changes, ends with ``UntrustedShotError``.
+    ``ShotUntrusted`` and, unless the plan accepts changes, ends with ``InstrumentError``.
     The tracking transducer is moved to the lateral offset of a shot before anything is programmed.
     """
     observer = _with_step_logging(observer)
@@ -123,7 +114,12 @@ def acquire(
         if changes:
             yield ShotUntrusted(shot, changes)
             if plan.stops_on_changed_settings:
-                raise UntrustedShotError(shot, changes)
+                what = f"shot {shot.index + 1} is not to be trusted: {changes}"
+                cause = "its records are stored and marked as untrusted"
+                remedy = (
+                    'hpe-rig resume, which measures it again; acquisition.changed_settings = "continue" accepts changes'
+                )
+                raise InstrumentError("bench", what, cause, remedy)
         yield ShotDone(shot, bench.digitizer.clipped())
 
 
@@ -181,6 +177,7 @@ def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBloc
     Raises ``DeadlineError`` if no record arrived and no change explains that.
     """
     checked_s = bench.clock.now_s()
+    # The margin covers the transfer of the last records.
     deadline_s = checked_s + shot.train_end_s + SAFETY_MARGIN_S
     record_count = 0
     observer(Progress(Step.COLLECT, shot))

@@ -48,15 +48,14 @@ class Setup:
     findings: tuple[CheckResult, ...]
 
 
-def prepare(
-    scene: SceneSource, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
-) -> Setup:
-    """Return the planned measurement of ``scene`` on the bench file ``bench_path``; None: the simulated bench.
+def prepare(scene: SceneSource, bench: BenchSource = None, stages: Stages | None = None, refuse: bool = True) -> Setup:
+    """Return the planned measurement of ``scene`` on ``bench``.
 
     If ``scene`` is the path of a run file, its scene is planned again by the current rules for scenes.
     Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is False, and
-    ``TypeError`` if ``scene`` has another type.
+    ``TypeError`` if ``scene`` or ``bench`` has another type.
     """
+    bench_path = as_path(bench, "the path of a bench file")
     return prepare_text(*source_text(scene), bench_path, stages, refuse)
 
 
@@ -85,6 +84,7 @@ def prepare_text(
     """
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
+        # An imported run holds a bench file too, with which nothing can be measured.
         if bench.bench.recording is not None:
             what = "this bench file describes an imported recording, without instruments"
             raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file with instruments")])
@@ -109,7 +109,7 @@ def setup_of_run(stored: StoredRun) -> Setup:
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True)
     scene = replace(scene, scene=_completed(scene.scene, bench.bench, stored.path.parent))
     plan, findings = plan_and_check(scene.scene, bench.bench)
-    stored.refuse_unlike(plan)
+    stored.refuse_other_plan(plan)
     return Setup(scene, bench, plan, findings)
 
 
@@ -156,11 +156,6 @@ def plan_and_check(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckRes
         why = "more memory than is available" if isinstance(error, MemoryError) else error
         what = f"its numbers lead to no plan ({why})"
         raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
-
-
-def bench_path(bench: BenchSource) -> Path | None:
-    """Return the path of a bench file; raise ``TypeError`` for other types."""
-    return as_path(bench, "the path of a bench file")
 
 
 def as_path(path: str | os.PathLike[str] | None, meaning: str) -> Path | None:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
-from hpe_rig.store import StoreError, atomic_file, is_taken, read_run, reason
+from hpe_rig.store import StoreError, atomic_file, is_locked, read_run, reason
 
 POLL_INTERVAL_S = 0.1
 """Each check costs a call to the file system, too much for every block of records."""
@@ -35,7 +35,7 @@ def request_stop(run_file: Path) -> None:
     Raises ``StoreError`` if no process writes it, or the request cannot be written.
     """
     stored = read_run(run_file)
-    if stored.status != "running" or is_taken(run_file) is False:
+    if stored.status != "running" or is_locked(run_file) is False:
         how = "without a status, its program was killed" if stored.status == "running" else stored.status
         raise StoreError(f"the run in {run_file} has ended ({how}): there is nothing to stop. Try: reload the page.")
     write_stop(run_file, stored.run_id)
@@ -79,7 +79,7 @@ def clear_stop(run_file: Path, run_id: str = "") -> None:
 
 def clear_stale_stop(run_file: Path) -> None:
     """Remove a request from an earlier run of that name, unless a process writes the file; raises as ``clear_stop``."""
-    if not is_taken(run_file):
+    if not is_locked(run_file):
         clear_stop(run_file)
 
 

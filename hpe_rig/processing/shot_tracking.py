@@ -66,8 +66,8 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     long shot are computed while its checksums are verified, so that its file is read once.
     """
     margin, parts = margin_needed(scene, shot), list[GateStatistics]()
-    records = stored.records.in_blocks(
-        shot.index, samples_needed(scene, shot), margin=margin, look=lambda codes: parts.append(code_statistics(codes))
+    records = stored.records.shot_blocks(
+        shot.index, samples_needed(scene, shot), margin=margin, visit=lambda codes: parts.append(code_statistics(codes))
     )
     if not records.valid.any():
         damaged = records.damaged is not None and bool(records.damaged.any())
@@ -76,7 +76,7 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     return ShotRecords(
         gate=records,
         statistics=concatenate_statistics(parts) if parts else gate_statistics(records),
-        reference=None if gate is None else stored.records.in_blocks(shot.index, gate, margin=margin),
+        reference=None if gate is None else stored.records.shot_blocks(shot.index, gate, margin=margin),
     )
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.store import UntrustedError, read_snapshots, trusted
+from hpe_rig.store import InvalidContentError, open_checked, read_snapshots
 
 MAX_TEXT = 200
 MAX_ENTRIES = 64
@@ -21,10 +21,10 @@ MAX_HASHED_BYTES = 1 << 30
 def attributes(path: Path, names: Iterable[str]) -> dict[str, str]:
     """Return the text attributes ``names`` that the run file has; raises ``StoreError``."""
     texts = {}
-    with trusted(path) as trust:
+    with open_checked(path) as checked:
         for name in names:
-            with contextlib.suppress(UntrustedError):
-                texts[name] = _short(trust.attribute(name, str))
+            with contextlib.suppress(InvalidContentError):
+                texts[name] = _short(checked.attribute(name, str))
     return texts
 
 

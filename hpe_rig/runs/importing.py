@@ -55,14 +55,6 @@ SCENE_KEYS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Imported:
-    """An imported run file; ``inferred`` describes every value that was not stated, with its source."""
-
-    path: Path
-    inferred: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class _Samples:
     """Samples as ``codes`` (line, shot, pulse, sample) of ``scale_v`` volts each; ``inferred``: assumptions made."""
 
@@ -93,7 +85,7 @@ def import_records(
     source = Path(recording) if isinstance(recording, str | os.PathLike) else np.asarray(recording)
     run_file = None if path is None else Path(path)
     sidecar_file = None if sidecar is None else Path(sidecar)
-    return open_run(import_recording(source, scene, run_file, sidecar_file, settings).path)
+    return open_run(import_recording(source, scene, run_file, sidecar_file, settings)[0])
 
 
 def import_recording(
@@ -103,8 +95,11 @@ def import_recording(
     sidecar: Path | None = None,
     options: Mapping[str, Any] | None = None,
     write: WriteOptions | None = None,
-) -> Imported:
-    """Write the run file of ``source`` and return its path and the inferred values; raises as ``import_records``."""
+) -> tuple[Path, tuple[str, ...]]:
+    """Write the run file of ``source``; return its path and, in words, every value that was not stated.
+
+    Raises as ``import_records``.
+    """
     name, text = scene_text(scene)
     tables = parse_toml(text, f"scene {name}")
     settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
@@ -130,7 +125,7 @@ def import_recording(
     plan = _with_recorded_times(plan, recording)
     with RunWriter(path, scene_as_recorded, bench, plan, write or WriteOptions()) as writer:
         _write_records(writer, plan, bench, recording, samples)
-    return Imported(path, inferred)
+    return path, inferred
 
 
 def stated_by_scene(name: str, text: str) -> StatedSettings:
@@ -162,6 +157,7 @@ def _scene_values(tables: Mapping[str, Any], recording: Recording, range_v: floa
         "acquisition.input_range_v": range_v,
         "acquisition.repeats": max(1, shots // _setting_count(tables)),
     }
+    # Values that the recording does not state are those of the scene.
     if recording.sound_speed_m_per_s is not None:
         values["acquisition.sound_speed_m_per_s"] = recording.sound_speed_m_per_s
     if recording.line_position_m is not None and lines == 1:
@@ -291,7 +287,7 @@ def _write_records(writer: RunWriter, plan: Plan, bench: BenchText, recording: R
     shot_codes = samples.codes.reshape(-1, *samples.codes.shape[2:])
     shot_recorded = recording.recorded.reshape(-1, samples.codes.shape[2])
     for shot, codes, recorded in zip(plan.shots, shot_codes, shot_recorded, strict=True):
-        writer.settings(shot, {})
+        writer.write_settings(shot, {})
         # The records of a block without times are consecutive. So each run of existing records is one block.
         for rows in np.split(np.arange(recorded.size), np.flatnonzero(np.diff(recorded.astype(np.int8))) + 1):
             if recorded[rows[0]]:
@@ -299,5 +295,5 @@ def _write_records(writer: RunWriter, plan: Plan, bench: BenchText, recording: R
                 times = np.full(rows.size, np.nan)
                 scale_v = samples.scale_v
                 writer.append(shot, RecordBlock(int(rows[0]), block, times, scale_v, scale_v / 2, limits))
-        writer.clipped(shot, bool((codes <= limits[0]).any() or (codes >= limits[1]).any()))
+        writer.write_clipped(shot, bool((codes <= limits[0]).any() or (codes >= limits[1]).any()))
         writer.finish(shot)

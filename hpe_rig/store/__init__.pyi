@@ -15,11 +15,11 @@ from .format import (
 from .layout import Predecessor as Predecessor, sha256_of_scan as sha256_of_scan
 from .listing import (
     RunEntry as RunEntry,
-    chosen as chosen,
     list_runs as list_runs,
     listing_schema as listing_schema,
+    matching_runs as matching_runs,
 )
-from .lock import is_taken as is_taken
+from .lock import is_locked as is_locked
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,
@@ -29,7 +29,7 @@ from .reader import (
 )
 from .records import GatedRecords as GatedRecords, ShotRecords as ShotRecords, assemble as assemble
 from .result_file import write_result as write_result
-from .validation import UntrustedError as UntrustedError, trusted as trusted
+from .validation import InvalidContentError as InvalidContentError, open_checked as open_checked
 from .verification import (
     Damage as Damage,
     Verification as Verification,

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written as a draft beside their place and renamed."""
+"""Atomic writing of files: written as a draft in the same folder, then renamed."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pathlib import Path
 
 from hpe_rig.store.format import StoreError, reason
 
-PATIENCE_S = 2.0
-"""How long a file that another program has open is waited for: a reader is usually done at once."""
+REPLACE_TIMEOUT_S = 2.0
+"""Time to wait for a file that another program has open: a reader usually closes it at once."""
 SHARING_VIOLATIONS = (5, 32)
 """Windows: access denied, and used by another process. POSIX replaces an open file, its readers keep the old one."""
 
 
 @contextmanager
 def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
-    """Yield a draft beside ``path``, which becomes ``path`` when the block ends and is deleted where it fails.
+    """Yield the path of a draft, which is renamed to ``path`` when the block ends and deleted when it fails.
 
-    Raises ``FileExistsError`` at the end where ``path`` is taken and must not be overwritten, ``PermissionError`` where
-    it is to be replaced and another program keeps it open (Windows).
+    Raises ``FileExistsError`` if ``path`` exists at the end and ``overwrite`` is False, and ``PermissionError`` if
+    another program keeps the file open (Windows).
     """
     draft = _draft(path)
     try:
@@ -33,13 +33,13 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
         else:
             _rename_to_new(draft, path)
     finally:
-        # Gone already where all went well.
+        # After a rename the draft no longer exists.
         with suppress(OSError):
             draft.unlink()
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Raise ``StoreError`` where ``path`` cannot be written, before the work whose result it is to hold."""
+    """Raise ``StoreError`` if ``path`` cannot be written; called before the work starts."""
     if why := unwritable(path):
         if not path.parent.exists():
             raise StoreError(
@@ -49,10 +49,7 @@ def refuse_unwritable(path: Path) -> None:
 
 
 def unwritable(path: Path) -> str:
-    """Return why ``path`` cannot be written, empty where it can; leaves nothing behind.
-
-    Its folder must exist and take files, and its name leave room for a draft's.
-    """
+    """Return why ``path`` cannot be written, "" if it can: creates a draft and deletes it."""
     try:
         if not path.name or path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -65,13 +62,13 @@ def unwritable(path: Path) -> str:
 
 
 def _draft(path: Path) -> Path:
-    # Of this thread alone: another may still be waiting for a disk that does not answer.
+    # Unique for each thread: another thread may still be waiting for a disk that does not respond.
     return path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.draft")
 
 
 def _replace(draft: Path, path: Path) -> None:
-    """Rename over ``path``; wait for one who has it open, then raise ``PermissionError`` that says so."""
-    deadline_s = time.monotonic() + PATIENCE_S
+    """Replace ``path`` by ``draft``; raise ``PermissionError`` if another program has it open for too long."""
+    deadline_s = time.monotonic() + REPLACE_TIMEOUT_S
     while True:
         try:
             draft.replace(path)
@@ -86,7 +83,10 @@ def _replace(draft: Path, path: Path) -> None:
 
 
 def _rename_to_new(draft: Path, path: Path) -> None:
-    """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
+    """Rename ``draft`` to ``path``; raise ``FileExistsError`` if ``path`` exists.
+
+    On POSIX a rename would replace an existing file, so a hard link is created instead.
+    """
     if os.name != "posix":
         draft.rename(path)
         return
@@ -95,7 +95,7 @@ def _rename_to_new(draft: Path, path: Path) -> None:
     except FileExistsError:
         raise
     except OSError:
-        # A file system without links: the check and the rename are then two steps.
+        # On a file system without hard links, the check and the rename are two steps.
         if path.exists():
             raise FileExistsError(path) from None
         draft.rename(path)

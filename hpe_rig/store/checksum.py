@@ -1,10 +1,14 @@
-"""Checksums of everything in a run file: 64 bits of BLAKE2b beside each dataset, each row and each chunk of echoes.
+"""Checksums of everything in a run file: 64 bits of BLAKE2b for each dataset, each row and each chunk of echoes.
 
-HDF5 itself vouches for its metadata, but neither for the values of datasets nor for its heap: units and other texts of
-variable length, and what tells the axes of a dataset. What never changes after the start has its checksum in an
-attribute ``checksum`` of its own, the heap in one of the file, ``heap_checksum``. What is written during a run has one
-for each piece that is written at once, in a dataset of the same name below ``/checksum``; zero stands for a piece that
-was never written. ``docs/reference/integrity.md`` describes what is covered and what reading does with what fails.
+HDF5 has checksums for its metadata, but neither for the values of datasets nor for its heap, which holds units, other
+texts of variable length and the references from datasets to their axes. Three kinds of checksum cover these:
+
+    a dataset that never changes after the start    attribute ``checksum`` of the dataset
+    the heap                                        attribute ``heap_checksum`` of the file
+    a dataset written during a run                  one for each row or chunk, in ``/checksum/<name of the dataset>``;
+                                                    zero: never written
+
+``docs/reference/integrity.md`` describes the coverage and how a reader treats a wrong checksum.
 """
 
 from __future__ import annotations
@@ -23,8 +27,8 @@ from numpy.typing import NDArray
 GROUP: Final = "checksum"
 ATTRIBUTE: Final = "checksum"
 HEAP: Final = "heap_checksum"
-MOST_HEAP_BYTES: Final = 1 << 24
-"""Length of a part of the heap beyond which none of a run or result file is, those of thousands of texts included."""
+MAX_HEAP_PART_BYTES: Final = 1 << 24
+"""Maximum length of a part of the heap; those of run and result files with thousands of texts are shorter."""
 BY_SHOT: Final = (
     "snapshot",
     "untrusted",
@@ -38,59 +42,57 @@ BY_SHOT: Final = (
 )
 """Datasets with a checksum for each shot."""
 BY_CHUNK: Final = ("records/echo", "records/monitor", "records/recorded")
-"""Datasets with a checksum for each shot and chunk of echoes; that of ``recorded`` covers the trigger times too."""
+"""Datasets with a checksum for each shot and chunk of echoes; the one of ``recorded`` covers the trigger times too."""
 AT_ONCE: Final = ("run_time/run_time_s", "provenance/ended")
-"""Datasets that are written again as a whole."""
-COVERED_ELSEWHERE: Final = ("records/trigger_time_s",)
-
-Place = tuple[int, ...]
+"""Datasets that are always written completely."""
 
 
-def digest(name: str, place: Place, *parts: bytes | memoryview) -> int:
-    """Return the checksum of ``parts``, the bytes of the piece of dataset ``name`` at ``place``; never zero."""
-    found = blake2b(f"{name} {place}".encode(), digest_size=8)
-    for part in parts:
-        found.update(part)
-    return int.from_bytes(found.digest(), "little") or 1
+def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
+    """Return the checksum of ``contents``, the bytes of dataset ``name`` at ``index``; never zero."""
+    # Name and index are part of the checksum, so that exchanged rows or chunks are detected.
+    checksum = blake2b(f"{name} {index}".encode(), digest_size=8)
+    for content in contents:
+        checksum.update(content)
+    return int.from_bytes(checksum.digest(), "little") or 1
 
 
 def stored_bytes(values: Any, dtype: np.dtype[Any]) -> bytes:
-    """Return ``values`` as a dataset of ``dtype`` holds them."""
+    """Return the bytes of ``values`` in a dataset of ``dtype``."""
     return np.ascontiguousarray(values, dtype).tobytes()
 
 
 def blank(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return what stands for values that were never written or cannot be trusted: NaN, zero or no text."""
+    """Return an array of NaN, zero or empty text, for values that were never written or fail their checksum."""
     return np.full(shape, np.nan, dtype) if dtype.kind == "f" else np.zeros(shape, dtype)
 
 
 def add_checksums(file: h5py.File) -> None:
-    """Give every dataset of a new run file its place for checksums, or where it never changes its checksum."""
+    """Create the checksum datasets of a new run file, and the checksums of all datasets that never change."""
     shots = file["records/echo"].shape[0]
     chunks = -(-file["records/echo"].shape[1] // file["records/echo"].chunks[1])
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(BY_SHOT, (shots,))
     shapes |= dict.fromkeys(BY_CHUNK, (shots, chunks)) | dict.fromkeys(AT_ONCE, ())
-    # Groups made on the way to a dataset would hold the time, and no two files be the same.
+    # Groups that HDF5 creates implicitly store the time of creation; then no two files would be equal.
     root = file.create_group(GROUP)
     for name in [name for name in shapes if name in file]:
         folder, _, last = name.rpartition("/")
         group = root if not folder else root[folder] if folder in root else root.create_group(folder)
         group[last] = np.zeros(shapes[name], "<u8")
-    seal(file, {*shapes, *COVERED_ELSEWHERE, *(f"{GROUP}/{name}" for name in shapes)})
+    # The checksums of records/recorded cover the trigger times.
+    seal(file, {*shapes, "records/trigger_time_s", *(f"{GROUP}/{name}" for name in shapes)})
 
 
 def seal(file: h5py.File, changing: set[str] | None = None) -> None:
-    """Give every dataset of ``file`` but the ``changing`` ones an attribute with its checksum."""
+    """Write the checksum attribute of every dataset of ``file`` except the ``changing`` ones."""
     for name, dataset in datasets(file):
         if name not in (changing or ()):
-            found = digest(name, (), stored_bytes(dataset[()], dataset.dtype))
-            dataset.attrs[ATTRIBUTE] = np.uint64(found)
+            dataset.attrs[ATTRIBUTE] = np.uint64(digest(name, (), stored_bytes(dataset[()], dataset.dtype)))
 
 
 def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
-    """Give ``file`` an attribute with place, length and checksum of each part of its heap, uint64 (part, 3).
+    """Write the attribute with offset, length and checksum of each part of the heap, uint64 (part, 3).
 
-    ``memory`` is where the library writes it; without, the library is asked for a copy.
+    ``memory``: the bytes of the file, if the library writes to memory; otherwise the library makes a copy.
     """
     file.flush()
     if memory is None:
@@ -103,36 +105,36 @@ def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
 
 
 def _heap_sums(image: memoryview) -> list[tuple[int, int, int]]:
-    # Its signature and version; nothing else that is in a file at its start looks like it.
-    places = [found.start() for found in re.finditer(rb"GCOL\x01\0\0\0", image)]
-    lengths = [int.from_bytes(image[place + 8 : place + 16], "little") for place in places]
+    # Signature and version of a global heap collection; no other content of a new file has these bytes.
+    offsets = [match.start() for match in re.finditer(rb"GCOL\x01\0\0\0", image)]
+    lengths = [int.from_bytes(image[offset + 8 : offset + 16], "little") for offset in offsets]
     return [
-        (place, length, digest(HEAP, (place,), image[place : place + length]))
-        for place, length in zip(places, lengths, strict=True)
+        (offset, length, digest(HEAP, (offset,), image[offset : offset + length]))
+        for offset, length in zip(offsets, lengths, strict=True)
     ]
 
 
 def heap_is_sound(file: h5py.File, path: Path) -> bool:
-    """Return whether the heap of ``file`` at ``path`` is as its checksums say; a file that has none is."""
-    parts = np.asarray(file.attrs.get(HEAP, np.zeros((0, 3), "<u8")))
-    if parts.dtype != np.dtype("<u8") or parts.shape[1:] != (3,):
+    """Return whether the heap of ``file`` at ``path`` matches its checksums; True for a file without any."""
+    heap_sums = np.asarray(file.attrs.get(HEAP, np.zeros((0, 3), "<u8")))
+    if heap_sums.dtype != np.dtype("<u8") or heap_sums.shape[1:] != (3,):
         return False
     with path.open("rb") as stored:
-        for place, length, expected in parts.tolist():
-            # Not by the library, which a damaged heap can send astray.
-            stored.seek(min(place, 1 << 62))
-            if digest(HEAP, (place,), stored.read(min(length, MOST_HEAP_BYTES))) != expected:
+        for offset, length, expected in heap_sums.tolist():
+            # Read directly: a damaged heap can crash the library.
+            stored.seek(min(offset, 1 << 62))
+            if digest(HEAP, (offset,), stored.read(min(length, MAX_HEAP_PART_BYTES))) != expected:
                 return False
     return True
 
 
 def datasets(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Return path and dataset of every dataset in ``file``, in the order of their paths."""
-    found: dict[str, h5py.Dataset] = {}
+    """Yield path and dataset of every dataset in ``file``, sorted by path."""
+    by_path: dict[str, h5py.Dataset] = {}
 
-    def look(name: str, item: Any) -> None:
+    def collect(path: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
-            found[name] = item
+            by_path[path] = item
 
-    file.visititems(look)
-    yield from sorted(found.items())
+    file.visititems(collect)
+    yield from sorted(by_path.items())

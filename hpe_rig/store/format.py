@@ -31,35 +31,35 @@ STAGES: Final = (
     "store",
     "truth",
 )
-"""Stages of an acquisition, in the order of the run times in the run file; "collect" ends with every output off."""
+"""Stages of an acquisition, in the order of the run times in the run file; all outputs are off after "collect"."""
 STAGE_BYTES: Final = 16
-MOST_STAGES: Final = 64
+MAX_STAGES: Final = 64
 STATUSES: Final = ("running", "complete", "aborted", "failed")
 STATUS_BYTES: Final = 8
 """Enough for running, complete, aborted and failed: the attribute changes during a run, so its size is fixed."""
 RUN_ID_BYTES: Final = 32
-"""Length of what tells a run from others of its name: random hexadecimal digits, empty where nobody may have to."""
+"""Length of a run's identifier, random hexadecimal digits; empty for a run that needs none."""
 SNAPSHOT_BYTES: Final = 8192
-"""Enough for the settings of one shot as JSON; fixed, since nothing may be created while others read."""
+"""Enough for the settings of one shot as JSON; fixed, since HDF5 creates nothing while other programs read."""
 CHUNK_BYTES: Final = 1_000_000
-"""Size that a chunk of echoes has at least, if a shot has as much; a crash costs less than one and the last block."""
+"""Minimum size of a chunk of echoes, unless a shot is smaller; a crash loses at most one chunk and one block."""
 ROW_CHUNK: Final = 2048
-"""Most pulses in one chunk of a quantity with one value per pulse, which is written as a whole with each of echoes."""
+"""Maximum number of pulses in a chunk of a quantity with one value per pulse; it is written with each echo chunk."""
 TIME_BYTES: Final = 32
 """Enough for a time in seconds with its offset from UTC, ISO 8601."""
 UNTRUSTED_BYTES: Final = 1024
-"""Enough to say why a shot is not to be trusted; more is cut."""
+"""Enough for the reason why a shot is untrusted; longer texts are cut."""
 BITSHUFFLE: Final = 32008
 """Registered number of the HDF5 filter bitshuffle with LZ4."""
 
 
 class StoreError(Exception):
-    """A file that cannot be written or read; the message says which, why, and what to try."""
+    """A file that cannot be written or read; the message states the file, the cause and a remedy."""
 
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Turn a package that is missing inside the block into a ``StoreError`` that names the extra ``name``."""
+    """Raise ``StoreError`` naming the extra ``name`` if a package is missing inside the block."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -68,7 +68,7 @@ def extra(name: str) -> Iterator[None]:
 
 
 def new_run_id() -> str:
-    """Return what tells a run from every other."""
+    """Return a unique identifier."""
     return uuid4().hex
 
 
@@ -77,11 +77,11 @@ def versions() -> Mapping[str, str]:
     """Return the versions of Python and of the packages that produced the numbers, and the commit if known."""
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "h5py")}
     try:
-        own = metadata.version("hpe-rig")
+        version = metadata.version("hpe-rig")
     except metadata.PackageNotFoundError:
-        own = "not installed"
-    commit = own.partition("+g")[2].partition(".")[0] or "unknown"
-    return {"hpe_rig": own, "commit": commit, "python": platform.python_version(), **packages}
+        version = "not installed"
+    commit = version.partition("+g")[2].partition(".")[0] or "unknown"
+    return {"hpe_rig": version, "commit": commit, "python": platform.python_version(), **packages}
 
 
 def free_path(stem: str, folder: Path) -> Path:
@@ -93,23 +93,25 @@ def free_path(stem: str, folder: Path) -> Path:
 
 
 def result_path(run_path: Path, estimator: str) -> Path:
-    """Return the path of the result file beside a run file."""
+    """Return the path of an estimator's result file, in the folder of the run file."""
     return run_path.with_name(f"{run_path.stem}.{estimator}.h5")
 
 
 def reason(error: BaseException) -> str:
-    """Return the cause of ``error`` in the operating system's words or plain ones, never in the HDF5 library's."""
+    """Return the cause of ``error`` in the operating system's words or plain words, never in the HDF5 library's."""
     text = str(error)
-    if found := re.search(r"error message = '([^']*)'", text):
-        return found.group(1)
+    if system_message := re.search(r"error message = '([^']*)'", text):
+        return system_message.group(1)
     if isinstance(error, OSError) and error.strerror and "nable to" not in error.strerror:
         return error.strerror
     if isinstance(error, MemoryError):
         return "it needs more memory than is available"
-    return next((words for sign, words in _PLAIN.items() if sign in text), "the HDF5 library cannot read it")
+    return next(
+        (words for hdf5_words, words in _CAUSES.items() if hdf5_words in text), "the HDF5 library cannot read it"
+    )
 
 
-_PLAIN: Final = {
+_CAUSES: Final = {
     "allocate memory": "it needs more memory than is available",
     "start new thread": "it needs more memory than is available",
     "truncated file": "it is cut short",

@@ -1,8 +1,8 @@
 """Empty run file as bytes: every group, dataset and attribute, before the first record.
 
-HDF5 allows nothing to be created while others read, so everything has its final size here and is filled in later. All
-but the echoes also has its place on the disk from the start: when the disk fills up, it is a chunk of echoes that does
-not fit, never something that the library would still have to write. ``docs/reference/run-file.md`` describes what is in the file.
+HDF5 creates nothing while other programs read. So everything has its final size from the start and is filled in later.
+Everything except the echoes is also allocated on the disk: on a full disk, a chunk of echoes fails and never one of
+the library's own structures. ``docs/reference/run-file.md`` describes the content of the file.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from hpe_rig.store.format import (
 from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
-"""Readable with HDF5 1.10 and later: concurrent reading came with 1.10."""
-MOST_PLACED_BYTES = 64_000_000
-"""Quantities with one value per pulse are allocated at once up to this size, and beyond it as they are written."""
+"""Readable with HDF5 1.10 and later, the first with concurrent reading."""
+MAX_PREALLOCATED_BYTES = 64_000_000
+"""Maximum size of a quantity with one value per pulse that is allocated at the start; larger ones grow when written."""
 TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
 """A cos(phase) and A sin(phase) of the true displacement at the focus, datasets of group ``true_harmonics``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Predecessor:
-    """Run file that a resumed run continues, by name, and how many of its shots were copied."""
+    """Name of the run file that a resumed run continues, and the number of shots copied from it."""
 
     name: str = ""
     shots: int = 0
@@ -67,7 +67,7 @@ def empty_run(
     run_id: str = "",
     provenance: Provenance | None = None,
 ) -> bytes:
-    """Return the bytes of a run file without records; the same for the same arguments, bit for bit."""
+    """Return the bytes of a run file without records; equal arguments give equal bytes."""
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _write_header(file, scene, bench, plan, predecessor or Predecessor())
         file.attrs.create("run_id", np.bytes_(run_id.encode("ascii")), dtype=f"S{RUN_ID_BYTES}")
@@ -81,9 +81,9 @@ def empty_run(
             ground_truth = file.create_group("truth")
             _create_rows(ground_truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
             name_axes(ground_truth, _shot_and_pulse(plan), {"displacement_m": "m"})
-            # A sweep may move the frequencies: the axis names those of the point that has most of them.
-            most = max((point.scene.wanted_frequencies_hz for point in scene.scene.points), key=len)
-            _create_true_harmonics(file, len(plan.shots), most)
+            # A sweep may change the frequencies: the axis holds those of the point with the most frequencies.
+            frequencies_hz = max((point.scene.wanted_frequencies_hz for point in scene.scene.points), key=len)
+            _create_true_harmonics(file, len(plan.shots), frequencies_hz)
         if provenance is not None:
             _create_provenance(file, provenance)
         add_checksums(file)
@@ -94,9 +94,9 @@ def empty_run(
 
 
 def sha256_of_scan(scene: Scene) -> str | None:
-    """Return the SHA-256 of the file that ``beams.excitation_scan`` names, None where the scene names none.
+    """Return the SHA-256 of the file ``beams.excitation_scan``, None without one.
 
-    Results go by the scan, and the run file does not hold it.
+    The results depend on the scan, and the run file does not contain it.
     """
     if scene.beams is None or scene.beams.excitation_scan is None:
         return None
@@ -105,16 +105,16 @@ def sha256_of_scan(scene: Scene) -> str | None:
 
 
 def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[float, float]:
-    """Return scale and offset from codes to volts of an input whose range, plus and minus, takes all the codes.
+    """Return scale and offset (V) from codes to volts of an input from -``input_range_v`` to +``input_range_v``.
 
-    Zero volts lies between codes -1 and 0. The highest tells how many there are: of 16 bits the lowest is not used.
+    Zero volts lies between codes -1 and 0. Only the highest code counts: a 16-bit board does not use its lowest code.
     """
     scale = 2 * input_range_v / (2 * code_limits[1] + 1)
     return scale, scale / 2
 
 
 def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
-    """Give every dataset of ``group`` its units, and its axes, in this order, the named dimension scales."""
+    """Write the units of every dataset of ``group``, and attach the dimension ``scales`` to its axes, in this order."""
     datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
     for name, values in scales.items():
         group[name] = values
@@ -140,21 +140,21 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
         "predecessor_shots": predecessor.shots,
     }
     for name, value in (attributes | {f"version_{name}": text for name, text in versions().items()}).items():
-        # Names may come from those of files, which hold any character.
+        # Names may be file names, which can contain any character.
         file.attrs[name] = _fixed(printable(value)) if isinstance(value, str) else value
     file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
     file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
     snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
-    if snapshot.nbytes <= MOST_PLACED_BYTES:
+    if snapshot.nbytes <= MAX_PREALLOCATED_BYTES:
         snapshot[...] = b""
     untrusted = file.create_dataset("untrusted", len(plan.shots), f"S{UNTRUSTED_BYTES}", chunks=(1,))
-    if untrusted.nbytes <= MOST_PLACED_BYTES:
+    if untrusted.nbytes <= MAX_PREALLOCATED_BYTES:
         untrusted[...] = b""
     name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
 
 
 def _fixed(text: str) -> NDArray[Any]:
-    """Return ``text`` as UTF-8 of fixed length, which a reader can check before reading it."""
+    """Return ``text`` as UTF-8 of fixed length: a reader can check the length before it reads the text."""
     encoded = text.encode("utf-8")
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
@@ -166,7 +166,7 @@ def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
 def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
     shape = (len(plan.shots), plan.shots[0].capture.record_count)
     rows = group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
-    if rows.nbytes <= MOST_PLACED_BYTES:
+    if rows.nbytes <= MAX_PREALLOCATED_BYTES:
         rows[...] = fill
 
 
@@ -187,9 +187,9 @@ def _create_codes(
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
     chunks, filters = (1, pulses_a_chunk, shape[2]), _filter() if compress else {}
     echo = group.create_dataset(name, shape, "<i2", chunks=chunks, fillvalue=MISSING, **filters)
-    # Writing the first chunk creates the index of all chunks.
+    # Writing the first chunk creates the index of all chunks, which a full disk could prevent later.
     echo[0, :pulses_a_chunk] = MISSING
-    # CF conventions: readers that know them convert codes to volts and missing records to NaN by themselves.
+    # CF conventions: programs that follow them convert codes to volts and missing records to NaN.
     scale, offset = volts_of_codes(input_range_v, code_limits)
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
     lowest, highest = map(np.int16, code_limits)
@@ -200,7 +200,7 @@ def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
     group = file.create_group("provenance")
     for name in ("started", "host", "user", "drivers"):
         group[name] = _fixed(printable(getattr(provenance, name)))
-    # Written once the run is over; until then nobody knows.
+    # Written at the end of the run.
     group["ended"] = np.zeros((), f"S{TIME_BYTES}")
 
 

@@ -1,4 +1,4 @@
-"""Listing of the runs in a folder: when, what, how it ended, the strongest harmonic of its latest result, its notes."""
+"""Listing of the runs in a folder: date, title, status, strongest harmonic of the latest result, and notes."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from hpe_rig.scene import SettingsError, parse_toml
 from hpe_rig.store.checksum import ATTRIBUTE
 from hpe_rig.store.format import FORMAT, RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.reader import StoredRun, read_run
-from hpe_rig.store.validation import Trusted, UntrustedError
+from hpe_rig.store.validation import CheckedFile, InvalidContentError
 
-LARGEST_JSON = 64_000_000
-"""Bytes of a result's JSON beyond which a listing does without it."""
+MAX_JSON_BYTES = 64_000_000
+"""Maximum size of a result's JSON that the listing reads."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lead:
-    """Strongest harmonic of a result: of the means over repeats where there are any, else of all shots."""
+    """Strongest harmonic of a result: of the means over repeats if there are any, otherwise of all shots."""
 
     estimator: str
     frequency_hz: float
@@ -37,9 +37,9 @@ class Lead:
 
 @dataclass(frozen=True, slots=True)
 class RunEntry:
-    """One run file of a folder; ``date`` is when the run started, of files that do not say when they were written.
+    """One run file of a folder; ``date``: start of the run, or else the file's time of modification.
 
-    ``imported``: name of the recording that the records were imported from, "" of records that were measured here.
+    ``imported``: name of the recording from which the records were imported, "" if they were measured.
     """
 
     path: Path
@@ -56,23 +56,23 @@ class RunEntry:
     lead: Lead | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as JSON has it."""
-        own = {name: getattr(self, name) for name in ("title", "status", "shots_complete", "shots", "simulated")}
-        own |= {name: getattr(self, name) for name in ("imported", "user", "host")}
+        """Return the entry as JSON values."""
+        names = ("title", "status", "shots_complete", "shots", "simulated", "imported", "user", "host")
+        fields = {name: getattr(self, name) for name in names}
         lead = self.lead and {name: _finite(value) for name, value in asdict(self.lead).items()}
         notes = {name: note if isinstance(note, str | int | float) else str(note) for name, note in self.notes.items()}
         date = self.date.isoformat(timespec="seconds")
-        return {"date": date, "file": str(self.path), **own, "lead": lead, "notes": notes}
+        return {"date": date, "file": str(self.path), **fields, "lead": lead, "notes": notes}
 
     def words(self) -> str:
-        """Return everything that a search looks through, a piece a line."""
+        """Return the text that a search matches, one item per line."""
         kind = "imported" if self.imported else "simulated" if self.simulated else "measured"
         notes = [f"{name}: {note}" for name, note in self.notes.items()]
         return "\n".join([self.path.name, self.title, self.status, kind, self.imported, self.user, self.host, *notes])
 
 
 def listing_schema() -> dict[str, Any]:
-    """Return the JSON schema of what ``hpe-rig list --json`` prints."""
+    """Return the JSON schema of ``hpe-rig list --json``."""
     note = {"type": ["string", "number", "boolean"]}
     entry = dataclass_schema(RunEntry, file={"type": "string"}, notes={"type": "object", "additionalProperties": note})
     del entry["properties"]["path"]
@@ -81,9 +81,9 @@ def listing_schema() -> dict[str, Any]:
 
 
 def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[str]]:
-    """Return the runs in ``folder``, and in the folders ``below`` it, by date, and why files are none that can be read.
+    """Return the runs in ``folder`` (with ``below``, also in its subfolders) by date, and why other files are unreadable.
 
-    Result files and files of other programs are passed over in silence. Raises ``StoreError`` for what is no folder.
+    Result files and files of other programs are skipped. Raises ``StoreError`` if ``folder`` is not a folder.
     """
     if not folder.is_dir():
         raise StoreError(f"{folder} is no folder. Try: the folder that holds the run files.")
@@ -98,10 +98,10 @@ def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[s
     return sorted(entries, key=lambda entry: entry.date), unreadable
 
 
-def chosen(
+def matching_runs(
     entries: Sequence[RunEntry], words: Sequence[str], since: datetime | None = None, until: datetime | None = None
 ) -> list[RunEntry]:
-    """Return the entries in which each of ``words`` stands somewhere, in either case, from ``since`` to ``until``."""
+    """Return the entries from ``since`` to ``until`` that contain all ``words``, ignoring case."""
     return [
         entry
         for entry in entries
@@ -158,9 +158,9 @@ def _date(stored: StoredRun) -> datetime:
 
 
 def _format(path: Path) -> str | None:
-    """Return what kind of file ``path`` says it is, "" where it does not say; None where it cannot be opened."""
+    """Return the attribute ``format`` of an HDF5 file, "" without it; None if the file cannot be opened."""
     if not path.is_file():
-        # A named pipe would be waited for.
+        # Opening a named pipe would block.
         return None
     try:
         with h5py.File(path, "r") as file:
@@ -171,19 +171,19 @@ def _format(path: Path) -> str | None:
 
 
 def _lead(run: Path) -> Lead | None:
-    """Return the strongest harmonic of the latest result beside the run file; None where there is none."""
-    beside = [path for path in run.parent.glob(f"{run.stem}.*.h5") if _format(path) == RESULT_FORMAT]
-    if not beside:
+    """Return the strongest harmonic of the latest result of the run file; None without a result."""
+    results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if _format(path) == RESULT_FORMAT]
+    if not results:
         return None
-    latest = max(beside, key=lambda path: path.stat().st_mtime)
+    latest = max(results, key=lambda path: path.stat().st_mtime)
     try:
         with h5py.File(latest, "r") as file:
             text = file["json"]
-            if ATTRIBUTE in text.attrs and not Trusted(file).is_sound("json", text):
-                raise UntrustedError("it fails its checksum")
-            result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= LARGEST_JSON else {}
+            if ATTRIBUTE in text.attrs and not CheckedFile(file).matches_checksum("json", text):
+                raise InvalidContentError("it fails its checksum")
+            result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= MAX_JSON_BYTES else {}
         return max(_leads(result), key=lambda lead: lead.amplitude_m, default=None)
-    except UntrustedError as error:
+    except InvalidContentError as error:
         why = str(error)
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, ArithmeticError) as error:
         why = reason(error)
@@ -194,8 +194,8 @@ def _leads(result: Mapping[str, Any]) -> Iterator[Lead]:
     estimator, means = str(result["estimator"]), result.get("means", ())
     names = ("amplitude_m", "amplitude_uncertainty_m", "phase_rad", "phase_uncertainty_rad")
     corrected = ("corrected_amplitude_m", "corrected_uncertainty_m", "corrected_phase_rad")
-    of_peak = (*corrected, "corrected_phase_uncertainty_rad")
+    corrected_names = (*corrected, "corrected_phase_uncertainty_rad")
     for row in means or [estimate for shot in result["shots"] for estimate in shot["estimates"]]:
-        taken = of_peak if row.get(of_peak[0]) is not None else names
-        values = [math.nan if row[name] is None else float(row[name]) for name in taken]
+        row_names = corrected_names if row.get(corrected_names[0]) is not None else names
+        values = [math.nan if row[name] is None else float(row[name]) for name in row_names]
         yield Lead(estimator, float(row["frequency_hz"]), *values)

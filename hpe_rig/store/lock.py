@@ -1,8 +1,8 @@
-"""Lock of a run file: one writer at a time, released by the system when its program ends, in whatever way it ends.
+"""Lock of a run file: one writer at a time; the operating system releases the lock when the program ends.
 
-It lies on a byte that no file has, so that it keeps nobody from reading, and it belongs to the file rather than to its
-name: a file that is moved takes it along. The kinds of lock differ from system to system; over network shares they work
-where the share supports locks at all.
+The locked byte lies beyond the end of any file, so that reading stays possible. The lock belongs to the file and
+not to its name: a moved file stays locked. Each operating system has its own kind of lock; on a network share the lock
+works if the share supports locks.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import sys
 from pathlib import Path
 from typing import IO, Final
 
-FAR: Final = 1 << 62
-"""Place of the byte that is locked."""
+LOCK_OFFSET: Final = 1 << 62
+"""Offset of the locked byte."""
 
 
-def take(file: IO[bytes]) -> bool:
-    """Lock the open ``file`` until it is closed; return False where its file system knows no locks.
+def acquire(file: IO[bytes]) -> bool:
+    """Lock the open ``file`` until it is closed; return False if its file system has no locks.
 
-    Raises ``BlockingIOError`` where another program holds the lock.
+    Raises ``BlockingIOError`` if another program holds the lock.
     """
     try:
         _lock(file.fileno(), exclusive=True)
@@ -31,8 +31,8 @@ def take(file: IO[bytes]) -> bool:
     return True
 
 
-def is_taken(path: Path) -> bool | None:
-    """Return whether a program writes the file ``path``; None where that cannot be told."""
+def is_locked(path: Path) -> bool | None:
+    """Return whether a program is writing the file ``path``; None if unknown."""
     try:
         with path.open("rb") as file:
             _lock(file.fileno(), exclusive=False)
@@ -62,7 +62,7 @@ if sys.platform == "win32":
 
     def _lock(number: int, exclusive: bool) -> None:
         kernel = ctypes.WinDLL("kernel32", use_last_error=True)
-        where = _Overlapped(offset=FAR & 0xFFFFFFFF, offset_high=FAR >> 32)
+        where = _Overlapped(offset=LOCK_OFFSET & 0xFFFFFFFF, offset_high=LOCK_OFFSET >> 32)
         kind = FAIL_IMMEDIATELY | (EXCLUSIVE if exclusive else 0)
         handle = wintypes.HANDLE(msvcrt.get_osfhandle(number))
         if kernel.LockFileEx(handle, kind, 0, 1, 0, ctypes.byref(where)):
@@ -77,8 +77,10 @@ else:
     def _lock(number: int, exclusive: bool) -> None:
         kind = fcntl.F_WRLCK if exclusive else fcntl.F_RDLCK
         if sys.platform == "linux" and hasattr(fcntl, "F_OFD_SETLK"):
-            # Of the open file, not of the process, which would lose it as soon as it closes any other view of the file.
-            request = struct.pack("@hhqqi4x", kind, os.SEEK_SET, FAR, 1, 0)
+            # A lock of the open file: the process would lose its own lock when it closes any other handle of the file.
+            request = struct.pack("@hhqqi4x", kind, os.SEEK_SET, LOCK_OFFSET, 1, 0)
             fcntl.fcntl(number, fcntl.F_OFD_SETLK, request)
         else:
-            fcntl.lockf(number, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB, 1, FAR, os.SEEK_SET)
+            fcntl.lockf(
+                number, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB, 1, LOCK_OFFSET, os.SEEK_SET
+            )

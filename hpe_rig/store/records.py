@@ -1,4 +1,4 @@
-"""Records of one shot: blocks as they arrive -> codes on the plan's axes, missing records marked."""
+"""Records of one shot: arriving blocks -> codes on the plan's axes (pulse, sample), with missing records marked."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ MISSING = np.int16(-32768)
 
 
 class GatedRecords(Protocol):
-    """Records of one shot, in memory (`ShotRecords`) or in the file: codes come a block of pulses at a time.
+    """Records of one shot, in memory (`ShotRecords`) or in the file (`StoredShot`), read in blocks of pulses.
 
-    ``shape``: (pulse, sample); ``valid`` (pulse,): which have a record; the rest as in `ShotRecords`.
+    ``shape``: (pulse, sample); ``valid`` (pulse,): True for pulses with a record; the others as in `ShotRecords`.
     """
 
     @property
@@ -36,7 +36,7 @@ class GatedRecords(Protocol):
     def damaged(self) -> BoolArray | None: ...
 
     def block(self, pulses: slice) -> Int16Array:
-        """Return the codes of some ``pulses``, (pulse, sample), ``MISSING`` where nothing arrived."""
+        """Return the codes of ``pulses``, (pulse, sample); ``MISSING`` for a missing record."""
         ...
 
 
@@ -44,10 +44,10 @@ class GatedRecords(Protocol):
 class ShotRecords:
     """The records of one shot on the plan's axes.
 
-    ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
-    and where the way to capture states no time. ``code_limits`` are the digitizer's lowest and highest code, at which a
-    sample is clipped. ``margin``: how many of the samples come before and behind the gate, where it is a gate's.
-    ``damaged`` (pulse,): which of the missing records failed their checksums; None where all others never came.
+    ``codes`` int16 (pulse, sample), ``MISSING`` for missing records. ``trigger_time_s`` float64 (pulse,), NaN for missing
+    records and for capture modes without times. ``code_limits``: the digitizer's lowest and highest code; a sample with
+    one of them is clipped. ``margin``: numbers of samples before and after the gate. ``damaged`` (pulse,): True for
+    missing records that fail their checksums; None for records that were not read from a file.
     """
 
     codes: Int16Array
@@ -64,76 +64,77 @@ class ShotRecords:
         return self.codes.shape[0], self.codes.shape[1]
 
     def block(self, pulses: slice) -> Int16Array:
-        """Return the codes of some ``pulses``, (pulse, sample)."""
+        """Return the codes of ``pulses``, (pulse, sample)."""
         return self.codes[pulses]
 
     def cut(self, gate: slice, margin: int = 0) -> ShotRecords:
-        """Return the samples in ``gate`` and up to ``margin`` on either side, as far as there are."""
-        around, margins = with_margin(gate, margin, self.codes.shape[1])
-        return replace(self, codes=self.codes[:, around], margin=margins)
+        """Return the samples in ``gate`` and up to ``margin`` existing samples on either side."""
+        samples, margins = with_margin(gate, margin, self.codes.shape[1])
+        return replace(self, codes=self.codes[:, samples], margin=margins)
 
     @property
     def valid(self) -> BoolArray:
-        """Which pulses have a record, shape (pulse,)."""
+        """True for pulses with a record, (pulse,)."""
         valid: BoolArray = self.codes[:, 0] != MISSING
         return valid
 
 
 def with_margin(gate: slice, margin: int, samples: int) -> tuple[slice, tuple[int, int]]:
-    """Return a gate with up to ``margin`` samples of a record of ``samples`` on either side, and how many these are."""
-    around = slice(max(0, gate.start - margin), min(samples, gate.stop + margin))
-    return around, (gate.start - around.start, around.stop - gate.stop)
+    """Return ``gate`` extended by up to ``margin`` samples within a record of ``samples``, and both extensions."""
+    extended = slice(max(0, gate.start - margin), min(samples, gate.stop + margin))
+    return extended, (gate.start - extended.start, extended.stop - gate.stop)
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
-    """The latest record of a shot that has its place: its pulse, its trigger's time by the board, its number."""
+class LastRecord:
+    """The latest record of a shot with a known pulse: pulse index, the board's trigger time, number of the record."""
 
     pulse: int
     trigger_time_s: float
     record: int
 
 
-def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[Int64Array, Placed | None]:
-    """Return the tracking pulse of each record of ``block``, (record,), -1 where none fits, and the latest placed.
+def pulse_indices(block: RecordBlock, previous: LastRecord | None, shot: Shot) -> tuple[Int64Array, LastRecord | None]:
+    """Return the tracking pulse of each record of ``block``, (record,), -1 if none fits, and the latest such record.
 
-    The board's trigger times decide, counted from the record placed last, so that a lost trigger shifts no later record
-    and a board whose clock is off by up to 100 ppm loses none in blocks of up to 2000. The first record that comes is
-    taken for the first pulse's: no time tells whether triggers before it were lost. Records without a time count on
-    from the one placed last, and from the first where the way to capture states no times at all.
+    The index follows from the board's trigger times relative to the previous block's last record. So a lost trigger
+    shifts no later record, and a board with a clock error of up to 100 ppm loses none in blocks of up to 2000. The first
+    record is assumed to belong to the first pulse, because no time reveals triggers lost before it. Records without a
+    time are counted from the latest record with a known pulse, or from the first record if there is none.
     """
     record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
     timed = np.isfinite(block.trigger_time_s)
-    index, latest = np.empty_like(record), before
+    index, latest = np.empty_like(record), previous
     if timed.any():
-        index[timed], latest = _placed_by_time(record[timed], block.trigger_time_s[timed], before, shot)
+        index[timed], latest = _indices_by_time(record[timed], block.trigger_time_s[timed], previous, shot)
     counted = record[~timed] + (0 if latest is None else latest.pulse - latest.record)
     index[~timed] = np.where(counted < shot.capture.record_count, counted, -1)
     return index, latest
 
 
-def _placed_by_time(
-    record: Int64Array, trigger_time_s: FloatArray, before: Placed | None, shot: Shot
-) -> tuple[Int64Array, Placed | None]:
-    anchor = before or Placed(0, float(trigger_time_s[0]), int(record[0]))
+def _indices_by_time(
+    record: Int64Array, trigger_time_s: FloatArray, previous: LastRecord | None, shot: Shot
+) -> tuple[Int64Array, LastRecord | None]:
+    anchor = previous or LastRecord(0, float(trigger_time_s[0]), int(record[0]))
     pulses = anchor.pulse + (trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
     index = np.round(pulses).astype(np.int64)
+    # More than a quarter of the pulse interval from any pulse: a spurious trigger.
     stray = (np.abs(pulses - index) > 0.25) | (index < 0) | (index >= shot.capture.record_count)
     index[stray] = -1
     if stray.all():
-        return index, before
+        return index, previous
     last = int(np.flatnonzero(~stray)[-1])
-    return index, Placed(int(index[last]), float(trigger_time_s[last]), int(record[last]))
+    return index, LastRecord(int(index[last]), float(trigger_time_s[last]), int(record[last]))
 
 
 def assemble(blocks: Iterable[RecordBlock], shot: Shot) -> ShotRecords:
-    """Return the records of ``blocks`` in the places of ``shot``'s pulses."""
+    """Return the records of ``blocks``, each at the index of its pulse."""
     codes = np.full((shot.capture.record_count, shot.capture.record_samples), MISSING)
     trigger_time_s = np.full(shot.capture.record_count, np.nan)
     scale, offset, limits, latest = np.nan, np.nan, (0, 0), None
     for block in blocks:
         scale, offset, limits = block.volts_per_code, block.volts_offset, block.code_limits
-        index, latest = place(block, latest, shot)
+        index, latest = pulse_indices(block, latest, shot)
         codes[index[index >= 0]] = block.codes[index >= 0]
         trigger_time_s[index[index >= 0]] = block.trigger_time_s[index >= 0]
     return ShotRecords(codes, trigger_time_s, scale, offset, limits)

@@ -1,4 +1,4 @@
-"""Result file: separate from the run file, so that records are written once and never touched again."""
+"""Result file, separate from the run file: the run file never changes after the run."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal, seal_heap
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
-from hpe_rig.store.journal import in_time
+from hpe_rig.store.journal import run_with_timeout
 from hpe_rig.store.layout import LIBVER, name_axes
 
 
 def write_result(path: Path, result: Result) -> None:
-    """Write ``result`` to ``path``, in place of an earlier result there and of nothing else.
+    """Write ``result`` to ``path``; replace an earlier result but no other file.
 
-    Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN where unknown.
+    Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN if unknown.
     Group ``motion``: displacement, its uncertainty, model and residual of every pulse, float64 (shot, pulse).
-    Of gates over depth also group ``profile``, as ``results`` (shot, depth, frequency), and group ``burst_period`` with
-    ``displacement_m`` (shot, depth, time).
-    Raises ``StoreError`` if it cannot be written. A disk that does not answer keeps nobody waiting who interrupts the
-    program, and ends it after a minute; an earlier result stays whole in any case.
+    With gates over depth also group ``profile``, as ``results`` but (shot, depth, frequency), and group
+    ``burst_period`` with ``displacement_m`` (shot, depth, time).
+    Raises ``StoreError`` if the file cannot be written or the disk does not respond for a minute; an earlier result
+    stays unchanged then.
     """
     try:
-        # In memory first: an error of the disk must not meet the library, see journal.py.
+        # Written to memory first, because the library must not meet disk errors (journal.py).
         memory = io.BytesIO()
         with h5py.File(memory, "w", libver=LIBVER) as file:
             _write(file, result)
             seal(file)
             seal_heap(file, memory)
-        in_time(partial(_replace, path, memory.getbuffer()), lambda _: None)
+        run_with_timeout(partial(_replace, path, memory.getbuffer()), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "
@@ -46,15 +46,15 @@ def write_result(path: Path, result: Result) -> None:
         ) from error
 
 
-def _replace(path: Path, image: memoryview, given_up: threading.Event) -> None:
-    """Bring ``image`` to ``path``, unless nobody waits for it any more."""
+def _replace(path: Path, image: memoryview, cancelled: threading.Event) -> None:
+    """Write ``image`` to ``path``, unless the program stopped waiting."""
     _refuse_foreign(path)
     with atomic_file(path) as draft:
         with draft.open("xb") as disk:
             disk.write(image)
             disk.flush()
             os.fsync(disk.fileno())
-        if given_up.is_set():
+        if cancelled.is_set():
             raise InterruptedError
 
 
@@ -69,7 +69,7 @@ def _write(file: h5py.File, result: Result) -> None:
     for name, values in grid.estimates.items():
         group.create_dataset(name, data=values, dtype="f8")
     if grid.frequency is None:
-        # Of a sweep that moves the frequencies: the axis counts them.
+        # A sweep changes the frequencies: the axis is their number, from 1.
         group["frequency_hz"] = grid.frequency_hz
     axis = np.arange(1.0, grid.frequency_hz.shape[1] + 1) if grid.frequency is None else grid.frequency
     name_axes(group, {"shot": grid.shot, "frequency": axis}, {**UNITS, "frequency_hz": "Hz"})
@@ -88,21 +88,22 @@ def _write(file: h5py.File, result: Result) -> None:
 
 
 def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) -> None:
-    """Write groups ``profile`` and ``burst_period``; NaN where a shot has no such gate."""
-    settings = list(dict.fromkeys(_setting(gate.shot) for gate in result.profile))
+    """Write groups ``profile`` and ``burst_period``; NaN for shots without a gate at this depth."""
+    rows = list(dict.fromkeys(_row_key(gate.shot) for gate in result.profile))
     depth_m = np.unique([gate.depth_m for gate in result.profile])
-    at = [(settings.index(_setting(gate.shot)), int(np.searchsorted(depth_m, gate.depth_m))) for gate in result.profile]
-    scales = {"shot": np.array([shot for shot, _ in settings]), "depth": depth_m}
+    # Row (shot and slow-time window) and column (depth) of each gate.
+    cells = [(rows.index(_row_key(gate.shot)), int(np.searchsorted(depth_m, gate.depth_m))) for gate in result.profile]
+    scales = {"shot": np.array([shot for shot, _ in rows]), "depth": depth_m}
     group = file.create_group("profile")
-    lengths_m = np.full((len(settings), depth_m.size), np.nan)
-    for place, gate in zip(at, result.profile, strict=True):
-        lengths_m[place] = gate.length_m
+    lengths_m = np.full((len(rows), depth_m.size), np.nan)
+    for cell, gate in zip(cells, result.profile, strict=True):
+        lengths_m[cell] = gate.length_m
     group.create_dataset("gate_length_m", data=lengths_m)
     for name in UNITS:
-        values = np.full((len(settings), depth_m.size, frequency_hz.size), np.nan)
-        for place, gate in zip(at, result.profile, strict=True):
-            row = [getattr(estimate, name) for estimate in gate.shot.estimates]
-            values[place][: len(row)] = [np.nan if value is None else value for value in row]
+        values = np.full((len(rows), depth_m.size, frequency_hz.size), np.nan)
+        for cell, gate in zip(cells, result.profile, strict=True):
+            estimates = [getattr(estimate, name) for estimate in gate.shot.estimates]
+            values[cell][: len(estimates)] = [np.nan if value is None else value for value in estimates]
         group.create_dataset(name, data=values)
     name_axes(group, scales | {"frequency": frequency_hz}, {**UNITS, "gate_length_m": "m"})
     group["depth"].attrs["units"] = "m"
@@ -111,33 +112,33 @@ def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) ->
     if not times_s:
         return
     group = file.create_group("burst_period")
-    moved_m = np.full((len(settings), depth_m.size, len(times_s)), np.nan)
-    for place, gate in zip(at, result.profile, strict=True):
+    displacement_m = np.full((len(rows), depth_m.size, len(times_s)), np.nan)
+    for cell, gate in zip(cells, result.profile, strict=True):
         if len(gate.motion_m) == len(times_s):
-            moved_m[place] = gate.motion_m
-    group.create_dataset("displacement_m", data=moved_m)
+            displacement_m[cell] = gate.motion_m
+    group.create_dataset("displacement_m", data=displacement_m)
     name_axes(group, scales | {"time": np.array(times_s)}, {"displacement_m": "m"})
     group["time"].attrs["units"], group["depth"].attrs["units"] = "s", "m"
 
 
-def _setting(shot: ShotResult) -> tuple[int, float | None]:
-    """Return what a row of the file is of: a shot, and the slow-time window taken of it."""
+def _row_key(shot: ShotResult) -> tuple[int, float | None]:
+    """Return the shot's number and the length of its slow-time window, which identify a row of the profile."""
     return shot.shot, shot.window_length_s
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Raise ``StoreError`` where ``path`` exists and is not a result file."""
+    """Raise ``StoreError`` if ``path`` exists and is not a result file."""
     if not path.exists():
         return
     try:
         if not path.is_file():
             raise OSError
         with h5py.File(path, "r") as file:
-            # Results of earlier versions have no attribute ``format``, but these two.
-            known = file.attrs.get("format") == RESULT_FORMAT or {"run_file", "estimator"} <= set(file.attrs)
+            # Results of earlier versions have these two attributes instead of ``format``.
+            is_result = file.attrs.get("format") == RESULT_FORMAT or {"run_file", "estimator"} <= set(file.attrs)
     except (OSError, KeyError, ValueError, RuntimeError):
-        known = False
-    if not known:
+        is_result = False
+    if not is_result:
         raise StoreError(
             f"{path} exists and is not a result file of hpe-rig, so it is not replaced. Try: move it away."
         )

@@ -1,7 +1,7 @@
-"""Validation of an HDF5 file that anybody may have written: nothing is taken for granted, no other file is opened.
+"""Validation of an HDF5 file of unknown origin, before any data is read.
 
-A file can refer to other files (external links, external storage, virtual datasets), declare sizes that it does not
-hold, and name filters; each is refused here, before any data is read.
+Rejected are references to other files (external links, external storage, virtual datasets), sizes beyond the file's
+content, and filters that no run file uses.
 """
 
 from __future__ import annotations
@@ -24,35 +24,32 @@ from hpe_rig.scene import MAX_TEXT_BYTES, control_character, printable
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, digest, stored_bytes
 from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, extra, reason
 
-MOST_CHUNK_BYTES: Final = 64_000_000
+MAX_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
-"""Version of the HDF5 superblock of every run file; from it on all of the library's metadata carry checksums."""
-END_PLACE: Final = 28
-"""Byte of that superblock at which the file's length stands, in 8 bytes."""
-READ_ATTEMPTS: Final = 20
+"""Version of the HDF5 superblock of every run file: the first version with checksums of all HDF5 metadata."""
+END_OFFSET: Final = 28
+"""Offset in the superblock of the file's length, 8 bytes."""
+METADATA_ATTEMPTS: Final = 20
 OPEN_ATTEMPTS: Final = 5
 OPEN_PAUSE_S: Final = 0.02
 
 
-class UntrustedError(Exception):
-    """Content of a file that differs from what a run file has there."""
+class InvalidContentError(Exception):
+    """Content that no run file has."""
 
 
 @dataclass(frozen=True, slots=True)
-class Trusted:
-    """Open file that hands out only what has been checked.
-
-    ``size``: its bytes; ``missing_bytes``: how many it lacks at its end. ``vouched``: whether it has checksums.
-    """
+class CheckedFile:
+    """Open file that returns only checked content; ``missing_bytes``: how much shorter it is than it declares."""
 
     file: h5py.File
     size: int = 0
     missing_bytes: int = 0
 
     @property
-    def vouched(self) -> bool:
-        """Whether the file has checksums, which those of early releases have not."""
+    def has_checksums(self) -> bool:
+        """Whether the file has checksums; files of early releases have none."""
         return GROUP in self.file
 
     def text(self, name: str) -> str:
@@ -64,26 +61,26 @@ class Trusted:
         return _text(dataset[()], f"/{name}")
 
     def refuse_damaged(self, name: str, dataset: h5py.Dataset) -> None:
-        """Raise ``UntrustedError`` where ``dataset``, which nobody changes after the start, fails its checksum."""
-        if self.vouched and not self.is_sound(name, dataset):
-            raise UntrustedError(f"/{name} fails its checksum")
+        """Raise ``InvalidContentError`` if ``dataset``, which never changes after the start, fails its checksum."""
+        if self.has_checksums and not self.matches_checksum(name, dataset):
+            raise InvalidContentError(f"/{name} fails its checksum")
 
-    def is_sound(self, name: str, dataset: h5py.Dataset) -> bool:
-        """Return whether ``dataset``, which nobody changes after the start, is as its checksum says."""
+    def matches_checksum(self, name: str, dataset: h5py.Dataset) -> bool:
+        """Return whether ``dataset``, which never changes after the start, matches its checksum."""
         stated = dataset.attrs.get(ATTRIBUTE)
         return isinstance(stated, np.uint64) and int(stated) == digest(
             name, (), stored_bytes(dataset[()], dataset.dtype)
         )
 
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
-        """Return dataset ``name`` if it has this type and shape, where None stands for any length."""
+        """Return dataset ``name`` if it has this type and shape; None in ``shape`` allows any length."""
         dataset = self._dataset(name)
         _refuse_outside(dataset, name)
         if dataset.dtype != np.dtype(dtype):
-            raise UntrustedError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
-        alike = len(dataset.shape or ()) == len(shape)
-        if not alike or any(want not in (None, have) for want, have in zip(shape, dataset.shape, strict=True)):
-            raise UntrustedError(f"/{name} has shape {dataset.shape}, where {shape} fits the rest of the file")
+            raise InvalidContentError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
+        same_rank = len(dataset.shape or ()) == len(shape)
+        if not same_rank or any(size not in (None, actual) for size, actual in zip(shape, dataset.shape, strict=True)):
+            raise InvalidContentError(f"/{name} has shape {dataset.shape}, where {shape} fits the rest of the file")
         _refuse_chunks(dataset, name)
         return dataset
 
@@ -92,51 +89,52 @@ class Trusted:
         owner = self.file if of is None else self._dataset(of)
         where = f"attribute {of or ''}.{name}"
         if name not in owner.attrs:
-            raise UntrustedError(f"{where} is absent")
+            raise InvalidContentError(f"{where} is absent")
         identity = owner.attrs.get_id(name)
         if identity.shape != ():
-            raise UntrustedError(f"{where} is not a single value")
+            raise InvalidContentError(f"{where} is not a single value")
         if kind is str:
             _refuse_no_text(identity, where)
             return printable(_text(owner.attrs[name], where))
         if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
-            raise UntrustedError(f"{where} is not of type {kind.__name__}")
+            raise InvalidContentError(f"{where} is not of type {kind.__name__}")
         value = kind(owner.attrs[name])
         if not math.isfinite(value):
-            raise UntrustedError(f"{where} is {value}")
+            raise InvalidContentError(f"{where} is {value}")
         return value
 
     def has(self, name: str) -> bool:
-        """Return whether there is something at ``name``."""
+        """Return whether the file has a group or dataset ``name``."""
         return name in self.file
 
     def _dataset(self, name: str) -> h5py.Dataset:
         path = ""
-        for part in name.split("/"):
-            path = f"{path}/{part}"
+        # Each group on the path is checked: any of them can be a link to another file.
+        for component in name.split("/"):
+            path = f"{path}/{component}"
             link = self.file.get(path, getlink=True)
             if link is None:
-                raise UntrustedError(f"{path} is absent")
+                raise InvalidContentError(f"{path} is absent")
             if not isinstance(link, h5py.HardLink):
-                raise UntrustedError(f"{path} points out of its place, which no run file does")
+                raise InvalidContentError(f"{path} is a link to another object, which no run file has")
         item = self.file[name]
         if not isinstance(item, h5py.Dataset):
-            raise UntrustedError(f"{path} is not a dataset")
+            raise InvalidContentError(f"{path} is not a dataset")
         return item
 
 
 @contextlib.contextmanager
-def trusted(path: Path) -> Iterator[Trusted]:
-    """Yield the run file ``path``, also while another program writes it; raise ``StoreError`` for anything wrong."""
+def open_checked(path: Path) -> Iterator[CheckedFile]:
+    """Yield the run file ``path``, also while another program writes it; raise ``StoreError`` if it is invalid."""
     try:
         declared = _declared_size(path)
-        # Asked afterwards, since a run that goes on makes it longer.
+        # Read after the declared size, since a run in progress extends the file.
         size = path.stat().st_size
-        with _opened(path) as file:
-            trust = Trusted(file, size, max(0, declared - size))
-            _refuse_format(trust)
-            yield trust
-    except UntrustedError as error:
+        with _open(path) as file:
+            checked = CheckedFile(file, size, max(0, declared - size))
+            _refuse_format(checked)
+            yield checked
+    except InvalidContentError as error:
         raise StoreError(
             f"{path} is not a readable run file: {error}. It is damaged, was changed, or comes from elsewhere. "
             "Try: a file written by hpe-rig run."
@@ -148,78 +146,78 @@ def trusted(path: Path) -> Iterator[Trusted]:
         ) from error
 
 
-def _opened(path: Path) -> h5py.File:
-    """Open ``path`` as one that may grow: what is read of it is never older than the marks that say it is there.
+def _open(path: Path) -> h5py.File:
+    """Open ``path`` for reading while it may grow (SWMR): echoes are never read in a state older than their marks.
 
-    A run ended by a full disk may be shorter than it declares, which HDF5 tolerates in such a file alone.
+    A full disk can leave a file shorter than it declares; HDF5 opens such a file only in this mode.
     """
-    opening = os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, _patience()
+    arguments = os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, _access_properties()
     for _ in range(OPEN_ATTEMPTS):
         with contextlib.suppress(OSError):
-            return h5py.File(h5f.open(*opening))
+            return h5py.File(h5f.open(*arguments))
         with contextlib.suppress(OSError):
-            # This program may have it open in the plain way already.
+            # This program may have opened it without SWMR before.
             return h5py.File(path, "r")
-        # A writer of an earlier release may be between two of its steps. On a damaged file this costs 0.1 s.
+        # The writer of an earlier release may be between two of its steps. A damaged file costs 0.1 s.
         time.sleep(OPEN_PAUSE_S)
-    return h5py.File(h5f.open(*opening))
+    return h5py.File(h5f.open(*arguments))
 
 
-def _patience() -> h5p.PropFAID:
-    """Return file access properties with ``READ_ATTEMPTS`` attempts to read damaged metadata.
+def _access_properties() -> h5p.PropFAID:
+    """Return file access properties with ``METADATA_ATTEMPTS`` attempts to read damaged metadata.
 
-    The library's default is 100, with a pause that doubles each time: practically for ever. h5py does not expose the
-    setting, hence ctypes.
+    The library's default is 100 with a pause that doubles each time: it practically never ends. h5py does not expose
+    the setting, hence ctypes.
     """
     access = h5p.create(h5p.FILE_ACCESS)
-    beside = Path(h5py.__file__).parent / "hdf5.dll"
+    windows_library = Path(h5py.__file__).parent / "hdf5.dll"
     with contextlib.suppress(OSError, AttributeError):
-        library = ctypes.CDLL(str(beside if beside.exists() else h5p.__file__))
-        library.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(READ_ATTEMPTS))
+        library = ctypes.CDLL(str(windows_library if windows_library.exists() else h5p.__file__))
+        library.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(METADATA_ATTEMPTS))
     return access
 
 
 def _declared_size(path: Path) -> int:
-    """Return the length that the file itself states; raise where it cannot be a run file."""
+    """Return the length stated in the superblock; raise ``InvalidContentError`` if it is not that of a run file."""
     if not path.is_file():
-        what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
-        raise StoreError(f"{path} {what}. Try: a file written by hpe-rig run, here or with its folder's name.")
+        problem = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
+        raise StoreError(f"{path} {problem}. Try: a file written by hpe-rig run, here or with its folder's name.")
     with path.open("rb") as file:
-        start = file.read(END_PLACE + 8)
+        start = file.read(END_OFFSET + 8)
     if start[: len(SIGNATURE)] != SIGNATURE:
-        raise UntrustedError("it is not an HDF5 file")
-    if len(start) < END_PLACE + 8 or start[len(SIGNATURE)] != SUPERBLOCK:
+        raise InvalidContentError("it is not an HDF5 file")
+    if len(start) < END_OFFSET + 8 or start[len(SIGNATURE)] != SUPERBLOCK:
         kind = f"a run file has a superblock of version {SUPERBLOCK}"
-        raise UntrustedError(f"it is an HDF5 file of another kind ({kind})")
-    return int.from_bytes(start[END_PLACE:], "little")
+        raise InvalidContentError(f"it is an HDF5 file of another kind ({kind})")
+    return int.from_bytes(start[END_OFFSET:], "little")
 
 
-def _refuse_format(trust: Trusted) -> None:
+def _refuse_format(checked: CheckedFile) -> None:
     try:
-        known = trust.attribute("format", str) == FORMAT
-    except UntrustedError:
-        known = False
-    if not known:
-        raise UntrustedError("it is an HDF5 file, but a result file or another program's")
-    version = trust.attribute("format_version", int)
+        is_run = checked.attribute("format", str) == FORMAT
+    except InvalidContentError:
+        is_run = False
+    if not is_run:
+        raise InvalidContentError("it is an HDF5 file, but a result file or another program's")
+    version = checked.attribute("format_version", int)
     newer = f"this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
     if version != FORMAT_VERSION:
         why = newer if version > FORMAT_VERSION else "which predates the promises of run files"
-        raise UntrustedError(f"it has format version {version}, {why}")
+        raise InvalidContentError(f"it has format version {version}, {why}")
 
 
 def _refuse_no_text(holder: Any, where: str) -> None:
-    """Raise ``UntrustedError`` unless ``holder`` has a single text of fixed, bounded length."""
+    """Raise ``InvalidContentError`` unless ``holder`` is a single text of fixed, bounded length."""
     if holder.shape != ():
-        raise UntrustedError(f"{where} is not a single text")
+        raise InvalidContentError(f"{where} is not a single text")
     information = h5py.check_string_dtype(holder.dtype)
     if information is None:
-        raise UntrustedError(f"{where} is not text")
+        raise InvalidContentError(f"{where} is not text")
     if information.length is None:
-        # Such text lies in a heap without checksums, where a damaged file can send the library into an endless loop.
-        raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
+        # Such a text lies in the heap, which has no checksums in HDF5: damage can trap the library in an endless loop.
+        raise InvalidContentError(f"{where} is a text of variable length, which no run file holds")
     if holder.dtype.itemsize > MAX_TEXT_BYTES:
-        raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MAX_TEXT_BYTES}")
+        raise InvalidContentError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MAX_TEXT_BYTES}")
 
 
 def _text(value: Any, where: str) -> str:
@@ -227,27 +225,29 @@ def _text(value: Any, where: str) -> str:
         text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
         text.encode("utf-8")
     except UnicodeError:
-        raise UntrustedError(f"{where} is not UTF-8 text") from None
+        raise InvalidContentError(f"{where} is not UTF-8 text") from None
     if len(text) > MAX_TEXT_BYTES:
-        raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MAX_TEXT_BYTES}")
-    # A terminal would execute them.
+        raise InvalidContentError(f"{where} is a text of {len(text)} characters, more than {MAX_TEXT_BYTES}")
+    # A terminal would execute control characters.
     if control_character(text):
-        raise UntrustedError(f"{where} holds control characters")
+        raise InvalidContentError(f"{where} holds control characters")
     return text
 
 
 def _refuse_outside(dataset: h5py.Dataset, name: str) -> None:
     if dataset.is_virtual or dataset.external:
-        raise UntrustedError(f"/{name} keeps its values in another file, which no run file does")
+        raise InvalidContentError(f"/{name} keeps its values in another file, which no run file does")
 
 
 def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
-    if dataset.chunks is not None and math.prod(dataset.chunks) * dataset.dtype.itemsize > MOST_CHUNK_BYTES:
-        raise UntrustedError(f"/{name} has chunks of {dataset.chunks}, larger than any run file's")
+    if dataset.chunks is not None and math.prod(dataset.chunks) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
+        raise InvalidContentError(f"/{name} has chunks of {dataset.chunks}, larger than any run file's")
     plist = dataset.id.get_create_plist()
     filters = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
     if filters not in ([], [BITSHUFFLE]):
-        raise UntrustedError(f"/{name} went through filters {filters[:5]}, of which a run file knows {BITSHUFFLE} only")
+        raise InvalidContentError(
+            f"/{name} went through filters {filters[:5]}, of which a run file knows {BITSHUFFLE} only"
+        )
     if filters:
         with extra("compression"):
             import hdf5plugin  # noqa: F401, registers the filter

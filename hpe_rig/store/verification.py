@@ -1,4 +1,4 @@
-"""Verification of a run or result file: every checksum compared, what fails listed by shot and record."""
+"""Verification of a run or result file: compares every checksum and lists damage by shot and record."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
-from hpe_rig.store.validation import Trusted, UntrustedError, trusted
+from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
 
-ECHOES_AT_ONCE: Final = 64_000_000
-"""Bytes of echoes that are in memory at a time."""
+MAX_ECHO_BYTES: Final = 64_000_000
+"""Maximum size of the echoes in memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something of a file that is not as its checksum says.
+    """Part of a file that fails its checksum.
 
-    ``shot`` counts from 0, None where it is of no shot; ``records`` lists first and last of each row of damaged
-    records, from 0, where it is of records.
+    ``shot`` counts from 0; None if the damage belongs to no shot. ``records``: first and last of each series of
+    consecutive damaged records, from 0.
     """
 
     what: str
@@ -44,7 +44,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What a file holds and what of it is damaged; ``checksums``: whether it has any, without which little is said."""
+    """Content and damage of a file; without ``checksums`` hardly any damage can be detected."""
 
     path: Path
     kind: str
@@ -56,26 +56,26 @@ class Verification:
     damage: tuple[Damage, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as JSON has it; shots and records count from 0."""
+        """Return the fields as JSON values; shots and records count from 0."""
         return asdict(self) | {"path": str(self.path), "sound": self.checksums and not self.damage}
 
 
 def verification_schema() -> dict[str, Any]:
-    """Return the JSON schema of what ``hpe-rig verify --json`` prints."""
+    """Return the JSON schema of ``hpe-rig verify --json``."""
     return titled("Verification of hpe-rig", dataclass_schema(Verification, sound={"type": "boolean"}))
 
 
 def verify(path: Path) -> Verification:
     """Compare everything in the run or result file ``path`` with its checksums, in bounded memory.
 
-    Raises ``StoreError`` where it is neither or cannot be opened at all.
+    Raises ``StoreError`` if it is neither kind of file or cannot be opened.
     """
     if _is_result(path):
         return _verified_result(path)
     stored = read_run(path)
     damage = [Damage(text) for text in stored.damage if not text.startswith("shot ")]
-    with trusted(path) as trust:
-        damage += _damaged_datasets(trust.file, path)
+    with open_checked(path) as checked:
+        damage += _damaged_datasets(checked.file, path)
     records = 0
     for shot in range(stored.shot_complete.size):
         records += int(stored.records.recorded(shot).sum())
@@ -83,34 +83,34 @@ def verify(path: Path) -> Verification:
         damage += _damaged_records(stored, shot)
     complete = int(stored.shot_complete.sum())
     kind, shots = "run", stored.shot_complete.size
-    return Verification(path, kind, stored.status, shots, complete, records, stored.vouched, tuple(damage))
+    return Verification(path, kind, stored.status, shots, complete, records, stored.has_checksums, tuple(damage))
 
 
 def _damaged_records(stored: StoredRun, shot: int) -> Iterator[Damage]:
-    pulses = ECHOES_AT_ONCE // (2 * stored.records.shape[2])
+    pulses = MAX_ECHO_BYTES // (2 * stored.records.shape[2])
     if (damaged := stored.records.damaged(shot, pulses)).any():
-        yield Damage("fail their checksums or lie where the file has nothing", shot, ranges(damaged))
-    if stored.shot_complete[shot] and (unvouched := stored.records.unvouched(shot)).any():
-        yield Damage("are marked as there, without a checksum", shot, ranges(unvouched))
+        yield Damage("fail their checksums or lie beyond the end of the file", shot, ranges(damaged))
+    if stored.shot_complete[shot] and (unverified := stored.records.unverified(shot)).any():
+        yield Damage("are marked as recorded, without a checksum", shot, ranges(unverified))
 
 
 def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:
-    """Yield which of the datasets that never change fail their checksums, and whether their units and axes do."""
+    """Yield the damage of the heap and of the datasets that never change after the start."""
     if not heap_is_sound(file, path):
-        yield Damage("units of datasets, or what tells their axes, fail their checksum")
+        yield Damage("units or axes of datasets fail their checksum")
     for name, dataset in datasets(file):
         if ATTRIBUTE in dataset.attrs and not name.startswith(f"{GROUP}/"):
             try:
-                sound = Trusted(file).is_sound(name, dataset)
+                matches = CheckedFile(file).matches_checksum(name, dataset)
             except OSError:
-                sound = False
-            if not sound:
+                matches = False
+            if not matches:
                 yield Damage(f"/{name} fails its checksum")
 
 
 def _is_result(path: Path) -> bool:
     if not path.is_file():
-        # A named pipe would be waited for.
+        # Opening a named pipe would block.
         return False
     try:
         with h5py.File(path, "r") as file:
@@ -126,7 +126,7 @@ def _verified_result(path: Path) -> Verification:
             shots = int(file["results/shot"].shape[0])
             checksums = ATTRIBUTE in file["results/amplitude_m"].attrs
             damage = tuple(_damaged_datasets(file, path))
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, UntrustedError) as error:
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, InvalidContentError) as error:
         raise StoreError(
             f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
         ) from error
@@ -134,7 +134,7 @@ def _verified_result(path: Path) -> Verification:
 
 
 def ranges(which: BoolArray) -> tuple[tuple[int, int], ...]:
-    """Return first and last index of each row of true values in ``which``.
+    """Return first and last index of each series of consecutive true values in ``which``.
 
     >>> ranges(np.array([True, True, False, True]))
     ((0, 1), (3, 3))

@@ -67,7 +67,7 @@ def test_a_file_that_stays_open_elsewhere_is_an_error_that_says_so_and_leaves_it
     path = tmp_path / "a.txt"
     path.write_text("before", encoding="utf-8")
     open_elsewhere(monkeypatch, 10_000)
-    monkeypatch.setattr("hpe_rig.store.atomic.PATIENCE_S", 0.1)
+    monkeypatch.setattr("hpe_rig.store.atomic.REPLACE_TIMEOUT_S", 0.1)
     with pytest.raises(PermissionError, match="another program has it open"), atomic_file(path) as draft:
         draft.write_text("after", encoding="utf-8")
     assert path.read_text(encoding="utf-8") == "before"

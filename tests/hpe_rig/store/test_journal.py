@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.bench import uninterrupted
-from hpe_rig.store import StoreError, is_taken, journal as journal_module
-from hpe_rig.store.journal import Journal, in_time, lookup3
+from hpe_rig.store import StoreError, is_locked, journal as journal_module
+from hpe_rig.store.journal import Journal, lookup3, run_with_timeout
 from hpe_rig.store.writer import open_on
 
 
@@ -79,7 +79,7 @@ def test_what_is_made_while_an_interrupt_comes_is_undone_before_the_program_goes
 
     # as where a run file is made: signals wait until somebody lets them through
     with pytest.raises(KeyboardInterrupt), uninterrupted():
-        in_time(make, Path.unlink)
+        run_with_timeout(make, Path.unlink)
     assert not new.exists()
 
 
@@ -124,7 +124,7 @@ def test_a_file_cut_under_its_writer_is_noticed_and_left_alone_from_then_on(path
 def test_a_disk_that_hangs_is_waited_for_once_and_nothing_more_is_asked_of_it(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(journal_module, "LONGEST_STEP_S", 0.05)
+    monkeypatch.setattr(journal_module, "STEP_TIMEOUT_S", 0.05)
     journal, answers, asked = Journal(path), threading.Event(), list[str]()
 
     class Hanging:
@@ -140,7 +140,7 @@ def test_a_disk_that_hangs_is_waited_for_once_and_nothing_more_is_asked_of_it(
     journal.write(memoryview(b"new"))
     with pytest.raises(OSError, match=r"the disk has not answered for 0\.05 s"):
         journal.commit()
-    for ask in (lambda: journal.amend(((0, b"later"),)), lambda: journal.amend(((0, b"again"),))):
+    for ask in (lambda: journal.overwrite(((0, b"later"),)), lambda: journal.overwrite(((0, b"again"),))):
         with pytest.raises(OSError, match="the disk does not answer"):
             ask()
     # Returns without the disk, which keeps the file.
@@ -170,17 +170,17 @@ def test_a_file_that_was_moved_or_replaced_is_noticed(path: Path) -> None:
 
 
 def test_a_file_has_one_writer_and_any_number_of_readers(path: Path) -> None:
-    assert is_taken(path) is False
+    assert is_locked(path) is False
     journal = Journal(path)
     assert journal.locked
     with h5py.File(path, "r") as reader:
         assert reader["rows"].shape == (4,)
     # The lock is of the open file: no reader's end in this program releases it.
-    assert is_taken(path) is True
+    assert is_locked(path) is True
     with pytest.raises(StoreError, match="is being written by another run"):
         Journal(path)
     journal.close()
-    assert is_taken(path) is False
+    assert is_locked(path) is False
 
 
 class Waiting:
@@ -228,14 +228,14 @@ def test_after_an_interrupt_a_disk_that_hangs_already_is_waited_for_a_moment_onl
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C may come before anybody waits for the step that hangs: then it was 60 s until the program ended."""
-    monkeypatch.setattr(journal_module, "LAST_STEP_S", 0.05)
+    monkeypatch.setattr(journal_module, "LAST_STEP_TIMEOUT_S", 0.05)
     journal = Journal(path)
     disk = vars(journal)["_file"] = Waiting(vars(journal)["_file"])
-    journal.hurry()
+    journal.shorten_timeout()
     assert not vars(journal)["_interrupted"]
     journal.write(memoryview(b"new"))
     journal.commit(wait=False)
-    journal.hurry()
+    journal.shorten_timeout()
     with pytest.raises(OSError, match=r"the disk has not answered for 0\.05 s"):
         journal.commit()
     disk.answers.set()

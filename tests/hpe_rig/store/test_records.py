@@ -9,7 +9,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.bench import read_bench
 from hpe_rig.plan.shots import Shot, make_plan
 from hpe_rig.scene import parse_scene, shipped_scenes
-from hpe_rig.store.records import MISSING, assemble, place
+from hpe_rig.store.records import MISSING, assemble, pulse_indices
 
 CODE_LIMITS = (-8192, 8191)
 
@@ -35,7 +35,7 @@ def test_a_lost_trigger_leaves_its_pulse_missing_and_shifts_no_other(shot: Shot)
 def test_a_trigger_between_the_pulses_is_no_pulse(shot: Shot) -> None:
     period_s = 1 / shot.tracking_train.rate_hz
     stray = RecordBlock(0, np.zeros((3, 512), np.int16), np.array([0.0, 0.4, 1.0]) * period_s, 1.0, 0.0, CODE_LIMITS)
-    assert place(stray, None, shot)[0].tolist() == [0, -1, 1]
+    assert pulse_indices(stray, None, shot)[0].tolist() == [0, -1, 1]
 
 
 def test_a_shot_without_records_is_all_missing(shot: Shot) -> None:
@@ -49,7 +49,7 @@ def test_a_board_whose_clock_is_off_loses_no_record(shot: Shot, clock_error: flo
     latest, found = None, []
     for part in np.array_split(pulses, 16):
         time_s = part / shot.tracking_train.rate_hz * (1 + clock_error)
-        index, latest = place(
+        index, latest = pulse_indices(
             RecordBlock(0, np.zeros((part.size, 1), np.int16), time_s, 1.0, 0.0, CODE_LIMITS), latest, long
         )
         found += index.tolist()
@@ -65,4 +65,4 @@ def test_records_without_a_time_count_on_from_the_last_that_has_one(shot: Shot) 
     assert records.codes[pulses, 0].tolist() == pulses.tolist()
     assert np.flatnonzero(~records.valid[:60]).tolist() == [7]
     untimed = replace(timed, first_record=20, trigger_time_s=np.full(59, np.nan))
-    assert place(untimed, None, shot)[0].tolist() == list(range(20, 79))
+    assert pulse_indices(untimed, None, shot)[0].tolist() == list(range(20, 79))

@@ -38,7 +38,7 @@ from hpe_rig.store import (
     StoreError,
     WriteOptions,
     free_path,
-    is_taken,
+    is_locked,
     layout,
     read_run,
     read_snapshots,
@@ -166,7 +166,7 @@ def test_a_late_record_of_an_earlier_chunk_costs_none_of_those_that_came_in_time
 def test_run_times_are_those_of_the_stages_that_were_measured(setup: Setup, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
-        writer.run_time(dict(zip(STAGES, (1.5, -1.0, np.inf), strict=False)))
+        writer.write_run_times(dict(zip(STAGES, (1.5, -1.0, np.inf), strict=False)))
     assert read_run(path).run_time_s == {STAGES[0]: 1.5}
 
 
@@ -320,7 +320,7 @@ def test_a_file_whose_making_is_interrupted_is_closed_before_it_is_removed(
 
     def noted(file: Path, missing_ok: bool = False) -> None:
         if file == path:
-            locked.append(is_taken(file))
+            locked.append(is_locked(file))
         unlink(file, missing_ok)
 
     monkeypatch.setattr(writer_module, "Journal", interrupted)

@@ -57,8 +57,8 @@ def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
     shot, records = run.plan.shots[0], run.stored.records
     gate, margin = shot.gate, margin_needed(run.scene, shot)
     checked: list[np.ndarray] = []
-    held = records.in_blocks(0, gate, margin)
-    blocked = records.in_blocks(0, gate, margin, most_held=0, look=lambda codes: checked.append(codes.copy()))
+    held = records.shot_blocks(0, gate, margin)
+    blocked = records.shot_blocks(0, gate, margin, max_samples=0, visit=lambda codes: checked.append(codes.copy()))
     gated = records.gated(0, gate)
     np.testing.assert_array_equal(np.concatenate(checked), gated.codes)
     of_codes, of_blocks = (conditioning.code_statistics(gated.codes), conditioning.gate_statistics(blocked))
@@ -75,10 +75,10 @@ def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
     assert len(list(echoes.blocks(echoes.gate))) == -(-echoes.valid.size // 7)
     np.testing.assert_allclose(echoes.energy, shot_echoes(run.scene, shot, held, selection).energy, rtol=1e-5)
     np.testing.assert_allclose(echoes.gate_volts, shot_echoes(run.scene, shot, held, selection).gate_volts, atol=1e-7)
-    in_blocks = coherent(echoes)
+    shot_blocks = coherent(echoes)
     # single precision of the spectra: 6e-8 of an echo's phase
-    np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
-    np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
+    np.testing.assert_allclose(shot_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
+    np.testing.assert_allclose(shot_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
     assert spectrum.band_spectrum(echoes, 2)[0].dtype == np.complex64
 
 
@@ -87,14 +87,14 @@ def test_codes_of_a_long_shot_are_equal_from_the_copy_and_from_the_run_file(
 ) -> None:
     run = measure(load_scene("table-1").with_({"tracking.pulse_count": 300}), path=tmp_path / "run.h5")
     gate, margin = run.plan.shots[0].gate, margin_needed(run.scene, run.plan.shots[0])
-    expected = run.stored.records.in_blocks(0, gate, margin).block(slice(None))
-    copied = run.stored.records.in_blocks(0, gate, margin, most_held=0)
-    monkeypatch.setattr(reader, "MOST_COPIED_BYTES", 0)
-    uncopied = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    expected = run.stored.records.shot_blocks(0, gate, margin).block(slice(None))
+    copied = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
+    monkeypatch.setattr(reader, "MAX_COPY_BYTES", 0)
+    uncopied = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
     monkeypatch.undo()
     # as where the disk of temporary files has no room
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
-    without_room = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    without_room = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
     for records in (copied, uncopied, without_room):
         for pulses in (slice(None), slice(3, 17), slice(290, 400), slice(5, 5)):
             np.testing.assert_array_equal(records.block(pulses), expected[pulses])
@@ -113,7 +113,7 @@ def test_spectra_in_a_temporary_file_give_the_same_motion(tmp_path: Path, monkey
     settings = {"tracking.pulse_count": 400, "processing.window_start_s": 2e-3}
     run = measure(load_scene("table-1").with_(settings), path=tmp_path / "run.h5")
     shot = run.plan.shots[0]
-    records = run.stored.records.in_blocks(0, shot.gate, margin_needed(run.scene, shot), most_held=0)
+    records = run.stored.records.shot_blocks(0, shot.gate, margin_needed(run.scene, shot), max_samples=0)
     echoes = shot_echoes(run.scene, shot, records, select(run.scene, shot))
     # invalid pulses in every block of volts
     echoes = echoes.without(np.arange(echoes.valid.size) % 7 == 3)
