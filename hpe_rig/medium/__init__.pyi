@@ -2,15 +2,13 @@ from .beam_averaging import (
     BeamWidths as BeamWidths,
     axial_offset_factor as axial_offset_factor,
     beam_averaging_factor as beam_averaging_factor,
-    gaussian_averaging as gaussian_averaging,
-    gaussian_steepness as gaussian_steepness,
     obliquity_factor as obliquity_factor,
     off_axis_motion as off_axis_motion,
     tracked_motion as tracked_motion,
     tracked_ratio as tracked_ratio,
-    width_scale as width_scale,
 )
 from .ensemble import (
+    PRIOR_POWER_MODULUS_HZ as PRIOR_POWER_MODULUS_HZ,
     PRIOR_RANGES as PRIOR_RANGES,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,

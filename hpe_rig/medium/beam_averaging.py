@@ -6,7 +6,7 @@ Echoes are weighted by their energy: S_i = T_i / sqrt(2) across, T_i the sigmas 
 is the standard deviation of echo depth in the gate. A shear wave is broader than the force that drives it, so its
 displacement loses less than the Gaussian of eq. (12), and the tracked displacement lags the peak.
 
-    gaussian_averaging, beam_averaging_factor     Gaussian motion: dense scatterers; few of them in a short gate
+    BeamWidths, beam_averaging_factor             Gaussian motion: dense scatterers; few of them in a short gate
     tracked_motion, off_axis_motion               shear field of a medium, on the axis and off it
     tracked_ratio                                 under a force that is not Gaussian
     obliquity_factor, axial_offset_factor         oblique waves of the aperture; a gate off the focus
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -57,20 +56,43 @@ class BeamWidths:
         """Variance across of the echo energy of the tracking beam, T^2 / 2."""
         return self.tracking_width_m[0] ** 2 / 2
 
+    def gaussian_averaging(self, width_scale: float = 1.0) -> float:
+        """Return tracked over peak displacement of a Gaussian motion in dense scatterers, eq. (12).
 
-class TrackedMotion(NamedTuple):
-    """Displacement up to one real factor, complex (frequency, ...), time factor exp(+jwt).
+        The widths of the motion are those of the force times ``width_scale``.
+        """
+        sigmas_m = [width / np.sqrt(2) for width in self.tracking_width_m[:2]] + [self.depth_sd_m]
+        widths_m = [width * width_scale for width in self.force_width_m]
+        return float(np.prod([1 / np.hypot(1, s / e) for s, e in zip(sigmas_m, widths_m, strict=True)]))
 
-    ``steepness``: derivative of ``tracked`` by the logarithm of the tracking beam's area, which speckle changes.
-    """
+    def gaussian_steepness(self) -> float:
+        """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area."""
+        pairs = zip(self.tracking_width_m[:2], self.force_width_m[:2], strict=True)
+        squares = [width**2 / 2 / motion**2 for width, motion in pairs]
+        return -sum(square / (1 + square) for square in squares) / 2
 
-    tracked: ComplexArray
-    peak: ComplexArray
-    steepness: ComplexArray
+    def width_scale(self, averaging: float) -> float:
+        """Return the scale of the widths, within ``WIDTH_SCALES``, at which ``gaussian_averaging`` is ``averaging``."""
+        from scipy.optimize import brentq
+
+        def excess(log_scale: float) -> float:
+            return self.gaussian_averaging(float(np.exp(log_scale))) - averaging
+
+        low, high = np.log(WIDTH_SCALES)
+        if excess(high) < 0:
+            return WIDTH_SCALES[1]
+        return WIDTH_SCALES[0] if excess(low) > 0 else float(np.exp(brentq(excess, low, high, xtol=1e-12)))
+
+
+TrackedMotion = tuple[ComplexArray, ComplexArray, ComplexArray]
+"""Tracked and peak displacement, and steepness, complex (frequency, ...), up to one real factor; time factor exp(+jwt).
+
+The steepness is the derivative of the tracked displacement by the logarithm of the tracking beam's area, which speckle
+changes."""
 
 
 def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
-    """Return tracked and peak displacement (frequency,) at the focus of the Gaussian force of ``beams``.
+    """Return the motion (frequency,) at the focus of the Gaussian force of ``beams``.
 
     Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a force that is wider by as much, at
     equal density in wave-number space.
@@ -81,7 +103,8 @@ def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
         (across_m2 + area_m2, across_m2),
         (along_m2 + beams.depth_sd_m**2, along_m2),
     )
-    return TrackedMotion(*(np.stack([*values, area_m2 * slopes[0]]) / medium.modulus_pa))
+    tracked, peak, steepness = np.stack([*values, area_m2 * slopes[0]]) / medium.modulus_pa
+    return tracked, peak, steepness
 
 
 @functools.lru_cache(maxsize=4)
@@ -97,7 +120,7 @@ def _tracked_and_peak(
 
 
 def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:
-    """Return tracked and peak displacement (frequency, offset) per body force at ``lateral_m`` off the force's axis.
+    """Return the motion (frequency, offset) per body force at ``lateral_m`` off the force's axis.
 
     Speckle moves the tracked region as well as changing its area, each by the same fraction of its radius. The
     steepness is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
@@ -114,7 +137,7 @@ def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatA
         relative_by_area.imag, relative_by_offset.imag
     )
     peak = focal_plane_motion(medium, (x, z), x**2, z**2, lateral_m)[0]
-    return TrackedMotion(tracked, peak, tracked * steepness)
+    return tracked, peak, tracked * steepness
 
 
 def tracked_ratio(medium: HarmonicMedium, force: PushForce, beams: BeamWidths) -> ComplexArray:
@@ -139,36 +162,6 @@ def _tracked_ratio(
         shear_motion(medium, force, region).value[:, 0] for region in (beam, TrackedRegion(np.array([offset_m])))
     )
     return tuple((tracked / peak).tolist())
-
-
-def gaussian_averaging(motion_width_m: Triple, tracking_width_m: Triple, depth_sd_m: float) -> float:
-    """Return tracked over peak displacement of a Gaussian motion in dense scatterers, eq. (12)."""
-    sigmas_m = [width / np.sqrt(2) for width in tracking_width_m[:2]] + [depth_sd_m]
-    return float(np.prod([1 / np.hypot(1, s / e) for s, e in zip(sigmas_m, motion_width_m, strict=True)]))
-
-
-def gaussian_steepness(beams: BeamWidths) -> float:
-    """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area."""
-    pairs = zip(beams.tracking_width_m[:2], beams.force_width_m[:2], strict=True)
-    squares = [width**2 / 2 / motion**2 for width, motion in pairs]
-    return -sum(square / (1 + square) for square in squares) / 2
-
-
-def width_scale(averaging: float, motion_width_m: Triple, tracking_width_m: Triple, depth_sd_m: float) -> float:
-    """Return the factor on ``motion_width_m`` that gives a Gaussian motion the ratio ``averaging``.
-
-    The factor is limited to ``WIDTH_SCALES``.
-    """
-    from scipy.optimize import brentq
-
-    def excess(log_scale: float) -> float:
-        x, y, z = (width * float(np.exp(log_scale)) for width in motion_width_m)
-        return gaussian_averaging((x, y, z), tracking_width_m, depth_sd_m) - averaging
-
-    low, high = np.log(WIDTH_SCALES)
-    if excess(high) < 0:
-        return WIDTH_SCALES[1]
-    return WIDTH_SCALES[0] if excess(low) > 0 else float(np.exp(brentq(excess, low, high, xtol=1e-12)))
 
 
 def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_per_m3: float = np.inf) -> float:

@@ -44,24 +44,17 @@ MAX_RELATIVE_WAVE_NUMBER = 12.0
 """Wave number times force width above which both forces move the focus in a constant ratio."""
 
 
-@dataclass(frozen=True, slots=True)
-class PriorRanges:
-    """Ranges of the members' parameters.
-
-    ``power_modulus_hz``: frequency where a power-law member has a modulus in ``modulus_pa``. The law states its own
-    modulus at ``POWER_REFERENCE_HZ``.
-    """
-
-    modulus_pa: tuple[float, float] = (1e3, 60e3)
-    viscosity_pa_s: tuple[float, float] = (0.2, 15.0)
-    low_viscosity_pa_s: tuple[float, float] = (0.005, 0.2)
-    maxwell_viscosity_pa_s: tuple[float, float] = (0.5, 50.0)
-    branch_over_modulus: tuple[float, float] = (0.2, 10.0)
-    power: tuple[float, float] = (0.02, 0.6)
-    power_modulus_hz: float = 200.0
-
-
-PRIOR_RANGES = PriorRanges()
+PRIOR_RANGES = {
+    "modulus_pa": (1e3, 60e3),
+    "viscosity_pa_s": (0.2, 15.0),
+    "low_viscosity_pa_s": (0.005, 0.2),
+    "maxwell_viscosity_pa_s": (0.5, 50.0),
+    "branch_over_modulus": (0.2, 10.0),
+    "power": (0.02, 0.6),
+}
+"""Ranges of the members' parameters."""
+PRIOR_POWER_MODULUS_HZ = 200.0
+"""Frequency where a power-law member has a modulus in that range; the law states its own at ``POWER_REFERENCE_HZ``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,16 +274,17 @@ def _off_axis_nodes(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, in
 
 def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
     """Return the complex modulus (member, frequency) of the members at ``s`` (frequency,), by ``FAMILIES``."""
-    spread, ranges = _even_sequence(members, 5), PRIOR_RANGES
-    modulus = _log_uniform(spread[:, 0], ranges.modulus_pa)
+    # Points of the unit cube (member, 5): stiffness, viscosity, third parameter, widths of the force.
+    cube = _even_sequence(members, 5)
+    modulus = _log_uniform(cube[:, 0], "modulus_pa")
     viscosity, low_viscosity, maxwell_viscosity = (
-        _log_uniform(spread[:, 1], limits)
-        for limits in (ranges.viscosity_pa_s, ranges.low_viscosity_pa_s, ranges.maxwell_viscosity_pa_s)
+        _log_uniform(cube[:, 1], f"{family}viscosity_pa_s") for family in ("", "low_", "maxwell_")
     )
-    branch = modulus * _log_uniform(spread[:, 2], ranges.branch_over_modulus)
-    power = ranges.power[0] + (ranges.power[1] - ranges.power[0]) * spread[:, 2]
+    branch = modulus * _log_uniform(cube[:, 2], "branch_over_modulus")
+    lowest_power, highest_power = PRIOR_RANGES["power"]
+    power = lowest_power + (highest_power - lowest_power) * cube[:, 2]
     # A power law with the modulus M at f_M has M at f = f_M, the law itself at f = f_0: G(s) = law(s f_0 / f_M).
-    power_s = s * (POWER_REFERENCE_HZ / ranges.power_modulus_hz)
+    power_s = s * (POWER_REFERENCE_HZ / PRIOR_POWER_MODULUS_HZ)
     families = (
         _law_modulus("voigt", s, modulus, viscosity),
         _law_modulus("zener", s, modulus, branch, viscosity),
@@ -315,8 +309,9 @@ def _known_modulus(known_medium: KnownMedium, s: ComplexArray, members: int) -> 
     )
 
 
-def _log_uniform(quantile: FloatArray, limits: tuple[float, float]) -> FloatArray:
-    return np.asarray(limits[0] * (limits[1] / limits[0]) ** quantile)
+def _log_uniform(quantile: FloatArray, parameter: str) -> FloatArray:
+    low, high = PRIOR_RANGES[parameter]
+    return np.asarray(low * (high / low) ** quantile)
 
 
 def _even_sequence(count: int, dimensions: int) -> FloatArray:

@@ -127,7 +127,7 @@ def vibration_at(
     """
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of requires them)
-    spread = tracked_region_spread(scene, estimator)
+    area_spread, lateral_spread_m, axial_spread_m = tracked_region_spread(scene, estimator)
     mean_depth_m, depth_sd_m = echo_depth_moments(scene, estimator, axial_m)
     return Vibration(
         label,
@@ -135,14 +135,14 @@ def vibration_at(
         lateral_m=scene.tracking.lateral_offset_m,
         # A gate at the focus is symmetric about it: neither shift nor first-order effect of depth.
         axial_m=axial_m + mean_depth_m if axial_m else 0.0,
-        axial_uncertainty_m=spread.axial_m if axial_m else 0.0,
+        axial_uncertainty_m=axial_spread_m if axial_m else 0.0,
         travel_s=axial_m / scene.acquisition.sound_speed_m_per_s,
         tracking_m2=(beams.tracking_area_m2, depth_sd_m**2),
-        lateral_uncertainty_m=spread.lateral_m,
+        lateral_uncertainty_m=lateral_spread_m,
         stage_uncertainty_m=scene.tracking.offset_uncertainty_m,
         gain_uncertainty=GAIN_UNCERTAINTY,
         phase_uncertainty_rad=PHASE_UNCERTAINTY_RAD,
-        area_uncertainty=spread.area_relative,
+        area_uncertainty=area_spread,
     )
 
 

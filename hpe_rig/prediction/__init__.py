@@ -16,7 +16,8 @@
     output_text.py      acoustic output, dose and calibration as text
     text.py             forecasts as text
 
-Callers use ``predicted_averaging``, ``detection_floor``, ``predict`` and the functions ending in ``_text``. Theory: docs/explanation/prediction.md.
+Callers use ``predicted_averaging``, ``detection_floor``, ``predict`` and the functions ending in ``_text``. Theory:
+docs/explanation/prediction.md.
 """
 
 import lazy_loader

@@ -10,7 +10,7 @@ Gaussian, oblique waves, and a gate off the focus. Without tonebursts the motion
 from __future__ import annotations
 
 import cmath
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,8 +22,6 @@ from hpe_rig.medium import (
     PushForce,
     axial_offset_factor,
     beam_averaging_factor,
-    gaussian_averaging,
-    gaussian_steepness,
     medium_ensemble,
     obliquity_factor,
     off_axis_motion,
@@ -43,17 +41,12 @@ SHAPE_RELATIVE = 0.004
 From scripts/validation/aperture.py."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AveragingRatio:
-    """Tracked over peak motion (frequency,), complex.
+AveragingRatio = tuple[ComplexArray, ComplexArray, ComplexArray]
+"""Tracked over peak motion (frequency,), its standard deviation over media, and its relative steepness.
 
-    ``deviation``: its standard deviation over media, and ``steepness``: its relative change with the logarithm of the
-    tracking beam's area; both have the relative amplitude as real part and the phase (rad) as imaginary part.
-    """
-
-    ratio: ComplexArray
-    deviation: ComplexArray
-    steepness: ComplexArray
+The steepness is the change with the logarithm of the tracking beam's area. Deviation and steepness have the relative
+amplitude as real part and the phase (rad) as imaginary part. Over the ensemble the ratio is the exponential of its mean
+logarithm, the steepness a root mean square."""
 
 
 def predicted_averaging(
@@ -77,17 +70,17 @@ def predicted_averaging(
         gaussian_motion = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
         return (_with_scene_offsets(scene, gaussian_motion),) * frequency_hz.size
     # The ensemble assumes dense scatterers: few of them change its loss in the proportion known for a Gaussian motion.
-    dense_limit = gaussian_averaging(beams.force_width_m, beams.tracking_width_m, beams.depth_sd_m)
-    loss_scale, area_spread = (1 - gaussian) / (1 - dense_limit), spread / -gaussian_steepness(beams)
-    medium = averaging_ratio(scene, beams, frequency_hz)
-    factor = 1 - loss_scale * (1 - np.abs(medium.ratio))
+    loss_scale = (1 - gaussian) / (1 - beams.gaussian_averaging())
+    area_spread = spread / -beams.gaussian_steepness()
+    ratio, deviation, steepness = averaging_ratio(scene, beams, frequency_hz)
+    factor = 1 - loss_scale * (1 - np.abs(ratio))
     columns = {
         "factor": factor,
-        "phase_rad": np.angle(medium.ratio),
-        "speckle_relative": (area_spread * medium.steepness).real,
-        "factor_uncertainty": factor * medium.deviation.real,
-        "phase_uncertainty_rad": medium.deviation.imag,
-        "speckle_phase_rad": (area_spread * medium.steepness).imag,
+        "phase_rad": np.angle(ratio),
+        "speckle_relative": (area_spread * steepness).real,
+        "factor_uncertainty": factor * deviation.real,
+        "phase_uncertainty_rad": deviation.imag,
+        "speckle_phase_rad": (area_spread * steepness).imag,
     }
     rule = AveragingRule(area_spread, loss_scale)
     averagings = (
@@ -102,21 +95,18 @@ def predicted_averaging(
 
 
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return the ratio in the declared medium, else its statistics over the ensemble of media.
-
-    Over the ensemble: mean and standard deviation of the ratio's logarithm, root mean square of the steepness.
-    """
+    """Return the ratio in the declared medium, else its statistics over the ensemble of media."""
     medium = medium_of(scene, frequency_hz, simulated=False)
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
     if beams.lateral_offset_m:
         at_offset = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
         tracked, peak, slope = (values[:, 0] for values in at_offset)
-        return AveragingRatio(tracked / peak, np.zeros_like(tracked), slope / tracked)
+        return tracked / peak, np.zeros_like(tracked), slope / tracked
     tracked, peak, slope = tracked_motion(medium, beams)
     steepness = slope / tracked
     magnitudes = np.abs(steepness.real) + 1j * np.abs(steepness.imag)
-    return AveragingRatio(tracked / peak, np.zeros_like(tracked), magnitudes)
+    return tracked / peak, np.zeros_like(tracked), magnitudes
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
@@ -134,7 +124,7 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
         return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
     deviation = log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0)
-    return AveragingRatio(np.exp(log_ratio.mean(axis=0)), deviation, rms(steepness.real) + 1j * rms(steepness.imag))
+    return np.exp(log_ratio.mean(axis=0)), deviation, rms(steepness.real) + 1j * rms(steepness.imag)
 
 
 def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:

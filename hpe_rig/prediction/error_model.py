@@ -42,7 +42,6 @@ class EstimatorErrors:
     quadrature_m: float
     noise_jitter_m: float
     speckle_jitter_m: float
-    phase_bias_rad: float
     phase_jitter_rad: float
     tracked: float = 1.0
     relative_variances: tuple[float, ...] = (1.0,)
@@ -156,7 +155,6 @@ def _with_rice_statistics(
         quadrature_m=noise_m,
         noise_jitter_m=float(np.sqrt(variance_m2.mean())),
         speckle_jitter_m=float(mean_m.std()),
-        phase_bias_rad=0.0,
         phase_jitter_rad=float(np.sqrt(np.mean(phase_rad**2))),
         tracked=float(ratio.mean()),
         relative_variances=relative_variances,

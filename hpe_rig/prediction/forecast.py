@@ -148,24 +148,11 @@ def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErro
     return estimator_errors(conditions, estimator, speckle, np.random.default_rng(1))
 
 
-@dataclass(frozen=True, slots=True)
-class Remedy:
-    """Settings that each reach a target without the others: number of cycles, pulse rate, or SNR.
-
-    ``max_pulse_rate_hz`` is c / 2z, the fastest possible rate.
-    """
-
-    cycles: float
-    pulse_rate_hz: float
-    snr_db: float
-    max_pulse_rate_hz: float
-
-
-def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator: str = "coherent") -> Remedy:
-    """Return N_c, f_prf and SNR that each bring the noise jitter of ``estimator`` to ``target_m``.
+def remedies(prediction: Prediction, target_m: float, estimator: str = "coherent") -> tuple[float, float, float]:
+    """Return N_c, f_prf (Hz) and SNR (dB) that each bring the noise jitter of ``estimator`` to ``target_m``.
 
     The noise variance is proportional to 1 / (N_c f_prf SNR) if a pulse's phase is well above noise. SNR does not
-    reduce trigger jitter: ``snr_db`` is inf if jitter alone exceeds the target, -inf if there is nothing else.
+    reduce trigger jitter: the SNR is inf if jitter alone exceeds the target, -inf if there is nothing else.
     """
     conditions, noise_m = prediction.conditions, prediction.errors_of(estimator).noise_jitter_m
     factor = (noise_m / target_m) ** 2
@@ -177,9 +164,8 @@ def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator:
     jitter_m2 = jitter_rad2 * conditions.metres_per_radian**2
     echo_target_m2 = target_m**2 - jitter_m2
     snr_factor = (noise_m**2 - jitter_m2) / echo_target_m2 if echo_target_m2 > 0 else math.inf
-    return Remedy(
+    return (
         max(cycles * factor, MIN_CYCLES),
         max(conditions.pulse_rate_hz * factor, MIN_PULSES_PER_CYCLE * conditions.frequency_hz),
         10 * math.log10(conditions.snr * snr_factor) if snr_factor > 0 else -math.inf,
-        conditions.sound_speed_m_per_s / (2 * depth_m),
     )

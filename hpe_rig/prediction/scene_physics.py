@@ -14,7 +14,6 @@ from hpe_rig.medium import (
     aperture_force,
     scanned_force,
     tracked_motion,
-    width_scale,
 )
 from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
@@ -121,20 +120,17 @@ def focal_motion(
         return None
     # Without a gate window: one motion for all estimators.
     depth_sd_m = tracking_gate(scene).depth_sd_m()
-    motion = tracked_motion(
-        medium, BeamWidths(scene.beams.excitation_width_m, scene.beams.tracking_width_m, depth_sd_m)
-    )
-    return motion.tracked, motion.peak
+    beams = BeamWidths(scene.beams.excitation_width_m, scene.beams.tracking_width_m, depth_sd_m)
+    return tracked_motion(medium, beams)[:2]
 
 
 def gaussian_motion_width_m(scene: Scene, frequency_hz: float) -> tuple[float, float, float]:
     """Return the sigmas of the Gaussian motion with the same tracked over peak ratio as the scene's motion."""
     assert scene.beams is not None  # noqa: S101 (callers check)
-    force_width_m, tracking_width_m = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    x, y, z = force_width_m = scene.beams.excitation_width_m
     motion = focal_motion(scene, np.array([frequency_hz]))
     if motion is None:
         return force_width_m
-    ratio = float(abs(motion[0][0] / motion[1][0]))
-    scale = width_scale(ratio, force_width_m, tracking_width_m, tracking_gate(scene).depth_sd_m())
-    x, y, z = force_width_m
+    beams = BeamWidths(force_width_m, scene.beams.tracking_width_m, tracking_gate(scene).depth_sd_m())
+    scale = beams.width_scale(float(abs(motion[0][0] / motion[1][0])))
     return x * scale, y * scale, z * scale

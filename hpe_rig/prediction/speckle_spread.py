@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,24 +19,15 @@ REFERENCE_ESTIMATOR = "coherent"
 """An estimator of the whole gate that divides the phase by the echo's own mean frequency."""
 
 
-@dataclass(frozen=True, slots=True)
-class TrackedRegionSpread:
-    """Standard deviations over speckle of the tracked region: relative area across, lateral and axial centre, m."""
-
-    area_relative: float = 0.0
-    lateral_m: float = 0.0
-    axial_m: float = 0.0
-
-
-def tracked_region_spread(scene: Scene, estimator: str) -> TrackedRegionSpread:
-    """Return the spread of the region that the scatterers' echoes weight; zeros without beams."""
+def tracked_region_spread(scene: Scene, estimator: str) -> tuple[float, float, float]:
+    """Return the result of ``region_spread`` for the echoes of ``scene``; zeros without beams."""
     resting = resting_conditions(scene)
-    return TrackedRegionSpread() if resting is None else region_spread(resting, estimator)
+    return (0.0, 0.0, 0.0) if resting is None else region_spread(resting, estimator)
 
 
 @functools.lru_cache(maxsize=16)
-def region_spread(resting: Conditions, estimator: str) -> TrackedRegionSpread:
-    """Return the spread of the tracked region for ``resting`` echoes.
+def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
+    """Return standard deviations over speckle of the tracked region: relative area, lateral and axial centre, m.
 
     The estimator's ratio is linear in the displacement. Displacements (x^2 + y^2) / 2, x and z give the area and the
     centre that the echoes weight.
@@ -51,7 +41,7 @@ def region_spread(resting: Conditions, estimator: str) -> TrackedRegionSpread:
     unit_m = resting.tracking_width_m[0]
     mean_area, area = statistics(lambda position_m: np.square(position_m[:2] / unit_m).sum(axis=0) / 2)
     lateral, axial = (statistics(functools.partial(_coordinate, axis, unit_m))[1] for axis in (0, 2))
-    return TrackedRegionSpread(area / mean_area, unit_m * lateral, unit_m * axial)
+    return area / mean_area, unit_m * lateral, unit_m * axial
 
 
 def _coordinate(axis: int, unit_m: float, position_m: SingleArray) -> SingleArray:

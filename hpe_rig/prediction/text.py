@@ -106,16 +106,17 @@ def _estimator_line(prediction: Prediction, index: int) -> str:
 
 
 def _target_line(prediction: Prediction, target_m: float, depth_m: float, estimator: str) -> str:
-    remedy, errors = remedies(prediction, target_m, depth_m, estimator), prediction.errors_of(estimator)
+    cycles, pulse_rate_hz, snr_db = remedies(prediction, target_m, estimator)
+    errors = prediction.errors_of(estimator)
     is_reached = errors.noise_jitter_m <= target_m
     state = "reached" if is_reached else "not reached"
     need = "sufficient" if is_reached else "needed"
     snr = {math.inf: "no SNR, because trigger jitter alone is larger", -math.inf: "any SNR"}.get(
-        remedy.snr_db, f"SNR = {remedy.snr_db:.3g} dB"
+        snr_db, f"SNR = {snr_db:.3g} dB"
     )
-    beyond = " (beyond c/2z)" if remedy.pulse_rate_hz > remedy.max_pulse_rate_hz else ""
+    beyond = " (beyond c/2z)" if pulse_rate_hz > prediction.conditions.sound_speed_m_per_s / (2 * depth_m) else ""
     return (
         f"target {target_m * 1e9:g} nm with {estimator}: {state}, noise is {errors.noise_jitter_m * 1e9:.3g} nm; "
-        f"{need} is one of N_c = {remedy.cycles:.3g} cycles, f_prf = {remedy.pulse_rate_hz:.4g} Hz{beyond}, or {snr}; "
+        f"{need} is one of N_c = {cycles:.3g} cycles, f_prf = {pulse_rate_hz:.4g} Hz{beyond}, or {snr}; "
         f"speckle, {errors.speckle_jitter_m * 1e9:.3g} nm, is reduced by averaging over positions only"
     )

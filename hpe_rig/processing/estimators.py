@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, wraps
 from pkgutil import resolve_name
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -57,12 +57,8 @@ class Options:
 PLAIN = Options()
 
 
-class FitMotion(Protocol):
-    """Function from displacement per pulse to amplitude and phase."""
-
-    def __call__(
-        self, motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options
-    ) -> HarmonicFit: ...
+FitMotion = Callable[[Motion, Frequencies, Frequencies, Options], HarmonicFit]
+"""Function from displacement per pulse, wanted and further driven frequencies to amplitude and phase."""
 
 
 @dataclass(frozen=True, slots=True)

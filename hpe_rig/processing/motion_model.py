@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,24 +18,17 @@ MAX_FITTED_PULSES = 20_000
 """Longest train for which the fitted displacement is computed: its matrix has a column for each state."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedMotion:
-    """Fitted displacement (pulse,) of the valid pulses, and the ``matrix`` (pulse, state) of all fitted columns."""
-
-    displacement_m: FloatArray
-    matrix: FloatArray
-
-
 def fitted_motion(
     motion: Motion,
     estimates: Sequence[Estimate],
     reference: PhaseReference,
     also_hz: FloatArray,
     background_order: int,
-) -> FittedMotion:
-    """Return the harmonics of ``estimates`` plus background and ``also_hz``, fitted to the remaining ``motion``.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the fitted displacement of the valid pulses, and the matrix (pulse, state) of all fitted columns.
 
-    ``reference``: of the estimates' phases. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
+    Background and ``also_hz`` are fitted to ``motion`` minus the harmonics of ``estimates``. ``reference``: of the
+    estimates' phases. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
     """
     columns = [
         [item.frequency_hz, item.amplitude_m, reference.physical_rad(item.phase_rad, item.frequency_hz)]
@@ -50,7 +42,7 @@ def fitted_motion(
     state = (amplitude_m[:, None] * np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1)).ravel()
     harmonics_m = wanted @ state
     remaining_m = motion.displacement_m[motion.valid] - harmonics_m
-    return FittedMotion(harmonics_m + further @ np.linalg.lstsq(further, remaining_m, rcond=None)[0], matrix)
+    return harmonics_m + further @ np.linalg.lstsq(further, remaining_m, rcond=None)[0], matrix
 
 
 def stored_motion(
@@ -70,9 +62,8 @@ def stored_motion(
     variance_m2 = np.where(valid, motion.variance_m2, np.nan)
     if motion.valid.size <= MAX_FITTED_PULSES:
         with suppress(ValueError):
-            fitted = fitted_motion(motion, estimates, reference, selection.driven_hz, background_order)
-            model_m[valid] = fitted.displacement_m
-            residual_m2 = float(np.mean((motion.displacement_m[valid] - fitted.displacement_m) ** 2))
+            model_m[valid], _ = fitted_motion(motion, estimates, reference, selection.driven_hz, background_order)
+            residual_m2 = float(np.mean((motion.displacement_m[valid] - model_m[valid]) ** 2))
             residual_m2 = max(residual_m2, residual_m**2)
             # Echoes state their own noise. Trigger jitter and motion within the gate are only in the residual.
             variance_m2 *= max(1.0, residual_m2 / float(np.mean(variance_m2[valid])))

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.processing.harmonics.fit_checks import Line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
-from hpe_rig.processing.harmonics.residual_line import Line
-from hpe_rig.processing.harmonics.stationarity import Drift
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_tracking import DAMAGED
 from hpe_rig.result import DETECTED
@@ -68,12 +67,11 @@ def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
             f"not significant at {', '.join(f'{f:g}' for f in fit.frequency_hz[undetected])} Hz: the amplitude is "
             f"below {DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
         )
-    test = fit.quality.innovations
-    # Only correlated innovations are reported. White ones may exceed the stated noise: echoes do not state trigger
-    # jitter.
-    if test is not None and abs(float(test.autocorrelation)) > test.autocorrelation_tolerance:
+    # White innovations may exceed the stated noise: echoes do not state trigger jitter. Only correlation is reported.
+    correlation, tolerance = fit.quality.innovation_correlation or (0.0, 0.0)
+    if abs(float(correlation)) > tolerance:
         yield (
-            f"the Kalman filter's innovations are correlated ({float(test.autocorrelation):+.2f} "
+            f"the Kalman filter's innovations are correlated ({float(correlation):+.2f} "
             "from pulse to pulse, 0 is best): the model lacks some motion; raise processing.background_order or "
             "process_noise"
         )
@@ -119,11 +117,11 @@ def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: floa
         )
 
 
-def drift_warnings(fit: HarmonicFit, drift: Drift | None) -> Iterator[str]:
-    """Yield a warning if amplitudes change between the halves of the train."""
-    if drift is not None and drift.suspicious.any():
-        rows = np.flatnonzero(drift.suspicious)
-        changes = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift.relative_change[i] * 100:+.0f} %" for i in rows)
+def drift_warnings(fit: HarmonicFit, drift: tuple[FloatArray, BoolArray] | None) -> Iterator[str]:
+    """Yield a warning if amplitudes change between the halves of the train; ``drift``: of ``drift_between_halves``."""
+    if drift is not None and drift[1].any():
+        rows = np.flatnonzero(drift[1])
+        changes = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift[0][i] * 100:+.0f} %" for i in rows)
         yield (
             f"the amplitude changes from the first half of the pulses to the second ({changes}): tonebursts are "
             "missing, or the motion is not stationary; compare the bench's burst count with excitation.burst_count, or "

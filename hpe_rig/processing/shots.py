@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -16,10 +16,9 @@ from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_
 from hpe_rig.processing.echo.gate import gate_edge_uncertainty
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
+from hpe_rig.processing.harmonics.fit_checks import drift_between_halves, residual_line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.quantisation import quantisation_m
-from hpe_rig.processing.harmonics.residual_line import Line, residual_line
-from hpe_rig.processing.harmonics.stationarity import Drift, drift_between_halves
 from hpe_rig.processing.motion_model import stored_motion
 from hpe_rig.processing.shot_fitting import (
     HarmonicFitter,
@@ -44,6 +43,8 @@ from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
     from hpe_rig.store import StoredRun
+
+CheckResult = TypeVar("CheckResult")
 
 FALSE_ALARM_PROBABILITY = 0.01
 """Probability, over all shots of a run, of a false warning from a statistical test."""
@@ -141,6 +142,8 @@ def _estimate_window(
     reference = phase_reference_of(scene, shot)
     estimates = estimates_of(fit, sources, shot_averaging(scene, fit, settings.averaging), true_m, reference)
     recorded = records.gate.valid[selection.window]
+    drift = None if motion.reference is not None else _check(drift_between_halves, motion, selection, options)
+    line = _check(residual_line, motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
     return ShotResult(
         shot=shot.index,
@@ -160,8 +163,8 @@ def _estimate_window(
             *fit_warnings(fit, float(motion.measured.largest_step)),
             *medium_warnings(fit, settings.false_alarm),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
-            *drift_warnings(fit, _drift(motion, selection, options)),
-            *line_warnings(_line(motion, selection, options), shot.tracking_train.rate_hz, settings.false_alarm),
+            *drift_warnings(fit, drift),
+            *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm),
         ),
         complete=complete,
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
@@ -202,27 +205,14 @@ def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowM
     yield from record_warnings(damaged, int((used & ~motion.echoes.valid).sum()), int(clipped.sum()))
 
 
-def _drift(motion: WindowMotion, selection: Selection, options: Options) -> Drift | None:
-    """Return the drift of the coherent displacement; None with a reference gate or if half the pulses are too few."""
-    if motion.coherent is None or motion.reference is not None:
-        return None
-    with suppress(ValueError):
-        return drift_between_halves(
-            motion.coherent,
-            selection.wanted_hz,
-            also_hz=selection.driven_hz,
-            background_order=options.background_order,
-            prior=options.prior,
-        )
-    return None
-
-
-def _line(motion: WindowMotion, selection: Selection, options: Options) -> Line | None:
-    """Return the strongest line in the residual of the coherent displacement, if it can be fitted."""
+def _check(
+    check: Callable[..., CheckResult], motion: WindowMotion, selection: Selection, options: Options
+) -> CheckResult | None:
+    """Return the result of a ``check`` of ``fit_checks`` on the coherent displacement; None if it cannot be fitted."""
     if motion.coherent is None:
         return None
     with suppress(ValueError):
-        return residual_line(
+        return check(
             motion.coherent,
             selection.wanted_hz,
             also_hz=selection.driven_hz,

@@ -107,11 +107,15 @@ def grey_limit_v(image_v: FloatArray) -> float:
     return (1.2 * float(np.median(columns.max(axis=0))) if columns.size else 0.0) or 1.0
 
 
-def tracked_motion(scene: Scene, shot: Shot, gated: ShotRecords) -> Motion:
+def tracked_motion(scene: Scene, shot: Shot, records: ShotRecords, first_sample: int = 0) -> Motion:
     """Return the displacement of the selected pulses by the estimator "coherent".
 
-    ``gated`` contains the ``samples_needed`` of each record. Raises ``ValueError`` for echoes without displacement.
+    ``records`` begin at sample ``first_sample`` and contain gate and margins. Raises ``ValueError`` for echoes without
+    displacement.
     """
+    needed = samples_needed(scene, shot)
+    gate = slice(needed.start - first_sample, needed.stop - first_sample)
+    gated = records.cut(gate, margin_needed(scene, shot))
     return shot_motion(scene, shot, shot_echoes(scene, shot, gated, selected_pulses(scene, shot)), coherent)
 
 
@@ -121,15 +125,15 @@ def motion_view(scene: Scene, shot: Shot, motion: Motion, estimates: Sequence[Es
     # The harmonics of the result stay; other driven harmonics and the background are fitted to the remainder.
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     other_driven_hz, rate_hz = selection.driven_hz, shot.tracking_train.rate_hz
-    fitted = fitted_motion(
+    fitted_m, matrix = fitted_motion(
         motion, estimates, phase_reference_of(scene, shot), other_driven_hz, scene.processing.background_order
     )
     return MotionView(
         time_s=motion.time_s[valid],
         displacement_m=motion.displacement_m[valid],
-        fitted_m=fitted.displacement_m,
+        fitted_m=fitted_m,
         noise_m2=motion.variance_m2[valid],
-        matrix=fitted.matrix,
+        matrix=matrix,
         frequencies_hz=np.unique(np.round(aliased_hz(np.concatenate([frequency_hz, other_driven_hz]), rate_hz), 9)),
         pulse_rate_hz=rate_hz,
     )
@@ -138,13 +142,6 @@ def motion_view(scene: Scene, shot: Shot, motion: Motion, estimates: Sequence[Es
 def selected_pulses(scene: Scene, shot: Shot) -> Selection:
     """Return at most ``MAX_PULSES`` pulses of the processing window."""
     return select(scene, shot, MAX_PULSES)
-
-
-def gate_records(scene: Scene, shot: Shot, records: ShotRecords, first_sample: int = 0) -> ShotRecords:
-    """Return gate and margins of ``records``, which begin at sample ``first_sample``."""
-    needed = samples_needed(scene, shot)
-    gate = slice(needed.start - first_sample, needed.stop - first_sample)
-    return records.cut(gate, margin_needed(scene, shot))
 
 
 def _depth_m(scene: Scene, shot: Shot, first_sample: int, samples: int) -> FloatArray:

@@ -31,6 +31,7 @@ from matplotlib.figure import Figure
 import hpe_rig as hpe
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.medium import (
+    PRIOR_POWER_MODULUS_HZ,
     PRIOR_RANGES,
     BeamWidths,
     HarmonicMedium,
@@ -100,7 +101,7 @@ def harmonics(modulus_pa: ComplexArray, wider: float, longer: float | None = Non
     x, y, z = BEAMS.force_width_m
     width_m = wider * x, wider * y, (longer or wider) * z
     beams = BeamWidths(width_m, BEAMS.tracking_width_m, BEAMS.depth_sd_m)
-    moved = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), beams).tracked
+    moved = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), beams)[0]
     duty = RATE_HZ * LENGTH_S
     wave = 1j * moved * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
     return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))
@@ -180,24 +181,22 @@ def drawn(family: str, generator: np.random.Generator, wider: tuple[float, float
     def log_even(limits: tuple[float, float]) -> float:
         return float(limits[0] * (limits[1] / limits[0]) ** generator.uniform())
 
-    s, modulus_pa = 2j * np.pi * RATE_HZ * HARMONIC, log_even(PRIOR_RANGES.modulus_pa)
+    s, modulus_pa = 2j * np.pi * RATE_HZ * HARMONIC, log_even(PRIOR_RANGES["modulus_pa"])
     match family:
         case "Zener":
             loss_pa, branch_pa = (
-                s * log_even(PRIOR_RANGES.viscosity_pa_s),
-                modulus_pa * log_even(PRIOR_RANGES.branch_over_modulus),
+                s * log_even(PRIOR_RANGES["viscosity_pa_s"]),
+                modulus_pa * log_even(PRIOR_RANGES["branch_over_modulus"]),
             )
             found = modulus_pa + loss_pa / (1 + loss_pa / branch_pa)
         case "power law":
-            found = modulus_pa * (s / (2 * np.pi * PRIOR_RANGES.power_modulus_hz)) ** generator.uniform(
-                *PRIOR_RANGES.power
-            )
+            found = modulus_pa * (s / (2 * np.pi * PRIOR_POWER_MODULUS_HZ)) ** generator.uniform(*PRIOR_RANGES["power"])
         case "Maxwell":
-            loss_pa = s * log_even(PRIOR_RANGES.maxwell_viscosity_pa_s)
+            loss_pa = s * log_even(PRIOR_RANGES["maxwell_viscosity_pa_s"])
             found = loss_pa / (1 + loss_pa / modulus_pa)
         case _:
             found = modulus_pa + s * log_even(
-                PRIOR_RANGES.viscosity_pa_s if family == "Voigt" else PRIOR_RANGES.low_viscosity_pa_s
+                PRIOR_RANGES["viscosity_pa_s"] if family == "Voigt" else PRIOR_RANGES["low_viscosity_pa_s"]
             )
     wide, deep = wider or np.exp(BEAMS.width_log_sd * generator.standard_normal(2)).tolist()
     return harmonics(np.asarray(found), wide, deep)

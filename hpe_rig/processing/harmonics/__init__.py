@@ -10,6 +10,5 @@ prior_evidence.py    scale of the motion, noise and probability of each medium
 medium_fit.py        fit with the prior, closed form and Kalman filter; posterior of the medium
 aliasing_error.py    aliasing error of a fit without a prior
 quantisation.py      error from rounding to the digitizer's codes
-stationarity.py      change of the amplitude between the halves of a record
-residual_line.py     spectral line in the residual
+fit_checks.py        change of amplitude within the train; spectral line in the residual
 """

@@ -10,9 +10,11 @@ j of M is the error of the fit on the noise-free motion of direction j of the pr
 
 The prior of media gives the statistics of x, hence of e:
 
-    before correction    Cov e = sum_m p_m s_m² (M x_m)(M x_m)' + s² (M D)(M D)'      members m, deviations D from their
-    span correction           E[e | data] = M E[x | data]
+    before correction    Cov e = sum_m p_m s_m² (M x_m)(M x_m)' + s² (M D)(M D)'
+    correction           E[e | data] = M E[x | data]
     after correction     Cov[e | data] = M Cov[x | data] M'
+
+m are the members, D the deviations from their span.
 
 A known systematic effect is corrected, and the uncertainty of the correction remains (GUM, 3.2.3 and 3.2.4).
 Derivation: docs/explanation/medium-prior.md.
@@ -51,10 +53,10 @@ def with_aliasing_error(
     evidence = prior_fit.evidence
     pulses = PulseTimes.of(motion.time_s, motion.valid)
     error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)  # M
-    posterior = posterior_of_states(motion, prior_fit, prior, error_matrix, background_order)
-    corrected = corrected_by(fit, posterior.mean_m)
-    medium = medium_posterior(prior, evidence, corrected, posterior.member_errors)
-    corrected = with_aliasing(corrected, posterior.covariance_m2, prior_fit.fit, medium)
+    mean_m, covariance_m2, member_errors = posterior_of_states(motion, prior_fit, prior, error_matrix, background_order)
+    corrected = corrected_by(fit, mean_m)
+    medium = medium_posterior(prior, evidence, corrected, member_errors)
+    corrected = with_aliasing(corrected, covariance_m2, prior_fit.fit, medium)
     ensemble_m2 = _ensemble_covariance_m2(error_matrix, prior, evidence)
     return replace(with_aliasing(fit, ensemble_m2, prior_fit.fit, medium), aliasing_corrected=corrected)
 

@@ -14,29 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.processing.harmonics.model import MAX_CONDITION, linear_model
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
+InnovationCorrelation = tuple[FloatArray, float]
+"""Correlation (...) of a Kalman filter's innovations (measured minus predicted displacement) at a lag of one pulse.
 
-@dataclass(frozen=True, slots=True)
-class Innovations:
-    """Innovations of a Kalman filter, measured minus predicted displacement, which test its model.
-
-    ``normalised`` (..., pulse): innovations over their robust standard deviation, NaN at invalid pulses. ``nis`` (...):
-    normalised innovation squared, their mean square over the noise that the echoes state, 1 if that noise is true, NaN
-    where the echoes state none. ``nis_tolerance``: three standard deviations of ``nis``. ``autocorrelation`` (...) at
-    a lag of one pulse, 0 for white noise. ``autocorrelation_tolerance``: four standard deviations of it. ``outliers``
-    (..., pulse): beyond 5 robust standard deviations.
-    """
-
-    normalised: FloatArray
-    nis: FloatArray
-    nis_tolerance: float
-    autocorrelation: FloatArray
-    autocorrelation_tolerance: float
-    outliers: BoolArray
+It is 0 for a complete model. The second value is four of its standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,28 +49,15 @@ class FitQuality:
     """How well the pulses determine a fit.
 
     ``residual_rms_m`` (...): displacement noise of one pulse. ``degrees_of_freedom`` (...) of that residual.
-    ``pulses``: number of pulses used. ``condition``: condition number of the model, 1 at best. ``innovations``: of a
-    Kalman filter.
+    ``pulses``: number of pulses used. ``condition``: condition number of the model, 1 at best.
+    ``innovation_correlation``: of a Kalman filter.
     """
 
     residual_rms_m: FloatArray
-    degrees_of_freedom: FloatArray
+    degrees_of_freedom: FloatArray | float
     pulses: int
     condition: float = np.nan
-    innovations: Innovations | None = None
-
-    @classmethod
-    def of(
-        cls,
-        pulse_variance_m2: FloatArray,
-        degrees_of_freedom: FloatArray | float,
-        pulses: int,
-        condition: float = np.nan,
-        innovations: Innovations | None = None,
-    ) -> FitQuality:
-        """Return the quality of a fit with noise of ``pulse_variance_m2`` (...); the others as the fields."""
-        degrees = np.broadcast_to(np.asarray(degrees_of_freedom, dtype=np.float64), pulse_variance_m2.shape)
-        return cls(np.sqrt(pulse_variance_m2), degrees, pulses, condition, innovations)
+    innovation_correlation: InnovationCorrelation | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +107,7 @@ def least_squares(
     model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
     wanted, (pulses, states) = model.wanted, model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
-    degrees = np.full(motion.displacement_m.shape[:-1], float(pulses - states))
+    degrees: FloatArray | float = float(pulses - states)
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     if motion.step_noise_ratio is not None:
         orthonormal, step_noise_ratio = model.matrix @ model.root, np.asarray(motion.step_noise_ratio)
@@ -143,7 +116,7 @@ def least_squares(
         variance, covariance = step_covariance(residual, step_noise_ratio, weights, energy)
     else:
         covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
-    quality = FitQuality.of(variance, degrees, pulses, model.condition)
+    quality = FitQuality(np.sqrt(variance), degrees, pulses, model.condition)
     return fit_from_state(frequency_hz, state[..., wanted], covariance, quality)
 
 

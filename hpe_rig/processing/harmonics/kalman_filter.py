@@ -12,13 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb, factorial
 
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, Innovations, fit_from_state
-from hpe_rig.processing.harmonics.model import MAX_CONDITION_OF_PRODUCTS, linear_model, scaled_time
+from hpe_rig.processing.harmonics.harmonic_fit import (
+    FitQuality,
+    HarmonicFit,
+    InnovationCorrelation,
+    fit_from_state,
+)
+from hpe_rig.processing.harmonics.model import MAX_CONDITION_OF_PRODUCTS, linear_model
 from hpe_rig.processing.motion.displacement import Motion
 
 PRIOR = 1e10
@@ -27,10 +31,9 @@ BLOCK = 16
 """Pulses, or states if more, in one joint covariance of innovations."""
 CHUNK = 10_000
 """Pulses processed at once."""
-FEW_STATES, MANY_PULSES = 8, 4096
-"""Up to this many states, and from this many pulses, one Cholesky factor per pulse is faster than blocks."""
-OUTLIER_STD = 5.0
-"""Robust standard deviations beyond which an innovation is an outlier."""
+
+Information = tuple[FloatArray, FloatArray]
+"""Information before a block: triangular F with F'F = sum of h h', and F^-T times the sum of h y."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +50,6 @@ class Filtered:
     innovations: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class _Information:
-    """Information before a block: triangular F with F'F = sum of h h', and F^-T times the sum of h y."""
-
-    factor: FloatArray
-    transformed: FloatArray
-
-
 def kalman(
     motion: Motion,
     frequencies_hz: FloatArray | Sequence[float],
@@ -62,17 +57,15 @@ def kalman(
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
     process_noise: float = 0.0,
-    background_noise: float = 0.0,
     prior: float = PRIOR,
     innovations: bool = True,
 ) -> HarmonicFit:
     """Return all amplitudes and phases from a square-root Kalman filter over the valid pulses.
 
     Variances in units of the measurement noise, which is estimated from the innovations: ``process_noise`` of a
-    harmonic state's change per pulse; ``background_noise`` of a change per pulse of the background's highest derivative
-    (time in half lengths of the train); ``prior`` of a state at the start. Without process noise this is recursive
-    least squares, which is faster without ``innovations``. ``background_order`` 0, 1, 2: constant, velocity,
-    acceleration. Raises ``ValueError`` as ``least_squares``.
+    harmonic state's change per pulse; ``prior`` of a state at the start. Without process noise this is recursive least
+    squares, which is faster without ``innovations``. ``background_order`` as in ``linear_model``. Raises ``ValueError``
+    as ``least_squares``.
 
     Sources: harmonic states of Zheng et al. (2007), background states of Zheng et al. (2006); information form without
     process noise, Potter's form with it.
@@ -81,19 +74,20 @@ def kalman(
     times = motion.time_s, motion.valid
     model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
     displacement = motion.displacement_m[..., motion.valid]
-    if process_noise == background_noise == 0:
+    pulses, states = model.matrix.shape
+    if process_noise == 0:
         filtered = filter_constant(model.matrix, displacement, prior, innovations)
     else:
-        roots = _process_roots(motion, model.matrix.shape[1], 2 * frequency_hz.size, background_order)
-        strengths = np.sqrt([process_noise, background_noise])
-        scaled = [root * strength for root, strength in zip(roots, strengths, strict=True)]
-        filtered = filter_changing(model.matrix, displacement, scaled, prior)
-    degrees = model.matrix.shape[0] - model.matrix.shape[1]
-    variance = filtered.squared_innovations / degrees
+        # The harmonic states change between pulses; a gap of n pulses has n times the variance.
+        used, harmonic = np.flatnonzero(motion.valid), np.arange(2 * frequency_hz.size)
+        drive = np.zeros((pulses, states, harmonic.size))
+        drive[:, harmonic, harmonic] = np.sqrt(process_noise * np.diff(used, prepend=used[0]))[:, None]
+        filtered = filter_changing(model.matrix, displacement, drive, prior)
+    variance = filtered.squared_innovations / (pulses - states)
     covariance = variance[..., None, None] * (filtered.root @ filtered.root.T)
     wanted = model.wanted
-    test = innovation_test(motion, filtered.innovations, model.matrix.shape[1]) if filtered.innovations.size else None
-    quality = FitQuality.of(variance, degrees, len(model.matrix), model.condition, test)
+    correlation = innovation_correlation(filtered.innovations, states) if filtered.innovations.size else None
+    quality = FitQuality(np.sqrt(variance), pulses - states, pulses, model.condition, correlation)
     return fit_from_state(frequency_hz, filtered.state[..., wanted], covariance[..., wanted, wanted], quality)
 
 
@@ -104,13 +98,13 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     """
     states = matrix.shape[1]
     values = data.reshape(-1, data.shape[-1]).T
-    information = _Information(np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1])))
+    information: Information = np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1]))
     innovation_blocks, start, well_conditioned = [], 0, not innovations
     while start < len(matrix):
         # The first pulses form their own block, while the prior still contributes.
         first = innovations and start == 0
         if not well_conditioned and not first:
-            well_conditioned = bool(np.linalg.cond(information.factor) < MAX_CONDITION_OF_PRODUCTS)
+            well_conditioned = bool(np.linalg.cond(information[0]) < MAX_CONDITION_OF_PRODUCTS)
         size = states + 1 if first else CHUNK if well_conditioned else BLOCK
         rows = slice(start, start + size)
         block, measured, start = matrix[rows], values[rows], rows.stop
@@ -121,8 +115,8 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
                 (_innovations if well_conditioned else _block_innovations)(information, block, measured)
             )
         information = _updated(information, block, measured, by_products=well_conditioned and innovations)
-    root: FloatArray = np.asarray(np.linalg.inv(information.factor))
-    state = root @ information.transformed
+    root: FloatArray = np.asarray(np.linalg.inv(information[0]))
+    state = root @ information[1]
     residual = values - matrix @ state
     # The sum of squared innovations equals residual plus prior term.
     squares = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
@@ -131,21 +125,21 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     return Filtered(state.T.reshape(*shape, states), root, squares.reshape(shape), normalised)
 
 
-def _updated(information: _Information, block: FloatArray, measured: FloatArray, *, by_products: bool) -> _Information:
+def _updated(information: Information, block: FloatArray, measured: FloatArray, *, by_products: bool) -> Information:
     """Return the information after the pulses of ``block``."""
-    factor, transformed = information.factor, information.transformed
+    factor, transformed = information
     if by_products:
         # Well conditioned: F'F and its Cholesky factor are accurate, at a fraction of the time of QR.
         moment = factor.T @ transformed + block.T @ measured
         lower: FloatArray = np.asarray(np.linalg.cholesky(factor.T @ factor + block.T @ block))
-        return _Information(lower.T, np.asarray(np.linalg.solve(lower, moment), dtype=np.float64))
+        return lower.T, np.asarray(np.linalg.solve(lower, moment), dtype=np.float64)
     # F'F = sum of h h': the R of F stacked on the new rows is the new F.
     q, triangle = np.linalg.qr(np.vstack([factor, block]))
-    return _Information(np.asarray(triangle), np.asarray(q.T @ np.vstack([transformed, measured])))
+    return np.asarray(triangle), np.asarray(q.T @ np.vstack([transformed, measured]))
 
 
-def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatArray], prior: float) -> Filtered:
-    """Return the filtered state of a model with states that change by ``drive``, arrays (pulse, state, cause).
+def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, prior: float) -> Filtered:
+    """Return the filtered state of a model with states that change by ``drive`` (pulse, state, cause) before a pulse.
 
     The causes are independent and of unit variance. Potter's form keeps the covariance positive for every ratio of
     prior to noise.
@@ -157,8 +151,8 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatA
     innovations = np.empty(data.shape)
     for k, row in enumerate(matrix):
         # Time update: P + G G' has the root [root, G]; QR makes it square again.
-        if k and drive:
-            root = np.linalg.qr(np.vstack([root.T, *[cause[k].T for cause in drive]]))[1].T
+        if k:
+            root = np.linalg.qr(np.vstack([root.T, drive[k].T]))[1].T
         # Measurement update in Potter's form: S <- S - K a' / (1 + 1/sqrt(alpha)), a = S'h, alpha = 1 + a'a.
         projection = root.T @ row
         innovation_variance = 1.0 + projection @ projection
@@ -182,18 +176,19 @@ def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> 
     return np.asarray(np.linalg.solve(root.T, values) * np.sign(np.diagonal(root))[:, None])
 
 
-def _block_innovations(information: _Information, block: FloatArray, measured: FloatArray) -> FloatArray:
+def _block_innovations(information: Information, block: FloatArray, measured: FloatArray) -> FloatArray:
     """Return the normalised innovations (pulse, realisation) of one block of pulses.
 
     With B = H F^-1 their joint covariance is 1 + B B' = L L', and L^-1 (y - H x) are one pulse after the other's.
     """
     # numpy's general solver is several times faster than scipy's triangular one for few states.
-    predicted = np.linalg.solve(information.factor.T, block.T).T
+    factor, transformed = information
+    predicted = np.linalg.solve(factor.T, block.T).T
     joint = np.linalg.cholesky(np.eye(len(block)) + predicted @ predicted.T)
-    return np.asarray(np.linalg.solve(joint, measured - predicted @ information.transformed))
+    return np.asarray(np.linalg.solve(joint, measured - predicted @ transformed))
 
 
-def _innovations(information: _Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
+def _innovations(information: Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
     """Return the innovations of ``_block_innovations`` for many blocks at once, from products of well conditioned
     factors.
 
@@ -201,12 +196,10 @@ def _innovations(information: _Information, matrix: FloatArray, values: FloatArr
     batch.
     """
     pulses, states = matrix.shape
-    if states <= FEW_STATES and pulses >= MANY_PULSES:
-        return _pulse_innovations(information, matrix, values)
     size = max(BLOCK, states)
     if pulses <= size:
         return _block_innovations(information, matrix, values)
-    factor, transformed = information.factor, information.transformed
+    factor, transformed = information
     covered = pulses // size * size
     blocks, measured = matrix[:covered].reshape(-1, size, states), values[:covered].reshape(-1, size, values.shape[1])
     transposed = np.swapaxes(blocks, -1, -2)
@@ -222,99 +215,16 @@ def _innovations(information: _Information, matrix: FloatArray, values: FloatArr
         return np.asarray(innovations)
     # The last, shorter block.
     root = np.linalg.cholesky(before[-1] + block_information[-1])
-    last = _Information(np.asarray(root.T), np.linalg.solve(root, moment[-1] + block_moment[-1]))
+    last = np.asarray(root.T), np.linalg.solve(root, moment[-1] + block_moment[-1])
     return np.concatenate([innovations, _block_innovations(last, matrix[covered:], values[covered:])])
 
 
-def _pulse_innovations(information: _Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the innovations of ``_block_innovations`` for few states: (y - h x) / sqrt(1 + h P h') before each pulse.
-
-    The information before each pulse is a cumulative sum. It is factored for every pulse at once, element by element of
-    its Cholesky factor L. With w = L^-1 h and z = L^-1 m, m the moments: h P h' = w'w and h x = w'z.
-    """
-    states, columns = matrix.shape[1], np.ascontiguousarray(matrix.T)
-    start = information.factor.T @ information.factor
-    start_moment = information.factor.T @ information.transformed
-    root, w, z = dict[tuple[int, int], FloatArray](), list[FloatArray](), list[FloatArray]()
-    variance, forecast = np.ones(len(matrix)), np.zeros_like(values)
-    for i in range(states):
-        # Row i of L.
-        for j in range(i + 1):
-            element = _sum_before(columns[i], columns[j], start[i, j])
-            for k in range(j):
-                element -= root[i, k] * root[j, k]
-            root[i, j] = np.sqrt(element) if i == j else element / root[j, j]
-        # Elements i of w and z by forward substitution.
-        w_i, z_i = columns[i].copy(), _sum_before(columns[i][:, None], values, start_moment[i])
-        for j in range(i):
-            w_i -= root[i, j] * w[j]
-            z_i -= root[i, j][:, None] * z[j]
-        w_i /= root[i, i]
-        z_i /= root[i, i][:, None]
-        w.append(w_i)
-        z.append(z_i)
-        variance += w_i * w_i
-        forecast += w_i[:, None] * z_i
-    return np.asarray((values - forecast) / np.sqrt(variance)[:, None])
-
-
-def _sum_before(factor_a: FloatArray, factor_b: FloatArray, start: FloatArray | float) -> FloatArray:
-    """Return ``start`` plus the sum of the products of ``factor_a`` and ``factor_b`` (pulse, ...) before each pulse."""
-    total = np.empty(factor_b.shape)
-    total[0] = start
-    np.multiply(factor_a[:-1], factor_b[:-1], out=total[1:])
-    return np.asarray(np.cumsum(total, axis=0, out=total))
-
-
-def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tuple[FloatArray, FloatArray]:
-    """Return how unit noise enters before each valid pulse: into the harmonic states, and into the highest derivative.
-
-    Both (pulse, state, cause). A jump w of the p-th derivative at time s adds w (t - s)^p / p! from then on. The filter
-    describes only the present, so the jump is added to its constant polynomial as a covered.
-    """
-    used = np.flatnonzero(motion.valid)
-    gaps = np.sqrt(np.diff(used, prepend=used[0]))
-    harmonics = np.zeros((used.size, states, harmonic))
-    harmonics[:, np.arange(harmonic), np.arange(harmonic)] = gaps[:, None]
-    jump = np.zeros((used.size, states, 1))
-    if order >= 0:
-        # (t - s)^p / p! as powers of t, then as Legendre polynomials.
-        start = scaled_time(motion.time_s)[used]
-        powers = np.stack([comb(order, i) * (-start) ** (order - i) for i in range(order + 1)]) / factorial(order)
-        legendre = np.polynomial.legendre
-        to_legendre = np.stack(
-            [np.pad(legendre.poly2leg(row), (0, order + 1))[: order + 1] for row in np.eye(order + 1)]
-        )
-        jump[:, harmonic : harmonic + order + 1, 0] = (to_legendre.T @ powers).T * gaps[:, None]
-    return harmonics, jump
-
-
-def innovation_test(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
-    """Return the test of the innovations (..., valid pulse), normalised to the noise of a pulse.
+def innovation_correlation(innovations: FloatArray, states: int) -> InnovationCorrelation:
+    """Return the correlation of the innovations (..., valid pulse) at a lag of one pulse, and its tolerance.
 
     Those of the first ``states`` pulses depend on the prior and are excluded.
     """
-    later = normalised[..., states:]
-    count = later.shape[-1]
+    later = innovations[..., states:]
     energy = np.einsum("...i,...i->...", later, later)
-    stated = motion.variance_m2[..., motion.valid].mean(axis=-1)
-    tiny = np.finfo(np.float64).tiny
-    nis = np.where(stated > 0, energy / count / np.maximum(stated, tiny), np.nan)
     neighbours = np.einsum("...i,...i->...", later[..., 1:], later[..., :-1])
-    # Robust standard deviation: the median of a normal distribution's magnitude is 0.6745 standard deviations.
-    magnitude = np.abs(later)
-    robust = np.partition(magnitude, count // 2, axis=-1)[..., count // 2, None] / 0.6745
-    # A slice where all pulses are valid: far faster than an index array.
-    used = slice(states, None) if motion.valid.all() else np.flatnonzero(motion.valid)[states:]
-    by_pulse = np.full((*normalised.shape[:-1], motion.valid.size), np.nan)
-    by_pulse[..., used] = later / np.maximum(robust, tiny)
-    outliers = np.zeros(by_pulse.shape, dtype=bool)
-    outliers[..., used] = magnitude > OUTLIER_STD * robust
-    return Innovations(
-        normalised=by_pulse,
-        nis=nis,
-        nis_tolerance=3 * np.sqrt(2 / count),
-        autocorrelation=neighbours / np.maximum(energy, tiny),
-        autocorrelation_tolerance=4 / np.sqrt(count),
-        outliers=outliers,
-    )
+    return neighbours / np.maximum(energy, np.finfo(np.float64).tiny), 4 / np.sqrt(later.shape[-1])

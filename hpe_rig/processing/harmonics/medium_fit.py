@@ -29,7 +29,7 @@ from hpe_rig.processing.harmonics.harmonic_fit import (
     fit_from_state,
     step_covariance,
 )
-from hpe_rig.processing.harmonics.kalman_filter import filter_constant, innovation_test
+from hpe_rig.processing.harmonics.kalman_filter import filter_constant, innovation_correlation
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.prior_evidence import Evidence, evidence_of
 from hpe_rig.processing.harmonics.projected_prior import ProjectedPrior, project_prior
@@ -58,19 +58,6 @@ class MediumFit:
     aliasing_m2: FloatArray
     evidence: Evidence
     shrinkage: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class StatesPosterior:
-    """Posterior of states that are linear in the directions of a prior.
-
-    ``mean_m`` (..., state); ``covariance_m2`` (..., state, state) of noise and ensemble; ``member_errors`` (...,
-    member, state): true minus estimated states of every member, of scale 1.
-    """
-
-    mean_m: FloatArray
-    covariance_m2: FloatArray
-    member_errors: FloatArray
 
 
 def medium_fit(
@@ -103,7 +90,7 @@ def medium_fit(
         noise_m2, degrees = _step_noise(projected, evidence, weights, shrinkage, residual, step_noise_ratio)
     aliasing_m2, member_errors = _aliasing(projected, weights, evidence)
     state = (gain * along) @ projected.wanted_rows.T
-    quality = FitQuality.of(evidence.variance_m2, degrees, len(projected.left_vectors))
+    quality = FitQuality(np.sqrt(evidence.variance_m2), degrees, len(projected.left_vectors))
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
     fit = replace(fit, medium=medium_posterior(prior, evidence, fit, member_errors))
     return MediumFit(fit, noise_m2, aliasing_m2, evidence, shrinkage)
@@ -146,10 +133,11 @@ def fit_residual(
 
 def posterior_of_states(
     motion: Motion, prior_fit: MediumFit, prior: MediumPrior, directions: FloatArray, background_order: int
-) -> StatesPosterior:
-    """Return the posterior of the states ``directions`` @ (prior directions), given ``motion`` with its ``prior_fit``.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean and covariance (..., state, state) of the states ``directions`` @ (prior directions).
 
-    ``directions`` (state, direction): from the prior's directions to any states.
+    ``motion`` is the data, ``prior_fit`` its fit. ``directions`` (state, direction): from the prior's directions to any
+    states. The third value (..., member, state): true minus estimated states of every member, of scale 1.
     """
     evidence = prior_fit.evidence
     projected = project_prior(prior, motion.time_s, motion.valid, prior_fit.fit.frequency_hz, background_order)
@@ -163,7 +151,7 @@ def posterior_of_states(
     of_states = replace(projected, wanted_members=prior.members @ directions.T, wanted_deviation=deviation)
     aliasing_m2, member_errors = _aliasing(of_states, weights, evidence)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
-    return StatesPosterior((gain * (data @ projected.left_vectors)) @ rows.T, noise_m2 + aliasing_m2, member_errors)
+    return (gain * (data @ projected.left_vectors)) @ rows.T, noise_m2 + aliasing_m2, member_errors
 
 
 def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
@@ -194,7 +182,7 @@ def medium_kalman(
     *,
     background_order: int = 0,
 ) -> MediumFit:
-    """Return the fit of ``medium_fit`` computed by a Kalman filter, which adds the test of its innovations.
+    """Return the fit of ``medium_fit`` computed by a Kalman filter, which adds the correlation of its innovations.
 
     The state a of the filter, x = F a, has the initial covariance (k s)² I. Scale and noise are those of
     ``medium_fit``.
@@ -215,8 +203,8 @@ def medium_kalman(
         coordinates = filtered.state[: projected.wanted_factor.shape[1]]
         states.append(PRIOR_WIDENING * scale_m * projected.wanted_factor @ coordinates)
         innovations.append(filtered.innovations * noise_m)
-    test = innovation_test(motion, np.reshape(innovations, data.shape), projected.background.shape[1])
-    quality = replace(closed_form.fit.quality, innovations=test)
+    correlation = innovation_correlation(np.reshape(innovations, data.shape), projected.background.shape[1])
+    quality = replace(closed_form.fit.quality, innovation_correlation=correlation)
     state = np.reshape(states, (*data.shape[:-1], -1))
     fit = fit_from_state(frequency_hz, state, closed_form.fit.state_covariance, quality, closed_form.aliasing_m2)
     return replace(closed_form, fit=replace(fit, medium=closed_form.fit.medium))

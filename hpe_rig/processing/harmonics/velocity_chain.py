@@ -14,8 +14,7 @@ Source: paper, Sec. II.A and III.B.2. Derivation: docs/explanation/estimation.md
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,36 +25,12 @@ from hpe_rig.processing.harmonics.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.harmonics.model import LinearModel, harmonic_columns, linear_model
 from hpe_rig.processing.motion.displacement import Velocity
 
-
-@dataclass(frozen=True, slots=True)
-class Steps:
-    """Optional steps of the chain: the software band-pass and the Hann window in slow time."""
-
-    band_pass: bool = True
-    hann: bool = True
-
-
-PAPER = Steps()
-
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 49)])
 """Ratios of interval noise to pulse noise that are tried, both as variance of a displacement step."""
 LIKELIHOOD_GAIN = 3.3
 """Smallest gain in log-likelihood that includes interval noise: 1 % false alarms (chi-square, 1 degree of freedom)."""
 MIN_BINS = 12
 """Number of free bins below which no interval noise is estimated."""
-
-
-@dataclass(frozen=True, slots=True)
-class VelocityNoise:
-    """Noise of velocities (...).
-
-    ``pulse_m2``: variance of one pulse's displacement. ``interval_m2_per_s2``: variance of one interval's velocity
-    beyond that. ``degrees_of_freedom`` of the residual behind ``pulse_m2``.
-    """
-
-    pulse_m2: FloatArray
-    interval_m2_per_s2: FloatArray
-    degrees_of_freedom: float
 
 
 def band_pass(series: FloatArray, rate_hz: float, low_hz: float, high_hz: float) -> FloatArray:
@@ -75,7 +50,8 @@ def velocity_to_harmonics(
     frequencies_hz: FloatArray | Sequence[float],
     *,
     also_hz: FloatArray | Sequence[float] = (),
-    steps: Steps = PAPER,
+    with_band_pass: bool = True,
+    with_hann: bool = True,
     background_order: int = 0,
 ) -> HarmonicFit:
     """Return amplitude and phase of the displacement from its velocity, frequency by frequency.
@@ -84,7 +60,8 @@ def velocity_to_harmonics(
     displacement are removed. ``also_hz``: further driven frequencies, kept out of the residual and the band-pass. The
     band-pass removes a background except for the difference between the ends of the series; from ``background_order``
     (of the displacement) 2 on, its polynomial is fitted and subtracted first. The covariance is that of
-    ``velocity_noise`` through all steps. Raises ``ValueError`` for unevenly spaced pulses, and as ``least_squares``.
+    ``velocity_noise`` through all steps. Band-pass and Hann window in slow time can be left out. Raises ``ValueError``
+    for unevenly spaced pulses, and as ``least_squares``.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
@@ -95,20 +72,19 @@ def velocity_to_harmonics(
     background = slice(2 * frequency_hz.size, model.wanted.stop if order else 0)
     fill = _fill_columns(model, velocity.valid, background)
     filled = _filled(velocity, model, fill)
-    results = [
-        _one_frequency(
-            velocity, filled, f, _passed(velocity, f, _half_width_hz(every_hz, f), steps), model, fill, steps
-        )
-        for f in frequency_hz
-    ]
+    window = hann(velocity.valid.size) if with_hann else np.ones(velocity.valid.size)
+    results = []
+    for f in frequency_hz:
+        half_width_hz = _half_width_hz(every_hz, f) if with_band_pass else np.inf
+        results.append(_one_frequency(velocity, filled, f, half_width_hz, window, model, fill))
     states, weights = zip(*results, strict=True)
-    noise = velocity_noise(velocity, model, every_hz, interval_s)
+    pulse_m2, interval_m2_per_s2, degrees = velocity_noise(velocity, model, every_hz, interval_s)
     over_intervals = np.concatenate(weights)
     over_pulses = per_pulse(over_intervals, interval_s)
-    covariance = noise.pulse_m2[..., None, None] * (over_pulses @ over_pulses.T)
-    covariance = covariance + noise.interval_m2_per_s2[..., None, None] * (over_intervals @ over_intervals.T)
+    covariance = pulse_m2[..., None, None] * (over_pulses @ over_pulses.T)
+    covariance = covariance + interval_m2_per_s2[..., None, None] * (over_intervals @ over_intervals.T)
     pulses = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
-    quality = FitQuality.of(noise.pulse_m2, noise.degrees_of_freedom, pulses, model.condition)
+    quality = FitQuality(np.sqrt(pulse_m2), degrees, pulses, model.condition)
     return fit_from_state(frequency_hz, np.concatenate(states, axis=-1), covariance, quality)
 
 
@@ -123,29 +99,26 @@ def _even_interval_s(velocity: Velocity) -> float:
     return interval_s
 
 
-Filter = Callable[[FloatArray], FloatArray]
-
-
-def _passed(velocity: Velocity, f: float, half_width_hz: float, steps: Steps) -> Filter:
-    """Return the band-pass around ``f`` as a function of a series (..., interval); the identity without that step."""
-    rate_hz = 1 / _even_interval_s(velocity)
-    if not steps.band_pass:
-        return lambda series: series
-    return lambda series: band_pass(series, rate_hz, f - half_width_hz, f + half_width_hz)
-
-
 def _one_frequency(
     velocity: Velocity,
     filled: FloatArray,
     f: float,
-    passed: Filter,
+    half_width_hz: float,
+    window: FloatArray,
     model: LinearModel,
     fill: FloatArray,
-    steps: Steps,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the state (..., 2) of one frequency and its weights (2, interval) of the velocities."""
+    """Return the state (..., 2) of one frequency and its weights (2, interval) of the velocities.
+
+    ``half_width_hz``: of the band-pass, infinite without one.
+    """
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
-    window = hann(valid.size) if steps.hann else np.ones(valid.size)
+
+    def passed(series: FloatArray) -> FloatArray:
+        if np.isinf(half_width_hz):
+            return series
+        return band_pass(series, 1 / interval_s, f - half_width_hz, f + half_width_hz)
+
     # Response of the chain to a unit sinusoid, 2 by 2; its inverse removes gain, delay and the Hann window's mean.
     columns = harmonic_columns(velocity.time_s, np.array([f]))
     solver = np.linalg.pinv(columns[valid])
@@ -198,8 +171,10 @@ def _filled(velocity: Velocity, model: LinearModel, fill: FloatArray) -> FloatAr
 
 def velocity_noise(
     velocity: Velocity, model: LinearModel, frequency_hz: FloatArray, interval_s: float
-) -> VelocityNoise:
-    """Return the noise of the velocities from the residual of ``model``.
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the variances (...) of one pulse's displacement and of one interval's velocity beyond that.
+
+    The third value is the degrees of freedom of the first. All are estimated from the residual of ``model``.
 
     Echo noise is white over pulses, so neighbouring velocities share it with opposite sign. If the peak of the
     cross-spectrum jumps between two of equal height, the velocities have noise that does not cancel in the next
@@ -219,9 +194,9 @@ def velocity_noise(
     pulse_only_m2 = np.sum(residual**2, axis=-1) / expected
     power, shape = _residual_spectrum(residual * interval_s, velocity, frequency_hz, interval_s)
     if shape.size < MIN_BINS:
-        return VelocityNoise(pulse_only_m2, np.zeros_like(pulse_only_m2), degrees)
+        return pulse_only_m2, np.zeros_like(pulse_only_m2), degrees
     pulse_m2, ratio = _most_likely(power, shape)
-    return VelocityNoise(np.where(ratio > 0, pulse_m2, pulse_only_m2), ratio * pulse_m2 / interval_s**2, degrees)
+    return np.where(ratio > 0, pulse_m2, pulse_only_m2), ratio * pulse_m2 / interval_s**2, degrees
 
 
 def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, interval_s: float) -> float:

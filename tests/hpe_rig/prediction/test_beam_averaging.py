@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare_text
-from hpe_rig.medium import axial_offset_factor, gaussian_averaging, gaussian_steepness, obliquity_factor
+from hpe_rig.medium import axial_offset_factor, obliquity_factor
 from hpe_rig.prediction import beam_widths, predicted_averaging, resting_conditions, tracked_over_peak
 from hpe_rig.prediction.beam_averaging import SHAPE_RELATIVE, averaging_ratio
 from hpe_rig.prediction.speckle import seeded_speckle
@@ -39,11 +39,11 @@ def test_steepness_is_the_change_of_the_averaging_with_the_beams_area():
         replace(beams, tracking_width_m=tuple(np.multiply(beams.tracking_width_m, [scale, scale, 1.0])))
         for scale in (1.001**0.5, 0.999**0.5)
     )
-    area = (gaussian_averaging(each.force_width_m, each.tracking_width_m, 0.0) for each in (wider, narrower))
-    assert gaussian_steepness(beams) == pytest.approx(np.log(next(area) / next(area)) / 2e-3, rel=1e-5)
-    ratios = (averaging_ratio(scene, each, FREQUENCY_HZ).ratio for each in (wider, narrower))
+    area = (replace(each, depth_sd_m=0.0).gaussian_averaging() for each in (wider, narrower))
+    assert beams.gaussian_steepness() == pytest.approx(np.log(next(area) / next(area)) / 2e-3, rel=1e-5)
+    ratios = (averaging_ratio(scene, each, FREQUENCY_HZ)[0] for each in (wider, narrower))
     change = np.log(next(ratios) / next(ratios)) / 2e-3
-    steepness = averaging_ratio(scene, beams, FREQUENCY_HZ).steepness
+    steepness = averaging_ratio(scene, beams, FREQUENCY_HZ)[2]
     assert steepness == pytest.approx(np.abs(change.real) + 1j * np.abs(change.imag), rel=1e-5)
 
 
@@ -235,10 +235,10 @@ def test_speckle_shifts_the_tracked_region_like_independent_cells():
     pulse = np.where(np.abs(shift) < 0.5, np.cos(np.pi * shift) ** 2, 0.0)
     correlation = np.interp(lag, shift[1000:] * 2, np.correlate(pulse, pulse, "full")[2000::2] / (pulse @ pulse))
     cells = lag.size / np.sum(correlation**2)
-    spread = region_spread(resting, "coherent")
-    assert spread.lateral_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
+    area_spread, lateral_spread_m, _ = region_spread(resting, "coherent")
+    assert lateral_spread_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
     # r^2 / 2 of both axes spreads by sigma^2, as x does by sigma
-    assert spread.area_relative == pytest.approx(spread.lateral_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
+    assert area_spread == pytest.approx(lateral_spread_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
 
 
 def test_a_declared_aperture_lowers_the_factor_and_widens_its_uncertainty() -> None:

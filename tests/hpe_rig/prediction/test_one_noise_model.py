@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hpe_rig.design.comparison import _outcome
-from hpe_rig.design.problem import Constraints, Problem
+from hpe_rig.design.problem import Problem
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.prediction.forecast import forecast_of
@@ -41,7 +41,7 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
     if "prediction: omitted" in checked:
         return
     setup = prepare(scene, refuse=False)
-    problem = Problem(setup, tomllib.loads(setup.scene.text), (), "jitter", Constraints(1.0))
+    problem = Problem(setup, tomllib.loads(setup.scene.text), (), "jitter", longest_s=1.0)
     designed = _outcome(problem, problem.judged(problem.start), 0, 0)
     assert designed["detection floor"] == f"{floor} nm"
     estimator, hz = scene.processing.estimator, scene.wanted_frequencies_hz[0]

@@ -22,7 +22,7 @@ def fit(residual_m: float = 1e-8, degrees_of_freedom: float = math.inf) -> Harmo
     """Return a fit of 100 nm and 0.3 rad with 1 nm of noise in either quadrature."""
     state = 1e-7 * np.array([math.cos(0.3), math.sin(0.3)])
     return fit_from_state(
-        np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(residual_m**2), degrees_of_freedom, 100)
+        np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality(np.asarray(residual_m), degrees_of_freedom, 100)
     )
 
 
@@ -126,9 +126,7 @@ def test_noise_alone_has_the_degrees_of_freedom_of_the_residual() -> None:
 
 def test_the_interval_of_an_unknown_phase_is_the_whole_circle() -> None:
     state = 1e-12 * np.array([1.0, 0.0])
-    of_noise = fit_from_state(
-        np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality.of(np.asarray(1e-16), math.inf, 100)
-    )
+    of_noise = fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), FitQuality(np.asarray(1e-8), math.inf, 100))
     (unknown,) = estimates_of(replace(of_noise, covariance=np.array([[[1e-18, 0], [0, math.pi**2 / 3]]])))
     assert unknown.interval_95_rad == math.pi
 

@@ -23,7 +23,7 @@ from hpe_rig.processing import (
     shot_echoes,
     shot_prior,
 )
-from hpe_rig.processing.harmonics.stationarity import drift_between_halves
+from hpe_rig.processing.harmonics.fit_checks import drift_between_halves
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_fitting import posterior_averaging, shot_averaging
 from hpe_rig.processing.shot_tracking import margin_needed
@@ -85,9 +85,9 @@ def test_the_kalman_filter_gives_the_same_fit_without_warning() -> None:
     filtered = fitted(run().scene.with_({"processing.harmonic": "kalman"}))
     largest = np.abs(batch.state).max()
     np.testing.assert_allclose(filtered.state, batch.state, atol=1e-9 * largest)
-    found = filtered.quality.innovations
-    assert found is not None
-    assert abs(found.autocorrelation) < found.autocorrelation_tolerance
+    assert filtered.quality.innovation_correlation is not None
+    correlation, tolerance = filtered.quality.innovation_correlation
+    assert abs(correlation) < tolerance
 
 
 def test_the_prior_lowers_the_smallest_detectable_amplitude_in_trigger_jitter_fivefold() -> None:
@@ -190,12 +190,10 @@ def test_a_motion_that_halves_is_distinguished_from_a_stationary_one() -> None:
     scene, shot = run().scene, run().plan.shots[0]
     motion, prior = motion_of(scene, shot), prior_of(scene, shot)
     wanted_hz = select(scene, shot).wanted_hz
-    steady = drift_between_halves(motion, wanted_hz, prior=prior)
-    assert not steady.suspicious.any()
-    assert np.all(np.abs(steady.significance) < 4)
+    assert not drift_between_halves(motion, wanted_hz, prior=prior)[1].any()
     late = np.arange(motion.time_s.size) >= motion.time_s.size // 2
     weaker = motion.displacement_m - 0.2 * late * (motion.displacement_m - motion.displacement_m[motion.valid].mean())
     changed = Motion(motion.time_s, weaker, motion.variance_m2, motion.valid, motion.largest_step)
-    drift = drift_between_halves(changed, wanted_hz, prior=prior)
-    assert drift.suspicious[:5].all()
-    assert np.all(drift.relative_change[:5] == pytest.approx(-0.2 / 0.9, rel=0.25))
+    change, suspicious = drift_between_halves(changed, wanted_hz, prior=prior)
+    assert suspicious[:5].all()
+    assert np.all(change[:5] == pytest.approx(-0.2 / 0.9, rel=0.25))

@@ -9,7 +9,7 @@ import pytest
 
 from hpe_rig import measure
 from hpe_rig.processing import Motion
-from hpe_rig.processing.harmonics.residual_line import residual_line
+from hpe_rig.processing.harmonics.fit_checks import residual_line
 from hpe_rig.scene import load_scene
 
 RATE_HZ, PULSES = 4000.0, 200
