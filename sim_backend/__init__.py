@@ -17,6 +17,7 @@
       receive chain, trigger jitter                  III.B     receiver/: chain.py, timing.py
     volts -> codes at the ticks of the sample clock            digitizer/
     [simulation] of a scene                                    settings/
+    types of arrays                                            arrays.py
 
 Its interface is the wire: SCPI text for the generators, the ATSApi function table for the digitizer. It receives only
 the drivers' commands, never the scene. Theory beyond the paper: docs/explanation/, medium.md, echoes.md, transducer.md.

@@ -1,3 +1,3 @@
 from .generator import Agilent33250A as Agilent33250A
 from .limits import mistakes as mistakes
-from .models import GeneratorModel as GeneratorModel, model_named as model_named
+from .models import MODEL_NAMES as MODEL_NAMES, model_named as model_named

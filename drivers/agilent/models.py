@@ -116,6 +116,7 @@ MODELS: Final = (
     ),
 )
 # fmt: on
+MODEL_NAMES: Final = tuple(model.name for model in MODELS)
 
 
 def model_named(name: str) -> GeneratorModel | None:

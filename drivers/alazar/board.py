@@ -132,6 +132,6 @@ class AlazarBoard:
             raise InstrumentError(self.role, what, "another model sits in this machine", remedy)
 
     def _version(self, function: Callable[..., int]) -> str:
-        parts = tuple(ctypes.c_uint8() for _ in range(3))
-        code = self.invoke(function, *map(ctypes.byref, parts))
-        return ".".join(str(part.value) for part in parts) if code == SUCCESS else "unknown"
+        numbers = tuple(ctypes.c_uint8() for _ in range(3))
+        code = self.invoke(function, *map(ctypes.byref, numbers))
+        return ".".join(str(number.value) for number in numbers) if code == SUCCESS else "unknown"

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
+from drivers.agilent import MODEL_NAMES
 from drivers.alazar import BOARD_NAMES, BoardModel, model_named
 from hpe_rig.scene import (
     Count,
@@ -58,26 +59,31 @@ Inlet = Literal[
 ]
 
 
-def _checked_board(name: str) -> str:
-    if name not in BOARD_NAMES:
-        close = difflib.get_close_matches(name, BOARD_NAMES, n=1)
-        suggestion = f"; did you mean {close[0]!r}?" if close else ""
-        raise ValueError(
-            f"{name[:80]!r} is not one of the choices: one of {', '.join(map(repr, BOARD_NAMES))}{suggestion}"
-        )
-    return name
+def _choice(names: tuple[str, ...]) -> tuple[Any, Any]:
+    """Return the annotations of a text that must be one of ``names``, the models that a driver supports."""
+
+    def checked(name: str) -> str:
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=1)
+            suggestion = f"; did you mean {close[0]!r}?" if close else ""
+            raise ValueError(
+                f"{name[:80]!r} is not one of the choices: one of {', '.join(map(repr, names))}{suggestion}"
+            )
+        return name
+
+    return Field(strict=True, json_schema_extra={"enum": list(names)}), AfterValidator(checked)
 
 
-BoardName = Annotated[
-    str, Field(strict=True, json_schema_extra={"enum": list(BOARD_NAMES)}), AfterValidator(_checked_board)
-]
+BoardName = Annotated[str, *_choice(BOARD_NAMES)]
 """Name of a digitizer board that has a driver."""
+GeneratorName = Annotated[str, *_choice(MODEL_NAMES)]
+"""Name of a generator or a series of generators that has a driver."""
 
 
 class Generator(Section):
     """One function generator."""
 
-    model: Literal["33250A", "33220A", "33500B", "33600A"] = "33250A"
+    model: GeneratorName = "33250A"
     """Model or series in this role, which must answer at the address."""
     address: str | None = None
     """VISA resource name; not needed on the simulated bench."""
@@ -345,8 +351,8 @@ def _raised_limits(bench: BenchFile, values: Mapping[KeyPath, int | float]) -> I
         elif path[0] == "limits" or str(path[-1]).startswith("max_"):
             limit: Any = bench
             # A limit that the bench file does not state is None and must not be added by a sweep.
-            for part in path:
-                limit = limit[part] if isinstance(part, int) else getattr(limit, part, None)
+            for key_or_index in path:
+                limit = limit[key_or_index] if isinstance(key_or_index, int) else getattr(limit, key_or_index, None)
             if limit is None or value > limit:
                 what = f"{value:g} is above the limit of the bench file"
                 yield Mistake(key, what, "no sweep of it" if limit is None else f"at most {limit:g}")

@@ -40,10 +40,10 @@ class UnsafeBenchError(Exception):
         tried: Sequence[Instrument] = (),
     ) -> None:
         lines = "\n".join(f"  {role}: {error}" for role, error in failures)
-        others = f"\nKnown to be off: {_proofs_text(proven)}." if proven else ""
+        off_text = f"\nKnown to be off: {_proofs_text(proven)}." if proven else ""
         super().__init__(
             f"THE BENCH MAY STILL BE DRIVING: not proven off: {', '.join(role for role, _ in failures)}\n{lines}\n"
-            f"Switch these outputs off by hand, now; programmed trains are finite and end by themselves.{others}"
+            f"Switch these outputs off by hand, now; programmed trains are finite and end by themselves.{off_text}"
         )
         self.roles = tuple(role for role, _ in failures)
         self.reasons = {role: str(error) for role, error in failures}
@@ -108,9 +108,9 @@ def proven_off(roles: Sequence[str], proven: Mapping[str, str]) -> str:
     unknown = [role for role in roles if role not in proven and role != "digitizer"]
     if not unknown:
         return f"every output is off, verified: {_proofs_text(proven)}"
-    others = f"the others are off, verified: {_proofs_text(proven)}" if proven else "there are no others"
+    off_text = f"the others are off, verified: {_proofs_text(proven)}" if proven else "there are no others"
     whether = "it is" if len(unknown) == 1 else "they are"
-    return f"not identified, so not proven off: {', '.join(unknown)}: look whether {whether} on; {others}"
+    return f"not identified, so not proven off: {', '.join(unknown)}: look whether {whether} on; {off_text}"
 
 
 def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:

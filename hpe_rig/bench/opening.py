@@ -111,8 +111,8 @@ def _identify_all(
         except Exception as error:
             failures.append(error)
     if failures:
-        for other in failures[1:]:
-            failures[0].add_note(str(other))
+        for failure in failures[1:]:
+            failures[0].add_note(str(failure))
         raise failures[0]
     return {instrument.role: instrument for instrument in identified}
 

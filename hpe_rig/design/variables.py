@@ -59,7 +59,7 @@ class Variable:
             return self.choices[round(position)]
         if self.step is not None:
             number = self._first + round(position) * self.step
-            return round(number) if self.key.whole else float(f"{number:.12g}")
+            return round(number) if self.key.is_integer else float(f"{number:.12g}")
         if self._logarithmic:
             number = self.low * (self.high / self.low) ** position
         else:
@@ -174,7 +174,7 @@ def _steps(key: Key, scene: Scene, bench: BenchFile) -> tuple[float | None, tupl
             return 1 / scene.excitation.carrier_hz, ()
         case "tracking.pulse_rate_hz" if scene.excitation is not None and scene.processing.synchronous:
             return scene.excitation.burst_rate_hz, ()
-    return (1.0 if key.whole else None), ()
+    return (1.0 if key.is_integer else None), ()
 
 
 def _default_bounds(key: Key, scene: Scene, bench: BenchFile, longest_s: float) -> tuple[float, float] | None:
@@ -185,17 +185,13 @@ def _default_bounds(key: Key, scene: Scene, bench: BenchFile, longest_s: float) 
     if key.value is None or key.value == 0:
         return None
     low, high = sorted((key.value / DEFAULT_RANGE, key.value * DEFAULT_RANGE))
-    return (max(1.0, math.floor(low)), math.ceil(high)) if key.whole else (low, high)
+    return (max(1.0, math.floor(low)), math.ceil(high)) if key.is_integer else (low, high)
 
 
 def _max_pulse_rate_hz(scene: Scene) -> float:
     """Return the pulse rate with a period equal to the delay of the echo from the gate's far end."""
     acquisition = scene.acquisition
     return acquisition.sound_speed_m_per_s / (2 * acquisition.gate_depth_m + acquisition.gate_length_m)
-
-
-def _record_length_m(scene: Scene, samples: float) -> float:
-    return samples / scene.acquisition.sample_rate_hz * scene.acquisition.sound_speed_m_per_s / 2
 
 
 def _lowest_hz(scene: Scene) -> float:
@@ -230,7 +226,7 @@ _BOUNDS: dict[str, Callable[[Scene, BenchFile, float], tuple[float, float]]] = {
     # At least a wavelength, two cycles of the echo; at most the record.
     "acquisition.gate_length_m": lambda scene, _, __: (
         scene.acquisition.sound_speed_m_per_s / scene.tracking.carrier_hz,
-        _record_length_m(scene, scene.acquisition.record_samples),
+        scene.acquisition.record_samples / scene.acquisition.sample_rate_hz * scene.acquisition.sound_speed_m_per_s / 2,
     ),
     "acquisition.record_samples": lambda scene, bench, _: (
         bench.digitizer.board_model.record_minimum,

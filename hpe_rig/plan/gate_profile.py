@@ -21,9 +21,9 @@ class DepthGate:
     depth_m: float
     length_m: float
 
-    def overlaps(self, other: DepthGate) -> bool:
+    def overlaps(self, gate: DepthGate) -> bool:
         """Return whether some echoes are in both gates."""
-        return abs(self.depth_m - other.depth_m) < (self.length_m + other.length_m) / 2 * (1 - 1e-9)
+        return abs(self.depth_m - gate.depth_m) < (self.length_m + gate.length_m) / 2 * (1 - 1e-9)
 
 
 def depth_gates(scene: Scene, shot: Shot) -> tuple[DepthGate, ...]:
@@ -73,6 +73,6 @@ def without_shared_echoes(gates: Sequence[DepthGate], depth_m: float) -> tuple[D
     """Return a subset of ``gates`` without overlaps, those nearest to ``depth_m`` first chosen; sorted by depth."""
     separate: list[DepthGate] = []
     for gate in sorted(gates, key=lambda item: abs(item.depth_m - depth_m)):
-        if not any(gate.overlaps(other) for other in separate):
+        if not any(gate.overlaps(neighbour) for neighbour in separate):
             separate.append(gate)
     return tuple(sorted(separate))

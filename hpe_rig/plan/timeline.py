@@ -57,9 +57,11 @@ def _drawing(shot: Shot, width: int) -> Iterator[str]:
     def row(name: str, mark: str, intervals: Sequence[tuple[float, float]]) -> str:
         columns = [" "] * width
         for low, high in intervals:
-            begin, end = (min(max(float(time_s) - start_s, -span_s), 2 * span_s) / span_s for time_s in (low, high))
-            first = math.floor(begin * width)
-            last = max(first, math.ceil(end * width) - 1)
+            low_ratio, high_ratio = (
+                min(max(float(time_s) - start_s, -span_s), 2 * span_s) / span_s for time_s in (low, high)
+            )
+            first = math.floor(low_ratio * width)
+            last = max(first, math.ceil(high_ratio * width) - 1)
             for column in range(max(0, first), min(width, last + 1)):
                 columns[column] = mark
         return f"{name:>14} |{''.join(columns)}|"

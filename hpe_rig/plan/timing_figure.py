@@ -25,11 +25,13 @@ def timing_pictures(shot: Shot) -> tuple[Picture, ...]:
     title = f"{span_s * 1e3:g} ms of tracking"
     if line.burst_onset_s.size:
         title = f"One burst period of {span_s * 1e3:g} ms"
-    whole = _timing_picture(shot, start_s, span_s, "timing", title)
+    period_picture = _timing_picture(shot, start_s, span_s, "timing", title)
     later_s = line.pulse_onset_s[line.pulse_onset_s >= start_s]
     first_s = float(later_s[0]) if later_s.size else float(line.pulse_onset_s[0])
     close_s = first_s - start_s + 1.1 * line.record_offset_s[1]
-    return whole, _timing_picture(shot, start_s, close_s, "timing-close", "Closer: to the first record and its gate")
+    return period_picture, _timing_picture(
+        shot, start_s, close_s, "timing-close", "Closer: to the first record and its gate"
+    )
 
 
 def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: str) -> Picture:

@@ -92,7 +92,7 @@ def _models_under(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
 def _key_docstrings(model: type[BaseModel]) -> dict[str, str]:
     """Return the docstrings below the fields of ``model``, those of its base classes included."""
     texts: dict[str, str] = {}
-    # From the base class to the model, whose docstrings replace inherited ones.
+    # From the base class to the model: docstrings of the model replace inherited ones.
     for base in reversed(model.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
             texts |= _docstrings_in_module(base.__module__).get(base.__name__, {})
@@ -175,16 +175,16 @@ def _kind(choice: JsonSchema) -> str:
     if "enum" in choice or "const" in choice:
         return "one of " + ", ".join(map(toml_value, choice.get("enum", [choice.get("const")])))
     if choice.get("type") == "array":
-        parts, items = choice.get("prefixItems"), choice.get("items", {})
-        item_kind = _KINDS.get((parts[0] if parts else items).get("type", ""), "value")
-        return f"list of {f'{len(parts)} ' if parts else ''}{item_kind}s"
+        prefix_items, items = choice.get("prefixItems"), choice.get("items", {})
+        item_kind = _KINDS.get((prefix_items[0] if prefix_items else items).get("type", ""), "value")
+        return f"list of {f'{len(prefix_items)} ' if prefix_items else ''}{item_kind}s"
     return _KINDS.get(choice.get("type", ""), "table")
 
 
 def _bounds(choice: JsonSchema) -> str:
     if choice.get("type") == "array":
-        parts = choice.get("prefixItems")
-        item_bounds = _bounds(parts[0] if parts else choice.get("items", {}))
+        prefix_items = choice.get("prefixItems")
+        item_bounds = _bounds(prefix_items[0] if prefix_items else choice.get("items", {}))
         return f"each {item_bounds}" if item_bounds else ""
     if "minimum" in choice and "maximum" in choice:
         return f"{_plain_number(choice['minimum'])} to {_plain_number(choice['maximum'])}"

@@ -21,7 +21,7 @@ class Key:
 
     path: KeyPath
     value: Number | None
-    whole: bool
+    is_integer: bool
 
     def __str__(self) -> str:
         return dotted(self.path)
@@ -115,10 +115,10 @@ def container_at(tables: Any, path: KeyPath, make_section: Callable[[], Any] = d
 
     Raises ``LookupError`` or ``TypeError`` if the path does not exist, such as beyond the end of a list.
     """
-    for part in path:
-        if isinstance(part, str) and part not in tables:
-            tables[part] = make_section()
-        tables = tables[part]
+    for segment in path:
+        if isinstance(segment, str) and segment not in tables:
+            tables[segment] = make_section()
+        tables = tables[segment]
     return tables
 
 

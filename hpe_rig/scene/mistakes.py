@@ -65,15 +65,15 @@ def shortened(text: str) -> str:
 def dotted(path: KeyPath) -> str:
     """Return a path as text, such as ``excitation.burst_length_s[2]``."""
     text = ""
-    for part in path:
-        if isinstance(part, int):
-            text += f"[{part}]"
+    for segment in path:
+        if isinstance(segment, int):
+            text += f"[{segment}]"
         else:
-            key = shortened(part if part.isprintable() else repr(part))
+            key = shortened(segment if segment.isprintable() else repr(segment))
             text += f".{key}" if text else key
     return text
 
 
 def path_of(key: str) -> KeyPath:
     """Return the path of a key such as ``simulation.motion[0].amplitude_m``, the inverse of `dotted`."""
-    return tuple(int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key))
+    return tuple(int(segment) if segment.isdigit() else segment for segment in re.findall(r"[^.\[\]]+", key))

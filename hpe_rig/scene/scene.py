@@ -308,9 +308,9 @@ def _resolved_axes(scene: Scene) -> list[Axis]:
                 Mistake(f"sweep.{name}", f"{full_name} is swept by another axis already", "one axis for it")
             )
         elif f"sweep.{name}" not in replaced:
-            whole = isinstance(key, Key) and key.whole
+            is_integer = isinstance(key, Key) and key.is_integer
             # 3.0 is written as 3 if the key takes whole numbers.
-            values = tuple(int(value) if whole and value == int(value) else value for value in values)
+            values = tuple(int(value) if is_integer and value == int(value) else value for value in values)
             axes[full_name] = Axis.of_key(full_name, values)
     if mistakes:
         raise SettingsError("the sweep", mistakes)

@@ -42,7 +42,7 @@ def unit_of(key: str) -> str:
 
 def unit_of_path(path: KeyPath) -> str:
     """Return the unit of the last key of ``path``, which may end with an index; empty if it has none."""
-    return unit_of(next((part for part in reversed(path) if isinstance(part, str)), ""))
+    return unit_of(next((segment for segment in reversed(path) if isinstance(segment, str)), ""))
 
 
 def engineering(value: float, unit: str, digits: int = 4) -> str:

@@ -184,28 +184,28 @@ def _shown(value: Any) -> str:
 
 def _path_in_file(path: KeyPath, tables: Any) -> KeyPath:
     """Return ``path`` without Pydantic's own parts, such as names of alternatives, that are not in the file."""
-    *parts, last = path or (None,)
+    *segments, last = path or (None,)
     written: list[str | int] = []
-    for part in parts:
-        if isinstance(part, int):
-            tables = tables[part] if isinstance(tables, list | tuple) else None
-        elif isinstance(tables, Mapping) and part in tables:
-            tables = tables[part]
+    for segment in segments:
+        if isinstance(segment, int):
+            tables = tables[segment] if isinstance(tables, list | tuple) else None
+        elif isinstance(tables, Mapping) and segment in tables:
+            tables = tables[segment]
         else:
             continue
-        written.append(part)
+        written.append(segment)
     return (*written, *([] if last in (None, "[key]") else [last]))
 
 
 def _value_at(tables: Any, path: KeyPath) -> Any:
-    for part in path:
-        tables = tables[part] if isinstance(tables, Mapping) and part in tables else None
+    for segment in path:
+        tables = tables[segment] if isinstance(tables, Mapping) and segment in tables else None
     return tables
 
 
 def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
     """Return the keys of the section at ``path``, following sub-models through options, lists and tuples."""
-    for part in path:
-        if isinstance(part, str) and part in model.model_fields:
-            model = next(models_in(model.model_fields[part].annotation), model)
+    for segment in path:
+        if isinstance(segment, str) and segment in model.model_fields:
+            model = next(models_in(model.model_fields[segment].annotation), model)
     return list(model.model_fields)

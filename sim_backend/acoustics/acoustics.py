@@ -171,7 +171,7 @@ class Acoustics:
         depends only on the seed, ``capture.index`` and the record's number in the capture, the scatterers only on the
         seed. Records must ascend in time; ``pulses`` may omit pulses without an echo in a record.
         """
-        noise = self._noise.begin(capture)
+        noise = self._noise.source_for(capture)
         self._add_tracking_echoes(noise, tonebursts, pulses, capture)
         self._add_toneburst_echoes(noise, tonebursts, capture)
         self._add_leak(noise(), tonebursts, capture)
@@ -370,9 +370,9 @@ class Acoustics:
         block *= train.strength_v[burst, None]
         for echo, target, first in zip(block, record.tolist(), (grid[0] - periods).tolist(), strict=True):
             # The echo begins at sample ``first`` of the record, and may extend beyond the record.
-            begin, end = max(0, first), min(capture.samples, first + len(echo))
-            if begin < end:
-                volts[target, begin:end] += echo[begin - first : end - first]
+            start, end = max(0, first), min(capture.samples, first + len(echo))
+            if start < end:
+                volts[target, start:end] += echo[start - first : end - first]
 
 
 def _add_to_records(volts: FloatArray, block: FloatArray, group: Int64Array, strength_v: FloatArray) -> None:
@@ -382,8 +382,8 @@ def _add_to_records(volts: FloatArray, block: FloatArray, group: Int64Array, str
         block = block * strength_v[0]
     # Some records at a time, so that the temporary array stays in the cache.
     for first in range(0, len(volts), _RECORDS_PER_CHUNK):
-        part = slice(first, first + _RECORDS_PER_CHUNK)
-        volts[part] += block[group[part]] if same_strength else block[group[part]] * strength_v[part, None]
+        chunk = slice(first, first + _RECORDS_PER_CHUNK)
+        volts[chunk] += block[group[chunk]] if same_strength else block[group[chunk]] * strength_v[chunk, None]
 
 
 def transmitted_fraction(amplitude_vpp: FloatArray, settings: SimulationSettings) -> FloatArray:
@@ -406,15 +406,15 @@ def transmitted_fraction(amplitude_vpp: FloatArray, settings: SimulationSettings
 def burst_record_pairs(start_ps: Int64Array, end_ps: Int64Array, capture: Capture) -> tuple[Int64Array, Int64Array]:
     """Return the burst and the record of every pair with a sample between start and end (burst,), ends included.
 
-    Records must begin in time order, as triggers do.
+    Records must be in time order, as triggers do.
     """
     first_ps = capture.first_sample_ps
     last_ps = first_ps + (capture.samples - 1) * capture.sample_period_ps
-    begin = np.searchsorted(last_ps, start_ps, side="left")
-    count = np.maximum(np.searchsorted(first_ps, end_ps, side="right") - begin, 0)
+    first_record = np.searchsorted(last_ps, start_ps, side="left")
+    count = np.maximum(np.searchsorted(first_ps, end_ps, side="right") - first_record, 0)
     burst = np.repeat(np.arange(len(start_ps)), count)
     position = np.arange(len(burst)) - np.repeat(np.cumsum(count) - count, count)
-    return burst, np.asarray(np.repeat(begin, count) + position)
+    return burst, np.asarray(np.repeat(first_record, count) + position)
 
 
 def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:

@@ -70,7 +70,7 @@ class Reception:
         if not has_clock_error(self._settings.instruments):
             return volts[:, selected]
         period_s = capture.sample_period_ps / PS_PER_S
-        rng = self._clock_jitter.begin(capture, capture.samples)
+        rng = self._clock_jitter.generator_for(capture, capture.samples)
         return sampled_with_clock_error(volts, selected, period_s, self._settings.instruments, rng)
 
     def _received(
@@ -85,7 +85,7 @@ class Reception:
         switch = None
         if chain.recovery_time_s is not None:
             switch = switch_gain(joined_bursts([tonebursts, pulses]), wide, chain.recovery_time_s)
-        rng = self._chain_noise.begin(wide, wide.samples) if chain.noise_v_per_sqrt_hz else None
+        rng = self._chain_noise.generator_for(wide, wide.samples) if chain.noise_v_per_sqrt_hz else None
         return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
 
     def _jittered_tonebursts(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:

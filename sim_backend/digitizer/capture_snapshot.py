@@ -40,14 +40,14 @@ def pulse_onsets_ps(captured: CaptureSnapshot) -> Int64Array:
     return np.where(padded_ps[first] < following_ps, padded_ps[first], -1)
 
 
-def same_inputs(one: CaptureSnapshot, other: CaptureSnapshot) -> bool:
+def same_inputs(first: CaptureSnapshot, second: CaptureSnapshot) -> bool:
     """Return whether two snapshots lead to the same records."""
-    if one is other:
+    if first is second:
         return True
-    same = one.origin_ps == other.origin_ps and one.arming.index == other.arming.index
-    same = same and np.array_equal(one.triggers.first_sample_ps, other.triggers.first_sample_ps)
+    same = first.origin_ps == second.origin_ps and first.arming.index == second.arming.index
+    same = same and np.array_equal(first.triggers.first_sample_ps, second.triggers.first_sample_ps)
     return same and all(
-        np.array_equal(getattr(getattr(one, bursts), name), getattr(getattr(other, bursts), name))
+        np.array_equal(getattr(getattr(first, bursts), name), getattr(getattr(second, bursts), name))
         for bursts in ("tonebursts", "pulses")
         for name in BURST_FIELDS
     )

@@ -30,7 +30,7 @@ class Recording:
     def __init__(self, record_volts: RecordVolts) -> None:
         self._record_volts = record_volts
         # Each snapshot with its first record: later programming does not change complete records.
-        self._parts: list[tuple[int, CaptureSnapshot]] = []
+        self._segments: list[tuple[int, CaptureSnapshot]] = []
         self._complete = 0
         # Cached blocks, by number and by the first record of their snapshot.
         self._blocks: dict[tuple[int, int], FloatArray] = {}
@@ -39,16 +39,16 @@ class Recording:
 
     def update(self, captured: CaptureSnapshot, now_ps: int) -> None:
         """Replace the snapshot for the records that are not complete yet."""
-        if not self._parts or not same_inputs(self._parts[-1][1], captured):
+        if not self._segments or not same_inputs(self._segments[-1][1], captured):
             first = self._complete
-            self._parts = [part for part in self._parts if part[0] < first] + [(first, captured)]
+            self._segments = [segment for segment in self._segments if segment[0] < first] + [(first, captured)]
             self._blocks = {key: volts for key, volts in self._blocks.items() if key[1] < first}
             self._running_peak_v = self._running_peak_v[: first // _records_per_block(captured.capture)]
         self._complete = captured.triggers.complete(now_ps)
 
     def volts(self, records: slice) -> FloatArray:
         """Return the volts of consecutive ``records``, (record, sample)."""
-        size = _records_per_block(self._parts[-1][1].capture)
+        size = _records_per_block(self._segments[-1][1].capture)
         blocks = []
         for number in range(records.start // size, -(-records.stop // size)):
             first = number * size
@@ -59,7 +59,7 @@ class Recording:
         """Return the largest absolute voltage of the first ``count`` records; 0 without records."""
         if not count:
             return 0.0
-        number, index = divmod(count - 1, _records_per_block(self._parts[-1][1].capture))
+        number, index = divmod(count - 1, _records_per_block(self._segments[-1][1].capture))
         while len(self._running_peak_v) <= number:
             self._block(len(self._running_peak_v))
         return float(self._running_peak_v[number][index])
@@ -75,22 +75,22 @@ class Recording:
 
     def _pieces(self, number: int) -> Iterator[FloatArray]:
         """Yield the volts of a block's records, snapshot by snapshot."""
-        size = _records_per_block(self._parts[-1][1].capture)
+        size = _records_per_block(self._segments[-1][1].capture)
         first = number * size
-        ends = [begin for begin, _ in self._parts[1:]] + [first + size]
-        for (begin, captured), end in zip(self._parts, ends, strict=True):
-            low, high = max(0, begin - first), min(size, end - first)
+        ends = [start for start, _ in self._segments[1:]] + [first + size]
+        for (start, captured), end in zip(self._segments, ends, strict=True):
+            low, high = max(0, start - first), min(size, end - first)
             if low < high:
-                yield self._computed(number, begin, captured)[low:high]
+                yield self._computed(number, start, captured)[low:high]
 
-    def _computed(self, number: int, begin: int, captured: CaptureSnapshot) -> FloatArray:
-        if (number, begin) not in self._blocks:
+    def _computed(self, number: int, start: int, captured: CaptureSnapshot) -> FloatArray:
+        if (number, start) not in self._blocks:
             block = _block_of(captured.capture, number)
             volts = self._record_volts(captured.tonebursts, near(captured.pulses, block), block)
-            self._blocks[number, begin] = volts
+            self._blocks[number, start] = volts
             while len(self._blocks) > CACHED_BLOCKS:
                 del self._blocks[next(iter(self._blocks))]
-        return self._blocks[number, begin]
+        return self._blocks[number, start]
 
 
 def _records_per_block(capture: Capture) -> int:

@@ -2,7 +2,7 @@
 
     p(t)              eq. (9)                   pulse.py
     I_n, g_n          eq. (7), (8), (12)        scatterers.py
-                      of an aperture            beam_response.py
+                      of an aperture            aperture.py
     tau_kn            eq. (10), (11)            delays.py
     the sum           eq. (10)                  exact_sums.py, series.py; choice.py estimates their run times
     one measurement                             engine.py

@@ -205,10 +205,10 @@ def _series_by_blocks(
         time_s = sample_time_s[block]
         origin_s = local_origin_s(time_s, pulse)
         # Scatterers that reach the block, and one more on either side because the limits are rounded.
-        begin, end = np.searchsorted(
+        first, end = np.searchsorted(
             delays.rest_s, [time_s[0] - pulse.end_s - reach_s, time_s[-1] - pulse.start_s + reach_s]
         )
-        near = slice(max(0, int(begin) - 1), int(end) + 1)
+        near = slice(max(0, int(first) - 1), int(end) + 1)
         row = np.zeros(len(delays.rest_s[near]), dtype=np.int64)
         response = None if delays.response is None else delays.response[:, near]
         rest_s, amplitude_s = delays.rest_s[near] - origin_s, delays.amplitude_s[None]

@@ -65,9 +65,9 @@ def running_sum(
         near = slice(0, len(weight))
         if len(gate_blocks) > 1:
             earliest_s, latest_s = float(time_s[0]) - pulse.end_s - spread_s, float(time_s[-1]) - pulse.start_s
-            begin, end = early_s.searchsorted([earliest_s, latest_s])
+            first, end = early_s.searchsorted([earliest_s, latest_s])
             # One more on either side, because the limits are rounded.
-            near = slice(max(0, int(begin) - 1), int(end) + 1)
+            near = slice(max(0, int(first) - 1), int(end) + 1)
         near_response = None if response is None else response[:, near]
         _add_block(out[:, block], delay_s[:, near], weight[near], pulse, time_s, near_response)
     return out
@@ -75,11 +75,11 @@ def running_sum(
 
 def blocks(sample_time_s: FloatArray, pulse: Pulse) -> list[slice]:
     """Return slices that divide the samples into blocks no longer than the pulse."""
-    slices, begin = [], 0
-    while begin < len(sample_time_s):
-        end = int(np.searchsorted(sample_time_s, sample_time_s[begin] + (pulse.end_s - pulse.start_s), side="left"))
-        slices.append(slice(begin, max(end, begin + 1)))
-        begin = max(end, begin + 1)
+    slices, start = [], 0
+    while start < len(sample_time_s):
+        end = int(np.searchsorted(sample_time_s, sample_time_s[start] + (pulse.end_s - pulse.start_s), side="left"))
+        slices.append(slice(start, max(end, start + 1)))
+        start = max(end, start + 1)
     return slices
 
 
@@ -106,10 +106,10 @@ def _add_block(
     for first in range(0, len(delay_s), echoes_per_chunk):
         echoes = slice(first, first + echoes_per_chunk)
         for cut in range(0, len(weight), _PAIRS_PER_CHUNK):
-            part = slice(cut, cut + _PAIRS_PER_CHUNK)
-            part_response = None if response is None else response[:, part]
-            tau = delay_s[echoes, part] - origin_s
-            out[echoes] += _block(tau, weight[part], pulse, time_s, rotation, part_response)
+            pairs = slice(cut, cut + _PAIRS_PER_CHUNK)
+            pair_response = None if response is None else response[:, pairs]
+            tau = delay_s[echoes, pairs] - origin_s
+            out[echoes] += _block(tau, weight[pairs], pulse, time_s, rotation, pair_response)
 
 
 def _block(
@@ -140,8 +140,8 @@ def _block(
     echoes = np.zeros((echo_count, samples))
     for terms, factor in zip(phasor, rotation, strict=True):
         real, imag = (
-            _alive_sums(np.bincount(cell, weights=weight_in * part, minlength=2 * echo_count * samples), samples)
-            for part in (terms.real, terms.imag)
+            _alive_sums(np.bincount(cell, weights=weight_in * component, minlength=2 * echo_count * samples), samples)
+            for component in (terms.real, terms.imag)
         )
         echoes += real * factor.real - imag * factor.imag
     return echoes

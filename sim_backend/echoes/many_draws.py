@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sim_backend.arrays import FloatArray
-from sim_backend.echoes.beam_response import beam_response
+from sim_backend.echoes.aperture import beam_response
 from sim_backend.echoes.delays import EchoDelays, check_axes, check_numbers, check_sample_rate
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
 from sim_backend.echoes.exact_sums import blocks
@@ -43,10 +43,10 @@ def batch(
         return out
     # The motion is too large for the series: row by row.
     for row, (first, last) in enumerate(itertools.pairwise(scene.row_bounds)):
-        part = slice(first, last)
-        response = None if scene.response is None else scene.response[:, part]
-        delays = EchoDelays(scene.rest_s[part], scene.shape[:, part], scene.amplitude_s[row], response)
-        out[row] = synthesise(delays, scene.weight[part], pulse, sample_time_s, tolerance).echo
+        scatterers = slice(first, last)
+        response = None if scene.response is None else scene.response[:, scatterers]
+        delays = EchoDelays(scene.rest_s[scatterers], scene.shape[:, scatterers], scene.amplitude_s[row], response)
+        out[row] = synthesise(delays, scene.weight[scatterers], pulse, sample_time_s, tolerance).echo
     return out
 
 

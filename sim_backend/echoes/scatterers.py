@@ -67,18 +67,18 @@ def draw_field(
 ) -> ScattererField:
     """Return scatterers drawn uniformly in the box around the focus, and the reflectors.
 
-    The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is drawn from
+    The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is box_draws from
     ``rng`` and box n from ``rng_of(n)``, so overlapping positions share scatterers.
     """
     box = np.array(scatterers.volume_m)
     first = math.floor(lateral_offset_m / box[0])
     box_indices = [first] if first * box[0] == lateral_offset_m else [first, first + 1]
-    drawn = [_draw_box(scatterers, beams, rng if n == 0 or rng_of is None else rng_of(n)) for n in box_indices]
+    box_draws = [_draw_box(scatterers, beams, rng if n == 0 or rng_of is None else rng_of(n)) for n in box_indices]
     offset_m = np.concatenate(
-        [in_box_m + np.array([n * box[0], 0, 0]) for n, (in_box_m, _) in zip(box_indices, drawn, strict=True)]
+        [in_box_m + np.array([n * box[0], 0, 0]) for n, (in_box_m, _) in zip(box_indices, box_draws, strict=True)]
     )
     inside = np.abs(offset_m[:, 0] - lateral_offset_m) <= box[0] / 2
-    offset_m, reflectivity = offset_m[inside], np.concatenate([values for _, values in drawn])[inside]
+    offset_m, reflectivity = offset_m[inside], np.concatenate([values for _, values in box_draws])[inside]
     motion_share = np.ones(len(offset_m))
     for reflector in scatterers.reflectors:
         point_m, point_reflectivity = reflector_points(reflector, beams)
@@ -214,8 +214,10 @@ def draw_thinned(
     tracking_weight = tracking_weight * reflectivity if loss is None else tracking_weight * reflectivity * loss
     delay_per_m = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
     offset_m = np.stack([x_m, y_m, z_m], axis=1)
-    drawn = ThinnedDraws(row[strong], delay_per_m * z_m, tracking_weight, motion_weight, offset_m, reflectivity)
-    return _with_reflectors(drawn, settings, draws) if scatterers.reflectors else drawn
+    scatterer_draws = ThinnedDraws(
+        row[strong], delay_per_m * z_m, tracking_weight, motion_weight, offset_m, reflectivity
+    )
+    return _with_reflectors(scatterer_draws, settings, draws) if scatterers.reflectors else scatterer_draws
 
 
 def _relevant_box(
@@ -234,7 +236,7 @@ def _relevant_box(
     return low, np.maximum(high, low)
 
 
-def _with_reflectors(drawn: ThinnedDraws, settings: SimulationSettings, draws: int) -> ThinnedDraws:
+def _with_reflectors(scatterer_draws: ThinnedDraws, settings: SimulationSettings, draws: int) -> ThinnedDraws:
     """Add the reflectors of the settings to every draw."""
     only_reflectors = settings.scatterers.model_copy(update={"per_cell": 0.0})
     field = draw_field(only_reflectors, settings.beams, np.random.default_rng(0))
@@ -247,7 +249,7 @@ def _with_reflectors(drawn: ThinnedDraws, settings: SimulationSettings, draws: i
         np.tile(field.offset_m, (draws, 1)),
         np.tile(field.reflectivity, draws),
     )
-    merged = [np.concatenate(pair) for pair in zip(drawn.arrays(), reflectors.arrays(), strict=True)]
+    merged = [np.concatenate(pair) for pair in zip(scatterer_draws.arrays(), reflectors.arrays(), strict=True)]
     order = np.lexsort((merged[1], merged[0]))  # by row, then by delay
     return ThinnedDraws(*(array[order] for array in merged))
 
@@ -264,6 +266,6 @@ def _sorted_uniform(counts: Int64Array, rng: np.random.Generator) -> FloatArray:
     """
     spacing = np.cumsum(rng.standard_exponential(int(counts.sum()) + len(counts)))
     last = np.cumsum(counts + 1) - 1
-    begin = np.concatenate(([0.0], spacing[last[:-1]]))
+    start = np.concatenate(([0.0], spacing[last[:-1]]))
     inner = np.delete(spacing, last)
-    return np.asarray((inner - np.repeat(begin, counts)) / np.repeat(spacing[last] - begin, counts))
+    return np.asarray((inner - np.repeat(start, counts)) / np.repeat(spacing[last] - start, counts))

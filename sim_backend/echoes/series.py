@@ -241,9 +241,9 @@ def _rest_sums(
     rows_per_chunk = max(1, _VALUES_PER_CHUNK // (frequencies * len(degree) * 2 * samples))
     for first_row in range(0, len(sums), rows_per_chunk):
         rows = slice(first_row, min(first_row + rows_per_chunk, len(sums)))
-        begin, end = row_bounds[rows.start], row_bounds[rows.stop]
-        alive = begin + np.flatnonzero(
-            (enter[begin:end] < leave[begin:end]) & (enter[begin:end] < samples) & (leave[begin:end] > 0)
+        first, end = row_bounds[rows.start], row_bounds[rows.stop]
+        alive = first + np.flatnonzero(
+            (enter[first:end] < leave[first:end]) & (enter[first:end] < samples) & (leave[first:end] > 0)
         )
         # Two halves of cells a row: by the sample they leave at, backwards, and by the sample they enter at.
         at_first = enter[alive] == 0
@@ -301,10 +301,14 @@ class _Crossings:
     first_sample: Int64Array
     sample_count: Int64Array
 
-    def of(self, part: slice) -> _Crossings:
-        """Return a part of the ends."""
+    def of(self, selection: slice) -> _Crossings:
+        """Return a selection of the ends."""
         return _Crossings(
-            self.scatterer[part], self.end[part], self.time_s[part], self.first_sample[part], self.sample_count[part]
+            self.scatterer[selection],
+            self.end[selection],
+            self.time_s[selection],
+            self.first_sample[selection],
+            self.sample_count[selection],
         )
 
 
@@ -336,9 +340,9 @@ def _correct_crossings(
     )
     taylor = tables.taylor[:, :, :orders]
     ends_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
-    for begin in range(0, len(crossings.end), ends_per_chunk):
+    for first in range(0, len(crossings.end), ends_per_chunk):
         _correct_ends(
-            out, scene, rest_sample, crossings.of(slice(begin, begin + ends_per_chunk)), taylor, sample_time_s
+            out, scene, rest_sample, crossings.of(slice(first, first + ends_per_chunk)), taylor, sample_time_s
         )
 
 
@@ -407,9 +411,9 @@ def _correct_ends(
     row = scene.row[scatterer]
     target = row * out.shape[2] + sample
     order = np.argsort(target, kind="stable")
-    begin = np.flatnonzero(np.diff(target[order], prepend=-1))
-    first = order[begin]
-    out[row[first], :, sample[first]] += np.add.reduceat(change[order], begin, axis=0)
+    starts = np.flatnonzero(np.diff(target[order], prepend=-1))
+    first = order[starts]
+    out[row[first], :, sample[first]] += np.add.reduceat(change[order], starts, axis=0)
 
 
 def _crossing_change(

@@ -139,18 +139,21 @@ def _gated(
     if not registers.output:
         return np.empty(0, np.int64), np.empty(0)
     normal = registers.gate_polarity == "NORM"
-    opens = crossings(arriving, TRIGGER_LEVEL_V, normal, TRIGGER_INPUT_OHM)
-    closes = crossings(arriving, TRIGGER_LEVEL_V, not normal, TRIGGER_INPUT_OHM)
+    openings = crossings(arriving, TRIGGER_LEVEL_V, normal, TRIGGER_INPUT_OHM)
+    closings = crossings(arriving, TRIGGER_LEVEL_V, not normal, TRIGGER_INPUT_OHM)
     # Before the first edge the input is low.
-    opening_count, closing_count = np.searchsorted(opens, start_ps, "right"), np.searchsorted(closes, start_ps, "right")
+    opening_count, closing_count = (
+        np.searchsorted(openings, start_ps, "right"),
+        np.searchsorted(closings, start_ps, "right"),
+    )
     if opening_count > closing_count or (opening_count == closing_count and not normal):
-        opens = np.insert(opens, opening_count, start_ps)
-    opens = opens[(opens >= start_ps) & (opens < stop_ps)]
-    ends = np.append(closes, FAR_PS)[np.searchsorted(closes, opens, "right")]
+        openings = np.insert(openings, opening_count, start_ps)
+    openings = openings[(openings >= start_ps) & (openings < stop_ps)]
+    ends = np.append(closings, FAR_PS)[np.searchsorted(closings, openings, "right")]
     # The cycle that runs when the gate closes is completed.
-    open_s = (ends - opens) / PS_PER_S
+    open_s = (ends - openings) / PS_PER_S
     cycles = np.where(ends == FAR_PS, math.inf, np.ceil(open_s * registers.frequency_hz * (1 - 1e-12)))
-    onset_ps = opens + latency_ps
+    onset_ps = openings + latency_ps
     end_ps = onset_ps + _length_ps(registers, cycles)
     # Assumed: a gate that opens again within the last cycle is ignored, as a trigger is.
     accepted_indices, idle_ps = [], start_ps

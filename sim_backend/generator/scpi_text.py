@@ -33,16 +33,16 @@ def split_outside_quotes(text: str, separator: str) -> list[str]:
     """Split ``text`` at separators outside quoted strings."""
     if '"' not in text and "'" not in text:
         return text.split(separator)
-    parts, start, quote = [], 0, ""
+    texts, start, quote = [], 0, ""
     for index, character in enumerate(text):
         if quote:
             quote = "" if character == quote else quote
         elif character in "\"'":
             quote = character
         elif character == separator:
-            parts.append(text[start:index])
+            texts.append(text[start:index])
             start = index + 1
-    return [*parts, text[start:]]
+    return [*texts, text[start:]]
 
 
 def short_form(word: str) -> str:

@@ -140,11 +140,11 @@ def focus_field(
     # Modes: singular vectors of the matrix of time by point. Few singular values are large.
     degrees, panel_count, points = panels.coefficient.shape
     scale = _error_scale(specimen, panels)[:, None]
-    left, size, right = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)
+    time_modes, size, point_modes = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
-    responses = Panels((left[:, :modes] * size[:modes]).reshape(degrees, panel_count, modes) * scale)
+    responses = Panels((time_modes[:, :modes] * size[:modes]).reshape(degrees, panel_count, modes) * scale)
     # From values at the Chebyshev points of the grid to coefficients, along both axes.
-    grid = right[:modes].reshape(modes, lateral_count, axial_count)
+    grid = point_modes[:modes].reshape(modes, lateral_count, axial_count)
     matrices = chebyshev_matrix(lateral_count), chebyshev_matrix(axial_count)
     shape = np.einsum("la,cb,mab->mlc", *matrices, grid, optimize=True)
     # Changes below the tolerance are errors of the quadrature, so a response has ended there.

@@ -27,10 +27,10 @@ def motion_at(components: Sequence[MotionComponent], time_ps: Int64Array) -> Flo
     """
     displacement_m = np.zeros(time_ps.shape)
     for first in range(0, len(time_ps), _TIMES_PER_CHUNK):
-        part = slice(first, first + _TIMES_PER_CHUNK)
+        chunk = slice(first, first + _TIMES_PER_CHUNK)
         for component in components:
-            phase_rad = 2 * np.pi * cycles_at(component.frequency_hz, time_ps[part]) + component.phase_rad
-            displacement_m[part] += component.amplitude_m * np.sin(phase_rad)
+            phase_rad = 2 * np.pi * cycles_at(component.frequency_hz, time_ps[chunk]) + component.phase_rad
+            displacement_m[chunk] += component.amplitude_m * np.sin(phase_rad)
     return displacement_m
 
 

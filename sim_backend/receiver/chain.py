@@ -49,9 +49,9 @@ def receive(
     frequency_hz: FloatArray = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
     out = np.empty_like(volts)
     for first in range(0, len(volts), _RECORDS_PER_CHUNK):
-        part = slice(first, first + _RECORDS_PER_CHUNK)
-        part_switch = None if switch is None else switch[part]
-        out[part] = _receive(volts[part], chain, frequency_hz, sample_period_s, part_switch, rng)
+        chunk = slice(first, first + _RECORDS_PER_CHUNK)
+        chunk_switch = None if switch is None else switch[chunk]
+        out[chunk] = _receive(volts[chunk], chain, frequency_hz, sample_period_s, chunk_switch, rng)
     return out
 
 
@@ -88,8 +88,8 @@ def _filtered(volts: FloatArray, response: ComplexArray | None) -> FloatArray:
     return np.asarray(np.fft.irfft(np.fft.rfft(volts) * response, volts.shape[1]))
 
 
-def _product(one: ComplexArray | None, other: ComplexArray) -> ComplexArray:
-    return other if one is None else one * other
+def _product(first: ComplexArray | None, second: ComplexArray) -> ComplexArray:
+    return second if first is None else first * second
 
 
 def _bands(chain: ReceiveChain) -> list[BandFilter]:

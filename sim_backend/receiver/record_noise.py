@@ -40,7 +40,7 @@ class RecordNoise:
         self._next_block: tuple[Capture, Future[FloatArray]] | None = None
         self._latest_block: tuple[int, int, int] | None = None
 
-    def begin(self, capture: Capture) -> NoiseSource:
+    def source_for(self, capture: Capture) -> NoiseSource:
         """Return a function that returns the noise of the records of ``capture``, (record, sample), V."""
         records, shape = len(capture.first_sample_ps), (len(capture.first_sample_ps), capture.samples)
         if self._receiver.snr_db is None:
@@ -75,7 +75,7 @@ class RecordNoise:
         return None
 
     def _draw(self, capture: Capture) -> FloatArray:
-        rng = self._stream.begin(capture, capture.samples)
+        rng = self._stream.generator_for(capture, capture.samples)
         return noise_v(self._receiver, len(capture.first_sample_ps), capture.samples, rng)
 
     def _submit(self, capture: Capture) -> Future[FloatArray]:

@@ -21,7 +21,7 @@ class RecordStream:
         self._next: tuple[int, int] | None = None
         self._rng = np.random.default_rng(0)
 
-    def begin(self, capture: Capture, numbers: int) -> np.random.Generator:
+    def generator_for(self, capture: Capture, numbers: int) -> np.random.Generator:
         """Return a generator positioned at the first record of ``capture``; draw ``numbers`` for each record."""
         if self._next != (capture.index, capture.first_record):
             sequence = np.random.SeedSequence(self._seed, spawn_key=(self._key, capture.index))

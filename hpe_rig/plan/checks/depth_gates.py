@@ -59,7 +59,7 @@ def _gates_in_record(scene: Scene, shot: Shot, gate_samples: Sequence[tuple[Dept
 
 
 def _disturbed_gates(scene: Scene, plan: Plan, gate_plans: Sequence[tuple[DepthGate, Plan]]) -> Iterator[CheckResult]:
-    """Yield the gates in which tonebursts or their echoes disturb more pulses than in the scene's gate."""
+    """Yield the gates where tonebursts or their echoes disturb more pulses than in the scene's gate."""
     if scene.excitation is None or scene.tracking.disturbed == "skip":
         return
     counts = [disturbed_pulses(shot).sum() for shot in plan.shots]

@@ -87,7 +87,7 @@ def background(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
 def board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the board accepts the settings of the records, and samples the carrier.
 
-    The driver decides; settings without a check of their own are reported in the driver's words.
+    The driver decides; settings without a separate check are reported in the driver's words.
     """
     capture, model, carrier_hz = plan.shots[0].capture, bench.digitizer.board_model, scene.tracking.carrier_hz
     refused = mistakes(_without_monitor(capture), model)

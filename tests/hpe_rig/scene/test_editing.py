@@ -52,7 +52,7 @@ def test_every_number_of_a_scene_can_be_changed_and_no_line_but_its_own_differs(
     text = shipped_scenes()[name]
     tables = tomllib.loads(text)
     for key in number_keys(tables):
-        values = {key.path: int(key.value or 0) + 1 if key.whole else float(key.value or 0) + 0.5}
+        values = {key.path: int(key.value or 0) + 1 if key.is_integer else float(key.value or 0) + 0.5}
         new = edited_text(text, values)
         assert tomllib.loads(new) == with_values(tables, values)
         kept = set(text.splitlines()) - set(new.splitlines())

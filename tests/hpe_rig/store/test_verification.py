@@ -122,7 +122,7 @@ def test_records_of_a_run_that_goes_on_are_read_three_times_before_they_count_as
 
 def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:
     flipped(path, "records/echo", (2, 130, 7))
-    assert (RunSource(path).poll() or {})["why"] == "123 records of this shot fail their checksums and are left out"
+    assert (RunSource(path).poll() or {})["why"] == "123 records of this shot fail their checksums and are excluded"
 
 
 @pytest.mark.parametrize(

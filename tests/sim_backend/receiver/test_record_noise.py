@@ -25,7 +25,7 @@ def noise(snr_db: float | None = 20.0) -> RecordNoise:
 
 @pytest.fixture
 def whole() -> NDArray[np.float64]:
-    return noise().begin(capture(slice(0, RECORDS)))().copy()
+    return noise().source_for(capture(slice(0, RECORDS)))().copy()
 
 
 @pytest.mark.parametrize("at_once", [1, 1 << 30], ids=["in a thread", "at once"])
@@ -46,7 +46,7 @@ def test_blocks_have_the_noise_of_the_whole_capture(
     monkeypatch.setattr(record_noise, "MIN_THREAD_SAMPLES", at_once)
     block = noise()
     for first, last in blocks:
-        begun = block.begin(capture(slice(first, last)))
+        begun = block.source_for(capture(slice(first, last)))
         np.testing.assert_array_equal(begun(), whole[first:last])
         # What is added to it stays, and does not come back with the next block.
         begun()[...] += 1.0
@@ -57,11 +57,11 @@ def test_every_capture_has_noise_of_its_own(monkeypatch: pytest.MonkeyPatch, who
     monkeypatch.setattr(record_noise, "MIN_THREAD_SAMPLES", 1)
     block = noise()
     for first in (0, 100):
-        block.begin(capture(slice(first, first + 100)))()
-    other = block.begin(capture(slice(0, 100), index=1))()
+        block.source_for(capture(slice(first, first + 100)))()
+    other = block.source_for(capture(slice(0, 100), index=1))()
     assert np.abs(np.corrcoef(other.ravel(), whole[:100].ravel())[0, 1]) < 5 / np.sqrt(other.size)
-    np.testing.assert_array_equal(block.begin(capture(slice(200, 300)))(), whole[200:])
+    np.testing.assert_array_equal(block.source_for(capture(slice(200, 300)))(), whole[200:])
 
 
 def test_without_noise_there_are_zeros() -> None:
-    assert not noise(None).begin(capture(slice(0, 10)))().any()
+    assert not noise(None).source_for(capture(slice(0, 10)))().any()
