@@ -110,10 +110,10 @@ def test_records_above_a_thousand_are_captured_and_none_is_lost(tmp_path: Path) 
 
 
 def test_a_board_with_one_range_and_gigasamples_needs_only_a_row_in_the_driver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The ATS9373 has 12 bits, 100 MS/s to 2 GS/s and a single input range of 0.4 V."""
+    """The fictitious board has 12 bits, 100 MS/s to 2 GS/s and a single input range of 0.4 V."""
     model = BoardModel(
-        "ATS9373",
-        kind=29,
+        "ATS0000",
+        kind=99,
         code_bits=12,
         sample_rates_hz=(100e6, 200e6, 500e6, 1e9, 1.5e9, 2e9),
         input_ranges_v=(0.4,),
