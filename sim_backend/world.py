@@ -254,7 +254,8 @@ class World:
 
     def _acoustics(self) -> Physics:
         if self._physics is None:
-            from sim_backend.acoustics import Acoustics, with_reception
+            from sim_backend.acoustics import Acoustics
+            from sim_backend.receiver import with_reception
 
             self._physics = with_reception(Acoustics(self._settings, self._lateral_m), self._settings)
         return self._physics

@@ -17,7 +17,6 @@ from .bench_loading import (
     with_transducers as with_transducers,
 )
 from .comparison import (
-    Difference as Difference,
     file_differences as file_differences,
     settings_differences as settings_differences,
 )

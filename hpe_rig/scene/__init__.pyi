@@ -1,4 +1,4 @@
-from .axis import Axis as Axis, parse_axes as parse_axes, settings_at_points as settings_at_points
+from .axis import Axis as Axis, parse_axes as parse_axes
 from .description import (
     DescribedTable as DescribedTable,
     annotated as annotated,
@@ -49,7 +49,6 @@ from .quantities import (
     IntensityWPerM2 as IntensityWPerM2,
     LatencyS as LatencyS,
     LengthM as LengthM,
-    Note as Note,
     PressurePa as PressurePa,
     SampleRateHz as SampleRateHz,
     Seed as Seed,

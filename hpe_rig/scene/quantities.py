@@ -110,11 +110,9 @@ def _one_line(text: str) -> str:
 
 Title = Annotated[str, AfterValidator(_one_line)]
 
-Note = str | int | float | bool
-"""One note: a text, a number, or true or false; a date or time of TOML becomes its ISO 8601 text."""
-
 
 def _note(value: Any) -> Any:
+    """Return a note: a text, a number, or true or false; a date or time of TOML becomes its ISO 8601 text."""
     if isinstance(value, datetime | date | time):
         return value.isoformat()
     if not isinstance(value, str | int | float):

@@ -1,9 +1,6 @@
 """Acoustics: bursts at the transducer in, volts at the digitizer's input out; motion, echoes and receiver combined.
 
-    tonebursts -> force -> displacement -> scatterers -> echoes -> volts       acoustics.py
-    trigger jitter, receive chain and sample clock around it                   reception.py
-
-Parts that the settings leave out are not loaded or drawn.
+tonebursts -> force -> displacement -> scatterers -> echoes -> volts       acoustics.py
 """
 
 import lazy_loader

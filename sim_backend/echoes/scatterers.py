@@ -67,7 +67,7 @@ def draw_field(
 ) -> ScattererField:
     """Return scatterers drawn uniformly in the box around the focus, and the reflectors.
 
-    The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is box_draws from
+    The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is drawn from
     ``rng`` and box n from ``rng_of(n)``, so overlapping positions share scatterers.
     """
     box = np.array(scatterers.volume_m)

@@ -22,7 +22,6 @@ from .specimen import (
     frequency_response as frequency_response,
     memory_s as memory_s,
     shear_modulus as shear_modulus,
-    tabulate_step_response as tabulate_step_response,
     transfer as transfer,
     transient_displacement as transient_displacement,
 )

@@ -5,6 +5,7 @@
     random numbers of each record                                      streams.py
     trigger jitter, sample clock                                       timing.py
     notch, T/R switch, noise, band-pass, log      paper, Sec. III.B    chain.py, elements.py
+    timing and chain around ideal acoustics                            reception.py
 
 Timing errors and the receive chain are optional parts of a scene.
 """

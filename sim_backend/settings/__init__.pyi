@@ -16,6 +16,5 @@ from .simulation import (
     Sphere as Sphere,
     Transducer as Transducer,
     Transmitter as Transmitter,
-    resolution_cell_m3 as resolution_cell_m3,
     scatterer_count as scatterer_count,
 )

@@ -1,13 +1,12 @@
 from .burgers import Layer as Layer, advance as advance
 from .hydrophone import Scan as Scan, read_scan as read_scan, round_field as round_field
-from .intensity import GaussianSum as GaussianSum, gaussian_sum as gaussian_sum, push_intensity as push_intensity
+from .intensity import GaussianSum as GaussianSum, push_intensity as push_intensity
 from .nonlinear import (
     Accuracy as Accuracy,
     Beam as Beam,
-    largest_table as largest_table,
     nonlinear_beam as nonlinear_beam,
 )
-from .pulse_echo import Mixture as Mixture, PulseEchoBeam as PulseEchoBeam, pulse_echo_beam as pulse_echo_beam
+from .pulse_echo import Mixture as Mixture, pulse_echo_beam as pulse_echo_beam
 from .push import (
     Push as Push,
     WaterOutput as WaterOutput,

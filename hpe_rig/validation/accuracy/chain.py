@@ -15,7 +15,7 @@ RECORDS, SAMPLES = 100, 512
 
 def points() -> Iterator[Point]:
     """Yield points of the linear and the logarithmic chain of the paper, for several truncations and oversamplings."""
-    from sim_backend.acoustics import with_reception
+    from sim_backend.receiver import with_reception
     from sim_backend.settings import ReceiveChain, SimulationSettings
     from sim_backend.wiring import Capture, no_bursts
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from sim_backend.acoustics.acoustics import Acoustics
-from sim_backend.acoustics.reception import with_reception
 from sim_backend.digitizer import recording
 from sim_backend.digitizer.board import AcceptedTriggers, Arming, BoardSettings
 from sim_backend.digitizer.capture_snapshot import CaptureSnapshot
 from sim_backend.digitizer.recording import Recording
+from sim_backend.receiver.reception import with_reception
 from sim_backend.settings import BandFilter, Instruments, MotionComponent, ReceiveChain, Receiver, SimulationSettings
 from sim_backend.wiring import Bursts, no_bursts
 

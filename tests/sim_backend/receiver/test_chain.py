@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies
 
-from sim_backend.acoustics.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.chain import TRAIL, fast_length, lead_s, receive
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled, switch_gain
+from sim_backend.receiver.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.timing import jittered, sampled_with_clock_error
 from sim_backend.settings.simulation import (
     BandFilter,

@@ -14,7 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from sim_backend.arrays import FloatArray, Int64Array
-from sim_backend.receiver import STENCIL, RecordStream, has_clock_error, jittered, sampled_with_clock_error
+from sim_backend.receiver.streams import RecordStream
+from sim_backend.receiver.timing import STENCIL, has_clock_error, jittered, sampled_with_clock_error
 from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, joined_bursts, no_bursts
 
@@ -77,7 +78,8 @@ class Reception:
         self, volts: FloatArray, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, wide: Capture
     ) -> FloatArray:
         """Return the output of the receive chain for ``volts`` (record, sample) at the transducer."""
-        from sim_backend.receiver import receive, switch_gain
+        from sim_backend.receiver.chain import receive
+        from sim_backend.receiver.elements import switch_gain
 
         thirds = third_harmonics(tonebursts, self._settings)
         if thirds.onset_ps.size:
@@ -108,7 +110,7 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
     lead, total = margin, capture.samples * fine + 2 * margin
     period_ps = capture.sample_period_ps // fine
     if chain is not None:
-        from sim_backend.receiver import TRAIL, fast_length, lead_s
+        from sim_backend.receiver.chain import TRAIL, fast_length, lead_s
 
         ringing = math.ceil(lead_s(chain) * PS_PER_S / period_ps)
         after = margin + TRAIL if ringing else margin
