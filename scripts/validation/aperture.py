@@ -296,7 +296,7 @@ def _scan_push(bowl: Transducer, wave_number_per_m: complex, path: str) -> None:
 
 def fitted(settings: SimulationSettings, places: str, force: "PushForce") -> str:
     """Return errors of mu1 and mu2 with their u, and chi-square, from noise-free motion at ``places`` with weights."""
-    from hpe_rig.moduli import APERTURE_SHAPE, Push, Vibration, fit_medium
+    from hpe_rig.moduli import Push, Vibration, fit_medium
     from sim_backend.motion import field_transfer
 
     assert settings.specimen is not None
@@ -304,7 +304,7 @@ def fitted(settings: SimulationSettings, places: str, force: "PushForce") -> str
     places_m = PLACES_M[places]
     where = np.array([0.0, *places_m])
     field = field_transfer(specimen, push_intensity(settings), where, np.zeros(1), frequency_hz)
-    push = Push(force, 100.0, 100e-6, shape_relative=APERTURE_SHAPE if force.unsure else 0.0)
+    push = Push(force, 100.0, 100e-6)
     motion = field[:, :, 0] * push.spectrum(frequency_hz)[:, None]
     motion *= PEAK_M / abs(motion[0, 0])
     known = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}

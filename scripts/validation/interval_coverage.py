@@ -1,9 +1,9 @@
 """Measure the coverage of the stated intervals: shipped scenes, every estimator, many seeds on the twin.
 
-A seed draws all quantities that the uncertainty treats as unknown: scatterers, noise and trigger jitter; the sound speed
-of the twin, with the gate on the focus; and, for an undeclared medium pushed by tonebursts, the medium and the widths of
-the force, from the distributions of the medium prior (docs/explanation/medium-prior.md). The drive is set so that the
-first harmonic is as large as in the scene.
+A seed draws all quantities that the uncertainty treats as unknown: scatterers, noise and trigger jitter; the sound
+speed of the twin, with the gate on the focus; and, for an undeclared medium pushed by tonebursts, the medium and the
+widths of the force, from the distributions of the medium prior (docs/explanation/medium-prior.md). The drive is set so
+that the first harmonic is as large as in the scene.
 
 The errors of the headline amplitudes and phases are compared with their standard uncertainty u and their 95 % interval:
 the fraction within the interval, and NEV, the mean of (error / u)^2. Estimates of one run share their speckle, so the
@@ -154,7 +154,7 @@ def _key(name: str) -> str:
     for folder in SOURCES:
         for path in sorted((ROOT / folder).rglob("*.py")):
             digest.update(path.read_bytes())
-    for part in (errors_over_u, thinned, drawn, _bowl, _as_large, drawn_medium, _ratios, _each_ratio):
+    for part in (errors_over_u, thinned, draw_scene, _bowl, _as_large, draw_medium, _ratios, _each_ratio):
         digest.update(inspect.getsource(part).encode())
     digest.update(repr((FORCES, FAMILIES, CREEP_ORDER, WIDTH_LOG_SD)).encode())
     return digest.hexdigest()[:12]
@@ -179,7 +179,7 @@ def coverage(name: str, estimators: Sequence[str], seeds: Sequence[int]) -> list
 
 def errors_over_u(name: str, estimators: tuple[str, ...], seed: int) -> dict[str, FloatArray | None]:
     """Return the ratios of ``_ratios`` by estimator; None if the estimator refuses the records."""
-    scene = drawn(thinned(with_default_specimen(hpe.load_scene(name))), seed)
+    scene = draw_scene(thinned(with_default_specimen(hpe.load_scene(name))), seed)
     with TemporaryDirectory() as folder:
         try:
             run = hpe.measure(scene, path=Path(folder) / "run.h5")
@@ -198,7 +198,7 @@ def thinned(scene: Scene) -> Scene:
     return scene.with_(values)
 
 
-def drawn(scene: Scene, seed: int) -> Scene:
+def draw_scene(scene: Scene, seed: int) -> Scene:
     """Return ``scene`` with all quantities drawn that the stated uncertainty covers."""
     speed, rng, bowl = scene.acquisition.sound_speed_m_per_s, np.random.default_rng(seed), _bowl(scene)
     relative = scene.acquisition.sound_speed_uncertainty * rng.standard_normal()
@@ -213,7 +213,7 @@ def drawn(scene: Scene, seed: int) -> Scene:
     if bowl:
         values["simulation.beams.transducer.focal_length_m"] = values["simulation.beams.focus_depth_m"]
     if scene.medium is None and "specimen" in (scene.simulation or {}):
-        values |= {f"simulation.specimen.{name}": value for name, value in drawn_medium(rng).items()}
+        values |= {f"simulation.specimen.{name}": value for name, value in draw_medium(rng).items()}
         values["processing.background_order"] = max(scene.processing.background_order, CREEP_ORDER)
         # The widths of the force in the medium are unknown too, and uncertain in the prior.
         width_scale, length_scale = np.exp(WIDTH_LOG_SD * rng.standard_normal(2)).tolist()
@@ -241,7 +241,7 @@ def _as_large(scene: Scene, before: Scene) -> Scene:
     return scene.with_({"simulation.specimen.force_density_n_per_m3": force.force_density_n_per_m3 * ratio})
 
 
-def drawn_medium(rng: np.random.Generator) -> dict[str, Any]:
+def draw_medium(rng: np.random.Generator) -> dict[str, Any]:
     """Return the settings of a medium drawn from the prior: a family, and parameters uniform over their ranges."""
 
     def log_even(limits: tuple[float, float]) -> float:

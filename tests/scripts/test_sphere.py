@@ -25,5 +25,5 @@ def test_without_noise_the_sphere_gives_the_moduli_of_the_gelatin_back() -> None
 
 
 def test_a_scene_without_a_sphere_is_told_so() -> None:
-    with pytest.raises(ValueError, match="the scene pushes no sphere"):
+    with pytest.raises(ValueError, match="the scene has no sphere"):
         sphere_phasors(load_scene("gelatin-8"), 7250.0, 1.0)

@@ -1,4 +1,6 @@
-"""Run the paper's experiments on the twin and write scripts/figures/beside-the-paper.md: all, or those named.
+"""Run the paper's experiments on the twin and write scripts/figures/beside-the-paper.md.
+
+With names of experiments, only these are run, and no page is written.
 
 Usage: python scripts/validation/paper/beside_the_paper.py [EXPERIMENT ...] [--seeds N] [--kept FILE]
 """
@@ -28,54 +30,60 @@ EXPERIMENTS = (
 )
 
 SEEDED = (figure_14, figure_15, figure_16, figure_17, figure_18, figure_19, steel_sphere)
-"""What is drawn anew with every seed."""
+"""Experiments with random quantities, which are repeated for every seed."""
 
 
-def other_seeds(seeds: int, kept: Path) -> dict[tuple[str, str], list[bool]]:
-    """Return whether each statement is met with seeds 2 to ``seeds``; what ``kept`` holds is not run again."""
-    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+def verdicts_of_seeds(seeds: int, file: Path) -> dict[tuple[str, str], list[bool]]:
+    """Return whether each statement is met with seeds 2 to ``seeds``; verdicts stored in ``file`` are used again."""
+    lines = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
     done = {(seed, run) for seed, run, *_ in lines}
-    # Seed by seed: what is measured once for two figures is kept until the next one.
+    # Seed by seed: Figs. 16 and 17 share one cached measurement.
     for seed in range(2, seeds + 1):
         for run in SEEDED:
             if (seed, run.__name__) in done:
                 continue
-            found = run(seed)
-            new = [[seed, run.__name__, found.key, each.statement, bool(each.met)] for each in found.verdicts]
-            with kept.open("a") as file:
-                file.writelines(json.dumps(line) + "\n" for line in new)
+            experiment = run(seed)
+            new = [
+                [seed, run.__name__, experiment.key, verdict.statement, bool(verdict.met)]
+                for verdict in experiment.verdicts
+            ]
+            with file.open("a") as stream:
+                stream.writelines(json.dumps(line) + "\n" for line in new)
             lines += new
-    out: dict[tuple[str, str], list[bool]] = {}
+    verdicts: dict[tuple[str, str], list[bool]] = {}
     for seed, _, key, statement, met in lines:
         if seed <= seeds:
-            out.setdefault((key, statement), []).append(met)
-    return out
+            verdicts.setdefault((key, statement), []).append(met)
+    return verdicts
 
 
 def main() -> None:
-    """Run every experiment (some minutes), print its verdicts, and write the page; with names, print those alone."""
-    known = {run.__name__: run for run in EXPERIMENTS}
+    """Run the experiments (some minutes) and print their verdicts; write the page if no experiment is named."""
+    runs = {run.__name__: run for run in EXPERIMENTS}
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=f"one of {', '.join(known)}")
-    parser.add_argument("--seeds", type=int, default=1, help="draw scatterers, noise and jitter so many times")
+    parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=f"one of {', '.join(runs)}")
+    parser.add_argument("--seeds", type=int, default=1, help="number of draws of scatterers, noise and jitter")
     parser.add_argument(
-        "--kept", type=Path, default=Path("beside-the-paper.jsonl"), help="verdicts of seeds run before"
+        "--kept",
+        type=Path,
+        default=Path("beside-the-paper.jsonl"),
+        help="file of the verdicts of seeds, read and extended",
     )
-    given = parser.parse_args()
-    if wrong := [name for name in given.experiments if name not in known]:
-        parser.error(f"no experiment is called {', '.join(wrong)}: try one of {', '.join(known)}")
-    found = []
-    for run in [known[name] for name in given.experiments] or EXPERIMENTS:
+    arguments = parser.parse_args()
+    if unknown := [name for name in arguments.experiments if name not in runs]:
+        parser.error(f"no experiment is called {', '.join(unknown)}: try one of {', '.join(runs)}")
+    experiments = []
+    for run in [runs[name] for name in arguments.experiments] or EXPERIMENTS:
         experiment = run()
-        found.append(experiment)
+        experiments.append(experiment)
         print(f"{experiment.key}: {experiment.title}", flush=True)
-        for row in experiment.table if given.experiments else ():
+        for row in experiment.table if arguments.experiments else ():
             print("  " + " | ".join(row))
         for verdict in experiment.verdicts:
-            print(f"  {'met   ' if verdict.met else 'MISSED'} {verdict.statement}: {verdict.found}")
-    if not given.experiments:
-        others = other_seeds(given.seeds, given.kept) if given.seeds > 1 else None
-        print(write_page(found, Path(__file__).parents[2] / "figures", others))
+            print(f"  {'met   ' if verdict.met else 'MISSED'} {verdict.statement}: {verdict.finding}")
+    if not arguments.experiments:
+        tally = verdicts_of_seeds(arguments.seeds, arguments.kept) if arguments.seeds > 1 else None
+        print(write_page(experiments, Path(__file__).parents[2] / "figures", tally))
 
 
 if __name__ == "__main__":

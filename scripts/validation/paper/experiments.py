@@ -1,4 +1,4 @@
-"""Experiments of the paper on the twin, each a figure and a table beside what the paper says, with a verdict."""
+"""The paper's experiments on the twin: repeats as arrays, and a page with figure, table and verdicts of each."""
 
 from __future__ import annotations
 
@@ -25,22 +25,24 @@ from hpe_rig.scene import Scene, SceneSource, load_scene
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One statement of the paper, or of what the twin must show, and what came out."""
+    """A statement of the paper, or a requirement on the twin, and the result of the experiment.
+
+    ``why`` explains a statement that is missed or met in part; it is shown only then.
+    """
 
     statement: str
-    found: str
+    finding: str
     met: bool | np.bool_
     why: str = ""
-    """Why it is missed or met in part, from what was computed; shown only where it is."""
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """One experiment: ``table`` is its header and rows."""
+    """One experiment: ``method`` describes it, ``table`` holds the header and the rows."""
 
     key: str
     title: str
-    how: str
+    method: str
     table: tuple[tuple[str, ...], ...]
     figure: Figure
     verdicts: tuple[Verdict, ...]
@@ -50,8 +52,8 @@ class Experiment:
 class Repeated:
     """Repeats at one setting.
 
-    ``amplitude_m`` (repeat, frequency). The others (frequency,): mean and standard deviation over the repeats, the mean
-    phase unwrapped over frequency; what is true, and the share of it that the beams average.
+    ``amplitude_m`` (repeat, frequency). The others (frequency,): mean and standard deviation over the repeats, with the
+    mean phase unwrapped over frequency; the true amplitude, and the beam-averaging factor.
     """
 
     frequency_hz: FloatArray
@@ -63,23 +65,23 @@ class Repeated:
     true_m: FloatArray
     averaging: FloatArray
     noise_nm: FloatArray
-    """Stated uncertainty of one repeat by what repeats average: noise and trigger jitter."""
-    lasting_nm: FloatArray
-    """Stated uncertainty by what they do not: one draw of speckle, and harmonics that alias."""
+    """Stated uncertainty of one repeat due to noise and trigger jitter, which repeats average."""
+    systematic_nm: FloatArray
+    """Stated uncertainty due to speckle and aliasing, which all repeats share."""
 
     @property
     def u_nm(self) -> FloatArray:
-        """Stated uncertainty of the means."""
-        return np.asarray(np.hypot(self.noise_nm / np.sqrt(len(self.amplitude_m)), self.lasting_nm))
+        """Stated uncertainty of the means, nm (frequency,)."""
+        return np.asarray(np.hypot(self.noise_nm / np.sqrt(len(self.amplitude_m)), self.systematic_nm))
 
     @property
     def error_nm(self) -> float:
-        """Standard error of a mean amplitude, from the deviation pooled over the frequencies."""
+        """Standard error of a mean amplitude, pooled over the frequencies."""
         return float(np.sqrt(np.mean(self.sd_nm**2) / len(self.amplitude_m)))
 
 
 def seeded(name: str, seed: int) -> Scene:
-    """Return a shipped scene whose scatterers, noise and jitter are drawn by ``seed``."""
+    """Return a shipped scene with scatterers, noise and jitter drawn by ``seed``."""
     return load_scene(name).with_({"simulation.seed": seed})
 
 
@@ -89,11 +91,11 @@ def result_of(scene: SceneSource) -> Result:
 
 
 CHAINS = {"coherent": "ours", "cross_spectrum": "the paper's"}
-"""Estimators that Fig. 15 to 19 show side by side: the program's default, and the paper's chain with its filter."""
+"""Estimators compared in Figs. 15 to 19: the default of the program, and the paper's chain with its filter."""
 
 
 def by_chain(scene: SceneSource) -> dict[str, Result]:
-    """Measure a scene once and return what each of `CHAINS` makes of its records."""
+    """Measure a scene once and return the result of each of `CHAINS` from the same records."""
     setup = prepare(scene)
     with TemporaryDirectory() as folder:
         run_file = record_run(setup, Path(folder) / "run.h5")
@@ -101,7 +103,10 @@ def by_chain(scene: SceneSource) -> dict[str, Result]:
 
 
 def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, FloatArray]:
-    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what aliases is in them."""
+    """Measure a scene; return its result, and amplitudes (shot, frequency), m, fitted to the true motion at the pulses.
+
+    The latter include aliasing.
+    """
     setup = prepare(scene)
     with TemporaryDirectory() as folder:
         run_file = record_run(setup, Path(folder) / "run.h5")
@@ -110,38 +115,40 @@ def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, FloatArray]:
         result = process(run_file)
     sampled_m = []
     for shot, row_m in zip(setup.plan.shots, true_m, strict=True):
-        chosen = select(setup.scene.scene, shot)
-        time_s = shot.timeline.sensing_s[chosen.window]
-        motion = Motion(time_s, row_m[chosen.window], np.zeros(time_s.size), np.ones(time_s.size, bool))
-        sampled_m.append(least_squares(motion, chosen.wanted_hz, also_hz=chosen.driven_hz).amplitude_m)
+        pulses = select(setup.scene.scene, shot)
+        time_s = shot.timeline.sensing_s[pulses.window]
+        motion = Motion(time_s, row_m[pulses.window], np.zeros(time_s.size), np.ones(time_s.size, bool))
+        sampled_m.append(least_squares(motion, pulses.wanted_hz, also_hz=pulses.driven_hz).amplitude_m)
     return result, np.array(sampled_m)
 
 
 def repeated(shots: Sequence[ShotResult]) -> Repeated:
-    """Return the repeats of one setting as arrays."""
+    """Return the statistics of the repeats of one setting."""
     estimates = [shot.estimates for shot in shots]
     amplitude_m = np.array([[item.amplitude_m for item in row] for row in estimates])
-    turn = np.exp(1j * np.array([[item.phase_rad for item in row] for row in estimates]))
-    mean_turn = turn.mean(axis=0)
+    phasor = np.exp(1j * np.array([[item.phase_rad for item in row] for row in estimates]))
+    mean_phasor = phasor.mean(axis=0)
     return Repeated(
         frequency_hz=np.array([item.frequency_hz for item in estimates[0]]),
         amplitude_m=amplitude_m,
         mean_nm=amplitude_m.mean(axis=0) * 1e9,
         sd_nm=amplitude_m.std(axis=0, ddof=1) * 1e9,
-        mean_deg=np.degrees(np.unwrap(np.angle(mean_turn))),
-        sd_deg=np.degrees(np.angle(turn / mean_turn).std(axis=0, ddof=1)),
+        mean_deg=np.degrees(np.unwrap(np.angle(mean_phasor))),
+        sd_deg=np.degrees(np.angle(phasor / mean_phasor).std(axis=0, ddof=1)),
         true_m=np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0),
         averaging=np.array([item.averaging_factor or np.nan for item in estimates[0]]),
         noise_nm=_stated_nm(estimates, ("noise", "trigger jitter")),
-        lasting_nm=_stated_nm(estimates, ("speckle", "aliasing")),
+        systematic_nm=_stated_nm(estimates, ("speckle", "aliasing")),
     )
 
 
 def _stated_nm(estimates: Sequence[Sequence[Estimate]], sources: Sequence[str]) -> FloatArray:
-    """Return what is stated of these sources for one repeat, the root of its mean square over the repeats."""
-    square = [[sum(each.amplitude_m**2 for each in item.components if each.source in sources) for item in row]
-              for row in estimates]  # fmt: skip
-    return np.asarray(np.sqrt(np.mean(square, axis=0)) * 1e9)
+    """Return the stated uncertainty of one repeat due to these sources, nm, as root mean square over the repeats."""
+    variance_m2 = [
+        [sum(part.amplitude_m**2 for part in item.components if part.source in sources) for item in row]
+        for row in estimates
+    ]
+    return np.asarray(np.sqrt(np.mean(variance_m2, axis=0)) * 1e9)
 
 
 def by(shots: Sequence[ShotResult], setting: Callable[[ShotResult], float | None]) -> dict[float, Repeated]:
@@ -159,56 +166,57 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
 
 
 def letter(axes: Sequence[Axes]) -> None:
-    """Letter panels as the paper does: (a), (b), ..."""
+    """Title the panels (a), (b), ... as in the paper."""
     for panel, sign in zip(axes, "abcdef", strict=False):
         panel.set_title(f"({sign})", loc="left", fontsize=8)
 
 
 def label(axes: Axes, x: str, y: str, **more: Any) -> None:
-    """Name a panel's axes and, where curves have names, put a legend."""
+    """Label the axes of a panel, and add a legend if curves have labels."""
     axes.set(xlabel=x, ylabel=y, **more)
     if axes.get_legend_handles_labels()[1]:
         axes.legend(frameon=False, fontsize=7)
 
 
 MET, PARTLY = 0.75, 0.25
-"""Share of the seeds from which on a statement is met, or met in part."""
+"""Fraction of the seeds from which a statement is met, or met in part."""
 Tally = Mapping[tuple[str, str], Sequence[bool]]
-"""Whether a statement, by experiment and words, is met with each further seed."""
+"""Whether a statement, by experiment and text, is met with each additional seed."""
 
 
-def write_page(experiments: Sequence[Experiment], folder: Path, others: Tally | None = None) -> Path:
-    """Write a page in Markdown and a figure an experiment; return the page's path.
+def write_page(experiments: Sequence[Experiment], folder: Path, tally: Tally | None = None) -> Path:
+    """Write a page in Markdown and one figure per experiment; return the path of the page.
 
-    ``others``: the same statements with other seeds of scatterers, noise and jitter, which then decide with these.
+    ``tally`` holds the verdicts of the same statements with other seeds of scatterers, noise and jitter.
     """
     folder.mkdir(parents=True, exist_ok=True)
     rows, words = [], []
     for item in experiments:
         for verdict in item.verdicts:
-            every = [bool(verdict.met), *(others or {}).get((item.key, verdict.statement), ())]
-            share = sum(every) / len(every)
-            words.append("met" if share >= MET else "in part" if share >= PARTLY else "missed")
-            shown = words[-1] if words[-1] == "met" else f"**{words[-1]}**"
-            of = f"{sum(every)} of {len(every)}" if len(every) > 1 else ""
-            rows.append((item.key, verdict.statement, verdict.found, of, shown, "" if shown == "met" else verdict.why))
+            met = [bool(verdict.met), *(tally or {}).get((item.key, verdict.statement), ())]
+            fraction = sum(met) / len(met)
+            word = "met" if fraction >= MET else "in part" if fraction >= PARTLY else "missed"
+            words.append(word)
+            seeds = f"{sum(met)} of {len(met)}" if len(met) > 1 else ""
+            verdict_cells = (seeds, "met", "") if word == "met" else (seeds, f"**{word}**", verdict.why)
+            rows.append((item.key, verdict.statement, verdict.finding, *verdict_cells))
     count = ", ".join(f"{words.count(word)} {word}" for word in ("met", "in part", "missed"))
     lines = ["# The paper's experiments on the twin", ""]
-    lines += [f"**{len(rows)} statements: {count}.** Figure and table beside what the paper says; a miss is a miss."]
-    lines += [""]
     lines += [
-        "Five repeats of one specimen are few, so scatterers, noise and jitter were drawn anew with other seeds: a "
-        "statement that holds with three quarters of the seeds is met, with a quarter met in part. What was found, and "
-        "every figure, is of the first seed. Amplitudes and phases are what a chain tracks: from those of the paper's "
-        "no prior of media takes anything off, as it does from the program's own headline of that estimator.",
+        f"**{len(rows)} statements: {count}.** Each experiment has a figure and a table.",
+        "",
+        "Five repeats of one specimen are few, so scatterers, noise and jitter were drawn again with other seeds. A "
+        "statement is met if it holds for three quarters of the seeds, and met in part if for a quarter. Findings and "
+        "figures are those of the first seed. Amplitudes and phases are those tracked by each chain. The paper's chain "
+        "is not corrected by the medium prior, which the headline of that estimator in this program is.",
         "",
     ]
-    lines += _markdown((("", "statement", "found", "seeds", "", "why"), *rows))
+    lines += _markdown((("", "statement", "finding", "seeds", "", "why"), *rows))
     for item in experiments:
         name = f"{item.key.lower().replace(' ', '-').replace('.', '').replace(',', '')}.svg"
         with rc_context(STYLE):
             item.figure.savefig(folder / name, metadata={"Date": None})
-        lines += ["", f"## {item.key}: {item.title}", "", item.how, "", f"![{item.title}]({name})", ""]
+        lines += ["", f"## {item.key}: {item.title}", "", item.method, "", f"![{item.title}]({name})", ""]
         lines += _markdown(item.table)
     path = folder / "beside-the-paper.md"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -29,31 +29,29 @@ from hpe_rig.result import MARKS
 from hpe_rig.scene import load_scene
 from hpe_rig.validation import sidak_quantile
 
-CHI2_16 = (0.66, 1.34)
-"""Between which the root of a mean square over 16 degrees of freedom lies in 95 of 100 draws."""
-FOUR_OF_FIVE = 1.3
-"""Largest of four deviations of five normal values over the true one, on average."""
-CHI2_12 = 1.32
-"""Below which that over 12 lies in 95 of 100 draws."""
-
-
-TWELVE = 2.0
-"""Largest size of twelve standard normal values, on average."""
-PRIOR = "the prior of media holds high harmonics near those of a medium"
-"""What of the estimation makes noise fall with frequency."""
-WHAT = {
+RMS_RANGE_16 = (0.66, 1.34)
+"""95 % range of the root mean square of 16 standard normal values."""
+RMS_LIMIT_12 = 1.32
+"""95 % quantile of the root mean square of 12 standard normal values."""
+LARGEST_OF_4_SD = 1.3
+"""Expected largest of four standard deviations of five normal values, relative to the true one."""
+LARGEST_OF_12 = 2.0
+"""Expected largest magnitude of twelve standard normal values."""
+PRIOR = "the medium prior reduces the noise of high harmonics"
+"""Reason for noise that falls with frequency."""
+PANELS = {
     "mean_nm": "mean displacement (nm)",
-    "sd_nm": "its deviation (nm)",
+    "sd_nm": "standard deviation (nm)",
     "mean_deg": "mean phase (degrees)",
-    "sd_deg": "its deviation (degrees)",
+    "sd_deg": "standard deviation (degrees)",
 }
-"""What Fig. 16 to 19 show of the repeats, a panel each."""
+"""Fields of `Repeated` in the panels of Figs. 16 to 19, with labels."""
 
 REPEATS = 5
 PLOTTED = 0.4
-"""Forces above this share are in Fig. 17."""
+"""Fig. 17 shows forces above this fraction of F_0."""
 ADJUSTED_S = {2000.0: 384e-6, 2500.0: 132e-6, 3000.0: 202e-6, 4000.0: 130e-6}
-"""t_d of Fig. 18 for every pulse rate: chosen by us, the paper names none."""
+"""t_d of Fig. 18 by pulse rate (Hz), chosen for this comparison: the paper does not state it."""
 SHOWN_HZ = tuple(100.0 * n for n in range(1, 9))
 
 
@@ -65,85 +63,93 @@ def _forces(seed: int) -> dict[str, dict[float, Repeated]]:
 
 
 def figure_16(seed: int = 1) -> Experiment:
-    """Mean and deviation of displacement and phase against force, 100 to 400 Hz."""
-    four = slice(0, 4)
+    """Measure mean and standard deviation of displacement and phase against force, 100 to 400 Hz."""
+    shown_harmonics = slice(0, 4)
     forces = _forces(seed)
     force = np.array(list(forces["cross_spectrum"]))
     shown = {
-        chain: np.array([[getattr(each, what)[four] for each in own.values()] for what in WHAT])
-        for chain, own in forces.items()
+        chain: np.array([[getattr(repeats, what)[shown_harmonics] for repeats in settings.values()] for what in PANELS])
+        for chain, settings in forces.items()
     }
     curves = {f"{100 * (k + 1)} Hz": (force, shown["cross_spectrum"][..., k]) for k in range(4)}
     return Experiment(
         "Fig. 16",
         "displacement and phase against force",
         "Scene `muscle-repeats`: five repeats at 4 kHz, T_b = 100 us, T_s = 100 ms. The panels show the paper's chain, "
-        "the table both. White jitter of 1 ns turns the phase by its share of the displacement.",
+        "the table both chains. White jitter of 1 ns changes the phase in proportion to its ratio to the displacement.",
         _table("F / F_0", _rows(forces, "{:g}")),
         _four_panels("force F / F_0", curves),
         tuple(
             verdict
             for chain in CHAINS
             for verdict in _figure_16_verdicts(
-                force, shown[chain], np.array([each.noise_nm[four] for each in forces[chain].values()]), CHAINS[chain]
+                force,
+                shown[chain],
+                np.array([repeats.noise_nm[shown_harmonics] for repeats in forces[chain].values()]),
+                CHAINS[chain],
             )
         ),
     )
 
 
-def _figure_16_verdicts(force: FloatArray, shown: FloatArray, stated_nm: FloatArray, whose: str) -> Iterator[Verdict]:
+def _figure_16_verdicts(
+    force: FloatArray, shown: FloatArray, stated_nm: FloatArray, chain_name: str
+) -> Iterator[Verdict]:
     means, sds, mean_deg, phases = shown
     pooled_nm = float(np.sqrt(np.mean(sds**2)))
-    # Five means about a line each: three degrees of freedom at four frequencies.
-    left = np.array([column - np.polyval(np.polyfit(force, column, 1), force) for column in means.T])
-    bent = float(np.sqrt(np.sum(left**2) / 12) / (pooled_nm / np.sqrt(REPEATS)))
+    # Five means about a line have three degrees of freedom at each of four frequencies.
+    residual_nm = np.array([column - np.polyval(np.polyfit(force, column, 1), force) for column in means.T])
+    nonlinearity = float(np.sqrt(np.sum(residual_nm**2) / 12) / (pooled_nm / np.sqrt(REPEATS)))
     yield Verdict(
-        f"mean displacement linear in F at 100 to 400 Hz ({whose})",
-        f"means stand {bent:.2f} times their standard error off the lines, root mean square",
-        bent < CHI2_12,
-        f"the mean of twelve squares passes {CHI2_12:g} by chance once in 20; the force is a square of the drive here",
+        f"mean displacement linear in F at 100 to 400 Hz ({chain_name})",
+        f"root mean square deviation from the lines {nonlinearity:.2f} standard errors",
+        nonlinearity < RMS_LIMIT_12,
+        f"the limit {RMS_LIMIT_12:g} is exceeded by chance once in 20; the force is proportional to the drive squared",
     )
     falls = np.diff(means, axis=1)
     yield Verdict(
-        f"displacement decreases with frequency, 100 to 400 Hz ({whose})",
-        f"largest rise from one to the next {max(falls.max(), 0):.0f} nm, standard error {_step_nm(pooled_nm):.0f} nm",
+        f"displacement decreases with frequency, 100 to 400 Hz ({chain_name})",
+        f"largest rise from one frequency to the next {max(falls.max(), 0):.0f} nm, standard error "
+        f"{_step_nm(pooled_nm):.0f} nm",
         falls.max() < 2 * _step_nm(pooled_nm) and bool((means[:, -1] < means[:, 0]).all()),
     )
     over = np.sqrt(np.mean(sds**2, axis=1)) / pooled_nm
     yield Verdict(
-        f"standard deviation of displacement constant over F ({whose})",
+        f"standard deviation of displacement constant over F ({chain_name})",
         f"{over.min():.2f} to {over.max():.2f} of {pooled_nm:.0f} nm",
-        CHI2_16[0] < over.min() and over.max() < CHI2_16[1],
-        f"of five forces one leaves {CHI2_16[0]:g} to {CHI2_16[1]:g} by chance in a fifth of the seeds; what is stated "
-        f"of one repeat at 100 Hz goes from {stated_nm[0, 0]:.0f} nm at {force[0]:g} F_0 to {stated_nm[-1, 0]:.0f} nm",
+        RMS_RANGE_16[0] < over.min() and over.max() < RMS_RANGE_16[1],
+        f"one of five forces exceeds {RMS_RANGE_16[0]:g} to {RMS_RANGE_16[1]:g} by chance in a fifth of the seeds; the "
+        f"stated u of one repeat at 100 Hz is {stated_nm[0, 0]:.0f} nm at {force[0]:g} F_0 and {stated_nm[-1, 0]:.0f} "
+        "nm at F_0",
     )
-    turned = mean_deg - mean_deg.mean(axis=0)
+    phase_change = mean_deg - mean_deg.mean(axis=0)
     u_deg = np.degrees(stated_nm / means) / np.sqrt(REPEATS)
-    stable = float(np.sqrt((turned**2 / u_deg**2).sum() / (4 * (len(force) - 1))))
+    ratio = float(np.sqrt((phase_change**2 / u_deg**2).sum() / (4 * (len(force) - 1))))
     yield Verdict(
-        f"mean phase stays the same over F ({whose})",
-        f"within {np.abs(turned).max():.1f} degrees; {stable:.2f} times their u, root mean square",
-        stable < CHI2_16[1],
-        f"the mean of 16 squares passes {CHI2_16[1]:g} by chance once in 40; a mean of five at the weakest force is "
-        f"known to {u_deg.max():.0f} degrees with 1 ns of trigger jitter",
+        f"mean phase stays the same over F ({chain_name})",
+        f"within {np.abs(phase_change).max():.1f} degrees; root mean square {ratio:.2f} u",
+        ratio < RMS_RANGE_16[1],
+        f"the limit {RMS_RANGE_16[1]:g} is exceeded by chance once in 40; 1 ns of trigger jitter gives a mean of five "
+        f"at the weakest force an uncertainty of {u_deg.max():.0f} degrees",
     )
     trend = np.corrcoef(np.log(force.repeat(4)), np.log(phases.ravel()))[0, 1]
     yield Verdict(
-        f"standard deviation of phase falls as F rises ({whose})",
+        f"standard deviation of phase falls as F rises ({chain_name})",
         f"correlation of the logarithms {trend:.2f} (below -0.44 by chance once in 40)",
         trend < -0.44,
         f"the stated deviations of phase have a correlation of {_stated_trend(force, stated_nm, means):.2f}; each of "
-        "20 is known to a third from five repeats",
+        "20 deviations of five repeats has an uncertainty of a third",
     )
-    # A deviation of five repeats is known to 1 / sqrt(8) of itself.
-    largest = f"largest {phases.max():.1f} degrees, known to {phases.max() / np.sqrt(8):.0f}"
+    # A standard deviation of five repeats has a relative standard error of 1 / sqrt(8).
+    largest = f"largest {phases.max():.1f} +- {phases.max() / np.sqrt(8):.0f} degrees"
     weakest_deg = float(np.degrees(stated_nm / means).max())
     yield Verdict(
-        f"and never rises above 25 degrees ({whose})",
+        f"and never rises above 25 degrees ({chain_name})",
         largest,
         phases.max() < 25,
-        f"at the weakest force 1 ns of trigger jitter is {weakest_deg:.0f} degrees, and the largest of four deviations "
-        f"of five repeats is by chance {FOUR_OF_FIVE:g} times that: {FOUR_OF_FIVE * weakest_deg:.0f} degrees",
+        f"at the weakest force 1 ns of trigger jitter gives {weakest_deg:.0f} degrees, and the largest of four "
+        f"deviations of five repeats is on average {LARGEST_OF_4_SD:g} times that: {LARGEST_OF_4_SD * weakest_deg:.0f} "
+        "degrees",
     )
 
 
@@ -154,158 +160,164 @@ def _stated_trend(force: FloatArray, stated_nm: FloatArray, means: FloatArray) -
 
 
 def figure_17(seed: int = 1) -> Experiment:
-    """Mean and deviation of displacement and phase against frequency, for four forces."""
+    """Measure mean and standard deviation of displacement and phase against frequency, for four forces."""
     plotted = {
-        chain: {value: each for value, each in reversed(own.items()) if value > PLOTTED}
-        for chain, own in _forces(seed).items()
+        chain: {value: repeats for value, repeats in reversed(settings.items()) if value > PLOTTED}
+        for chain, settings in _forces(seed).items()
     }
-    forces = {chain: dict(reversed(own.items())) for chain, own in plotted.items()}
+    forces = {chain: dict(reversed(settings.items())) for chain, settings in plotted.items()}
     return Experiment(
         "Fig. 17",
         "displacement and phase against frequency",
         "The records of Fig. 16, all ten harmonics; the panels show the paper's chain. The paper's mean phase rises "
-        "with frequency; with D(t) = A sin(2 pi f t + phase), t from the push, a lag falls. The paper states neither.",
+        "with frequency. With D(t) = A sin(2 pi f t + phase) and t from the push, a lag falls with frequency. The "
+        "paper states neither its sign nor its time origin.",
         _table("F", _rows(forces, "{:g} F_0")),
         _over_frequency(plotted["cross_spectrum"], "{:g} F_0"),
         tuple(verdict for chain in CHAINS for verdict in _figure_17_verdicts(forces[chain], CHAINS[chain])),
     )
 
 
-def _figure_17_verdicts(forces: Mapping[float, Repeated], whose: str) -> Iterator[Verdict]:
-    means, sds, mean_deg, phases = (np.array([getattr(each, what) for each in forces.values()]) for what in WHAT)
+def _figure_17_verdicts(forces: Mapping[float, Repeated], chain_name: str) -> Iterator[Verdict]:
+    means, sds, mean_deg, phases = (
+        np.array([getattr(repeats, what) for repeats in forces.values()]) for what in PANELS
+    )
     strongest = list(forces.values())[-1]
-    told = f"stated of one repeat: {strongest.noise_nm[0]:.0f} nm at 100 Hz, {strongest.noise_nm[9]:.0f} nm at 1 kHz"
+    stated = (
+        f"stated u of one repeat: {strongest.noise_nm[0]:.0f} nm at 100 Hz, {strongest.noise_nm[9]:.0f} nm at 1 kHz"
+    )
     pooled_nm = float(np.sqrt(np.mean(sds**2)))
     steps = np.diff(means, axis=1)
     yield Verdict(
-        f"mean displacement decreases monotonically with frequency, 100 to 1000 Hz ({whose})",
+        f"mean displacement decreases monotonically with frequency, 100 to 1000 Hz ({chain_name})",
         f"largest rise {max(steps.max(), 0):.0f} nm, standard error of a step {_step_nm(pooled_nm):.0f} nm; "
         f"{(steps > 0).sum()} of {steps.size} steps rise",
         steps.max() < 2.5 * _step_nm(pooled_nm) and bool((means[:, -1] < means[:, 0]).all()),
     )
-    # Turned onto the strongest force's branch: each is unwrapped by itself.
-    apart = np.degrees(np.angle(np.exp(1j * np.radians(mean_deg - mean_deg[-1]))))
-    off = np.abs(apart[:-1]) / np.sqrt((phases[:-1] ** 2 + phases[-1] ** 2) / REPEATS)
-    spread = np.ptp(apart, axis=0)
+    # Differences modulo 360 degrees, because the phases of each force are unwrapped independently.
+    difference_deg = np.degrees(np.angle(np.exp(1j * np.radians(mean_deg - mean_deg[-1]))))
+    standardised = np.abs(difference_deg[:-1]) / np.sqrt((phases[:-1] ** 2 + phases[-1] ** 2) / REPEATS)
+    range_deg = np.ptp(difference_deg, axis=0)
     yield Verdict(
-        f"mean phase very close for all F, except at 1000 Hz ({whose})",
-        f"apart by at most {spread[:9].max():.0f} degrees up to 900 Hz, root mean square "
-        f"{np.sqrt(np.mean(off[:, :9] ** 2)):.1f} standard errors; by {spread[9]:.0f} at 1000 Hz",
-        bool(np.sqrt(np.mean(off[:, :9] ** 2)) < 2 and spread[9] > np.median(spread[:9])),
-        "that 1000 Hz stands out is noise on the least displacement: it does where its phases are farther apart than "
-        f"the median of the others, {np.median(spread[:9]):.0f} degrees",
+        f"mean phase very close for all F, except at 1000 Hz ({chain_name})",
+        f"range at most {range_deg[:9].max():.0f} degrees up to 900 Hz, root mean square difference "
+        f"{np.sqrt(np.mean(standardised[:, :9] ** 2)):.1f} standard errors; range {range_deg[9]:.0f} degrees at 1000 "
+        "Hz",
+        bool(np.sqrt(np.mean(standardised[:, :9] ** 2)) < 2 and range_deg[9] > np.median(range_deg[:9])),
+        "the range at 1000 Hz is due to noise on the smallest displacement; the statement is met if it exceeds the "
+        f"median of the others, {np.median(range_deg[:9]):.0f} degrees",
     )
     slope = np.polyfit(np.arange(1, 11), mean_deg[-1], 1)[0]
     tracking = load_scene("muscle-repeats").tracking
     first_s = tracking.delay_s + 0.5 / tracking.pulse_rate_hz
     yield Verdict(
-        f"mean phase has a positive trend with frequency ({whose})",
-        f"{slope:+.1f} degrees a 100 Hz in this program's sign",
+        f"mean phase has a positive trend with frequency ({chain_name})",
+        f"{slope:+.1f} degrees per 100 Hz in the sign convention of this program",
         slope > 0,
-        f"this is a lag of {-slope / 36:.2f} ms after the push: where time counts from an instant later than that, or "
-        "phase is that of exp(-j w t), it rises by as much; the paper states neither. Counted from the first velocity, "
-        f"between the first two pulses, {first_s * 1e6:.0f} us after the push, it is {slope + 36e3 * first_s:+.1f}",
+        f"this is a lag of {-slope / 36:.2f} ms after the push: the trend is positive for a later time origin, or for "
+        "the phase of exp(-j w t); the paper states neither. With the first velocity as origin, between the first two "
+        f"pulses and {first_s * 1e6:.0f} us after the push, it is {slope + 36e3 * first_s:+.1f}",
     )
     over = np.sqrt(np.mean(sds**2, axis=0)) / pooled_nm
     yield Verdict(
-        f"standard deviation of displacement constant over frequency ({whose})",
+        f"standard deviation of displacement constant over frequency ({chain_name})",
         f"{over.min():.2f} to {over.max():.2f} of {pooled_nm:.0f} nm",
-        CHI2_16[0] - 0.1 < over.min() and over.max() < CHI2_16[1] + 0.1,
-        f"{told}: {PRIOR}",
+        RMS_RANGE_16[0] - 0.1 < over.min() and over.max() < RMS_RANGE_16[1] + 0.1,
+        f"{stated}: {PRIOR}",
     )
     trend = np.corrcoef(np.arange(10).repeat(len(phases)), np.log(phases.T.ravel()))[0, 1]
     yield Verdict(
-        f"standard deviation of phase increases with frequency ({whose})",
+        f"standard deviation of phase increases with frequency ({chain_name})",
         f"correlation of its logarithm {trend:.2f} (above 0.31 by chance once in 40)",
         trend > 0.31,
-        f"{told}, as the displacement falls too: {PRIOR}",
+        f"{stated}; the displacement falls too: {PRIOR}",
     )
 
 
 def figure_18(seed: int = 1) -> Experiment:
-    """Mean and deviation against frequency for every pulse rate, t_d adjusted to each."""
+    """Measure mean and standard deviation against frequency for every pulse rate, with t_d adjusted."""
     rates: dict[str, dict[float, Repeated]] = {chain: {} for chain in CHAINS}
     for rate_hz, delay_s in ADJUSTED_S.items():
         settings: dict[str, Any] = {"tracking.delay_s": delay_s, "tracking.pulse_rate_hz": rate_hz}
         settings |= {"excitation.force_fraction": [1.0], "processing.frequencies_hz": list(SHOWN_HZ)}
         for chain, result in by_chain(seeded("muscle-repeats", seed).with_(settings)).items():
             rates[chain][rate_hz] = repeated(result.shots)
-    told = {
-        chain: {f"{hz * 1e-3:g} kHz, t_d = {ADJUSTED_S[hz] * 1e6:.0f} us": each for hz, each in own.items()}
-        for chain, own in rates.items()
+    labelled = {
+        chain: {f"{hz * 1e-3:g} kHz, t_d = {ADJUSTED_S[hz] * 1e6:.0f} us": repeats for hz, repeats in settings.items()}
+        for chain, settings in rates.items()
     }
     return Experiment(
         "Fig. 18",
         "displacement and phase for every pulse rate",
         "Scene `muscle-repeats` at full force: five repeats, T_b = 100 us, T_s = 100 ms, 100 to 800 Hz. Every burst "
-        "period is sampled at the same instants, so harmonics above half the pulse rate alias onto the wanted ones; "
-        "how much, and to which side the phase turns, depends on where the pulses stand to the push, so on t_d. The "
-        "paper adjusted it to each rate and does not state it; these were chosen so that its statements can hold, "
-        "from what `check` predicts for its chain without noise. The panels show the paper's chain; ours knows what "
-        "aliases. The last row is what would be tracked without.",
-        _table("f_prf", _rows(told), truth=rates["coherent"][4000.0]),
-        _over_frequency({hz * 1e-3: each for hz, each in rates["cross_spectrum"].items()}, "{:g} kHz"),
+        "period is sampled at the same times, so harmonics above half the pulse rate alias onto the wanted ones. Size "
+        "and sign of the phase error depend on the delay t_d of the pulses after the push. The paper adjusted t_d to "
+        "each rate and does not state it. The values used here were chosen from the prediction of `check` for the "
+        "paper's chain without noise, so that its statements can hold. The panels show the paper's chain; ours "
+        "corrects aliasing. The last row is the true peak with beam averaging, without aliasing.",
+        _table("f_prf", _rows(labelled), truth=rates["coherent"][4000.0]),
+        _over_frequency({hz * 1e-3: repeats for hz, repeats in rates["cross_spectrum"].items()}, "{:g} kHz"),
         tuple(verdict for chain in CHAINS for verdict in _figure_18_verdicts(rates[chain], CHAINS[chain])),
     )
 
 
-def _figure_18_verdicts(rates: Mapping[float, Repeated], whose: str) -> Iterator[Verdict]:
+def _figure_18_verdicts(rates: Mapping[float, Repeated], chain_name: str) -> Iterator[Verdict]:
     two, two_half, three, four = rates.values()
-    over = np.array([each.mean_nm[:4] / four.mean_nm[:4] - 1 for each in (two, two_half, three)])
+    over = np.array([repeats.mean_nm[:4] / four.mean_nm[:4] - 1 for repeats in (two, two_half, three)])
     u = float(np.sqrt(2) * four.error_nm / four.mean_nm[:4].min())
     yield Verdict(
-        f"displacement matches well at all pulse rates ({whose})",
-        f"2.0 to 3 kHz over 4 kHz, 100 to 400 Hz: {over.min() * 100:+.0f} to {over.max() * 100:+.0f} %, "
+        f"displacement matches well at all pulse rates ({chain_name})",
+        f"2.0 to 3 kHz relative to 4 kHz, 100 to 400 Hz: {over.min() * 100:+.0f} to {over.max() * 100:+.0f} %, "
         f"standard error {u * 100:.0f} %",
         np.abs(over).max() < 0.1,
-        f"the largest of twelve such differences is by chance {TWELVE:g} times its standard error, "
-        f"{TWELVE * u * 100:.0f} %",
+        f"the largest of twelve differences is on average {LARGEST_OF_12:g} times its standard error, "
+        f"{LARGEST_OF_12 * u * 100:.0f} %",
     )
-    turned = {
-        rate_hz: np.degrees(np.angle(np.exp(1j * np.radians(each.mean_deg - four.mean_deg))))
-        for rate_hz, each in rates.items()
+    phase_error = {
+        rate_hz: np.degrees(np.angle(np.exp(1j * np.radians(repeats.mean_deg - four.mean_deg))))
+        for rate_hz, repeats in rates.items()
     }
-    u_deg = float(np.sqrt(np.mean(np.array([each.sd_deg for each in rates.values()]) ** 2) * 2 / REPEATS / 8))
-    mean = {rate_hz: float(each.mean()) for rate_hz, each in turned.items()}
+    u_deg = float(np.sqrt(np.mean(np.array([repeats.sd_deg for repeats in rates.values()]) ** 2) * 2 / REPEATS / 8))
+    mean = {rate_hz: float(repeats.mean()) for rate_hz, repeats in phase_error.items()}
     yield Verdict(
-        f"3.0 and 4.0 kHz match in phase ({whose})",
-        f"on average {mean[3000.0]:+.1f} +- {u_deg:.1f} degrees, largest {np.abs(turned[3000.0]).max():.0f}",
+        f"3.0 and 4.0 kHz match in phase ({chain_name})",
+        f"on average {mean[3000.0]:+.1f} +- {u_deg:.1f} degrees, largest {np.abs(phase_error[3000.0]).max():.0f}",
         abs(mean[3000.0]) < 2 * u_deg + 1,
     )
     yield Verdict(
-        f"2.0 kHz underestimates, 2.5 kHz overestimates the phase ({whose})",
+        f"2.0 kHz underestimates, 2.5 kHz overestimates the phase ({chain_name})",
         f"on average by {mean[2000.0]:+.1f} and {mean[2500.0]:+.1f} degrees, each +- {u_deg:.1f}",
         mean[2000.0] < -2 * u_deg and mean[2500.0] > 2 * u_deg,
-        f"what turns the phase is aliasing, of which the prior of media leaves {mean[2500.0]:+.1f} degrees at 2.5 kHz",
+        f"the phase error is due to aliasing; the medium prior corrects it to {mean[2500.0]:+.1f} degrees at 2.5 kHz",
     )
-    bias = max(float(np.abs(each[:4].mean())) for each in turned.values())
+    bias = max(float(np.abs(repeats[:4].mean())) for repeats in phase_error.values())
     yield Verdict(
-        f"phase bias over the rates is about 10 degrees ({whose})",
-        f"largest mean of 100 to 400 Hz over that at 4 kHz {bias:.1f} +- {u_deg * np.sqrt(2):.1f} degrees",
+        f"phase bias over the rates is about 10 degrees ({chain_name})",
+        f"largest mean difference from 4 kHz, 100 to 400 Hz: {bias:.1f} +- {u_deg * np.sqrt(2):.1f} degrees",
         bias < 10 + 2 * u_deg * np.sqrt(2),
     )
-    pooled = [float(np.sqrt(np.mean(each.sd_nm**2))) for each in rates.values()]
-    stated = ", ".join(f"{np.sqrt(np.mean(each.noise_nm**2)):.0f}" for each in rates.values())
+    pooled = [float(np.sqrt(np.mean(repeats.sd_nm**2))) for repeats in rates.values()]
+    stated = ", ".join(f"{np.sqrt(np.mean(repeats.noise_nm**2)):.0f}" for repeats in rates.values())
     yield Verdict(
-        f"standard deviation of displacement about the same at all rates ({whose})",
-        ", ".join(f"{nm:.0f}" for nm in pooled) + " nm; jitter on fewer pulses makes 2 kHz 1.41 times 4 kHz",
+        f"standard deviation of displacement about the same at all rates ({chain_name})",
+        ", ".join(f"{nm:.0f}" for nm in pooled) + " nm; jitter with fewer pulses makes 2 kHz 1.41 times 4 kHz",
         max(pooled) / min(pooled) < 1.75,
-        f"stated of one repeat: {stated} nm; to tell harmonics that alias from the wanted ones takes more of the noise "
-        "the fewer pulses a period has",
+        f"stated u of one repeat: {stated} nm; the separation of aliased from wanted harmonics amplifies the noise "
+        "more for fewer pulses per period",
     )
-    logs = np.array([np.log(each.sd_deg) for each in rates.values()])
+    logs = np.array([np.log(repeats.sd_deg) for repeats in rates.values()])
     trend = np.corrcoef(np.arange(logs.shape[1]).repeat(4), logs.T.ravel())[0, 1]
     yield Verdict(
-        f"standard deviation of phase increases with frequency ({whose})",
+        f"standard deviation of phase increases with frequency ({chain_name})",
         f"correlation of its logarithm {trend:.2f} (above 0.35 by chance once in 40)",
         trend > 0.35,
-        f"stated of one repeat at 4 kHz: {four.noise_nm[0]:.0f} nm at 100 Hz, {four.noise_nm[7]:.0f} nm at 800 Hz: "
+        f"stated u of one repeat at 4 kHz: {four.noise_nm[0]:.0f} nm at 100 Hz, {four.noise_nm[7]:.0f} nm at 800 Hz: "
         + PRIOR,
     )
 
 
 def figure_19(seed: int = 1) -> Experiment:
-    """Mean and deviation against frequency for every slow-time window."""
+    """Measure mean and standard deviation against frequency for every slow-time window."""
     results = by_chain(seeded("muscle-window", seed))
     windows = {
         chain: by(result.shots, lambda shot: 1e3 * (shot.window_length_s or 0.0)) for chain, result in results.items()
@@ -313,51 +325,51 @@ def figure_19(seed: int = 1) -> Experiment:
     return Experiment(
         "Fig. 19",
         "displacement and phase for every slow-time window",
-        "Scene `muscle-window`: 20 bursts, the windows from the first pulse on in the same records, five repeats, 4 "
-        "kHz, T_b = 100 us. The panels show the paper's chain.",
+        "Scene `muscle-window`: 20 bursts, windows of the same records from the first pulse on, five repeats, 4 kHz, "
+        "T_b = 100 us. The panels show the paper's chain.",
         _table("T_s", _rows(windows, "{:g} ms")),
         _over_frequency(windows["cross_spectrum"], "{:g} ms"),
         tuple(verdict for chain in CHAINS for verdict in _figure_19_verdicts(windows[chain], CHAINS[chain])),
     )
 
 
-def _figure_19_verdicts(windows: Mapping[float, Repeated], whose: str) -> Iterator[Verdict]:
+def _figure_19_verdicts(windows: Mapping[float, Repeated], chain_name: str) -> Iterator[Verdict]:
     first, *_, last = windows.values()
-    for name, what, unit in (("displacement", "sd_nm", "nm"), ("phase", "sd_deg", "degrees")):
-        pooled = [float(np.sqrt(np.mean(getattr(each, what) ** 2))) for each in windows.values()]
+    for name, field, unit in (("displacement", "sd_nm", "nm"), ("phase", "sd_deg", "degrees")):
+        pooled = [float(np.sqrt(np.mean(getattr(repeats, field) ** 2))) for repeats in windows.values()]
         yield Verdict(
-            f"longer T_s noticeably lowers the deviation of {name} ({whose})",
+            f"longer T_s noticeably lowers the deviation of {name} ({chain_name})",
             ", ".join(f"{value:.1f}" for value in pooled) + f" {unit} over ten harmonics",
             _falls(list(windows), pooled),
-            f"a deviation that goes with 1 / sqrt(T_s) falls by {0.5 / _slope_u(list(windows)):.1f} standard errors of "
-            "its slope, of which three are asked",
+            f"a deviation proportional to 1 / sqrt(T_s) has a slope of {0.5 / _slope_u(list(windows)):.1f} standard "
+            "errors; three are required",
         )
-    apart = float((np.abs(first.mean_nm - last.mean_nm) / _difference_u_nm(first, last)).max())
+    difference = float((np.abs(first.mean_nm - last.mean_nm) / _difference_u_nm(first, last)).max())
     yield Verdict(
-        f"mean displacement does not change with T_s ({whose})",
-        f"50 ms and 200 ms: largest of ten differences {apart:.1f} times its u",
-        apart < sidak_quantile(10),
+        f"mean displacement does not change with T_s ({chain_name})",
+        f"50 ms and 200 ms: largest of ten differences {difference:.1f} u",
+        difference < sidak_quantile(10),
     )
-    turned = np.degrees(np.angle(np.exp(1j * np.radians(first.mean_deg - last.mean_deg))))
+    phase_change = np.degrees(np.angle(np.exp(1j * np.radians(first.mean_deg - last.mean_deg))))
     u_deg = np.sqrt((first.sd_deg**2 + last.sd_deg**2) / REPEATS)
     yield Verdict(
-        f"mean phase does not change with T_s ({whose})",
-        f"50 and 200 ms: at most {np.abs(turned).max():.0f} degrees, {np.abs(turned / u_deg).max():.1f} times their u",
-        np.abs(turned / u_deg).max() < 4.5,
+        f"mean phase does not change with T_s ({chain_name})",
+        f"50 and 200 ms: at most {np.abs(phase_change).max():.0f} degrees, {np.abs(phase_change / u_deg).max():.1f} u",
+        np.abs(phase_change / u_deg).max() < 4.5,
     )
 
 
 def table_2() -> Experiment:
-    """Table II: what each experimental parameter is in the simulation, and what of the jitter follows."""
+    """Compare experimental and simulation parameters, and predict the deviation due to jitter and noise."""
     scene, hz, rows, points = load_scene("muscle-repeats"), 200.0, [], []
     for rate_hz in (2000.0, 2500.0, 3000.0, 4000.0, 5000.0):
         for length_s in (50e-3, 100e-3, 150e-3, 200e-3) if rate_hz == 4000.0 else (100e-3,):
             window = {"processing.window_length_s": length_s, "processing.window_start_s": 0.0}
             floor = detection_floor(scene.with_({"tracking.pulse_rate_hz": rate_hz, **window}))
-            cycles, points_a_cycle, nm = length_s * hz, rate_hz / hz, floor.quadrature_m * 1e9
-            points.append((cycles * points_a_cycle, nm))
+            cycles, points_per_cycle, nm = length_s * hz, rate_hz / hz, floor.quadrature_m * 1e9
+            points.append((cycles * points_per_cycle, nm))
             rate, length = f"{rate_hz * 1e-3:g} kHz", f"{length_s * 1e3:g} ms"
-            rows.append((rate, f"{points_a_cycle:g}", length, f"{cycles:g}", f"{nm:.0f} nm"))
+            rows.append((rate, f"{points_per_cycle:g}", length, f"{cycles:g}", f"{nm:.0f} nm"))
     figure, (panel,) = panels(1)
     panel.loglog(*np.array(sorted(points)).T, "o-", ms=4, color=MARKS[0][1])
     panel.minorticks_off()
@@ -367,8 +379,8 @@ def table_2() -> Experiment:
     return Experiment(
         "Table II",
         "experimental and simulation parameters",
-        "At f_v = 200 Hz: force F / F_0 is the displacement D_0, f_prf is N_p = f_prf / f_v points a cycle, T_s is "
-        "N_c = T_s f_v cycles. Jitter and noise see N_c and N_p by their product alone, the number of pulses.",
+        "At f_v = 200 Hz the force F / F_0 corresponds to the displacement D_0, f_prf to N_p = f_prf / f_v points per "
+        "cycle, and T_s to N_c = T_s f_v cycles. Jitter and noise depend on N_c N_p only, the number of pulses.",
         (("f_prf", "N_p", "T_s", "N_c", "deviation from jitter and noise"), *rows),
         figure,
         (),
@@ -376,23 +388,23 @@ def table_2() -> Experiment:
 
 
 def _falls(length_s: list[float], deviation: list[float]) -> bool:
-    """Return whether deviations fall with the window by three standard errors of their slope over logarithms.
+    """Return whether deviations fall with the window by three standard errors of the slope of their logarithms.
 
-    Ten harmonics of five repeats: 40 degrees of freedom, the logarithm of each is known to 1 / sqrt(80).
+    Ten harmonics of five repeats have 40 degrees of freedom: each logarithm has a standard error of 1 / sqrt(80).
     """
     line = fit_line(np.log(length_s), np.log(deviation))
     return line is not None and bool(line.slope < -3 * _slope_u(length_s))
 
 
 def _slope_u(length_s: list[float]) -> float:
-    """Return the standard error of that slope."""
+    """Return the standard error of the slope of the logarithm of a deviation over that of the window length."""
     centred = np.log(length_s) - np.mean(np.log(length_s))
     return float(1 / np.sqrt(80 * float(centred @ centred)))
 
 
-def _difference_u_nm(one: Repeated, other: Repeated) -> FloatArray:
-    """Return the stated uncertainty of differences of means by what repeats average; noise differs by frequency."""
-    return np.asarray(np.hypot(one.noise_nm, other.noise_nm) / np.sqrt(len(one.amplitude_m)))
+def _difference_u_nm(first: Repeated, second: Repeated) -> FloatArray:
+    """Return the stated uncertainty of differences of means due to noise, which depends on frequency."""
+    return np.asarray(np.hypot(first.noise_nm, second.noise_nm) / np.sqrt(len(first.amplitude_m)))
 
 
 def _step_nm(pooled_nm: float) -> float:
@@ -401,12 +413,12 @@ def _step_nm(pooled_nm: float) -> float:
 
 
 def _four_panels(x_name: str, curves: Mapping[str, tuple[FloatArray, Sequence[FloatArray] | FloatArray]]) -> Figure:
-    """Return what `WHAT` lists, a panel each, of every curve: x and the panels' values."""
+    """Return a figure of `PANELS`; ``curves`` holds x and the values of the four panels by label."""
     figure, axes = panels(4)
     for (name, (x, columns)), (mark, colour) in zip(curves.items(), MARKS, strict=False):
         for panel, column in zip(axes, columns, strict=True):
             panel.plot(x, column, marker=mark, color=colour, ms=4, label=name)
-    for panel, y_name in zip(axes, WHAT.values(), strict=True):
+    for panel, y_name in zip(axes, PANELS.values(), strict=True):
         panel.set(xlabel=x_name, ylabel=y_name)
     axes[0].set_ylim(0, None)
     axes[0].legend(frameon=False, fontsize=7)
@@ -416,23 +428,28 @@ def _four_panels(x_name: str, curves: Mapping[str, tuple[FloatArray, Sequence[Fl
 
 def _over_frequency(settings: Mapping[float, Repeated], words: str) -> Figure:
     curves = {
-        words.format(key): (each.frequency_hz, [getattr(each, what) for what in WHAT]) for key, each in settings.items()
+        words.format(key): (repeats.frequency_hz, [getattr(repeats, what) for what in PANELS])
+        for key, repeats in settings.items()
     }
     return _four_panels("frequency (Hz)", curves)
 
 
 def _rows(chains: Mapping[str, Mapping[Any, Repeated]], words: str = "{}") -> dict[str, Repeated]:
-    """Return the repeats of every chain and setting by what the table calls them."""
-    return {f"{words.format(key)}, {CHAINS[chain]}": each for chain, own in chains.items() for key, each in own.items()}
+    """Return the repeats of every chain and setting by their row label."""
+    return {
+        f"{words.format(key)}, {CHAINS[chain]}": repeats
+        for chain, settings in chains.items()
+        for key, repeats in settings.items()
+    }
 
 
 def _table(name: str, settings: Mapping[str, Repeated], truth: Repeated | None = None) -> tuple[tuple[str, ...], ...]:
-    def cells(each: Repeated) -> Iterator[str]:
-        for nm, nm_sd, deg, deg_sd in zip(*(getattr(each, what)[:4] for what in WHAT), strict=True):
+    def cells(repeats: Repeated) -> Iterator[str]:
+        for nm, nm_sd, deg, deg_sd in zip(*(getattr(repeats, what)[:4] for what in PANELS), strict=True):
             yield f"{nm:.0f} +- {nm_sd:.0f}, {deg:.0f} +- {deg_sd:.0f}"
 
     header = (name, *(f"{hz} Hz: nm, degrees" for hz in (100, 200, 300, 400)))
-    rows = [(key, *cells(each)) for key, each in settings.items()]
+    rows = [(key, *cells(repeats)) for key, repeats in settings.items()]
     if truth is not None:
         tracked_nm = truth.true_m[:4] * truth.averaging[:4] * 1e9
         rows.append(("true peak, tracked", *(f"{nm:.0f}" for nm in tracked_nm)))
