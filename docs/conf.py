@@ -30,7 +30,7 @@ html_theme_options = {
 }
 # A link to a heading is written as GitHub writes it.
 myst_heading_anchors = 4
-myst_enable_extensions = ["deflist"]
+myst_enable_extensions = ["deflist", "dollarmath"]
 # A single name in backticks is code, as in the Markdown pages.
 default_role = "code"
 autodoc_member_order = "bysource"
