@@ -119,9 +119,10 @@ def settings_page(subject: str) -> str:
     title = "[simulation]" if subject == "simulation" else f"a {subject}"
     lines = [f"# Keys of {title}", "", PURPOSE[subject], ""]
     lines += [
-        "Every number is in the SI unit that ends its key. Unknown keys and values outside their bounds are refused "
+        "Every number is in the SI unit at the end of its key. Unknown keys and values out of bounds are refused",
+        "before anything is opened; the message names the key and a remedy.",
+        "",
     ]
-    lines += ["before anything is opened; the message names the key and a remedy.", ""]
     shipped = _shipped_values(subject)
     for table in settings_tables(subject):
         name = ".".join(table.path)
@@ -263,7 +264,7 @@ def packages_page() -> str:
     lines = [
         "# Public names of the packages",
         "",
-        "The names that each package offers to the others. Scripts need only ",
+        "The names that each package offers to the others. Scripts need only",
     ]
     lines += ["[the public API](api.md); the names below may change from one release to the next.", ""]
     for package in PACKAGES:

@@ -144,9 +144,9 @@ def markdown() -> str:
     lines = [
         "# Error messages",
         "",
-        "Frequent mistakes, each with the message of this version. All mistakes of a file are reported together, with",
-        "key, the likely cause and a remedy. Nothing is opened, switched on or written before they are corrected. For",
-        "symptoms of a bench see [troubleshooting](../../how-to/troubleshooting.md).",
+        "Frequent mistakes, each with the message of this version. All mistakes of a file are reported together.",
+        "Each names the key, the likely cause and a remedy. Nothing is opened, switched on or written before they are",
+        "corrected. For symptoms of a bench see [troubleshooting](../../how-to/troubleshooting.md).",
         "",
     ]
     previous = ""

@@ -1,4 +1,4 @@
-"""The commands and Python of the documentation run, its links lead somewhere, and every name and key is in it."""
+"""Commands and Python of the documentation run, its links exist, and it contains every name and key."""
 
 from __future__ import annotations
 
@@ -83,28 +83,28 @@ def test_the_documentation_shows_many_commands_and_blocks_of_python() -> None:
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_link_leads_somewhere(name: str) -> None:
+def test_the_target_of_every_link_exists(name: str) -> None:
     assert [link for link in SNIPPETS.links(PAGES[name]) if SNIPPETS.is_broken(PAGES[name], link)] == []
 
 
 RUN_ELSEWHERE = {
     "README.md": "test_readme.py",
-    "docs/how-to/cluster.md": "a cluster is needed; hpe_rig/study/test_run.py has a scheduler of its own",
+    "docs/how-to/cluster.md": "a cluster is needed; tests/hpe_rig/study/test_run.py starts a scheduler",
     "docs/how-to/import.md": "test_import_of_simulations.py, which needs the simulators",
 }
-"""Pages with a command in a block that these tests do not run, and the test that runs it."""
+"""Pages with a command that these tests do not run, and the test that runs it."""
 
 
 def test_every_command_shown_is_run_by_a_test() -> None:
     """Commands in indented or unnamed blocks would not be run."""
-    untried = set()
+    not_run = set()
     for name, page in PAGES.items():
         text = page.read_text(encoding="utf-8")
         outside = re.sub(r"^( *)```.*?^\1```$", "", text, flags=re.MULTILINE | re.DOTALL)
         assert not re.findall(r"^    (?:\$ )?hpe-rig .*", outside, flags=re.MULTILINE), name
         named = [block for block in SNIPPETS.blocks(page) if block.language != "console"]
-        untried |= {name for block in named if re.search(r"^(\$ |.*&& )?hpe-rig ", block.text, flags=re.MULTILINE)}
-    assert untried == set(RUN_ELSEWHERE)
+        not_run |= {name for block in named if re.search(r"^(\$ |.*&& )?hpe-rig ", block.text, flags=re.MULTILINE)}
+    assert not_run == set(RUN_ELSEWHERE)
 
 
 @pytest.fixture(scope="module")

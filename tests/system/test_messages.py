@@ -1,4 +1,4 @@
-"""Every mistake that users make first gets an answer with cause and remedy, and never a traceback."""
+"""Frequent mistakes of users get a message with cause and remedy, and no traceback."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def messages() -> ModuleType:
     return module
 
 
-def test_the_first_mistakes_of_users_are_answered_with_cause_and_remedy(messages: ModuleType) -> None:
+def test_messages_of_frequent_mistakes_have_cause_and_remedy(messages: ModuleType) -> None:
     answers = messages.provoked()
     assert len(answers) >= 40
     for _, case, code, message in answers:

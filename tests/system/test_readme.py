@@ -1,4 +1,4 @@
-"""What README and docs show works: first scene, study, commands with their options, Python lines, links, file names.
+"""README and documentation are right: first scene, study, commands and their options, Python lines, file names.
 
 Blocks of commands and Python are run by ``test_documentation.py``.
 """
@@ -28,8 +28,8 @@ def blocks(text: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
 
 
-def invoked(command: str) -> str:
-    """Return what a command prints to standard output; fail where it does."""
+def output_of(command: str) -> str:
+    """Return the standard output of a command; fail if the command fails."""
     done = CliRunner().invoke(app, shlex.split(command))
     assert done.exit_code == 0, f"{command}: {done.output}"
     return done.stdout
@@ -37,7 +37,7 @@ def invoked(command: str) -> str:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return an empty folder, which is the current one during the test."""
+    """Return an empty folder, the current folder during the test."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -47,10 +47,10 @@ def test_the_first_scene_is_measured_on_the_simulated_bench_with_a_default_speci
     assert len(scene.splitlines()) <= 12
     assert "simulation" not in tomllib.loads(scene)
     (folder / "first.toml").write_text(scene, encoding="utf-8")
-    assert "simulated specimen: default muscle" in invoked("run first.toml")
+    assert "simulated specimen: default muscle" in output_of("run first.toml")
     run = read_run(folder / "first.h5")
     assert (run.status, run.simulated) == ("complete", True)
-    # The default specimen is the twin's alone: the run file keeps the scene as it was written.
+    # Only the twin uses the default specimen; the run file contains the scene as written.
     assert run.scene_toml == scene
 
 
@@ -59,9 +59,9 @@ def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> N
     install, test = (block.strip() for block in blocks(section, ""))
     first, _, second = install.partition(" && hpe-rig ")
     assert (first, test) == ("pip install .", 'pip install -e ".[test]" && pytest')
-    assert section.count("```") == 4, "whoever runs every fenced block of the section runs these two alone"
-    assert "coherent" in invoked(second)
-    # The files that the text below the commands names.
+    assert section.count("```") == 4, "the section has two fenced blocks"
+    assert "coherent" in output_of(second)
+    # Files named in the text below the commands.
     for name in re.findall(r"`([\w.-]+\.(?:h5|html))`", section):
         assert (folder / name).exists(), name
 
@@ -70,10 +70,10 @@ def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
     (study,) = blocks((ROOT / "docs" / "how-to" / "studies.md").read_text(encoding="utf-8"), "toml")
     assert tomllib.loads(study)["scatterers"] == 500
     (folder / "mine.toml").write_text(study, encoding="utf-8")
-    said = invoked("study mine.toml --scatterers 2 --noise 2 --workers 1")
-    assert "mine" in said
+    output = output_of("study mine.toml --scatterers 2 --noise 2 --workers 1")
+    assert "mine" in output
     rows = (folder / "studies" / "mine" / "summary.csv").read_text(encoding="utf-8").splitlines()
-    # Three pulse rates, read by two estimators.
+    # Three pulse rates and two estimators.
     assert len(rows) - 1 >= 3 * 2
     assert (folder / "studies" / "mine" / "study.json").exists()
 
@@ -81,17 +81,17 @@ def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
 @cache
 def commands() -> set[str]:
     """Return the commands that ``hpe-rig --help`` lists."""
-    return set(re.findall(r"^  (\w+)  ", invoked("--help").partition("Commands:")[2], flags=re.MULTILINE))
+    return set(re.findall(r"^  (\w+)  ", output_of("--help").partition("Commands:")[2], flags=re.MULTILINE))
 
 
 @cache
 def options(command: str) -> set[str]:
     """Return the options that a command's help lists."""
-    return set(re.findall(r"^  (--[a-z-]+)", invoked(f"{command} --help"), flags=re.MULTILINE))
+    return set(re.findall(r"^  (--[a-z-]+)", output_of(f"{command} --help"), flags=re.MULTILINE))
 
 
 def shown_commands() -> Iterator[tuple[str, str, list[str]]]:
-    """Yield page, command and options wherever README or docs show one with its options."""
+    """Yield page, command and options of every `hpe-rig ...` in README and docs."""
     for page in PAGES:
         for shown in re.findall(r"`hpe-rig ([a-z][^`]*)`", page.read_text(encoding="utf-8")):
             command, *words = shlex.split(shown)
@@ -106,20 +106,20 @@ def test_commands_and_options_that_the_pages_show_exist() -> None:
         assert set(words) <= options(command), f"{page}: hpe-rig {command} {' '.join(words)}"
 
 
-def test_the_things_to_try_are_five_and_run(folder: Path) -> None:
+def test_the_five_things_to_try_run(folder: Path) -> None:
     section = README.partition("## Five things to try")[2].partition("\n## ")[0]
     shown = re.findall(r"^\| `hpe-rig ([^`]+)` \|", section, flags=re.MULTILINE)
     assert len(shown) == 5
-    # A live page serves until Ctrl-C, and a study takes minutes: their own tests run small ones.
+    # A live page serves until Ctrl-C, and a study takes minutes; other tests run small ones.
     cheap = [command for command in shown if "--live" not in command and "study" not in command]
     assert len(cheap) == 3
-    invoked("run bovine-muscle")
+    output_of("run bovine-muscle")
     for command in cheap:
-        invoked(command)
+        output_of(command)
     assert {"bovine-muscle.cross_spectrum.h5", "my-scene.toml"} <= {path.name for path in folder.iterdir()}
 
 
-def test_the_readme_is_read_in_one_go() -> None:
+def test_the_readme_has_at_most_80_lines() -> None:
     assert len(README.splitlines()) <= 80
 
 
@@ -137,8 +137,8 @@ def test_the_python_lines_run(folder: Path, capsys: pytest.CaptureFixture[str]) 
 
 def named_paths(page: Path) -> set[str]:
     """Return the files and folders of this repository that a page names in code font."""
-    found = re.findall(r"`((?:hpe_rig|drivers|sim_backend|scripts|tests|docs)/[\w./-]*)`", page.read_text("utf-8"))
-    return set(found)
+    pattern = r"`((?:hpe_rig|drivers|sim_backend|scripts|tests|docs)/[\w./-]*)`"
+    return set(re.findall(pattern, page.read_text("utf-8")))
 
 
 def test_a_file_that_a_page_names_exists() -> None:
