@@ -1,9 +1,6 @@
 from .beam_averaging import (
     BeamWidths as BeamWidths,
-    axial_offset_factor as axial_offset_factor,
     beam_averaging_factor as beam_averaging_factor,
-    obliquity_factor as obliquity_factor,
-    off_axis_motion as off_axis_motion,
     tracked_motion as tracked_motion,
     tracked_ratio as tracked_ratio,
 )

@@ -9,7 +9,6 @@ displacement loses less than the Gaussian of eq. (12), and the tracked displacem
     BeamWidths, beam_averaging_factor             Gaussian motion: dense scatterers; few of them in a short gate
     tracked_motion, off_axis_motion               shear field of a medium, on the axis and off it
     tracked_ratio                                 under a force that is not Gaussian
-    obliquity_factor, axial_offset_factor         oblique waves of the aperture; a gate off the focus
 """
 
 from __future__ import annotations
@@ -25,10 +24,6 @@ from hpe_rig.medium.gate_echoes import TrackingGate, Triple
 from hpe_rig.medium.material_laws import HarmonicMedium
 from hpe_rig.medium.push_force import PushForce
 
-OBLIQUITY_FOCAL_PLANE_MEAN = 0.913
-"""Obliquity loss averaged over the focal plane with echo energy as weight, relative to the loss on the axis.
-
-It does not depend on the aperture (docs/explanation/transducer.md, section 2)."""
 WIDTH_SCALES = (0.05, 1e3)
 """Range of the scale of a Gaussian motion's width; at the upper end the tracked motion equals the peak to 1e-7."""
 
@@ -72,7 +67,7 @@ class BeamWidths:
         return -sum(square / (1 + square) for square in squares) / 2
 
     def width_scale(self, averaging: float) -> float:
-        """Return the scale of the widths, within ``WIDTH_SCALES``, at which ``gaussian_averaging`` is ``averaging``."""
+        """Return the width scale, within ``WIDTH_SCALES``, for which ``gaussian_averaging`` is ``averaging``."""
         from scipy.optimize import brentq
 
         def excess(log_scale: float) -> float:
@@ -92,11 +87,14 @@ changes."""
 
 
 def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
-    """Return the motion (frequency,) at the focus of the Gaussian force of ``beams``.
+    """Return the motion (frequency,) under the Gaussian force of ``beams``, at the lateral offset of ``beams``.
 
     Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a force that is wider by as much, at
     equal density in wave-number space.
     """
+    if beams.lateral_offset_m:
+        tracked, peak, steepness = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
+        return tracked[:, 0], peak[:, 0], steepness[:, 0]
     area_m2, across_m2, along_m2 = beams.tracking_area_m2, beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2
     values, slopes = _tracked_and_peak(
         medium.shear_k2.astype(np.complex128).tobytes(),
@@ -196,31 +194,3 @@ def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_
 def _lateral_mean(squared_ratios: list[float], power: int) -> float:
     """Return the mean of u/u_0 over x and y under the weight I^power; ``squared_ratios`` are (T/E)^2 along x and y."""
     return float(np.prod([1 / np.sqrt(1 + square / power) for square in squared_ratios]))
-
-
-def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:
-    """Return the echo delay of a displacement u in a focused beam over 2 u / c, weighted by echo energy.
-
-    Waves from a bowl reach the focus at all angles up to its half angle: their mean cosine is below 1.
-    docs/explanation/transducer.md, section 2.
-    """
-    sine = min(diameter_m / 2 / focal_length_m, 1.0)
-    return float(1 - OBLIQUITY_FOCAL_PLANE_MEAN * (1 - np.sqrt(1 - sine**2)) / 2)
-
-
-def axial_offset_factor(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:
-    """Return displacement at ``offset_m`` along the beam over that at the focus, and its relative uncertainty.
-
-    The force, of sigma ``width_m`` along the beam, is much longer than wide: the displacement follows it as
-    d(z) = exp(-z^2 / 2 E_z^2). The uncertainty is the rms of d(z) / d(offset) - 1 over z normal about ``offset_m`` with
-    standard deviation ``uncertainty_m``. It also holds at the focus, where the slope of d vanishes.
-    """
-    factor = np.exp(-(offset_m**2) / (2 * width_m**2))
-
-    def moment(order: int) -> float:
-        """Return the mean of d(z)^order."""
-        variance_m2 = width_m**2 + order * uncertainty_m**2
-        return float(width_m / np.sqrt(variance_m2) * np.exp(-order * offset_m**2 / (2 * variance_m2)))
-
-    mean_square = moment(2) - 2 * factor * moment(1) + factor**2
-    return float(factor), float(np.sqrt(max(mean_square, 0.0)) / factor)

@@ -114,6 +114,16 @@ class Ensemble:
         matrix[between, self.exact_nodes :] = _interpolation(frequency_hz[between], smooth_nodes_hz)
         return matrix
 
+    def driven_spectrum(self, harmonics: int, burst_rate_hz: float, burst_length_s: float) -> ComplexArray:
+        """Return the matrix (harmonic, node) from responses at the nodes to A exp(j phase) of harmonics 1, 2, ...
+
+        The force is a train of rectangular tonebursts (paper eq. 18).
+        """
+        harmonic, duty = np.arange(1.0, harmonics + 1), burst_rate_hz * burst_length_s
+        # A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient of exp(jwt).
+        force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
+        return np.asarray(force[:, None] * self.interpolation(np.asarray(burst_rate_hz * harmonic)))
+
 
 @dataclass(frozen=True, slots=True)
 class _Range:

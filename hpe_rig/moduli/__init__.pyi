@@ -1,6 +1,6 @@
 from .figure import moduli_figure as moduli_figure
 from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
-from .inversion import Moduli as Moduli, bound as bound, compare_media as compare_media, fit_medium as fit_medium
+from .inversion import Moduli as Moduli, bound as bound, fit_medium as fit_medium
 from .outcome import (
     ModuliResult as ModuliResult,
     moduli_of as moduli_of,
@@ -8,5 +8,5 @@ from .outcome import (
     plane_wave_of as plane_wave_of,
 )
 from .run_vibrations import Source as Source, vibrations_of as vibrations_of
-from .scene_geometry import APERTURE_SHAPE as APERTURE_SHAPE, push_of as push_of, vibration_at as vibration_at
+from .scene_geometry import push_of as push_of, vibration_at as vibration_at
 from .vibration_model import Push as Push, Vibration as Vibration

@@ -196,13 +196,10 @@ def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> 
     # The noise across the phasor is nearly that of A cos(phase); it only weights the phases.
     sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in at_common]
     try:
-        speed = shear_speed(
-            [abs(one.lateral_m) for one in at_common],
-            at_common[0].frequency_hz,
-            np.array([np.angle(one.phasor_m) for one in at_common]),
-            np.array(sigma),
-        )
-        return fit_voigt(speed, density_kg_per_m3), ""
+        frequency_hz = at_common[0].frequency_hz
+        offset_m, phase_rad = [abs(one.lateral_m) for one in at_common], [np.angle(one.phasor_m) for one in at_common]
+        speed = shear_speed(offset_m, frequency_hz, np.array(phase_rad), np.array(sigma))
+        return fit_voigt(frequency_hz, *speed, density_kg_per_m3), ""
     except ValueError as error:
         return None, str(error)
 

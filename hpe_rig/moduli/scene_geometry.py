@@ -10,7 +10,7 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.moduli.vibration_model import Push, Vibration
 from hpe_rig.plan import DepthGate, Plan, Shot, depth_gates, shots_with_gate, with_gate, without_shared_echoes
-from hpe_rig.prediction import beam_widths, echo_depth_moments, push_force, tracked_region_spread
+from hpe_rig.prediction import beam_widths, push_force, tracked_region_spread, tracking_gate
 from hpe_rig.result import DETECTED
 from hpe_rig.scene import Mistake, Scene, SettingsError
 
@@ -19,8 +19,6 @@ GAIN_UNCERTAINTY = 0.005
 PHASE_UNCERTAINTY_RAD = 0.002
 WIDTH_UNCERTAINTY = 0.05
 """Relative, of the widths of the force, unless stated."""
-APERTURE_SHAPE = 0.005
-"""Relative error of each amplitude: difference of two sums of Gaussians for one aperture, to 4 mm off the axis."""
 MAX_DEPTH_SIGMAS = 2.0
 """Distance of a gate from the focus, in sigmas of the force, beyond which the tail of the force is unknown."""
 
@@ -70,14 +68,12 @@ def _push_mistakes(scene: Scene) -> Iterator[Mistake]:
 def _stated_push(scene: Scene, width_uncertainty: float) -> Push:
     excitation = scene.excitation
     assert excitation is not None  # noqa: S101 (the caller selects scenes with tonebursts)
-    force = push_force(scene)
     return Push(
-        force,
+        push_force(scene),
         excitation.burst_rate_hz,
         excitation.burst_length_s[0],
         scene.medium.density_kg_per_m3 if scene.medium else 1000.0,
         (width_uncertainty, width_uncertainty),
-        shape_relative=APERTURE_SHAPE if force.unsure else 0.0,
     )
 
 
@@ -128,7 +124,7 @@ def vibration_at(
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of requires them)
     area_spread, lateral_spread_m, axial_spread_m = tracked_region_spread(scene, estimator)
-    mean_depth_m, depth_sd_m = echo_depth_moments(scene, estimator, axial_m)
+    mean_depth_m, depth_sd_m = tracking_gate(scene, estimator).depth_moments(axial_m)
     return Vibration(
         label,
         *measured,

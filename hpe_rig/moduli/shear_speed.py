@@ -17,26 +17,12 @@ from hpe_rig.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class ShearSpeed:
-    """Speed by frequency: ``frequency_hz``, ``speed_m_per_s`` and ``uncertainty_m_per_s`` (frequency,).
-
-    ``misfit`` (frequency,): mean square deviation of the phases from a line over their variance, NaN for two offsets.
-    """
-
-    frequency_hz: FloatArray
-    speed_m_per_s: FloatArray
-    uncertainty_m_per_s: FloatArray
-    misfit: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
 class Voigt:
-    """Moduli of a Voigt medium with their covariance (2, 2) in (Pa, Pa s), and the reduced chi-square of the fit."""
+    """Moduli of a Voigt medium with their covariance (2, 2) in (Pa, Pa s)."""
 
     elasticity_pa: float
     viscosity_pa_s: float
     covariance: FloatArray
-    misfit: float
 
 
 def shear_speed(
@@ -44,8 +30,8 @@ def shear_speed(
     frequency_hz: Sequence[float] | FloatArray,
     phase_rad: FloatArray,
     uncertainty_rad: FloatArray,
-) -> ShearSpeed:
-    """Return the speed at every frequency from a line through the phase over the lateral offset.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the speed (frequency,) and its uncertainty, m/s, from a line through the phase over the lateral offset.
 
     ``position_m`` (offset,); ``phase_rad`` and ``uncertainty_rad`` (offset, frequency). Phases are unwrapped in order
     of offset, so neighbours must be less than half a wavelength apart. The wave runs away from the focus: the phase
@@ -74,10 +60,7 @@ def shear_speed(
         )
     # c_s = w |dr / dphi|; its uncertainty follows from that of the slope.
     speed = -2 * np.pi * frequency / slope
-    residual = phase - np.sum(weight * phase, axis=0) / weight.sum(axis=0) - slope * distance
-    freedom = offset.size - 2
-    misfit = np.sum(weight * residual**2, axis=0) / freedom if freedom else np.full(frequency.shape, np.nan)
-    return ShearSpeed(frequency, speed, speed**2 / (2 * np.pi * frequency) / np.sqrt(information), misfit)
+    return speed, speed**2 / (2 * np.pi * frequency) / np.sqrt(information)
 
 
 def voigt_speed(
@@ -89,22 +72,24 @@ def voigt_speed(
     return np.asarray(np.sqrt(2 * modulus_pa**2 / (density_kg_per_m3 * (elasticity_pa + modulus_pa))))
 
 
-def fit_voigt(speed: ShearSpeed, density_kg_per_m3: float = 1000.0) -> Voigt:
-    """Return the moduli, at least zero, that fit the speeds best, weighted by their uncertainties.
+def fit_voigt(
+    frequency_hz: FloatArray, speed_m_per_s: FloatArray, uncertainty_m_per_s: FloatArray, density_kg_per_m3: float = 1e3
+) -> Voigt:
+    """Return the moduli, at least zero, that fit the speeds (frequency,) best, weighted by their uncertainties.
 
     Raises ``ValueError`` for fewer than two frequencies.
     """
-    if speed.frequency_hz.size < 2:
+    if frequency_hz.size < 2:
         raise ValueError("one frequency does not separate elasticity from viscosity. Try: at least two")
-    sigma = np.maximum(speed.uncertainty_m_per_s, np.finfo(np.float32).tiny)
+    sigma = np.maximum(uncertainty_m_per_s, np.finfo(np.float32).tiny)
     # Units: the modulus of the median speed, and the viscosity with as large a loss at the highest frequency.
-    median_pa = density_kg_per_m3 * float(np.median(speed.speed_m_per_s)) ** 2
-    unit = np.array([median_pa, median_pa / (2 * np.pi * speed.frequency_hz.max())])
+    median_pa = density_kg_per_m3 * float(np.median(speed_m_per_s)) ** 2
+    unit = np.array([median_pa, median_pa / (2 * np.pi * frequency_hz.max())])
 
     def residual(relative: FloatArray) -> FloatArray:
         elasticity_pa, viscosity_pa_s = (relative * unit).tolist()
-        model = voigt_speed(speed.frequency_hz, elasticity_pa, viscosity_pa_s, density_kg_per_m3)
-        return np.asarray((model - speed.speed_m_per_s) / sigma)
+        model = voigt_speed(frequency_hz, elasticity_pa, viscosity_pa_s, density_kg_per_m3)
+        return np.asarray((model - speed_m_per_s) / sigma)
 
     # Two starts, a mostly elastic and a mostly viscous medium.
     starts = (np.array([1.0, 0.1]), np.array([0.5, 0.8]))
@@ -112,7 +97,5 @@ def fit_voigt(speed: ShearSpeed, density_kg_per_m3: float = 1000.0) -> Voigt:
     best = min(solutions, key=lambda solution: float(solution.cost))
     jacobian = np.asarray(best.jac, dtype=np.float64)
     covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * np.outer(unit, unit), dtype=np.float64)
-    freedom = speed.frequency_hz.size - 2
-    misfit = 2 * float(best.cost) / freedom if freedom else float("nan")
     elasticity_pa, viscosity_pa_s = (best.x * unit).tolist()
-    return Voigt(elasticity_pa, viscosity_pa_s, covariance, misfit)
+    return Voigt(elasticity_pa, viscosity_pa_s, covariance)

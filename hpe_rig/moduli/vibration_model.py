@@ -18,13 +18,15 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.medium import PushForce
 
+APERTURE_SHAPE = 0.005
+"""Relative error of each amplitude: difference of two sums of Gaussians for one aperture, to 4 mm off the axis."""
+
 
 @dataclass(frozen=True, slots=True)
 class Push:
     """The force of the tonebursts, and relative uncertainties of its widths (across, along).
 
-    ``onset_uncertainty_s`` is that of the bursts' onset at the focus, the origin of the phases. ``shape_relative`` is a
-    model error of each amplitude (relative) and of its phase (rad) from the force's shape.
+    ``onset_uncertainty_s`` is that of the bursts' onset at the focus, the origin of the phases.
     """
 
     force: PushForce
@@ -33,7 +35,11 @@ class Push:
     density_kg_per_m3: float = 1000.0
     width_uncertainty: tuple[float, float] = (0.05, 0.05)
     onset_uncertainty_s: float = 0.5e-6
-    shape_relative: float = 0.0
+
+    @property
+    def shape_relative(self) -> float:
+        """Model error of each amplitude (relative) and of its phase (rad) from the force's shape."""
+        return APERTURE_SHAPE if self.force.unsure else 0.0
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the amplitude of sin(wt + phase) of a unit force that is on during every burst, (frequency,)."""

@@ -1,15 +1,13 @@
 """Prediction of a measurement from its scene: expected amplitude, noise, bias, aliasing and detection floor.
 
     scene_physics.py    medium, push, beams and tracking gate that a scene states; force spectrum, eq. (18)
-    amplitude.py        expected amplitude and SNR
-    conditions.py       quantities that bias and jitter depend on
+    conditions.py       expected amplitude and SNR; quantities that bias and jitter depend on
     speckle.py          random draws of scatterers and their echoes
     peak_noise.py       noise of an estimator that reads the peak of a cross-spectrum
     error_model.py      bias and jitter of an estimator: s = m sqrt(2 v / N)
     speckle_spread.py   standard deviations over speckle
     beam_averaging.py   tracked over peak displacement at every frequency
-    linear_fit.py       noise gain of the later fit
-    aliasing.py         change of the wanted harmonics by unresolved ones
+    linear_fit.py       noise gain of the later fit; change of the wanted harmonics by unresolved ones
     forecast.py         forecast of every estimator; settings that reach a target
     detection.py        smallest amplitude that exceeds the noise
     bounds.py           Cramer-Rao bound from a scene's own echoes

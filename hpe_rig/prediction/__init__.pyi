@@ -1,12 +1,12 @@
-from .aliasing import fitted_over_true as fitted_over_true
-from .amplitude import (
+from .beam_averaging import predicted_averaging as predicted_averaging
+from .bounds import echo_bound as echo_bound
+from .conditions import (
+    Conditions as Conditions,
     expected_amplitude_m as expected_amplitude_m,
     expected_snr_db as expected_snr_db,
     relative_drive as relative_drive,
+    resting_conditions as resting_conditions,
 )
-from .beam_averaging import predicted_averaging as predicted_averaging
-from .bounds import echo_bound as echo_bound
-from .conditions import Conditions as Conditions, resting_conditions as resting_conditions
 from .detection import FALSE_ALARMS as FALSE_ALARMS, detection_floor as detection_floor
 from .error_model import (
     EstimatorErrors as EstimatorErrors,
@@ -19,7 +19,7 @@ from .forecast import (
     conditions_of as conditions_of,
     predict as predict,
 )
-from .linear_fit import noise_gain as noise_gain
+from .linear_fit import fitted_over_true as fitted_over_true, noise_gain as noise_gain
 from .output_text import (
     calibration_text as calibration_text,
     extrapolation_text as extrapolation_text,
@@ -28,11 +28,11 @@ from .output_text import (
 from .scene_physics import (
     TYPICAL_VOIGT as TYPICAL_VOIGT,
     beam_widths as beam_widths,
-    echo_depth_moments as echo_depth_moments,
     force_spectrum as force_spectrum,
     medium_of as medium_of,
     pulse_length_m as pulse_length_m,
     push_force as push_force,
+    tracking_gate as tracking_gate,
 )
 from .speckle import (
     BOX_HALF_WIDTH_SIGMAS as BOX_HALF_WIDTH_SIGMAS,

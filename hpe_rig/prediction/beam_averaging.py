@@ -20,21 +20,22 @@ from hpe_rig.medium import (
     Ensemble,
     HarmonicMedium,
     PushForce,
-    axial_offset_factor,
     beam_averaging_factor,
     medium_ensemble,
-    obliquity_factor,
-    off_axis_motion,
     tracked_motion,
     tracked_ratio,
 )
 from hpe_rig.prediction.conditions import resting_conditions
 from hpe_rig.prediction.scene_physics import TYPICAL_VOIGT, beam_widths, medium_of, push_force, tracking_gate
 from hpe_rig.prediction.speckle_spread import speckle_spread
-from hpe_rig.processing import bounded_steepness, driven_spectrum, harmonic_range_hz, with_second_order_speckle
+from hpe_rig.processing import bounded_steepness, harmonic_range_hz, with_second_order_speckle
 from hpe_rig.result import Averaging, AveragingRule
 from hpe_rig.scene import Scene
 
+OBLIQUITY_FOCAL_PLANE_MEAN = 0.913
+"""Obliquity loss averaged over the focal plane with echo energy as weight, relative to the loss on the axis.
+
+It does not depend on the aperture (docs/explanation/transducer.md, section 2)."""
 SHAPE_RELATIVE = 0.004
 """Relative difference of the tracked displacement between beams of an aperture and Gaussians of equal echo energy.
 
@@ -99,10 +100,6 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     medium = medium_of(scene, frequency_hz, simulated=False)
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
-    if beams.lateral_offset_m:
-        at_offset = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
-        tracked, peak, slope = (values[:, 0] for values in at_offset)
-        return tracked / peak, np.zeros_like(tracked), slope / tracked
     tracked, peak, slope = tracked_motion(medium, beams)
     steepness = slope / tracked
     magnitudes = np.abs(steepness.real) + 1j * np.abs(steepness.imag)
@@ -115,8 +112,10 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, slope = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
     # All media are driven to the same rms motion; a medium that hardly moves at a frequency has little weight there.
-    bursts = scene.excitation.burst_rate_hz, scene.excitation.burst_length_s[0]
-    driven = ensemble.tracked @ driven_spectrum(ensemble, *bursts).T
+    burst_rate_hz = scene.excitation.burst_rate_hz
+    harmonics = round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz)
+    spectrum = ensemble.driven_spectrum(harmonics, burst_rate_hz, scene.excitation.burst_length_s[0])
+    driven = ensemble.tracked @ spectrum.T
     power = np.abs(tracked) ** 2 / np.sum(np.abs(driven) ** 2, axis=1, keepdims=True)
     log_ratio, steepness = np.log(tracked / peak), bounded_steepness(slope / tracked, power / power.mean(axis=0))
 
@@ -196,3 +195,31 @@ def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
     factor, spread = axial_offset_factor(gate_m - focus_m, gate_m * relative_uncertainty, width_m)
     rule = replace(averaging.rule, geometry_factor=averaging.rule.geometry_factor * factor)
     return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, rule=rule)
+
+
+def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:
+    """Return the echo delay of a displacement u in a focused beam over 2 u / c, weighted by echo energy.
+
+    Waves from a bowl reach the focus at all angles up to its half angle: their mean cosine is below 1.
+    docs/explanation/transducer.md, section 2.
+    """
+    sine = min(diameter_m / 2 / focal_length_m, 1.0)
+    return float(1 - OBLIQUITY_FOCAL_PLANE_MEAN * (1 - np.sqrt(1 - sine**2)) / 2)
+
+
+def axial_offset_factor(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:
+    """Return displacement at ``offset_m`` along the beam over that at the focus, and its relative uncertainty.
+
+    The force, of sigma ``width_m`` along the beam, is much longer than wide: the displacement follows it as
+    d(z) = exp(-z^2 / 2 E_z^2). The uncertainty is the rms of d(z) / d(offset) - 1 over z normal about ``offset_m`` with
+    standard deviation ``uncertainty_m``. It also holds at the focus, where the slope of d vanishes.
+    """
+    factor = np.exp(-(offset_m**2) / (2 * width_m**2))
+
+    def moment(order: int) -> float:
+        """Return the mean of d(z)^order."""
+        variance_m2 = width_m**2 + order * uncertainty_m**2
+        return float(width_m / np.sqrt(variance_m2) * np.exp(-order * offset_m**2 / (2 * variance_m2)))
+
+    mean_square = moment(2) - 2 * factor * moment(1) + factor**2
+    return float(factor), float(np.sqrt(max(mean_square, 0.0)) / factor)

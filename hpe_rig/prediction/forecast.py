@@ -10,12 +10,10 @@ import numpy as np
 
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select, window_pulse_count
-from hpe_rig.prediction.aliasing import fitted_over_true_by_estimator
-from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
 from hpe_rig.prediction.beam_averaging import predicted_averaging
-from hpe_rig.prediction.conditions import Conditions, resting_conditions
+from hpe_rig.prediction.conditions import Conditions, expected_amplitude_m, expected_snr_db, resting_conditions
 from hpe_rig.prediction.error_model import EstimatorErrors, estimator_errors
-from hpe_rig.prediction.linear_fit import noise_gain
+from hpe_rig.prediction.linear_fit import fitted_over_true_by_estimator, noise_gain
 from hpe_rig.prediction.scene_physics import gaussian_motion_width_m
 from hpe_rig.prediction.speckle import seeded_speckle
 from hpe_rig.processing import ESTIMATORS, spec_of

@@ -84,11 +84,6 @@ def tracking_gate(scene: Scene, estimator: str | None = None) -> TrackingGate:
     return TrackingGate(scene.beams.tracking_width_m, scene.acquisition.gate_length_m, pulse_length_m(scene), windowed)
 
 
-def echo_depth_moments(scene: Scene, estimator: str, focus_offset_m: float) -> tuple[float, float]:
-    """Return mean and standard deviation (m) of echo depth in a gate centred ``focus_offset_m`` behind the focus."""
-    return tracking_gate(scene, estimator).depth_moments(focus_offset_m)
-
-
 def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[float, ...] = ()) -> BeamWidths | None:
     """Return the widths of force and tracking beam for the ensemble of media; None without beams.
 

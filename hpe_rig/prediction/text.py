@@ -9,10 +9,10 @@ import numpy as np
 
 from hpe_rig.medium import beam_averaging_factor
 from hpe_rig.plan import Shot
-from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.beam_averaging import predicted_averaging
 from hpe_rig.prediction.detection import FALSE_ALARMS, detection_floor
 from hpe_rig.prediction.forecast import Prediction, forecast_of, remedies
+from hpe_rig.prediction.linear_fit import fitted_over_true
 from hpe_rig.prediction.output_text import dose_text
 from hpe_rig.prediction.scene_physics import tracking_gate
 from hpe_rig.scene import Scene

@@ -5,15 +5,13 @@ from .budget import (
 )
 from .burst_period import burst_period_motion as burst_period_motion, displacement_residual_m as displacement_residual_m
 from .echo.band import Band as Band, band_frequencies_hz as band_frequencies_hz, band_of as band_of
-from .echo.conditioning import codes_to_volts as codes_to_volts, hann as hann
+from .echo.conditioning import hann as hann
 from .echo.gate import (
     EchoGate as EchoGate,
-    gate_edge_uncertainty as gate_edge_uncertainty,
     margin_samples as margin_samples,
 )
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
-    Estimator as Estimator,
     EstimatorSpec as EstimatorSpec,
     Options as Options,
     estimate as estimate,
@@ -31,7 +29,6 @@ from .harmonics.medium_fit import (
 )
 from .harmonics.medium_prior import (
     MediumPrior as MediumPrior,
-    driven_spectrum as driven_spectrum,
     harmonic_range_hz as harmonic_range_hz,
     medium_prior as medium_prior,
 )

@@ -26,7 +26,7 @@ from hpe_rig.processing.harmonics.velocity_chain import velocity_to_harmonics
 from hpe_rig.processing.motion.displacement import Motion, velocity_between_pulses
 from hpe_rig.scene import (
     BUILT_IN_ESTIMATORS,
-    Estimator as Estimator,
+    Estimator,
     EstimatorProperties,
     checked_estimator,
     estimator_names,

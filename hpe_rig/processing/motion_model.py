@@ -38,11 +38,11 @@ def fitted_motion(
     matrix = linear_model(
         motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz
     ).matrix
-    wanted, further = np.split(matrix, [2 * frequency_hz.size], axis=1)
+    wanted_columns, further_columns = np.split(matrix, [2 * frequency_hz.size], axis=1)
     state = (amplitude_m[:, None] * np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1)).ravel()
-    harmonics_m = wanted @ state
+    harmonics_m = wanted_columns @ state
     remaining_m = motion.displacement_m[motion.valid] - harmonics_m
-    return harmonics_m + further @ np.linalg.lstsq(further, remaining_m, rcond=None)[0], matrix
+    return harmonics_m + further_columns @ np.linalg.lstsq(further_columns, remaining_m, rcond=None)[0], matrix
 
 
 def stored_motion(

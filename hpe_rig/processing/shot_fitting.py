@@ -81,8 +81,8 @@ def available_prior(scene: Scene, shot: Shot, beams: BeamWidths | None) -> Mediu
         return None
     if medium is None:
         return medium_prior(pushed, excitation.burst_rate_hz, length_s)
-    known = KnownMedium(medium.shear_modulus_pa, medium.shear_viscosity_pa_s)
-    return medium_prior(pushed, excitation.burst_rate_hz, length_s, known, medium.density_kg_per_m3)
+    known_medium = KnownMedium(medium.shear_modulus_pa, medium.shear_viscosity_pa_s)
+    return medium_prior(pushed, excitation.burst_rate_hz, length_s, known_medium, medium.density_kg_per_m3)
 
 
 def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[FloatArray, LinearModel]:

@@ -65,9 +65,12 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     Of a long record only the gate and its margins are read, unless the gate follows the motion. The statistics of a
     long shot are computed while its checksums are verified, so that its file is read once.
     """
-    margin, parts = margin_needed(scene, shot), list[GateStatistics]()
+    margin, block_statistics = margin_needed(scene, shot), list[GateStatistics]()
     records = stored.records.shot_blocks(
-        shot.index, samples_needed(scene, shot), margin=margin, visit=lambda codes: parts.append(code_statistics(codes))
+        shot.index,
+        samples_needed(scene, shot),
+        margin=margin,
+        visit=lambda codes: block_statistics.append(code_statistics(codes)),
     )
     if not records.valid.any():
         damaged = records.damaged is not None and bool(records.damaged.any())
@@ -75,7 +78,7 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     gate = reference_gate(scene, shot)
     return ShotRecords(
         gate=records,
-        statistics=concatenate_statistics(parts) if parts else gate_statistics(records),
+        statistics=concatenate_statistics(block_statistics) if block_statistics else gate_statistics(records),
         reference=None if gate is None else stored.records.shot_blocks(shot.index, gate, margin=margin),
     )
 

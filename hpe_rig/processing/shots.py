@@ -13,7 +13,6 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of
-from hpe_rig.processing.echo.gate import gate_edge_uncertainty
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
 from hpe_rig.processing.harmonics.fit_checks import drift_between_halves, residual_line
@@ -133,7 +132,7 @@ def _estimate_window(
     sources = replace(
         settings.sources,
         subtracts_jitter=motion.reference is not None,
-        gate_edge=gate_edge_uncertainty(motion.echoes, spec.gate_window),
+        gate_edge=motion.echoes.edge_uncertainty(spec.gate_window),
         quantisation_m=()
         if motion.coherent is None
         else quantisation_m(motion.echoes, records.gate.volts_per_code, motion.coherent, fit),

@@ -12,7 +12,6 @@ from hpe_rig.plan import Selection, Shot, phase_reference_of, select
 from hpe_rig.processing import (
     Motion,
     aliased_hz,
-    codes_to_volts,
     coherent,
     fitted_motion,
     margin_needed,
@@ -79,17 +78,20 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, fir
     valid = np.flatnonzero(records.valid[:MAX_PULSES])
     if not valid.size:
         return None
-    depth_m = _depth_m(scene, shot, first_sample, records.codes.shape[1])
+    # Depth from which the centre of an echo arrives at each sample.
+    sample = first_sample + np.arange(records.codes.shape[1])
+    delay_s = sample / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
+    depth_m = np.asarray(delay_s * scene.acquisition.sound_speed_m_per_s / 2)
     count = min(records.valid.size, MAX_PULSES)
     # Every n-th pulse and row: a screen resolves no more.
     pulses = np.arange(0, count, -(-count // MAX_COLUMNS))
     start, stop = shot.gate.start - first_sample, shot.gate.stop - first_sample
     rows = np.arange(start, stop, -(-(stop - start) // MAX_ROWS))
-    image = codes_to_volts(records.codes[pulses][:, rows], records.volts_per_code, records.volts_offset)
+    image = records.codes[pulses][:, rows] * np.float64(records.volts_per_code) + records.volts_offset
     image[~records.valid[pulses]] = np.nan
     half_m = scene.acquisition.gate_length_m / 2
     return EchoView(
-        line_v=codes_to_volts(records.codes[valid[line]], records.volts_per_code, records.volts_offset),
+        line_v=records.codes[valid[line]] * np.float64(records.volts_per_code) + records.volts_offset,
         line_depth_m=depth_m,
         image_v=image.T,
         image_depth_m=depth_m[rows],
@@ -142,10 +144,3 @@ def motion_view(scene: Scene, shot: Shot, motion: Motion, estimates: Sequence[Es
 def selected_pulses(scene: Scene, shot: Shot) -> Selection:
     """Return at most ``MAX_PULSES`` pulses of the processing window."""
     return select(scene, shot, MAX_PULSES)
-
-
-def _depth_m(scene: Scene, shot: Shot, first_sample: int, samples: int) -> FloatArray:
-    """Return the depth (sample,) from which the centre of an echo arrives at each sample."""
-    sample = first_sample + np.arange(samples)
-    delay_s = sample / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
-    return np.asarray(delay_s * scene.acquisition.sound_speed_m_per_s / 2)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.bench import Bench, open_bench as open_instruments
-from hpe_rig.measurement import BenchSource, as_path, bench_path, prepare, provenance_now, record_run, source_text
+from hpe_rig.measurement import BenchSource, prepare, provenance_now, record_run, source_text
 from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.runs.estimation import chosen_estimator
 from hpe_rig.runs.result_warnings import incomplete_warnings
@@ -35,9 +36,9 @@ def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLi
     >>> run.displacement_m(0).shape
     >>> print(run.estimate("coherent").to_frame())
     """
-    setup, run_file = prepare(scene, bench_path(bench)), as_path(path, "the path of a run file")
+    setup = prepare(scene, bench)
     options = WriteOptions(provenance=provenance_now(setup.bench.bench))
-    return open_run(record_run(setup, run_file, options=options))
+    return open_run(record_run(setup, path, options=options))
 
 
 def sweep(
@@ -73,7 +74,7 @@ def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]
     >>> with open_bench("bovine-muscle", "my-bench.toml") as bench:
     ...     print(bench.master.identify())
     """
-    setup = prepare(scene, bench_path(bench))
+    setup = prepare(scene, bench)
     with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
         yield opened
 
@@ -103,6 +104,7 @@ def fit_moduli(
         raise SettingsError(
             "moduli", [Mistake("law", f"there is no {law} medium", ", ".join(law_names())) for law in unknown]
         )
+    # In the order of the laws, whatever the order of the request.
     fitted_laws = [law for law in law_names() if law in laws] or list(law_names())
     opened = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
     if not opened:
@@ -146,10 +148,15 @@ def estimate(
     estimator_name = chosen_estimator(estimator)
     acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
     acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
+    shot_of = partial(
+        _shot,
+        acquired=acquired,
+        pulse_rate_hz=pulse_rate_hz,
+        frequencies_hz=frequencies_hz,
+        estimator=estimator_name,
+    )
     with stages("process"):
-        estimates = _shots(
-            volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, estimator_name
-        )
+        estimates = _shots(volts.reshape(-1, *volts.shape[-2:]), shot_of)
     return Result(
         title=f"Echoes of shape {volts.shape}",
         run_file="",
@@ -167,11 +174,7 @@ def estimate(
 
 
 def _shots(
-    trains: NDArray[np.floating[Any]],
-    pulse_rate_hz: float,
-    acquired: dict[str, Any],
-    frequencies_hz: Sequence[float],
-    estimator: Estimator,
+    trains: NDArray[np.floating[Any]], shot_of: Callable[[int, NDArray[np.floating[Any]]], ShotResult]
 ) -> Estimates:
     """Return the estimates of ``trains`` (train, pulse, sample); raise the first ``ValueError`` if no train has one."""
     from hpe_rig.processing import Estimates
@@ -179,7 +182,7 @@ def _shots(
     shots, errors = list[ShotResult](), dict[int, ValueError]()
     for index, volts in enumerate(trains):
         try:
-            shots.append(_shot(index, volts, pulse_rate_hz, acquired, frequencies_hz, estimator))
+            shots.append(shot_of(index, volts))
         except ValueError as error:
             errors[index] = error
     if errors and not shots:
@@ -190,17 +193,18 @@ def _shots(
 def _shot(
     index: int,
     volts: NDArray[np.floating[Any]],
-    pulse_rate_hz: float,
+    *,
     acquired: dict[str, Any],
+    pulse_rate_hz: float,
     frequencies_hz: Sequence[float],
     estimator: Estimator,
 ) -> ShotResult:
+    """Return the estimates of one train (pulse, sample); ``acquired`` are further arguments of ``EchoGate``."""
     from hpe_rig.processing import (
         EchoGate,
         ErrorSources,
         estimate as estimate_motion,
         estimates_of,
-        gate_edge_uncertainty,
         spec_of,
     )
 
@@ -209,7 +213,7 @@ def _shot(
     centred = volts - volts[valid].mean() if valid.any() else volts
     pulse_time_s = np.arange(valid.size) / pulse_rate_hz
     echoes = EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired)
-    edge = gate_edge_uncertainty(echoes, spec_of(estimator).gate_window)
+    edge = echoes.edge_uncertainty(spec_of(estimator).gate_window)
     fit = estimate_motion(echoes, frequencies_hz, estimator)
     return ShotResult(
         shot=index,

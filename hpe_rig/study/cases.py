@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_declared, check_simulation, read_bench, twin_of, twin_settings
 from hpe_rig.plan import PlanError
-from hpe_rig.processing import Estimator, Options, spec_of
+from hpe_rig.processing import Options, spec_of
 from hpe_rig.scene import (
     SWEPT_LISTS,
     Axis,
+    Estimator,
     Mistake,
     Scene,
     SettingsError,

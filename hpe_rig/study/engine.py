@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from hpe_rig.arrays import FloatArray, IndexArray
-from hpe_rig.processing import Estimator
+from hpe_rig.scene import Estimator
 from hpe_rig.study.cases import Case
 from hpe_rig.study.kernels import Form, form_of, spectral_kernels, states
 from hpe_rig.study.results import CaseRecord
@@ -61,16 +61,6 @@ class _Echoes:
     cases: list[_RunningCase]
     volts: FloatArray
     echo_index: IndexArray
-
-
-@dataclass(frozen=True, slots=True)
-class _NoiseBlock:
-    """Unit noise of some draws and repeats, by form, and its position in the states (draw, noise)."""
-
-    draws: slice
-    """Draws within the block of echoes."""
-    position: tuple[slice, slice]
-    values: dict[Form, FloatArray]
 
 
 def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
@@ -128,10 +118,10 @@ def _run_block(active: list[_RunningCase], block: int, draws: slice) -> None:
     for piece, repeats in _pieces(case, draws.stop - draws.start):
         shape = (piece.stop - piece.start, repeats.stop - repeats.start, case.train.pulses)
         position = (slice(draws.start + piece.start, draws.start + piece.stop), repeats)
-        noise = _NoiseBlock(piece, position, _unit_noise(active, shape, *generators))
+        noise = _unit_noise(active, shape, *generators)
         since = _charge(active, since)
         for item in echoes:
-            since = _estimate(item, noise, since)
+            since = _estimate(item, piece, noise, position, since)
 
 
 def _echoes(cases: list[_RunningCase], block: int, draws: int) -> _Echoes:
@@ -180,13 +170,18 @@ def _unit_noise(
     return noise
 
 
-def _estimate(echoes: _Echoes, noise: _NoiseBlock, since: float) -> float:
-    """Write the states of every case of these echoes for one block of noise; return the current processor time."""
+def _estimate(
+    echoes: _Echoes, draws: slice, noise: dict[Form, FloatArray], position: tuple[slice, slice], since: float
+) -> float:
+    """Write the states of every case of these echoes for some ``draws`` of them; return the current processor time.
+
+    ``noise`` is the unit noise by form, ``position`` the draws and repeats in the states (draw, noise).
+    """
     train = echoes.cases[0].case.train
-    volts = echoes.volts[noise.draws]
+    volts = echoes.volts[draws]
     # Mean echo power of each draw over train and gate: as in the paper, the SNR holds for each draw.
     power = np.square(volts).mean(axis=2)[:, echoes.echo_index].mean(axis=1)
-    clean = {form: volts @ matrix for form, matrix in spectral_kernels(train).of_volts.items() if form in noise.values}
+    clean = {form: volts @ matrix for form, matrix in spectral_kernels(train).of_volts.items() if form in noise}
     clean["volts"] = volts
     since = _charge(echoes.cases, since)
     # "literal" and "as_printed" differ in the scaling of an estimate alone: they share estimates and time.
@@ -197,9 +192,9 @@ def _estimate(echoes: _Echoes, noise: _NoiseBlock, since: float) -> float:
     for (snr_db, name), group in groups.items():
         level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
         form = form_of(name)
-        values = states(train, name, clean[form], echoes.echo_index, level, noise.values[form])
+        values = states(train, name, clean[form], echoes.echo_index, level, noise[form])
         for item in group:
-            item.states[name][noise.position] = values
+            item.states[name][position] = values
         since = _charge(group, since)
     return since
 

@@ -23,8 +23,7 @@ from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
 from hpe_rig.processing import (
     Band,
     EchoGate,
-    Estimator,
-    Motion,
+        Motion,
     Options,
     band_frequencies_hz,
     band_of,
@@ -37,6 +36,7 @@ from hpe_rig.processing import (
     padded_bins,
     spec_of,
 )
+from hpe_rig.scene import Estimator
 
 
 @dataclass(frozen=True, slots=True)

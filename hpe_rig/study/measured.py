@@ -18,9 +18,9 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.measurement import prepare, record_run
-from hpe_rig.processing import Estimator
-from hpe_rig.result import Estimate, Result
+from hpe_rig.result import Estimate
 from hpe_rig.runs import open_run
+from hpe_rig.scene import Estimator
 from hpe_rig.store import StoreError
 from hpe_rig.study.engine import is_precise, peak_memory_bytes
 from hpe_rig.study.measured_case import MeasuredCase
@@ -64,12 +64,9 @@ def _measure(case: MeasuredCase, draw: int, values: Mapping[Estimator, FloatArra
             except StoreError:
                 # No shot of the run carries an estimate.
                 continue
-            _fill(table, result, case.corrected)
-
-
-def _fill(table: FloatArray, result: Result, corrected: bool) -> None:
-    for shot in result.shots:
-        table[shot.shot] = [(*_values(item, corrected), bool(shot.warnings)) for item in shot.estimates]
+            for shot in result.shots:
+                warned = bool(shot.warnings)
+                table[shot.shot] = [(*_values(item, case.corrected), warned) for item in shot.estimates]
 
 
 def _values(item: Estimate, corrected: bool) -> tuple[float | None, ...]:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from hpe_rig.measurement import Setup, prepare
-from hpe_rig.processing import Estimator
-from hpe_rig.scene import Scene, with_default_specimen
+from hpe_rig.scene import Estimator, Scene, with_default_specimen
 
 
 @dataclass(frozen=True, slots=True)

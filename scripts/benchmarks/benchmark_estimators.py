@@ -21,7 +21,8 @@ from dataclasses import replace
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, Motion, estimate, kalman, least_squares, motion_of
+from hpe_rig.processing import ESTIMATORS, EchoGate, Motion, estimate, kalman, least_squares, motion_of
+from hpe_rig.scene import Estimator
 from hpe_rig.validation import MotionCase
 
 RATE_HZ, FREQUENCY_HZ, NOISE_M = 4000.0, 200.0, 1e-7

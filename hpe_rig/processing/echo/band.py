@@ -131,8 +131,8 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
 def _tapered(samples: int, before: int, after: int) -> FloatArray:
     """Return a window (sample,) of ones with raised cosines over its first and last samples."""
     taper = np.ones(samples)
-    for count, part in ((before, taper), (after, taper[::-1])):
-        part[:count] *= np.sin(np.pi / 2 * (np.arange(count) + 0.5) / count) ** 2
+    for count, edge in ((before, taper), (after, taper[::-1])):
+        edge[:count] *= np.sin(np.pi / 2 * (np.arange(count) + 0.5) / count) ** 2
     return taper
 
 
@@ -167,8 +167,8 @@ def real_matmul(matrix: FloatArray, columns: ComplexArray) -> ComplexArray:
     return product.view(np.complex128)
 
 
-def real_inner_product(one: ComplexArray, other: ComplexArray) -> FloatArray:
+def real_inner_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     """Return the real part of the inner product (...) of spectra (..., bin)."""
-    product: FloatArray = np.einsum("...i,...i->...", one.real, other.real)
-    product += np.einsum("...i,...i->...", one.imag, other.imag)
+    product: FloatArray = np.einsum("...i,...i->...", first.real, second.real)
+    product += np.einsum("...i,...i->...", first.imag, second.imag)
     return product

@@ -18,11 +18,6 @@ MAX_ENERGY_DEVIATION = 8.0
 """Robust standard deviations of the logarithmic energy beyond which a pulse deviates; always at least a factor of 2."""
 
 
-def codes_to_volts(codes: Int16Array, volts_per_code: float, volts_offset: float) -> FloatArray:
-    """Return the records in volts, float64, with the shape of ``codes``."""
-    return codes * np.float64(volts_per_code) + volts_offset
-
-
 def centred_volts(
     codes: Int16Array, volts_per_code: float, usable: BoolArray, gate: slice = slice(None)
 ) -> SingleArray:

@@ -165,8 +165,8 @@ def _train_energy(spectrum: ComplexArray) -> FloatArray:
     total = np.zeros(spectrum.shape[:-2])
     for index in range(spectrum.shape[-1]):
         # Real and imaginary parts as one row of real numbers.
-        parts = np.ascontiguousarray(spectrum[..., index]).view(spectrum.real.dtype)
-        total += np.einsum("...i,...i->...", parts, parts)
+        real_and_imag = np.ascontiguousarray(spectrum[..., index]).view(spectrum.real.dtype)
+        total += np.einsum("...i,...i->...", real_and_imag, real_and_imag)
         release_pages(spectrum)
     return total
 

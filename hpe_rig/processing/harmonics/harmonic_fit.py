@@ -105,19 +105,19 @@ def least_squares(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
     model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
-    wanted, (pulses, states) = model.wanted, model.matrix.shape
+    wanted_states, (pulses, states) = model.wanted_states, model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
     degrees: FloatArray | float = float(pulses - states)
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     if motion.step_noise_ratio is not None:
         orthonormal, step_noise_ratio = model.matrix @ model.root, np.asarray(motion.step_noise_ratio)
         energy, degrees = difference_noise_moments(orthonormal, np.ones(states), step_noise_ratio)
-        weights = model.root[wanted] @ orthonormal.T
+        weights = model.root[wanted_states] @ orthonormal.T
         variance, covariance = step_covariance(residual, step_noise_ratio, weights, energy)
     else:
-        covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
+        covariance = variance[..., None, None] * (model.root[wanted_states] @ model.root[wanted_states].T)
     quality = FitQuality(np.sqrt(variance), degrees, pulses, model.condition)
-    return fit_from_state(frequency_hz, state[..., wanted], covariance, quality)
+    return fit_from_state(frequency_hz, state[..., wanted_states], covariance, quality)
 
 
 def difference_noise_moments(

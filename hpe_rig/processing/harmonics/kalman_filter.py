@@ -85,10 +85,12 @@ def kalman(
         filtered = filter_changing(model.matrix, displacement, drive, prior)
     variance = filtered.squared_innovations / (pulses - states)
     covariance = variance[..., None, None] * (filtered.root @ filtered.root.T)
-    wanted = model.wanted
+    wanted_states = model.wanted_states
     correlation = innovation_correlation(filtered.innovations, states) if filtered.innovations.size else None
     quality = FitQuality(np.sqrt(variance), pulses - states, pulses, model.condition, correlation)
-    return fit_from_state(frequency_hz, filtered.state[..., wanted], covariance[..., wanted, wanted], quality)
+    return fit_from_state(
+        frequency_hz, filtered.state[..., wanted_states], covariance[..., wanted_states, wanted_states], quality
+    )
 
 
 def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovations: bool = False) -> Filtered:

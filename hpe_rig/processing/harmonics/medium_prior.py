@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
-from hpe_rig.medium import BeamWidths, Ensemble, KnownMedium, RigidSphere, medium_ensemble
+from hpe_rig.medium import BeamWidths, KnownMedium, RigidSphere, medium_ensemble
 from hpe_rig.processing.harmonics.model import harmonic_columns
 
 HIGHEST_HZ = 4e4
@@ -78,8 +78,8 @@ class MediumPrior:
         """
         first, repeats = self.distinct_instants(time_s)
         powers = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
-        motion, wanted = powers @ self.spectrum, powers[:, list(harmonic_indices)]
-        return np.hstack([motion.imag, motion.real])[repeats], _real_pairs(1j * np.conj(wanted))[repeats]
+        motion, wanted_powers = powers @ self.spectrum, powers[:, list(harmonic_indices)]
+        return np.hstack([motion.imag, motion.real])[repeats], _real_pairs(1j * np.conj(wanted_powers))[repeats]
 
     def distinct_instants(self, time_s: FloatArray) -> tuple[IndexArray, IndexArray]:
         """Return one pulse for each distinct instant of the burst period, and the instant's index of every pulse."""
@@ -122,15 +122,16 @@ def medium_prior(
     pushed: BeamWidths | RigidSphere,
     burst_rate_hz: float,
     burst_length_s: float,
-    known: KnownMedium | None = None,
+    known_medium: KnownMedium | None = None,
     density_kg_per_m3: float = 1000.0,
 ) -> MediumPrior:
     """Return the prior of the motion under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
 
-    Times count from the onset of a burst at the focus. A ``known`` medium narrows the ensemble to Voigt media near it.
+    Times count from the onset of a burst at the focus. A ``known_medium`` narrows the ensemble to Voigt media near it.
     """
-    ensemble = medium_ensemble(pushed, *harmonic_range_hz(burst_rate_hz), known, density_kg_per_m3)
-    spectrum = driven_spectrum(ensemble, burst_rate_hz, burst_length_s)
+    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
+    ensemble = medium_ensemble(pushed, lowest_hz, highest_hz, known_medium, density_kg_per_m3)
+    spectrum = ensemble.driven_spectrum(round(highest_hz / burst_rate_hz), burst_rate_hz, burst_length_s)
     tracked, peak = ensemble.tracked @ spectrum.T, ensemble.peak @ spectrum.T
     # Each member is scaled to a tracked motion of 1 m rms.
     scale = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
@@ -156,18 +157,6 @@ def medium_prior(
     for array in (spectrum, root, members, deviation, prior.peak_over_tracked, prior.amplitude_m, prior.steepness):
         array.flags.writeable = False
     return prior
-
-
-def driven_spectrum(ensemble: Ensemble, burst_rate_hz: float, burst_length_s: float) -> ComplexArray:
-    """Return the matrix (harmonic, node) from responses at the ensemble's nodes to A exp(j phase) of every harmonic.
-
-    The force is a train of rectangular tonebursts (paper eq. 18), with the harmonics of ``harmonic_range_hz``.
-    """
-    harmonic = np.arange(1.0, round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz) + 1)
-    duty = burst_rate_hz * burst_length_s
-    # A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient of exp(jwt).
-    force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
-    return np.asarray(force[:, None] * ensemble.interpolation(np.asarray(burst_rate_hz * harmonic)))
 
 
 def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:

@@ -57,14 +57,14 @@ class LinearModel:
     ``matrix`` (valid pulse, state) is H; ``every_pulse`` (pulse, state) has the rows of invalid pulses too. ``root``
     (state, state), upper triangular, is R^-1 with H'H = R'R: root @ root.T is the covariance of the states for noise of
     unit variance. ``condition``: condition number of the wanted and background columns scaled to unit length.
-    ``wanted``: slice of the wanted and background states.
+    ``wanted_states``: slice of the wanted and background states.
     """
 
     matrix: FloatArray
     every_pulse: FloatArray
     root: FloatArray
     condition: float
-    wanted: slice
+    wanted_states: slice
 
     def solve(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the least-squares states (..., state) of ``data`` (..., valid pulse), and the residual."""
@@ -188,16 +188,16 @@ def _condition(matrix: FloatArray, products: FloatArray) -> float:
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
-def _resolvable(matrix: FloatArray, wanted: int, largest_condition: float) -> int:
+def _resolvable(matrix: FloatArray, wanted_count: int, largest_condition: float) -> int:
     """Return how many columns after the first ``wanted`` fit into the model with an acceptable condition number."""
     scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
     gram = scaled.T @ scaled
     # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
-    low, high = 0, matrix.shape[1] - wanted
+    low, high = 0, matrix.shape[1] - wanted_count
     # All columns are tried first: they are often resolved.
     middle = high
     while low < high:
-        smallest, *_, largest = np.linalg.eigvalsh(gram[: wanted + middle, : wanted + middle])
+        smallest, *_, largest = np.linalg.eigvalsh(gram[: wanted_count + middle, : wanted_count + middle])
         if largest <= largest_condition**2 * smallest:
             low = middle
         else:

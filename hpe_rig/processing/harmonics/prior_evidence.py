@@ -26,8 +26,7 @@ MIN_MEMBERS = 15.0
 """Smallest effective number of members behind the mean error: the ensemble has no more where the data narrow it
 down."""
 LOG_SCALES = np.arange(0.0, 9.0, 0.1) * np.log(10)
-"""Natural logarithms of the scanned r, relative to the r at which the strongest direction equals the noise of a
-pulse."""
+"""Natural logarithms of the scanned r, relative to the r whose strongest direction equals the noise of a pulse."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ def velocity_to_harmonics(
     order = max(background_order - 1, 0)
     model = linear_model(velocity.time_s, velocity.valid, frequency_hz, background_order=order, also_hz=also_hz)
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
-    background = slice(2 * frequency_hz.size, model.wanted.stop if order else 0)
+    background = slice(2 * frequency_hz.size, model.wanted_states.stop if order else 0)
     fill = _fill_columns(model, velocity.valid, background)
     filled = _filled(velocity, model, fill)
     window = hann(velocity.valid.size) if with_hann else np.ones(velocity.valid.size)

@@ -27,7 +27,7 @@ C0, C1, C2, C3, C4, C5, C6, C7 = (
     )
 )
 TINY: Final = np.float32(1e-38)
-QUARTER_TURN, HALF_TURN, TURN = (np.float32(part * math.pi) for part in (0.5, 1, 2))
+QUARTER_TURN, HALF_TURN, TURN = (np.float32(half_turns * math.pi) for half_turns in (0.5, 1, 2))
 UNKNOWN_PHASE_RAD: Final = np.float32(math.pi / math.sqrt(3))
 
 
@@ -53,11 +53,11 @@ def unwrapped(z: ComplexSingleArray) -> SingleArray:
 
 
 @_compile
-def _unwrap(parts: SingleArray, angle: SingleArray) -> None:
-    """Write the phases (pixel, pulse) of ``parts`` (pixel, 2 * pulse): real, imaginary, real, ..."""
+def _unwrap(real_and_imag: SingleArray, angle: SingleArray) -> None:
+    """Write the phases (pixel, pulse) of ``real_and_imag`` (pixel, 2 * pulse): real, imaginary, real, ..."""
     pulses = angle.shape[1]
-    for i in range(len(parts)):
-        row, phase = parts[i], angle[i]
+    for i in range(len(real_and_imag)):
+        row, phase = real_and_imag[i], angle[i]
         # Multiplied by the conjugate of the first pulse, scaled to keep its size; by 1 if that is zero.
         a, b, square_sum = row[0], row[1], np.float32(0)
         if a == 0 and b == 0:

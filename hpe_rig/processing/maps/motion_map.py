@@ -262,7 +262,7 @@ class _Pixels:
         shape = (lines, -1, gates, length)
         echo, derivative = echo.reshape(shape), derivative.reshape(shape)
         pairs = ((echo.real, derivative.real), (echo.imag, derivative.imag))
-        moment = np.asarray(sum(np.einsum("lpgs,lpgs->lg", one, other) for one, other in pairs))
+        moment = np.asarray(sum(np.einsum("lpgs,lpgs->lg", *pair) for pair in pairs))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
 
@@ -320,17 +320,17 @@ class _Pixels:
         return [*results, velocity, velocity_u]
 
 
-def _serial_matmul(left: SingleArray, right: SingleArray) -> SingleArray:
-    """Return ``left @ right`` in blocks of rows so small that BLAS starts no threads.
+def _serial_matmul(rows: SingleArray, matrix: SingleArray) -> SingleArray:
+    """Return ``rows @ matrix`` in blocks of rows so small that BLAS starts no threads.
 
     Otherwise each thread of the pool would start as many BLAS threads, all on the same cores.
     """
-    rows = max(1, SERIAL_PRODUCTS // right.size)
-    whole = len(left) // rows * rows
-    product = np.empty((len(left), right.shape[1]), np.float32)
-    blocks = left[:whole].reshape(-1, rows, left.shape[1])
-    np.matmul(blocks, right, out=product[:whole].reshape(-1, rows, right.shape[1]))
-    np.matmul(left[whole:], right, out=product[whole:])
+    size = max(1, SERIAL_PRODUCTS // matrix.size)
+    in_blocks = len(rows) // size * size
+    product = np.empty((len(rows), matrix.shape[1]), np.float32)
+    blocks = rows[:in_blocks].reshape(-1, size, rows.shape[1])
+    np.matmul(blocks, matrix, out=product[:in_blocks].reshape(-1, size, matrix.shape[1]))
+    np.matmul(rows[in_blocks:], matrix, out=product[in_blocks:])
     return product
 
 

@@ -274,10 +274,11 @@ def _product_with_next(before: ComplexArray, after: ComplexArray) -> ComplexArra
     return np.asarray(np.einsum("...ij,...ij->...j", np.conj(before[..., :-1]), after[..., 1:]))
 
 
-def _real_product(one: ComplexArray, other: ComplexArray) -> FloatArray:
+def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
     """Return the real part of the inner product (..., pulse) of two arrays (..., column, pulse)."""
     return np.asarray(
-        np.einsum("...ij,...ij->...j", one.real, other.real) + np.einsum("...ij,...ij->...j", one.imag, other.imag)
+        np.einsum("...ij,...ij->...j", first.real, second.real)
+        + np.einsum("...ij,...ij->...j", first.imag, second.imag)
     )
 
 

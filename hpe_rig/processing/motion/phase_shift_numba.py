@@ -23,12 +23,12 @@ def _gate(echo: ComplexArray, margin_root: FloatArray, gated: ComplexArray) -> N
 
 
 @_compile
-def _product(one: ComplexArray, other: ComplexArray, hz: FloatArray) -> tuple[complex, complex]:
+def _product(first: ComplexArray, second: ComplexArray, hz: FloatArray) -> tuple[complex, complex]:
     """Return the inner product of two echoes (bin,), and the inner product weighted by frequency."""
     real, imag, real_moment, imag_moment = 0.0, 0.0, 0.0, 0.0
-    for m in range(len(one)):
-        a = one[m].real * other[m].real + one[m].imag * other[m].imag
-        b = one[m].real * other[m].imag - one[m].imag * other[m].real
+    for m in range(len(first)):
+        a = first[m].real * second[m].real + first[m].imag * second[m].imag
+        b = first[m].real * second[m].imag - first[m].imag * second[m].real
         real += a
         imag += b
         real_moment += a * hz[m]

@@ -24,8 +24,9 @@ from matplotlib.figure import Figure
 from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import TrackingGate, beam_averaging_factor, scatterer_density
 from hpe_rig.prediction import force_spectrum
-from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples, spec_of
+from hpe_rig.processing import ESTIMATORS, EchoGate, estimate, margin_samples, spec_of
 from hpe_rig.result import MARKS, label_decades, mark
+from hpe_rig.scene import Estimator
 from hpe_rig.validation.accuracy.work_precision import pareto, timed
 
 if TYPE_CHECKING:

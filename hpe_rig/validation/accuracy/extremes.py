@@ -13,7 +13,8 @@ from functools import partial
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing import EchoGate, Estimator, HarmonicFit, Motion, estimate, kalman, least_squares
+from hpe_rig.processing import EchoGate, HarmonicFit, Motion, estimate, kalman, least_squares
+from hpe_rig.scene import Estimator
 from hpe_rig.validation.accuracy.work_precision import Point, grouped, timed
 
 SOUND_SPEED, CARRIER_HZ, SAMPLE_RATE_HZ = 1540.0, 9e6, 100e6

@@ -13,7 +13,8 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import scatterer_density
 from hpe_rig.prediction import Conditions, EstimatorErrors, draw_speckle, echo_bound, estimator_errors
-from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns, margin_samples
+from hpe_rig.processing import ESTIMATORS, EchoGate, estimate, harmonic_columns, margin_samples
+from hpe_rig.scene import Estimator
 from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, timed
 
 PARAMETERS: dict[str, tuple[float, ...]] = {

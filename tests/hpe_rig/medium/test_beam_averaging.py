@@ -10,12 +10,11 @@ from hpe_rig.medium import (
     BeamWidths,
     HarmonicMedium,
     TrackingGate,
-    axial_offset_factor,
     beam_averaging_factor,
-    obliquity_factor,
     scatterer_density,
     tracked_motion,
 )
+from hpe_rig.prediction.beam_averaging import axial_offset_factor, obliquity_factor
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import SimulationSettings, Specimen
 from sim_backend.transducer import pulse_echo_beam

@@ -7,7 +7,7 @@ import pytest
 
 from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, aperture_force, scanned_force, shear_motion
 from hpe_rig.medium.push_force import bowl_pressure
-from hpe_rig.moduli import APERTURE_SHAPE
+from hpe_rig.moduli.vibration_model import APERTURE_SHAPE
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import GaussianSum, bowl_pressure as twins_pressure, push_intensity, wave_number

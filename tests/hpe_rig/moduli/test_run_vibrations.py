@@ -10,8 +10,9 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.medium import law_of
-from hpe_rig.moduli import APERTURE_SHAPE, ModuliResult, Source, moduli_of, push_of
+from hpe_rig.moduli import ModuliResult, Source, moduli_of, push_of
 from hpe_rig.moduli.problem import Problem
+from hpe_rig.moduli.vibration_model import APERTURE_SHAPE
 from hpe_rig.prediction import draw_speckle, resting_conditions, tracked_over_peak
 from hpe_rig.store import StoredRun
 

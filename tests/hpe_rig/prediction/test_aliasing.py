@@ -6,7 +6,7 @@ import pytest
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.prediction.aliasing import fitted_over_true
+from hpe_rig.prediction.linear_fit import fitted_over_true
 from hpe_rig.prediction.text import aliasing_text
 from hpe_rig.scene import scene_text
 from hpe_rig.store.layout import TRUE_HARMONICS

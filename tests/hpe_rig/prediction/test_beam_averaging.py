@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare_text
-from hpe_rig.medium import axial_offset_factor, obliquity_factor
 from hpe_rig.prediction import beam_widths, predicted_averaging, resting_conditions, tracked_over_peak
-from hpe_rig.prediction.beam_averaging import SHAPE_RELATIVE, averaging_ratio
+from hpe_rig.prediction.beam_averaging import SHAPE_RELATIVE, averaging_ratio, axial_offset_factor, obliquity_factor
 from hpe_rig.prediction.speckle import seeded_speckle
 from hpe_rig.prediction.speckle_spread import region_spread, speckle_spread
 from hpe_rig.prediction.text import averaging_text

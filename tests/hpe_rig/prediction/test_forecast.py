@@ -17,8 +17,7 @@ from hpe_rig.prediction import Conditions, Speckle, draw_speckle, estimator_erro
 from hpe_rig.prediction.forecast import conditions_of, predict, remedies
 from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.prediction.text import prediction_text
-from hpe_rig.processing import Estimator
-from hpe_rig.scene import parse_scene, scene_text
+from hpe_rig.scene import Estimator, parse_scene, scene_text
 from hpe_rig.validation.accuracy.motion import (
     PARAMETERS,
     MotionCase,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate, noisy_peak_steps, orthonormal_rows
+from hpe_rig.processing import ESTIMATORS, Options, estimate, noisy_peak_steps, orthonormal_rows
 from hpe_rig.processing.motion.spectral_peak import peak_steps
+from hpe_rig.scene import Estimator
 from hpe_rig.study.kernels import Train, form_of, spectral_kernels, states
 
 TRAIN = Train(4000.0, 40, 0.0, 9e6, 1540.0, 100e6, 130, (200.0,), Options())

@@ -13,17 +13,12 @@ import pytest
 from hpe_rig import measure
 from hpe_rig.plan import select
 from hpe_rig.processing.echo import conditioning, gate as gate_module, spectrum
-from hpe_rig.processing.echo.conditioning import centred_volts, codes_to_volts, hann
+from hpe_rig.processing.echo.conditioning import centred_volts, hann
 from hpe_rig.processing.motion import phase_shift
 from hpe_rig.processing.motion.phase_shift import coherent
 from hpe_rig.processing.shot_tracking import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
 from hpe_rig.store import StoreError, reader
-
-
-def test_full_scale_codes_become_full_scale_volts() -> None:
-    volts = codes_to_volts(np.array([[-8192, 0, 8191]], dtype=np.int16), 0.8 / 8192, 0.01)
-    np.testing.assert_allclose(volts, [[-0.79, 0.01, 0.8 * 8191 / 8192 + 0.01]], rtol=1e-15)
 
 
 def test_the_offset_is_removed_and_the_resting_echo_kept() -> None:

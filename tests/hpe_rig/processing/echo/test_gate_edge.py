@@ -16,7 +16,6 @@ from hpe_rig.processing import (
     Estimator,
     coherent,
     estimate,
-    gate_edge_uncertainty,
     least_squares,
 )
 from hpe_rig.processing.echo.spectrum import band_spectrum
@@ -93,7 +92,7 @@ def test_the_stated_edge_uncertainty_is_the_error_of_a_rigid_motion(
 ) -> None:
     table = replace(_one_cycle(wide, 130), margin=margin)
     error = np.sqrt(np.mean(_errors(table, 40, estimator) ** 2))
-    stated = gate_edge_uncertainty(table.gate(np.zeros((20, 130 + 2 * margin))))
+    stated = table.gate(np.zeros((20, 130 + 2 * margin))).edge_uncertainty()
     assert stated / 4 < error < 1.5 * stated
 
 
