@@ -21,11 +21,7 @@ from hpe_rig.cli.stored_runs import stored_runs
 from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
 
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 for group in (measuring, stored_runs, recordings, scene_commands, benches, studies):
     app.add_typer(group)
 commands = app
@@ -58,8 +54,7 @@ def program(
         bool, typer.Option("--version", callback=print_version, is_eager=True, help="Show the version and exit.")
     ] = False,
     log_level: Annotated[
-        LogLevel,
-        typer.Option("--log-level", help="Logged to standard error; debug: every message to an instrument."),
+        LogLevel, typer.Option("--log-level", help="Logged to standard error; debug: every message to an instrument.")
     ] = LogLevel.WARNING,
 ) -> None:
     """Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench."""

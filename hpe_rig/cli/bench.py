@@ -74,6 +74,7 @@ def compare_with(path: Path, state: BenchState) -> str:
     note = ""
     if state.report is None:
         differences += settings_differences(run.settings, state.settings)
+    # An idle bench is programmed for the run first; an incomplete one cannot be.
     elif run.settings and state.report.complete:
         differences += settings_differences(run.settings, _settings_of_last_shot(path, state))
     else:
@@ -91,6 +92,7 @@ def _settings_of_last_shot(path: Path, state: BenchState) -> Mapping[str, Settin
     The settings of an idle bench would differ in nearly everything. No output is enabled, and all are verified off.
     """
     stored, shots = open_run(path).stored, len(read_snapshots(path))
+    # The run was measured: its conflicts are no reason to refuse a comparison.
     setup = prepare_text(stored.scene_name, stored.scene_toml, state.path, refuse=False, stored=path)
     shot = setup.plan.shots[shots - 1]
     point = setup.scene.scene.points[shot.point]
@@ -114,6 +116,7 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
     headers = ("role", "address", "model", "serial", "firmware", "found", "self-test", "round trip\nms")
     rows = [_row(item) for item in report.instruments]
     tested = any(row[6] != "-" for row in rows)
+    # The self-test has a column only if it ran, else every cell would be a dash.
     columns = [0, 1, 2, 5, *([6] if tested else []), 7] if printer.narrow else range(len(headers))
     cells = [[row[column] for column in columns] for row in rows]
     printer.table(rich_table([headers[column] for column in columns], cells, words=len(columns) - 1))

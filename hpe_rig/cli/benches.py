@@ -35,6 +35,7 @@ def bench_command(
     from hpe_rig.cli.bench import bench_state, compare_with, print_report, switch_all_off
     from hpe_rig.scene import Mistake, SettingsError
 
+    # A run file describes a bench that may no longer exist: nothing can be switched or tested.
     is_run_file = bench is not None and bench.suffix == ".h5"
     if off:
         if compare is not None or self_test or is_run_file:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,7 @@ def print_runs(
     if json:
         print_json([entry.as_dict() for entry in selected])
     elif csv:
-        typer.echo(csv_text(_with_all_columns([_csv_row(entry) for entry in selected])), nl=False)
+        typer.echo(csv_text([_csv_row(entry) for entry in selected]), nl=False)
     elif not selected:
         typer.echo(f"none of {len(entries)} runs in {folder} matches" if entries else f"no run in {folder}")
     else:
@@ -70,15 +70,10 @@ def _result(entry: RunEntry) -> str:
 
 def _csv_row(entry: RunEntry) -> dict[str, Any]:
     """Return the entry as one row, with a column for each value of the result and each note."""
+    # A cell holds one value: nested tables become further columns.
     row = entry.as_dict()
     lead, notes = row.pop("lead") or {}, row.pop("notes")
     return {**row, **lead, **{f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}}
-
-
-def _with_all_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return ``rows`` with the union of their columns."""
-    columns = dict.fromkeys(name for row in rows for name in row)
-    return [{name: row.get(name) for name in columns} for row in rows]
 
 
 def _time(text: str | None, option: str, end: bool = False) -> datetime | None:

@@ -19,7 +19,7 @@ from hpe_rig.cli.options import (
     RunFile,
     SceneName,
     WatchOptions,
-    check_file_name,
+    file_option,
 )
 from hpe_rig.result import Stages
 
@@ -34,10 +34,7 @@ def run(
     watch: WatchOptions,
     bench: BenchPath = None,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            callback=check_file_name, help="Run file. Default: SCENE.h5 in this folder, numbered if it exists."
-        ),
+        Path | None, file_option("Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
     ] = None,
     compress: Compress = False,
     overwrite: Overwrite = False,
@@ -59,9 +56,9 @@ def run(
     refuse_unwritable(result_path(path, estimator))
     options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
     quiet = result.json or result.csv
-    with supervise(setup, path, run_id, watch, announce) as supervision:
+    with supervise(setup, path, run_id, watch, announce) as (watched, move):
         with progress(setup, quiet) as observer:
-            record_run(setup, path, supervision.observed(observer), stages, options, move=supervision.move)
+            record_run(setup, path, watched(observer), stages, options, move=move)
         show(process(path, result.estimator, stages), result)
         if report:
             from hpe_rig.report import write_report
@@ -81,10 +78,7 @@ def resume(
         str | None, typer.Option(help="Scene that must equal the run's. Default: the scene in the run file.")
     ] = None,
     bench: BenchPath = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(callback=check_file_name, help="New run file. Default: beside the old one, numbered."),
-    ] = None,
+    output: Annotated[Path | None, file_option("New run file. Default: beside the old one, numbered.")] = None,
     compress: Compress = False,
 ) -> None:
     """Continue a stopped run. Its complete shots are copied to a new file, and the other shots are measured."""
@@ -103,9 +97,9 @@ def resume(
     path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
     refuse_unwritable(result_path(path, estimator))
     options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(setup.bench.bench))
-    with supervise(setup, path, run_id, watch, announce) as supervision:
+    with supervise(setup, path, run_id, watch, announce) as (watched, move):
         with progress(setup, quiet=result.json or result.csv) as observer:
-            resume_run(resumption, path, supervision.observed(observer), stages, options, move=supervision.move)
+            resume_run(resumption, path, watched(observer), stages, options, move=move)
         show(process(path, result.estimator, stages), result)
 
 
@@ -152,6 +146,7 @@ def live(
     with extra("live"):
         from hpe_rig.live import serve_run
 
+    # ``attached`` is for the page of ``run --live``, which ends with its parent process.
     serve_run(run_file, port, attached, open)
 
 
@@ -171,11 +166,11 @@ def align(
     from hpe_rig.store import extra
 
     with extra("live"):
-        from hpe_rig.live import align as align_focus, band_percent, without_pushing
+        from hpe_rig.live import align as align_focus
 
-    band_limits = band_percent(band)
-    setup = without_pushing(prepare(scene, bench, refuse=False))
-    shots = align_focus(setup, port, partial(_announce_page, open), band_limits)
+    # Conflicts of the tonebursts do not concern the alignment, which omits them.
+    setup = prepare(scene, bench, refuse=False)
+    shots = align_focus(setup, port, partial(_announce_page, open), band)
     typer.echo(f"stopped after {shots} single shots; all outputs verified off")
 
 

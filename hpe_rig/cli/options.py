@@ -23,6 +23,11 @@ def check_file_name(path: Path | None) -> Path | None:
     return path
 
 
+def file_option(text: str) -> Any:
+    """Return an option for the name of a file, with the help ``text``."""
+    return typer.Option(callback=check_file_name, help=text)
+
+
 def complete_scene(incomplete: str) -> list[str]:
     """Return the shipped scenes and the TOML files of this folder with names that begin with ``incomplete``."""
     from hpe_rig.scene import shipped_scenes
@@ -32,8 +37,7 @@ def complete_scene(incomplete: str) -> list[str]:
 
 
 SceneName = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="Name of a shipped scene, or a TOML file.", autocompletion=complete_scene),
+    str, typer.Argument(metavar="SCENE", help="Name of a shipped scene, or a TOML file.", autocompletion=complete_scene)
 ]
 BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file. Default: the simulated bench.")]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5.")]
@@ -41,8 +45,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a tabl
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")]
 ProfileStep = Annotated[
-    str | None,
-    typer.Option("--gate-profile-step", help="Add gates over depth with this step, such as 0.5mm."),
+    str | None, typer.Option("--gate-profile-step", help="Add gates over depth with this step, such as 0.5mm.")
 ]
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
 Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
@@ -144,6 +147,7 @@ def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
             groups[parameter.name] = kind
             parameters += _field_parameters(kind)
         else:
+            # Keyword-only, since fields with and without defaults alternate.
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
 
     @functools.wraps(command)

@@ -55,9 +55,9 @@ def measure_queue(folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool
 
     @contextmanager
     def supervise_run(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:
-        supervision_of_run = supervise(setup, path, run_id, watch, announce, in_queue=True)
-        with supervision_of_run as supervision, progress(setup, quiet=False) as observer:
-            yield supervision.observed(observer), supervision.move
+        supervision = supervise(setup, path, run_id, watch, announce, in_queue=True)
+        with supervision as (watched, move), progress(setup, quiet=False) as observer:
+            yield watched(observer), move
 
     with live_page(folder, watch, announce):
         hooks = QueueHooks(announce, supervise_run, process)
@@ -82,6 +82,7 @@ def _print_table(runs: Sequence[QueueRun], results: Mapping[int, Result]) -> Non
 def _result_text(run: QueueRun, result: Result | None) -> str:
     """Return the largest amplitude of a run, or the reason why it has no result."""
     if result is None:
+        # The first line up to its remedy states the reason.
         reason = printable(run.why.partition("\n")[0].partition(". Try")[0])
         return reason[:MAX_REASON] or ("measured earlier" if run.state == "done" else "")
     headlines = [(estimate.headline, estimate.frequency_hz) for shot in result.shots for estimate in shot.estimates]

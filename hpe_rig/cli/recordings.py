@@ -37,10 +37,9 @@ def import_command(
     from hpe_rig.store import WriteOptions
 
     options = WriteOptions(compress, overwrite)
-    imported = import_recording(recording, scene, output, settings.sidecar, _parsed(settings), options)
-    for text in imported.inferred:
+    path, inferred = import_recording(recording, scene, output, settings.sidecar, _parsed(settings), options)
+    for text in inferred:
         typer.echo(text)
-    path = imported.path
     typer.echo(f"{path}: hpe-rig process {path} estimates it, hpe-rig report {path} shows it")
 
 

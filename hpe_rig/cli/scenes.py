@@ -98,6 +98,7 @@ def schema(
     from hpe_rig.report import comparison_schema
     from hpe_rig.runs import json_schema
 
+    # The schema of a comparison belongs to the report, which runs does not import.
     print_json(json_schema(of, {"compare": comparison_schema}))
 
 

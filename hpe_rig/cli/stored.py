@@ -32,6 +32,7 @@ def print_verification(verification: Verification, json: bool = False) -> None:
         return
     shots = verification.shots
     content = f"results of {shots} shots"
+    # A result file has neither records nor a status.
     if verification.kind == "run":
         counts = f"{verification.shots_complete} of {shots} shots complete, {verification.records} records"
         content = f"{counts}, {verification.status}"
@@ -92,6 +93,7 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
 
 
 def _difference_row(row: ResultDifference) -> tuple[str, ...]:
+    # Amplitude in nm and phase in degrees, each with its u, for either run.
     cells = [f"{row.frequency_hz:g}"]
     for run in (0, 1):
         cells.append(f"{row.amplitude_m[run] * 1e9:.4g}, {row.amplitude_uncertainty_m[run] * 1e9:.2g}")

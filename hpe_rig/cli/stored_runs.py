@@ -8,15 +8,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, guarded, show
-from hpe_rig.cli.options import (
-    Estimator,
-    Json,
-    ProfileStep,
-    ResultOptions,
-    RunFile,
-    SweepOptions,
-    check_file_name,
-)
+from hpe_rig.cli.options import Estimator, Json, ProfileStep, ResultOptions, RunFile, SweepOptions, file_option
 from hpe_rig.result import Stages
 
 MAX_STEP_M = 0.1
@@ -46,21 +38,18 @@ def report(
     run_file: RunFile,
     points: SweepOptions,
     estimator: Estimator = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(callback=check_file_name, help="HTML file. Default: RUN.html beside the run file."),
-    ] = None,
+    output: Annotated[Path | None, file_option("HTML file. Default: RUN.html beside the run file.")] = None,
     shot: Annotated[
         int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
     ] = None,
 ) -> None:
     """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
-    from hpe_rig.report import StoredAxes, write_report
+    from hpe_rig.report import write_report
     from hpe_rig.scene import parse_axes
 
     _refuse_conflicts(points)
-    axes = StoredAxes(parse_axes(points.sweep), points.together) if points.sweep else None
-    page = write_report(run_file, estimator, output, shot, _step_m(points.gate_profile_step), axes)
+    axes, step_m = parse_axes(points.sweep or ()), _step_m(points.gate_profile_step)
+    page = write_report(run_file, estimator, output, shot, profile_step_m=step_m, axes=axes, together=points.together)
     typer.echo(f"{page}: open it in any browser")
 
 
@@ -116,10 +105,7 @@ def moduli(
         bool, typer.Option("--per-place", help="The force differed between lateral offsets: fit every amplitude.")
     ] = False,
     gate_profile_step: ProfileStep = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option(callback=check_file_name, help="Measured and fitted vibrations, .svg, .png or .pdf."),
-    ] = None,
+    figure: Annotated[Path | None, file_option("Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
     json: Json = False,
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations of one or more runs."""
@@ -171,6 +157,6 @@ def list_command(
     csv: Annotated[bool, typer.Option("--csv", help="Print CSV, one row per run, a column per note.")] = False,
 ) -> None:
     """List the runs in a folder with date, title, result and notes."""
-    from hpe_rig.cli.listing import RunFilter, print_runs
+    from hpe_rig.cli.listing import print_runs
 
-    print_runs(folder, below, RunFilter.of_options(find or (), since, until), json, csv)
+    print_runs(folder, below, find or (), (since, until), json=json, csv=csv)

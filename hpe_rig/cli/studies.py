@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import announce, guarded
-from hpe_rig.cli.options import BenchPath, SceneName, SchedulerOptions, check_file_name
+from hpe_rig.cli.options import BenchPath, SceneName, SchedulerOptions, file_option
 
 studies = typer.Typer()
 
@@ -65,10 +65,7 @@ def accuracy(
         Path | None,
         typer.Option(help="Table, .csv or .json. Default: printed. Without PART: the report, default accuracy.html."),
     ] = None,
-    figure: Annotated[
-        Path | None,
-        typer.Option(callback=check_file_name, help="Work-precision figure, .svg, .png or .pdf."),
-    ] = None,
+    figure: Annotated[Path | None, file_option("Work-precision figure, .svg, .png or .pdf.")] = None,
     full: Annotated[
         bool, typer.Option("--full", help="All sizes and draws, which take minutes instead of one minute.")
     ] = False,
@@ -84,6 +81,7 @@ def accuracy(
         scene, bench, seeds, quick = own_scene.scene, own_scene.bench, own_scene.seeds, own_scene.quick
         write_own_scene(scene, bench, seeds, quick, output, figure, typer.echo, announce)
         return
+    # Options that are not given keep the default of the effort.
     stated = {name: value for name, value in asdict(effort).items() if value is not None}
     efforts = replace(FULL if full else Effort(), **stated)
     if part is None:
@@ -132,10 +130,7 @@ def design(
         int, typer.Option(help="Monte Carlo draws of scatterers and noise that check the model. 0: none.")
     ] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the search and the draws.")] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(callback=check_file_name, help="New scene file, .toml. Default: none."),
-    ] = None,
+    output: Annotated[Path | None, file_option("New scene file, .toml. Default: none.")] = None,
     report: Annotated[
         bool,
         typer.Option("--report", help="Write a page, SCENE-design.html: before and after, the goal over each key."),

@@ -83,6 +83,7 @@ def error_table(result: StudyResult) -> str:
     cases.
     """
     axes = [axis.name for axis in result.definition.axes]
+    # A column with one value in all rows is omitted.
     varied = [name for name in ("reading", "frequency_hz") if len({row[name] for row in result.rows}) > 1]
     headers = ("amplitude bias\n%", "jitter\n%", "phase bias\ndeg", "jitter\ndeg")
     if len(result.rows) <= MAX_ROWS:
@@ -91,6 +92,7 @@ def error_table(result: StudyResult) -> str:
             errors = [f"{value:.2f} +- {error:.2f}" for value, error in error_figures(row)]
             rows.append((row["estimator"], *(_cell(row[name]) for name in (*axes, *varied)), *errors))
         return text_table(("estimator\n", *(f"{name}\n" for name in (*axes, *varied)), *headers), rows)
+    # Too many rows to print: the range over the cases of each estimator.
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in result.rows:
         groups.setdefault((row["estimator"], *(f"{row[name]}" for name in varied)), []).append(row)

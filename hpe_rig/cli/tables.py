@@ -70,6 +70,7 @@ def print_result(result: Result, wide: bool = False) -> None:
         printer.text(f"WARNING {warning}", bold=True)
     if result.omitted:
         printer.text("omitted: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
+    # The sum includes stages too short to be listed.
     total_s = sum(result.run_time_s.values())
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= MIN_STAGE_S)
     printer.text(f"run time: {total_s:.2f} s ({stages})")
@@ -172,25 +173,21 @@ def _flags(shot: ShotResult) -> Iterator[str]:
         yield "UNTRUSTED"
 
 
-_SETTINGS = {
-    "T_b\nus": ("burst_length_s", 1e6),
-    "F\nF_0": ("force_fraction", 1.0),
-    "f_prf\nHz": ("pulse_rate_hz", 1.0),
-    "T_s\nms": ("window_length_s", 1e3),
-    "lateral\nmm": ("lateral_offset_m", 1e3),
-    "axial\nmm": ("axial_offset_m", 1e3),
-}
-"""Settings that can differ between shots, by header: attribute and scale."""
-
-
-def _scaled(value: float | None, factor: float) -> str:
-    return "-" if value is None else f"{value * factor:g}"
+_SETTINGS = (
+    ("burst_length_s", 1e6, "T_b\nus", "T_b = {:g} us"),
+    ("force_fraction", 1.0, "F\nF_0", "F = {:g} F_0"),
+    ("pulse_rate_hz", 1.0, "f_prf\nHz", "f_prf = {:g} Hz"),
+    ("window_length_s", 1e3, "T_s\nms", "T_s = {:g} ms"),
+    ("lateral_offset_m", 1e3, "lateral\nmm", "{:g} mm lateral offset"),
+    ("axial_offset_m", 1e3, "axial\nmm", "{:+g} mm axial offset"),
+)
+"""Settings that can differ between shots: attribute, scale, header of a column, and text in a title."""
 
 
 def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
     """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
     cells = {
-        header: [_scaled(getattr(item, name), factor) for item in items] for header, (name, factor) in _SETTINGS.items()
+        header: [_or_dash(getattr(item, name), factor, "g") for item in items] for name, factor, header, _ in _SETTINGS
     }
     # Keys of a sweep are shortened to their last part.
     for name in items[0].swept:
@@ -252,6 +249,7 @@ def _mean_table(means: Sequence[RepeatMean], printer: Printer) -> Table:
 
 def _print_profile(result: Result, printer: Printer) -> None:
     """Print a table over depth for every shot with gates over depth."""
+    # A table has one lateral offset, shot and window.
     for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
         gates_by_shot = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
         for _, shot_gates in groupby(gates_by_shot, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
@@ -261,13 +259,14 @@ def _print_profile(result: Result, printer: Printer) -> None:
 
 
 def _profile_title(gates: Sequence[GateResult]) -> str:
-    hz = _strongest_hz(gates)
+    hz = lead_frequency_hz([gate.shot for gate in gates])
     return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot + 1}", *_settings(gates[0].shot)])
 
 
 def _profile_table(gates: Sequence[GateResult]) -> Table:
     """Return one row per gate, at the frequency with the largest amplitude; the result file holds the others."""
-    hz, corrected = _strongest_hz(gates), any(gate.shot.estimates[0].headline.corrected for gate in gates)
+    hz = lead_frequency_hz([gate.shot for gate in gates])
+    corrected = any(gate.shot.estimates[0].headline.corrected for gate in gates)
     scale, unit = _unit([gate.shot.estimates[0].headline.amplitude_m for gate in gates])
     headers = ["depth\nmm", "gate\nmm", "pulses\n"]
     headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
@@ -280,12 +279,8 @@ def _profile_table(gates: Sequence[GateResult]) -> Table:
     return rich_table(headers, rows, words=0)
 
 
-def _strongest_hz(gates: Sequence[GateResult]) -> float:
-    estimates = [estimate for gate in gates for estimate in gate.shot.estimates]
-    return max(estimates, key=lambda estimate: estimate.amplitude_m).frequency_hz
-
-
 def _mean_title(mean: RepeatMean) -> str:
+    # Shots are counted from 1 in every text.
     shots = [shot + 1 for shot in mean.shots]
     is_range = shots[-1] - shots[0] == len(shots) - 1
     numbers = f"{shots[0]} to {shots[-1]}" if is_range else ", ".join(map(str, shots))
@@ -311,23 +306,17 @@ def _shot_title(shot: ShotResult) -> str:
 
 
 def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
-    if of.burst_length_s is not None:
-        yield f"T_b = {of.burst_length_s * 1e6:g} us"
-    if of.force_fraction is not None:
-        yield f"F = {of.force_fraction:g} F_0"
-    if of.pulse_rate_hz is not None:
-        yield f"f_prf = {of.pulse_rate_hz:g} Hz"
-    if of.window_length_s is not None:
-        yield f"T_s = {of.window_length_s * 1e3:g} ms"
-    if of.lateral_offset_m:
-        yield f"{of.lateral_offset_m * 1e3:g} mm lateral offset"
-    if of.axial_offset_m:
-        yield f"{of.axial_offset_m * 1e3:+g} mm axial offset"
+    """Yield the settings of a shot or mean for a title; offsets of zero are omitted."""
+    for name, factor, _, text in _SETTINGS:
+        value = getattr(of, name)
+        if value is not None and (value or not name.endswith("offset_m")):
+            yield text.format(value * factor)
     yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
 def _row(estimate: Estimate, has_truth: bool, corrected: bool, scale: float) -> list[str]:
     row, peak = [f"{estimate.frequency_hz:g}"], estimate.headline
+    # The columns are those of the headers of `_shot_table`.
     if corrected:
         row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)
         row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
@@ -343,11 +332,11 @@ def _row(estimate: Estimate, has_truth: bool, corrected: bool, scale: float) -> 
 def _budget_line(shot: ShotResult) -> str:
     """Return the sources of the uncertainty of the largest amplitude of ``shot``, the largest source first."""
     lead = max(shot.estimates, key=lambda item: item.amplitude_m)
-    parts = sorted(lead.budget, key=lambda item: _variance_fraction(item, lead), reverse=True)
+    components = sorted(lead.budget, key=lambda item: _variance_fraction(item, lead), reverse=True)
     words = [
         f"{item.source} {_digits(item.amplitude_m * 1e9)} nm"
         + (f" {_digits(math.degrees(item.phase_rad))} deg" if item.phase_rad else "")
-        for item in parts
+        for item in components
         if _variance_fraction(item, lead) >= MIN_VARIANCE_FRACTION
     ]
     return f"u at {lead.frequency_hz:g} Hz: {', '.join(words)}"
@@ -356,11 +345,10 @@ def _budget_line(shot: ShotResult) -> str:
 def _variance_fraction(component: Component, estimate: Estimate) -> float:
     """Return the fraction of ``component`` in the variance of the amplitude or the phase, the larger of the two."""
     total = estimate.headline
-    pairs = (
-        (component.amplitude_m, total.amplitude_uncertainty_m),
-        (component.phase_rad, total.phase_uncertainty_rad),
-    )
-    return max((part / u) ** 2 if u > 0 and math.isfinite(u) else 0.0 for part, u in pairs)
+    amplitude = component.amplitude_m, total.amplitude_uncertainty_m
+    phase = component.phase_rad, total.phase_uncertainty_rad
+    # An infinite or zero uncertainty has no fractions.
+    return max((value / u) ** 2 if u > 0 and math.isfinite(u) else 0.0 for value, u in (amplitude, phase))
 
 
 def _legend(result: Result) -> str:
@@ -383,6 +371,7 @@ def _angle(phase_rad: float, uncertainty_rad: float) -> list[str]:
 
 def _digits(value: float, digits: int = 2) -> str:
     """Return ``value`` with ``digits`` significant digits, without an exponent below 1e6."""
+    # All digits before the point are printed, also beyond the significant ones.
     if 10**digits <= abs(value) < 1e6:
         return f"{value:.0f}"
     return format(value, f"#.{digits}g").removesuffix(".")

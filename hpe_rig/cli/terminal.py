@@ -85,6 +85,7 @@ def _lines(title: str) -> Report:
     def report(done: int, total: int, step: str) -> None:
         nonlocal last_report_s
         now_s = time.monotonic()
+        # Before the first record no rate is known, and after the last one no time is left.
         if now_s - last_report_s >= REPORT_INTERVAL_S and 0 < done < total:
             last_report_s = now_s
             time_left = duration_text((now_s - start_s) * (total - done) / done)
@@ -111,6 +112,7 @@ class LogLevel(StrEnum):
 
 def start_logging(level: LogLevel) -> None:
     """Log records of at least ``level`` to standard error; those of other packages from warnings on."""
+    # Other packages log at length: their records below a warning are discarded.
     number = logging.getLevelNamesMapping()[level.upper()]
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=max(number, logging.WARNING))
     for name in LOGGERS:

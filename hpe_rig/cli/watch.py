@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from hpe_rig.cli.keys import ReadKeys, keyboard
@@ -16,28 +15,18 @@ from hpe_rig.measurement import (
     Mover,
     Observer,
     Setup,
-    clear_pause,
     clear_stale_stop,
-    clear_stop,
+    clearing_requests,
     pause_requested,
     toggle_pause,
     wait_for_move,
-    with_pauses,
-    with_stop_requests,
+    with_requests,
 )
 from hpe_rig.store import StoreError, extra
 
 POLL_INTERVAL_S = 0.1
 CONFIRM_KEYS = "\r\np"
 """Keys that confirm a movement of the tracking transducer."""
-
-
-@dataclass(frozen=True, slots=True)
-class Supervision:
-    """Supervision of a run: ``observed`` wraps its observer, ``move`` asks for movements of the transducer."""
-
-    observed: Callable[[Observer], Observer]
-    move: Mover
 
 
 @contextmanager
@@ -53,9 +42,9 @@ def live_page(path: Path, options: WatchOptions, announce: Callable[[str], None]
     with extra("live"):
         from hpe_rig.live import live_page_of, open_page
 
-    with live_page_of(path, options.port) as page:
-        announce(f"live page: {page.address}")
-        if options.open and not open_page(page.address):
+    with live_page_of(path, options.port) as (address, is_closed):
+        announce(f"live page: {address}")
+        if options.open and not open_page(address):
             announce("no browser can be opened here: open the address yourself")
         yield
         if not options.close:
@@ -63,7 +52,7 @@ def live_page(path: Path, options: WatchOptions, announce: Callable[[str], None]
             sys.stdout.flush()
             announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
             with suppress(KeyboardInterrupt):
-                while not page.is_closed():
+                while not is_closed():
                     time.sleep(0.2)
 
 
@@ -75,41 +64,32 @@ def supervise(
     options: WatchOptions,
     announce: Callable[[str], None],
     in_queue: bool = False,
-) -> Iterator[Supervision]:
-    """Yield the supervision of the run ``run_id`` into ``path``: it can be stopped and paused, and is logged.
+) -> Iterator[tuple[Callable[[Observer], Observer], Mover]]:
+    """Supervise the run ``run_id`` into ``path``: it can be stopped and paused, and is logged.
 
-    The key p and the live page pause it between two shots. Before a movement of the tracking transducer it waits for
-    Enter or the page, unless ``options.yes``. With ``in_queue`` the page of the queue serves the run. Raises
-    ``StoreError`` if log or page cannot start.
+    Yield a wrapper of its observer, and the mover that asks for movements of the transducer. The key p and the live
+    page pause the run between two shots. Before a movement it waits for Enter or the page, unless ``options.yes``. With
+    ``in_queue`` the page of the queue serves the run. Raises ``StoreError`` if log or page cannot start.
     """
     with ExitStack() as stack:
         # No request can concern this run before its run file exists.
         clear_stale_stop(path)
-        log: Callable[[Observer], Observer] = _unlogged
+        log: Callable[[Observer], Observer] = lambda observer: observer  # noqa: E731
         if options.verbose:
-            from hpe_rig.measurement import log_path, run_log
+            from hpe_rig.measurement import run_log
 
-            log = stack.enter_context(run_log(setup, log_path(path)))
+            log = stack.enter_context(run_log(setup, path))
         if not in_queue:
             stack.enter_context(live_page(path, options, announce))
-        stack.callback(_clear_stop, path, run_id)
-        stack.callback(clear_pause, path, run_id)
+        stack.enter_context(clearing_requests(path, run_id))
         read_keys = stack.enter_context(keyboard())
         is_paused = _pause_poller(path, run_id, read_keys, announce)
         has_page = options.has_page
+        # Without a terminal and a page no key can confirm: a line of standard input does.
         confirmation_keys = read_keys if has_page or sys.stdin.isatty() else None
-        move = (
-            _announce_moves(announce)
-            if options.yes
-            else _ask_for_moves(path, run_id, confirmation_keys, announce, has_page)
-        )
-        yield Supervision(
-            lambda observer: with_pauses(with_stop_requests(log(observer), path, run_id), is_paused, announce), move
-        )
-
-
-def _unlogged(observer: Observer) -> Observer:
-    return observer
+        ask = _ask_for_moves(path, run_id, confirmation_keys, announce, has_page)
+        move = _announce_moves(announce) if options.yes else ask
+        yield lambda observer: with_requests(log(observer), path, run_id, is_paused, announce), move
 
 
 def _announce_moves(announce: Callable[[str], None]) -> Mover:
@@ -144,7 +124,7 @@ def _move_text(lateral_m: float) -> str:
 
 
 def _pause_poller(path: Path, run_id: str, read_keys: ReadKeys, announce: Callable[[str], None]) -> Callable[[], bool]:
-    """Return a function that reports whether the run is paused, by the key p or by a file beside the run file."""
+    """Return a function that reports whether the run is paused, by the key p or by the file of a request."""
     last_poll_s, paused = -math.inf, False
 
     def is_paused() -> bool:
@@ -162,9 +142,3 @@ def _pause_poller(path: Path, run_id: str, read_keys: ReadKeys, announce: Callab
         return paused
 
     return is_paused
-
-
-def _clear_stop(path: Path, run_id: str) -> None:
-    # An error about a request that cannot be removed must not hide how the run ended.
-    with suppress(StoreError):
-        clear_stop(path, run_id)

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from hpe_rig.design.comparison import compare
 from hpe_rig.design.model import baseline
-from hpe_rig.design.problem import GOALS, Constraints, Problem
+from hpe_rig.design.problem import GOALS, Problem
 from hpe_rig.design.search import find_design
 from hpe_rig.design.variables import variables
 from hpe_rig.measurement import prepare
@@ -88,6 +88,7 @@ def _problem(request: Request) -> tuple[Problem, str]:
     target = request.target
     target_m = None if target is None else collecting_mistakes(lambda: length_m(target, "--target"))
     names = [name.strip() for name in request.over.split(",") if name.strip()]
+    # Mistakes of all options are collected, so that one error reports them.
     space = collecting_mistakes(lambda: variables(tables, scene, setup.bench.bench, longest_s, names, request.bounds))
     collecting_mistakes(lambda: baseline(scene))
     if request.minimise == "modulus-uncertainty":
@@ -98,8 +99,9 @@ def _problem(request: Request) -> tuple[Problem, str]:
         collecting_mistakes(lambda: edited_text(text, first_values))
     if mistakes or space is None:
         raise SettingsError("design", mistakes)
+    # The option is a text; this is the same text as one of the literals.
     goal = next(goal for goal in GOALS if goal == request.minimise)
-    return Problem(setup, tables, space, goal, Constraints(longest_s, target_m)), text
+    return Problem(setup, tables, space, goal, longest_s=longest_s, target_m=target_m), text
 
 
 def _option_mistakes(request: Request) -> Iterator[Mistake]:

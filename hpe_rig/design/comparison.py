@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from hpe_rig.design.model import effective_pulses
 from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, Candidate, Problem
 from hpe_rig.design.search import DesignResult
-from hpe_rig.design.simulation_check import Simulated, simulate
+from hpe_rig.design.simulation_check import simulate
+from hpe_rig.plan import highest_output
 from hpe_rig.prediction import EstimatorErrors, as_averaged, detection_text, predict, predicted_averaging
 from hpe_rig.result import text_table
 from hpe_rig.study import Errors
@@ -56,15 +57,13 @@ def compare(design: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:
 
 
 def _request_text(design: DesignResult) -> str:
-    problem, scene, plan = design.problem, design.best.scene, design.best.plan
-    assert scene is not None  # noqa: S101
-    assert plan is not None  # noqa: S101
-    constraints = problem.constraints
+    problem = design.problem
+    scene, plan, _ = design.best.inputs()
     shots = "" if len(plan.shots) == 1 else f" in shot 1 of {len(plan.shots)}"
-    target = "" if constraints.target_m is None else f", target {constraints.target_m * 1e9:g} nm"
+    target = "" if problem.target_m is None else f", target {problem.target_m * 1e9:g} nm"
     return (
         f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
-        f"{constraints.longest_s:.4g} s{target}; {problem.evaluations} scenes evaluated"
+        f"{problem.longest_s:.4g} s{target}; {problem.evaluations} scenes evaluated"
     )
 
 
@@ -86,12 +85,16 @@ def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> d
     scene, plan, setting = candidate.scene, candidate.plan, candidate.setting
     if scene is None or plan is None or setting is None:
         return {}
-    prediction = _averaged_prediction(candidate)
-    output = candidate.output(problem.bench)
-    simulated: Simulated | None = None
+    # Bias and jitter have the beam averaging of ``hpe-rig check`` and of a result's budget.
+    averaging = predicted_averaging(scene, scene.processing.estimator)[0]
+    prediction = as_averaged(candidate.predict(FINAL_DRAWS, FINAL_SEED), setting, averaging)
+    # The noise is that of ``hpe-rig check``, from the same draws.
+    quadrature_m = predict(setting, (scene.processing.estimator,)).expected[0].quadrature_m
+    output = None if problem.bench.calibration is None else highest_output(problem.bench, plan.shots)
+    simulated = None
     if draws and not candidate.conflicts:
         simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
-    amplitude, phase = (simulated.amplitude_m, simulated.phase_rad) if simulated else (None, None)
+    amplitude, phase = simulated or (None, None)
     detection = next(iter(detection_text(scene, problem.bench.simulated, plan.shots[0])))
     rows = {
         "amplitude": _nm(setting.amplitude_m),
@@ -101,13 +104,13 @@ def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> d
         "bias, simulated": _simulated_text(amplitude, "bias", 1e9, "nm"),
         "jitter, predicted": _nm(prediction.jitter_m),
         "jitter, simulated": _simulated_text(amplitude, "jitter", 1e9, "nm"),
-        "noise of a quadrature": _quadrature(candidate),
+        "noise of a quadrature": f"{quadrature_m * 1e9:.3g} nm",
         "speckle": _nm(prediction.speckle_jitter_m),
         "detection floor": detection.split()[2] + " nm",
         "jitter over amplitude": f"{100 * prediction.jitter_m / setting.amplitude_m:.3g} %",
         "phase jitter, predicted": f"{math.degrees(prediction.phase_jitter_rad):.3g} deg",
         "phase jitter, simulated": _simulated_text(phase, "jitter", math.degrees(1), "deg"),
-        "model": _agreement(candidate, simulated),
+        "model": _agreement(prediction, setting.amplitude_m, simulated),
         **_moduli(problem, candidate),
         "time": f"{plan.duration_s:.4g} s",
         "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
@@ -128,22 +131,6 @@ def _moduli(problem: Problem, candidate: Candidate) -> dict[str, str]:
     return {name: f"{100 * u / value:.3g} %" for name, u, value in columns}
 
 
-def _averaged_prediction(candidate: Candidate) -> EstimatorErrors:
-    """Return bias and jitter with the beam averaging of ``hpe-rig check`` and of a result's budget."""
-    assert candidate.scene is not None  # noqa: S101
-    assert candidate.setting is not None  # noqa: S101
-    averaging = predicted_averaging(candidate.scene, candidate.scene.processing.estimator)[0]
-    return as_averaged(candidate.predict(FINAL_DRAWS, FINAL_SEED), candidate.setting, averaging)
-
-
-def _quadrature(candidate: Candidate) -> str:
-    """Return the noise as ``hpe-rig check`` prints it, from the same draws."""
-    assert candidate.scene is not None  # noqa: S101
-    assert candidate.setting is not None  # noqa: S101
-    prediction = predict(candidate.setting, (candidate.scene.processing.estimator,)).expected[0]
-    return f"{prediction.quadrature_m * 1e9:.3g} nm"
-
-
 def _nm(value_m: float) -> str:
     return f"{value_m * 1e9:.4g} nm"
 
@@ -155,21 +142,21 @@ def _simulated_text(errors: Errors | None, name: str, scale: float, unit: str) -
     return f"{getattr(errors, name) * scale:.3g} +- {getattr(errors, f'{name}_se') * scale:.2g} {unit}"
 
 
-def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
+def _agreement(prediction: EstimatorErrors, amplitude_m: float, simulated: tuple[Errors, Errors] | None) -> str:
     """Return whether the model agrees with the simulation, within its tolerance and the simulation's errors."""
-    if simulated is None or candidate.setting is None:
+    if simulated is None:
         return "not simulated"
-    prediction = _averaged_prediction(candidate)
-    amplitude, phase = simulated.amplitude_m, simulated.phase_rad
+    amplitude, phase = simulated
     jitters = (
         (prediction.jitter_m, amplitude.jitter, amplitude.jitter_se),
         (prediction.phase_jitter_rad, phase.jitter, phase.jitter_se),
     )
+    # A simulation with large standard errors would agree with any model.
     if any(se > MAX_RELATIVE_ERROR * jitter for _, jitter, se in jitters):
         return "undecided: more draws needed"
     jitters_agree = all(
         abs(model - jitter) <= JITTER_TOLERANCE * jitter + STANDARD_ERRORS * se for model, jitter, se in jitters
     )
-    allowed_m = BIAS_TOLERANCE * candidate.setting.amplitude_m + STANDARD_ERRORS * amplitude.bias_se
+    allowed_m = BIAS_TOLERANCE * amplitude_m + STANDARD_ERRORS * amplitude.bias_se
     bias_agrees = abs(prediction.bias_m - amplitude.bias) <= allowed_m
     return "agrees" if jitters_agree and bias_agrees else "differs from the simulation"

@@ -77,6 +77,7 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Conditions:
     noise_gain(scene, plan.shots[0])  # raises ValueError for unresolved frequencies, which conditions_of ignores
     setting = conditions_of(scene, plan.shots[0])
     assert setting is not None  # noqa: S101 (baseline has refused such a scene)
+    # The noise stays, so that the SNR follows the power of the echo.
     snr = setting.snr * relative_echo_power(scene, start)
     if scene.processing.expected_snr_db is not None:
         snr *= power_in_gate(setting, setting.gate_length_m) / power_in_gate(setting, start.gate_length_m)

@@ -52,8 +52,7 @@ def write_page(design: DesignResult, comparison: Comparison, scene_name: str, co
 
     ``scene_name`` is the scene's name or file; the page states ``command``.
     """
-    scene = design.best.scene
-    assert scene is not None  # noqa: S101
+    scene, _, _ = design.best.inputs()
     path = Path(f"{Path(scene_name).name.removesuffix('.toml')}-design.html")
     curves = PageSection("over-section", "Goal over each number", CURVES_TEXT, tuple(_pictures(design)))
     sections = (_before_and_after(comparison), curves)
@@ -67,7 +66,11 @@ def _introduction(design: DesignResult, comparison: Comparison) -> tuple[str, ..
     row = GOAL_LABELS[design.problem.goal].row
     before, after = next((before, after) for name, before, after in comparison.outcome if name == row)
     headline = f"{_capitalised(row)}: {after} instead of {before}."
-    return headline, f"{_capitalised(comparison.request)}.", *(f"{_capitalised(remark)}." for remark in comparison.remarks)
+    return (
+        headline,
+        f"{_capitalised(comparison.request)}.",
+        *(f"{_capitalised(remark)}." for remark in comparison.remarks),
+    )
 
 
 def _capitalised(text: str) -> str:
@@ -92,6 +95,7 @@ def _pictures(design: DesignResult) -> Iterator[Picture]:
     problem, label = design.problem, GOAL_LABELS[design.problem.goal]
     for index, variable in enumerate(problem.space):
         x, cost = _curve(design, variable)
+        # The cost is the logarithm of the goal; infeasible scenes make a gap.
         goal = np.where(cost < INFEASIBLE_COST, label.scale * np.exp(np.minimum(cost, INFEASIBLE_COST)), np.nan)
         figure, axes = panel()
         axes.plot(x, goal, ".-", color=Colour.BLUE, ms=4)

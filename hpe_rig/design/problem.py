@@ -12,12 +12,12 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.bench import BenchFile, check_simulation, with_transducers
+from hpe_rig.bench import check_simulation, with_transducers
 from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
 from hpe_rig.measurement import Setup, plan_and_check
 from hpe_rig.moduli import ModuliForecast, moduli_forecast
-from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
+from hpe_rig.plan import CheckResult, Plan
 from hpe_rig.prediction import Conditions, EstimatorErrors
 from hpe_rig.scene import (
     KeyPath,
@@ -34,7 +34,7 @@ Goal = Literal["jitter", "phase-jitter", "bias", "time", "modulus-uncertainty"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
 SEARCH_DRAWS = 200
-"""Scatterer draws for each candidate; the same for all, so that differences have smaller errors than values."""
+"""Scatterer draws for each candidate; common to all, so that differences have smaller errors than values."""
 FINAL_DRAWS = 2000
 """Independent draws for the starting scene and the best one."""
 FINAL_SEED = 1
@@ -44,14 +44,6 @@ INFEASIBLE_COST = 100.0
 """Minimum cost of a candidate that violates a limit; logarithms of jitters and times stay far below."""
 
 Values = Mapping[KeyPath, Number]
-
-
-@dataclass(frozen=True, slots=True)
-class Constraints:
-    """Upper limits on time and jitter."""
-
-    longest_s: float
-    target_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,35 +64,41 @@ class Candidate:
     @cached_property
     def moduli(self) -> ModuliForecast:
         """Forecast of the moduli with the model's SNR and amplitude; raises as ``moduli_forecast``."""
-        assert self.scene is not None  # noqa: S101
-        assert self.plan is not None  # noqa: S101
-        assert self.setting is not None  # noqa: S101
-        expected = {
-            "expected_snr_db": 10 * math.log10(self.setting.snr),
-            "expected_amplitude_m": self.setting.amplitude_m,
-        }
-        processing = self.scene.processing.model_copy(update=expected)
-        return moduli_forecast(self.scene.model_copy(update={"processing": processing}), self.plan)
+        scene, plan, setting = self.inputs()
+        expected = {"expected_snr_db": 10 * math.log10(setting.snr), "expected_amplitude_m": setting.amplitude_m}
+        processing = scene.processing.model_copy(update=expected)
+        return moduli_forecast(scene.model_copy(update={"processing": processing}), plan)
+
+    def inputs(self) -> tuple[Scene, Plan, Conditions]:
+        """Return scene, plan and the inputs of the model, which every candidate without conflicts has."""
+        if self.scene is None or self.plan is None or self.setting is None:
+            raise ValueError("the scene has no plan, or the model does not apply to it")
+        return self.scene, self.plan, self.setting
 
     def predict(self, draws: int, seed: int) -> EstimatorErrors:
         """Return bias and jitter of the scene's estimator."""
-        assert self.scene is not None  # noqa: S101
-        assert self.setting is not None  # noqa: S101
-        return predicted(self.setting, self.scene.processing.estimator, draws, seed)
-
-    def output(self, bench: BenchFile) -> AcousticOutput | None:
-        """Return the estimated acoustic output; None without a calibration."""
-        assert self.plan is not None  # noqa: S101
-        return None if bench.calibration is None else highest_output(bench, self.plan.shots)
+        scene, _, setting = self.inputs()
+        return predicted(setting, scene.processing.estimator, draws, seed)
 
 
 class Problem:
-    """Candidates of one starting scene and their costs, each computed once."""
+    """Candidates of one starting scene and their costs, each computed once.
+
+    ``longest_s`` limits the time, ``target_m`` the jitter.
+    """
 
     def __init__(
-        self, setup: Setup, tables: Mapping[str, Any], space: Sequence[Variable], goal: Goal, constraints: Constraints
+        self,
+        setup: Setup,
+        tables: Mapping[str, Any],
+        space: Sequence[Variable],
+        goal: Goal,
+        *,
+        longest_s: float,
+        target_m: float | None = None,
     ) -> None:
-        self.bench, self.space, self.goal, self.constraints = setup.bench.bench, tuple(space), goal, constraints
+        self.bench, self.space, self.goal = setup.bench.bench, tuple(space), goal
+        self.longest_s, self.target_m = longest_s, target_m
         self._tables = tables
         self.baseline: Baseline = baseline(setup.scene.scene)
         self._accepted_warnings = {result.check for result in setup.findings if result.level == "warning"}
@@ -127,29 +125,30 @@ class Problem:
     def _cost_of(self, candidate: Candidate) -> float:
         if candidate.conflicts:
             return INFEASIBLE_COST**2 * len(candidate.conflicts)
+        # The excess leads the search back to the limits.
         excess = sum(math.log(ratio) for ratio in self.excess(candidate).values())
         return INFEASIBLE_COST + excess if excess > 0 else self.measure(candidate)
 
     def excess(self, candidate: Candidate) -> dict[str, float]:
         """Return the value over the limit for each limit that a candidate violates."""
-        assert candidate.plan is not None  # noqa: S101
-        ratios = {"time": candidate.plan.duration_s / self.constraints.longest_s}
-        if self.constraints.target_m is not None and self.goal != "jitter":
-            ratios["target"] = candidate.expected.jitter_m / self.constraints.target_m
+        _, plan, _ = candidate.inputs()
+        ratios = {"time": plan.duration_s / self.longest_s}
+        if self.target_m is not None and self.goal != "jitter":
+            ratios["target"] = candidate.expected.jitter_m / self.target_m
         return {name: ratio for name, ratio in ratios.items() if ratio > 1 + 1e-9}
 
     def measure(self, candidate: Candidate) -> float:
         """Return the logarithm of the goal; jitter and bias relative to the amplitude."""
-        assert candidate.plan is not None  # noqa: S101
-        assert candidate.setting is not None  # noqa: S101
-        prediction, amplitude_m = candidate.expected, candidate.setting.amplitude_m
+        _, plan, setting = candidate.inputs()
+        prediction, amplitude_m = candidate.expected, setting.amplitude_m
         if self.goal == "modulus-uncertainty":
             forecast = candidate.moduli
             relative = forecast.uncertainty[0] / forecast.values[0]
-            return math.log(relative) + SIDE_WEIGHT * math.log(candidate.plan.duration_s)
-        time, jitter = math.log(candidate.plan.duration_s), math.log(prediction.jitter_m / amplitude_m)
+            return math.log(relative) + SIDE_WEIGHT * math.log(plan.duration_s)
+        time, jitter = math.log(plan.duration_s), math.log(prediction.jitter_m / amplitude_m)
         if self.goal == "time":
             return time + SIDE_WEIGHT * jitter
+        # The logarithms of different goals differ by constants, which do not matter.
         main = {
             "jitter": jitter,
             "phase-jitter": math.log(prediction.phase_jitter_rad),

@@ -10,7 +10,6 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.design.problem import INFEASIBLE_COST, Candidate, Problem
-from hpe_rig.design.variables import Variable
 from hpe_rig.scene import Mistake, SettingsError
 
 IRRELEVANT_COST = 1e-4
@@ -87,6 +86,7 @@ def _pattern_search(problem: Problem, position: FloatArray) -> FloatArray:
     """
     last = _last_positions(problem)
     discrete = np.array([variable.discrete for variable in problem.space])
+    # Steps are relative to the range, and at least one step of a discrete number.
     cost, relative_step = problem.cost(problem.values_at(position)), 0.1
     while relative_step >= MIN_STEP:
         improved = False
@@ -103,7 +103,7 @@ def _pattern_search(problem: Problem, position: FloatArray) -> FloatArray:
 def _directions(variables: int) -> list[FloatArray]:
     """Return the directions along every variable, and of equal or opposite change of every pair."""
     axes = np.eye(variables)
-    pairs = [one + sign * other for one, other in itertools.combinations(axes, 2) for sign in (1, -1)]
+    pairs = [first + sign * second for first, second in itertools.combinations(axes, 2) for sign in (1, -1)]
     return [sign * axis for axis in (*axes, *pairs) for sign in (1, -1)]
 
 
@@ -112,6 +112,7 @@ def _without_irrelevant_changes(problem: Problem, position: FloatArray) -> Candi
     best = problem.values_at(position)
     for variable in problem.space:
         initial = variable.key.value
+        # A starting value outside the bounds is not allowed.
         if initial is not None and not variable.low <= initial <= variable.high:
             continue
         reduced = {path: value for path, value in best.items() if path != variable.key.path}
@@ -143,15 +144,12 @@ def _neighbours(problem: Problem, position: FloatArray, index: int, sign: int) -
     single[index] = min(max(position[index] + sign * step, 0.0), variable.last)
     yield single
     for second, companion in enumerate(problem.space):
-        step = _companion_step(companion)
+        # A discrete companion moves by at least one step.
+        step = max(1.0, round(NEIGHBOUR_STEP * companion.last)) if companion.discrete else NEIGHBOUR_STEP
         if second != index and position[second] + step <= companion.last:
             pair = single.copy()
             pair[second] += step
             yield pair
-
-
-def _companion_step(variable: Variable) -> float:
-    return max(1.0, round(NEIGHBOUR_STEP * variable.last)) if variable.discrete else NEIGHBOUR_STEP
 
 
 def _conflicts(problem: Problem, best: Candidate, position: FloatArray) -> list[str]:
@@ -171,15 +169,14 @@ def _infeasibility(problem: Problem, closest: Candidate) -> Iterator[Mistake]:
         yield Mistake(conflict.check, what, conflict.remedy or OTHER_SPACE)
     if closest.conflicts:
         return
-    assert closest.plan is not None  # noqa: S101
+    _, plan, _ = closest.inputs()
     excess, prediction = problem.excess(closest), closest.expected
     if "time" in excess:
-        allowed_s = problem.constraints.longest_s
-        what = f"the closest scene takes {closest.plan.duration_s:.4g} s, {allowed_s:.4g} s are allowed"
+        what = f"the closest scene takes {plan.duration_s:.4g} s, {problem.longest_s:.4g} s are allowed"
         yield Mistake("--longest-s", what, "more time, or a key in --over that shortens the scene")
-    if "target" in excess and problem.constraints.target_m is not None:
+    if "target" in excess and problem.target_m is not None:
         what = (
             f"the smallest jitter is {prediction.jitter_m * 1e9:.3g} nm (noise {prediction.noise_jitter_m * 1e9:.3g}, "
-            f"speckle {prediction.speckle_jitter_m * 1e9:.3g}), above the {problem.constraints.target_m * 1e9:.3g} nm"
+            f"speckle {prediction.speckle_jitter_m * 1e9:.3g}), above the {problem.target_m * 1e9:.3g} nm"
         )
         yield Mistake("--target", what, "a larger target, more keys in --over, or more time with --longest-s")

@@ -27,34 +27,28 @@ MAX_VALUES = 1 << 27
 """Samples in a chunk of draws, 1 GiB, above which a scene is not simulated."""
 
 
-@dataclass(frozen=True, slots=True)
-class Simulated:
-    """Bias and jitter of one scene, eq. (14) and (15); each draw has new scatterers and new noise."""
+def simulate(
+    scene: Scene, plan: Plan, setting: Conditions, start: Baseline, draws: int, seed: int
+) -> tuple[Errors, Errors] | None:
+    """Return bias and jitter of amplitude, m, and phase, rad, of the first shot of ``scene``, eq. (14) and (15).
 
-    amplitude_m: Errors
-    phase_rad: Errors
-
-
-def simulate(scene: Scene, plan: Plan, setting: Conditions, start: Baseline, draws: int, seed: int) -> Simulated | None:
-    """Return bias and jitter of the first shot of ``scene`` from ``draws`` draws; None if 16 draws exceed the memory.
-
-    The motion has the first frequency only, with a random phase in each draw. Beams, pulse length, amplitude and SNR
-    are those of the model, ``setting``; the scatterers are the twin's. The noise of a draw is set by the power of its
-    echo at rest in the reference gate and the starting scene's SNR.
+    Each of ``draws`` draws has new scatterers and new noise. None if 16 draws exceed the memory. The motion has the
+    first frequency only, with a random phase in each draw. Beams, pulse length, amplitude and SNR are those of the
+    model, ``setting``; the scatterers are the twin's. The noise of a draw is set by the power of its echo at rest in
+    the reference gate and the starting scene's SNR.
     """
     train = _train(scene, plan, setting, start)
-    if train.values > MAX_VALUES:
+    if DRAWS_AT_ONCE * train.time_s.size * train.sample_s.size > MAX_VALUES:
         return None
     amplitude_m, phase_rad = np.concatenate(list(_deviations(scene, plan, setting, train, draws, seed))).T
-    return Simulated(errors(amplitude_m[:, None]), errors(phase_rad[:, None]))
+    return errors(amplitude_m[:, None]), errors(phase_rad[:, None])
 
 
 @dataclass(frozen=True, slots=True)
 class _Train:
-    """Times at which the pulses of a shot sample the motion (pulse,), their validity, and the fast-time samples.
+    """Sampling times of the motion by the pulses of a shot (pulse,), their validity, and the fast-time samples.
 
-    ``gate`` selects the gate and ``margin`` samples at each end; ``reference`` the gate in which the SNR is
-    ``reference_snr``.
+    ``gate`` selects the gate and ``margin`` samples at each end; ``reference`` the gate with the SNR ``reference_snr``.
     """
 
     time_s: FloatArray
@@ -64,11 +58,6 @@ class _Train:
     margin: int
     reference: slice
     reference_snr: float
-
-    @property
-    def values(self) -> int:
-        """Number of samples in a chunk of draws."""
-        return DRAWS_AT_ONCE * self.time_s.size * self.sample_s.size
 
 
 def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _Train:

@@ -72,6 +72,7 @@ class Variable:
             return min(range(len(self.choices)), key=lambda index: abs(self.choices[index] - value))
         if self.step is not None:
             return min(max(round((value - self._first) / self.step), 0), self.last)
+        # A starting value may lie outside the bounds.
         clipped = min(max(value, self.low), self.high)
         if self._logarithmic:
             return math.log(clipped / self.low) / math.log(self.high / self.low)

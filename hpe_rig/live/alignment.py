@@ -139,13 +139,14 @@ class AlignSource:
         }
 
 
-def align(setup: Setup, port: int, announce: Callable[[str], None], band: tuple[float, float] = BAND_PERCENT) -> int:
+def align(setup: Setup, port: int, announce: Callable[[str], None], band: str = "10:80") -> int:
     """Repeat single tracking shots and display them until a stop from the page or Ctrl-C; return their number.
 
-    Outputs are off after each shot. ``setup`` is that of ``without_pushing``, ``announce`` receives the page's address,
-    ``band`` is the target range of the echo in % of full scale.
+    Outputs are off after each shot, and tonebursts are omitted. ``announce`` receives the page's address, ``band`` is
+    the target range of the echo in % of full scale. Raises ``PlanError`` if the single shots cannot run.
     """
-    source = AlignSource(setup.scene.scene, setup.plan.shots[0], setup.bench.bench.simulated, band)
+    limits_percent, setup = band_percent(band), without_pushing(setup)
+    source = AlignSource(setup.scene.scene, setup.plan.shots[0], setup.bench.bench.simulated, limits_percent)
     page = LivePage(source, port)
     server = threading.Thread(target=page.serve, daemon=True)
     server.start()

@@ -94,11 +94,11 @@ def warnings_of(run: Run, shot: Shot, clipped: bool) -> Iterator[str]:
 
 def setting_of(shot: Shot) -> str:
     """Return the settings of ``shot`` in words."""
-    parts = [f"{shot.tracking_train.rate_hz:g} pulses a second", f"repeat {shot.repeat + 1}"]
+    texts = [f"{shot.tracking_train.rate_hz:g} pulses a second", f"repeat {shot.repeat + 1}"]
     if shot.lateral_offset_m:
-        parts.insert(0, f"{shot.lateral_offset_m * 1e3:g} mm from the push")
+        texts.insert(0, f"{shot.lateral_offset_m * 1e3:g} mm from the push")
     if shot.force_fraction is not None:
-        parts.insert(0, f"force {shot.force_fraction:.4g} F₀")
+        texts.insert(0, f"force {shot.force_fraction:.4g} F₀")
     if shot.burst_train is not None:
-        parts.insert(0, f"tonebursts of {shot.timeline.burst_length_s * 1e6:g} µs")
-    return ", ".join(parts)
+        texts.insert(0, f"tonebursts of {shot.timeline.burst_length_s * 1e6:g} µs")
+    return ", ".join(texts)

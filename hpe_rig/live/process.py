@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +23,12 @@ GRACE_S = 15.0
 """Maximum time for the last state to reach every viewer."""
 
 
-@dataclass(frozen=True, slots=True)
-class PageProcess:
-    """The page of a run: its address, and whether it was closed."""
-
-    address: str
-    is_closed: Callable[[], bool]
-
-
-def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: bool = False) -> None:
+def serve_run(run_file: Path, port: int = 0, attached: bool = False, open_browser: bool = False) -> None:
     """Print the address of the live page of ``run_file`` and serve it until Ctrl-C or the page's own button.
 
-    ``run_file`` may be the folder of a queue, for the runs in succession. ``opened``: open a browser too. ``attached``:
-    serve until standard input ends, with the parent process, and wait for a file that does not exist yet. Otherwise
-    raises ``StoreError`` if there is no run file.
+    ``run_file`` may be the folder of a queue, for the runs in succession. ``open_browser``: display the page too.
+    ``attached``: serve until standard input ends, with the parent process, and wait for a file that does not exist yet.
+    Otherwise raises ``StoreError`` if there is no run file.
     """
     # A parent process that measures may be about to replace the file.
     if not attached:
@@ -45,7 +36,7 @@ def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: boo
     source = QueueSource(run_file) if run_file.is_dir() else RunSource(run_file)
     page = LivePage(source, port)
     print(page.address, flush=True)
-    if opened:
+    if open_browser:
         open_page(page.address)
     if attached:
         threading.Thread(target=_close_with_input, args=(page,), daemon=True).start()
@@ -54,10 +45,10 @@ def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: boo
 
 
 @contextlib.contextmanager
-def live_page_of(run_file: Path, port: int = 0) -> Iterator[PageProcess]:
+def live_page_of(run_file: Path, port: int = 0) -> Iterator[tuple[str, Callable[[], bool]]]:
     """Start the live page of ``run_file``, or of a queue's folder, in a separate process; end it on leaving.
 
-    Raises ``StoreError`` if it does not start.
+    Yield its address, and a function that returns whether it was closed. Raises ``StoreError`` if it does not start.
     """
     command = [sys.executable, "-P", "-m", "hpe_rig", "live", str(run_file), "--port", str(port), "--attached"]
     # -P excludes the working directory, which may contain a folder with the name of one of these packages.
@@ -66,14 +57,10 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[PageProcess]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     # A separate process group: Ctrl-C ends the run first, and the page displays its final state.
     windows = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
-    options: dict[str, Any] = {
-        "start_new_session": os.name == "posix",
-        "creationflags": windows,
-        "env": environment,
-    }
+    options: dict[str, Any] = {"start_new_session": os.name == "posix", "creationflags": windows, "env": environment}
     child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **options)  # noqa: S603
     try:
-        yield PageProcess(_address(child), lambda: child.poll() is not None)
+        yield _address(child), lambda: child.poll() is not None
     finally:
         if child.stdin is not None:
             child.stdin.close()

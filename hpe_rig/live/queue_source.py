@@ -9,7 +9,7 @@ from typing import final
 
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State
-from hpe_rig.measurement import QUEUE_FILE, QueueRun, read_queue, time_left_s, write_stop
+from hpe_rig.measurement import QueueRun, read_queue, stop_queue, time_left_s
 from hpe_rig.store import StoreError
 
 MAX_GAP_S = 2.0
@@ -53,7 +53,7 @@ class QueueSource:
         try:
             self._run.stop()
         except StoreError:
-            write_stop(self._folder / QUEUE_FILE)
+            stop_queue(self._folder)
 
     def pause(self) -> None:
         """Request a pause of the current run after its shot, or a continuation; raise ``StoreError`` between runs."""

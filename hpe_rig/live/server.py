@@ -12,7 +12,7 @@ import os
 import secrets
 import socket
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib import resources
 from typing import final
 
@@ -37,7 +37,7 @@ IDLE_RATIO = 2.0
 REQUEST_TIMEOUT_S, CHECK_PERIOD_S = 5.0, 1.0
 """Time limit of a complete request, which ends half-open connections, and period of its check."""
 MAX_CONNECTIONS = 64
-"""Limit on connections, each of which costs memory and file handles."""
+"""Limit on connections, since each costs memory and file handles."""
 ENDED = ("complete", "aborted", "failed")
 
 
@@ -125,14 +125,22 @@ class LivePage:
     def _application(self) -> Starlette:
         base = f"/{self._token}"
         routes = [
-            Route(f"{base}/", self._page),
-            Route(f"{base}/stop", self._stop, methods=["POST"]),
-            Route(f"{base}/pause", self._pause, methods=["POST"]),
-            Route(f"{base}/close", self._close, methods=["POST"]),
-            Route(f"{base}/state", self._state),
+            Route(f"{base}/", self._local_only(self._page)),
+            Route(f"{base}/stop", self._local_only(self._stop), methods=["POST"]),
+            Route(f"{base}/pause", self._local_only(self._pause), methods=["POST"]),
+            Route(f"{base}/close", self._local_only(self._close), methods=["POST"]),
+            Route(f"{base}/state", self._local_only(self._state)),
             WebSocketRoute(f"{base}/ws", self._watch),
         ]
         return Starlette(routes=routes, lifespan=self._reading)
+
+    def _local_only(self, answer: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+        """Return ``answer`` such that requests from elsewhere get status 403."""
+
+        async def guarded(request: Request) -> Response:
+            return await answer(request) if self._is_allowed(request.headers) else Response(status_code=403)
+
+        return guarded
 
     @contextlib.asynccontextmanager
     async def _reading(self, application: Starlette) -> AsyncIterator[None]:
@@ -173,8 +181,6 @@ class LivePage:
         return json.dumps(state, allow_nan=False, separators=(",", ":"))
 
     async def _page(self, request: Request) -> Response:
-        if not self._is_allowed(request.headers):
-            return Response(status_code=403)
         nonce = secrets.token_urlsafe(12)
         text = (resources.files("hpe_rig.live") / "live.html").read_text(encoding="utf-8")
         policy = f"default-src 'none'; style-src 'nonce-{nonce}'; script-src 'nonce-{nonce}'; connect-src 'self'"
@@ -187,33 +193,18 @@ class LivePage:
         return HTMLResponse(text.replace("@NONCE@", nonce), headers=headers)
 
     async def _state(self, request: Request) -> Response:
-        if not self._is_allowed(request.headers):
-            return Response(status_code=403)
         return Response(self._latest, media_type="application/json", headers={"Cache-Control": "no-store"})
 
     async def _stop(self, request: Request) -> Response:
-        if not self._is_allowed(request.headers):
-            return Response(status_code=403)
-        try:
-            await asyncio.to_thread(self._source.stop)
-        except StoreError as error:
-            return JSONResponse({"error": str(error)}, status_code=409)
-        self._closing = True
-        return JSONResponse({"stopping": True})
+        response = await _forwarded(self._source.stop, {"stopping": True})
+        self._closing = self._closing or response.status_code == 200
+        return response
 
     async def _pause(self, request: Request) -> Response:
-        if not self._is_allowed(request.headers):
-            return Response(status_code=403)
-        try:
-            await asyncio.to_thread(self._source.pause)
-        except StoreError as error:
-            return JSONResponse({"error": str(error)}, status_code=409)
-        return JSONResponse({"asked": True})
+        return await _forwarded(self._source.pause, {"asked": True})
 
     async def _close(self, request: Request) -> Response:
         """Close the page after the end of the run."""
-        if not self._is_allowed(request.headers):
-            return Response(status_code=403)
         if not self._ended:
             return JSONResponse({"error": "the run is active. Try: Stop safely first."}, status_code=409)
         self._server.should_exit = True
@@ -249,6 +240,15 @@ class LivePage:
         local = {f"{HOST}:{self._port}", f"localhost:{self._port}"}
         origin = headers.get("origin")
         return headers.get("host") in local and (origin is None or origin.removeprefix("http://") in local)
+
+
+async def _forwarded(action: Callable[[], None], answer: dict[str, bool]) -> Response:
+    """Return ``answer`` after the request of a viewer, or the reason why it is impossible."""
+    try:
+        await asyncio.to_thread(action)
+    except StoreError as error:
+        return JSONResponse({"error": str(error)}, status_code=409)
+    return JSONResponse(answer)
 
 
 def _wait(ready: Callable[[], bool], longest_s: float) -> None:

@@ -2,11 +2,11 @@ from .log import run_log as run_log
 from .mover import Mover as Mover
 from .pause import (
     awaited_offset_m as awaited_offset_m,
-    clear_pause as clear_pause,
+    clearing_requests as clearing_requests,
     pause_requested as pause_requested,
     toggle_pause as toggle_pause,
     wait_for_move as wait_for_move,
-    with_pauses as with_pauses,
+    with_requests as with_requests,
 )
 from .provenance import provenance_now as provenance_now
 from .queue import (
@@ -42,9 +42,7 @@ from .setup import (
 from .stop_request import (
     StopRequested as StopRequested,
     clear_stale_stop as clear_stale_stop,
-    clear_stop as clear_stop,
     request_stop as request_stop,
     stop_path as stop_path,
     stop_requested as stop_requested,
-    with_stop_requests as with_stop_requests,
 )

@@ -7,12 +7,20 @@ run writes it too, with a lateral offset in a second line, while it waits for a 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
-from hpe_rig.measurement.stop_request import POLL_INTERVAL_S, StopRequested, read_request, stop_requested, write_request
+from hpe_rig.measurement.stop_request import (
+    POLL_INTERVAL_S,
+    StopRequested,
+    clear_stop,
+    read_request,
+    stop_requested,
+    with_stop_requests,
+    write_request,
+)
 from hpe_rig.store import StoreError, reason
 
 
@@ -83,6 +91,26 @@ def clear_pause(run_file: Path, run_id: str = "") -> None:
     if pause_requested(run_file, run_id):
         with suppress(OSError):
             pause_path(run_file).unlink(missing_ok=True)
+
+
+@contextmanager
+def clearing_requests(run_file: Path, run_id: str) -> Iterator[None]:
+    """Remove the requests to pause or stop the run ``run_id`` at the end of the block."""
+    try:
+        yield
+    finally:
+        clear_pause(run_file, run_id)
+        # An error about a request that cannot be removed must not hide how the run ended.
+        with suppress(StoreError):
+            clear_stop(run_file, run_id)
+
+
+def with_requests(
+    observer: Observer, run_file: Path, run_id: str, is_paused: Callable[[], bool], report: Callable[[str], None]
+) -> Observer:
+    """Wrap ``observer`` so that it stops and pauses the run on request; see ``with_pauses``."""
+    # A pause calls the observer inside it, so that a stop request ends the run during the pause too.
+    return with_pauses(with_stop_requests(observer, run_file, run_id), is_paused, report)
 
 
 def with_pauses(

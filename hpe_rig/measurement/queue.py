@@ -123,6 +123,7 @@ def new_queue(entries: Sequence[tuple[str, Path | None]], folder: Path) -> tuple
         except RUN_FAILURES as error:
             mistakes += _mistakes(f"run {number}, {source}", error)
             continue
+        # The queue may be continued from another folder.
         path = None if bench is None else str(bench.resolve())
         runs.append(QueueRun(name, text, path, f"{number:02d}-{name}.h5", planned_s=setup.plan.duration_s))
     if mistakes:
@@ -174,7 +175,7 @@ def run_queue(
                 continue
             hooks.report(f"run {index + 1} of {len(runs)}: {run.name} -> {run.run_file}; {_end_text(runs, index)}")
             try:
-                results[index] = _run_and_time(folder, runs, index, setups[index], hooks)
+                results[index] = _measure(folder, runs, index, setups[index], hooks)
             except RUN_FAILURES as error:
                 _set(folder, runs, index, state="failed", why=_error_text(error))
                 hooks.report(f"run {index + 1} failed: {_error_text(error)}")
@@ -196,40 +197,33 @@ def stop_queue(folder: Path) -> None:
     write_stop(folder / QUEUE_FILE)
 
 
-def _run_and_time(folder: Path, runs: list[QueueRun], index: int, setup: Setup, hooks: QueueHooks) -> Result:
-    """Measure one run and return its result; its states and duration are stored in the queue."""
+def _measure(folder: Path, runs: list[QueueRun], index: int, setup: Setup, hooks: QueueHooks) -> Result:
+    """Measure one run, or resume it if its file exists; return its result. The queue stores its states and duration."""
     if stop_requested(folder / QUEUE_FILE):
         # The live page requested a stop between two runs.
         clear_stop(folder / QUEUE_FILE)
         raise StopRequested
     _set(folder, runs, index, state="running", why="")
-    resumed, start_s = (folder / runs[index].run_file).exists(), time.monotonic()
-    result = _measure(folder, runs, index, setup, hooks)
-    _set(folder, runs, index, state="done", took_s=0.0 if resumed else time.monotonic() - start_s)
-    return result
-
-
-def _measure(folder: Path, runs: list[QueueRun], index: int, setup: Setup, hooks: QueueHooks) -> Result:
-    """Measure one run, or resume it if its file exists, and return its result."""
-    path = folder / runs[index].run_file
-    resumption = _resumption(path, runs[index])
-    if path.exists() and resumption is None:
-        # All shots are complete: the program ended before it could store the state "done".
-        return hooks.process(path)
-    run_id = new_run_id()
-    options = WriteOptions(run_id=run_id, provenance=provenance_now(setup.bench.bench))
+    path, start_s = folder / runs[index].run_file, time.monotonic()
+    has_file, resumption = path.exists(), _resumption(path, runs[index])
     if resumption is not None:
         path = _next_free_path(path)
         shots = f"{resumption.complete} of {len(setup.plan.shots)} shots are complete"
         hooks.report(f"{shots}: the others are written to {path.name}")
         _set(folder, runs, index, run_file=path.name)
-    refuse_unwritable(path)
-    with hooks.watch(setup, path, run_id) as (observer, move):
-        if resumption is None:
-            record_run(setup, path, observer, options=options, move=move)
-        else:
-            resume(resumption, path, observer, options=options, move=move)
-    return hooks.process(path)
+    # A file with all shots and without the state "done" needs processing alone: the program ended in between.
+    if resumption is not None or not has_file:
+        run_id = new_run_id()
+        options = WriteOptions(run_id=run_id, provenance=provenance_now(setup.bench.bench))
+        refuse_unwritable(path)
+        with hooks.watch(setup, path, run_id) as (observer, move):
+            if resumption is None:
+                record_run(setup, path, observer, options=options, move=move)
+            else:
+                resume(resumption, path, observer, options=options, move=move)
+    result = hooks.process(path)
+    _set(folder, runs, index, state="done", took_s=0.0 if has_file else time.monotonic() - start_s)
+    return result
 
 
 def _resumption(path: Path, run: QueueRun) -> Resumption | None:
@@ -261,6 +255,7 @@ def time_left_s(queue: Sequence[QueueRun], index: int) -> float:
 
 def _end_text(queue: Sequence[QueueRun], index: int) -> str:
     """Return when the queue is expected to end, at the start of run ``index``."""
+    # The pace of completed runs is more accurate than the plans.
     basis = "from the runs so far" if any(run.took_s for run in queue) else "from the plans"
     end = datetime.now().astimezone() + timedelta(seconds=time_left_s(queue, index))
     return f"the queue ends at about {end.isoformat(' ', 'seconds')}, {basis}"
@@ -293,7 +288,7 @@ def _in_folder_of(path: Path, name: str | None) -> Path | None:
 
 def _next_free_path(path: Path) -> Path:
     """Return the first path NAME-2.h5, NAME-3.h5 ... that does not exist."""
-    # A resumed run keeps its earlier file, whose shots it has copied.
+    # The earlier file of a resumed run stays: its shots are copied.
     number = 2
     while (free_path := path.with_name(f"{path.stem}-{number}.h5")).exists():
         number += 1

@@ -101,7 +101,7 @@ def _record(
         with timer("open bench"):
             opening = open_bench(segment.scenes[0], segment.bench, plan.roles, segment.plan.shots[0].index)
             bench = stack.enter_context(opening)
-        # Roles and lateral offsets are those of the whole run, whose segments use one transducer position or more.
+        # Roles and lateral offsets are those of the whole run: a segment may have a single offset.
         events = acquire(segment.plan, bench, observer, choose_mover(plan, bench, move))
         with timer("configure"), closing(events):
             for event in events:

@@ -84,7 +84,7 @@ def prepare_text(
     """
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
-        # An imported run holds a bench file too, with which nothing can be measured.
+        # An imported run holds a bench file too, but no instruments.
         if bench.bench.recording is not None:
             what = "this bench file describes an imported recording, without instruments"
             raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file with instruments")])

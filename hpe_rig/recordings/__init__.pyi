@@ -6,4 +6,3 @@ from .settings import (
     parse_options as parse_options,
     read_settings as read_settings,
 )
-from .statements import StatedSettings as StatedSettings

@@ -128,12 +128,12 @@ def read_csv(path: Path, settings: RecordingSettings) -> Contents:
 
 
 def _numbers(line: str, separator: str | None) -> list[complex] | list[float] | None:
-    parts = [part.strip() for part in line.split(separator)]
+    texts = [text.strip() for text in line.split(separator)]
     try:
-        return [float(part) for part in parts]
+        return [float(text) for text in texts]
     except ValueError:
         try:
-            return [complex(part.replace(" ", "").replace("i", "j")) for part in parts]
+            return [complex(text.replace(" ", "").replace("i", "j")) for text in texts]
         except ValueError:
             return None
 

@@ -32,7 +32,7 @@ class Importer(Protocol):
     """Reader of one format; an object at an entry point of the group ``hpe_rig.importers``.
 
     ``suffixes``: lower-case suffixes, with dot, of the files that it reads if no ``format`` is given. ``read`` returns
-    the content of a file. It raises ``ValueError`` or ``OSError`` with a message "what is wrong: what to try" if the
+    the content of a file. It raises ``ValueError`` or ``OSError`` with a message "mistake: remedy" if the
     file cannot be read; the names of file and importer are added. Settings that are stated in ``settings`` (sidecar or
     options) need not be read from the file.
     """

@@ -22,7 +22,7 @@ from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import read_contents
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.settings import DIMENSIONS, Dimension, RecordingSettings
-from hpe_rig.recordings.statements import StatedSettings, Statements
+from hpe_rig.recordings.statements import Statements
 from hpe_rig.scene import Mistake, SettingsError
 
 MAX_LISTED = 4
@@ -68,17 +68,18 @@ def read_recording(
     source: Path | NDArray[Any],
     settings: RecordingSettings,
     origins: Mapping[str, str] | None = None,
-    scene: StatedSettings | None = None,
+    scene: Mapping[str, float] | None = None,
     for_map: bool = False,
 ) -> Recording:
     """Return the recording in the file or array ``source``; ``origins``: of each of ``settings``.
 
-    ``for_map``: by default all lines are selected, without positions; I and Q are not mixed up; invalid values are
-    kept, since the map marks its pixels. Raises ``SettingsError`` with every unreadable, missing or wrong value.
+    ``scene``: settings that the scene states, by key; also ``pulse_count`` and ``record_samples``. ``for_map``: by
+    default all lines are selected, without positions; I and Q are not mixed up; invalid values are kept, since the map
+    marks its pixels. Raises ``SettingsError`` with every unreadable, missing or wrong value.
     """
     name = source.name if isinstance(source, Path) else "array"
     file_format, contents, sha256 = _open_source(source, settings, name)
-    statements = Statements(settings, contents, scene or StatedSettings(), origins or {})
+    statements = Statements(settings, contents, scene or {}, origins or {})
     return _Reader(statements, name, for_map).read(file_format, sha256)
 
 
@@ -123,7 +124,7 @@ class _Reader:
         rate_hz, carrier_hz = statements.number("sample_rate_hz"), statements.number("carrier_hz")
         sound_speed = statements.number("sound_speed_m_per_s", needed=False)
         pulse_count = None if axes is None or array is None else array.shape[axes.index("pulse")]
-        pulses = statements.pulse_times(pulse_count)
+        pulse_time_s, pulse_rate_hz, regular = statements.pulse_times(pulse_count)
         first_s = statements.first_sample_s(sound_speed)
         if array is None or axes is None:
             raise self._error()
@@ -139,8 +140,8 @@ class _Reader:
             statements.mistakes
             or rate_hz is None
             or carrier_hz is None
-            or pulses.rate_hz is None
-            or pulses.time_s is None
+            or pulse_rate_hz is None
+            or pulse_time_s is None
         ):
             raise self._error()
         # Cut samples shift the time of the first one.
@@ -157,11 +158,11 @@ class _Reader:
             recorded=recorded,
             scale_v=statements.number("scale_v", needed=False),
             sample_rate_hz=rate_hz,
-            pulse_rate_hz=pulses.rate_hz,
+            pulse_rate_hz=pulse_rate_hz,
             carrier_hz=carrier_hz,
             sound_speed_m_per_s=sound_speed,
-            pulse_time_s=pulses.time_s,
-            regular=pulses.regular,
+            pulse_time_s=pulse_time_s,
+            regular=regular,
             first_sample_s=first_s,
             line_position_m=position_m,
             inferred=tuple(statements.inferred),
@@ -239,12 +240,12 @@ class _Reader:
         self.statements.add_mistake("axes", what, f'such as axes = "{",".join(default)}"')
         return None
 
-    def _known_lengths(self) -> dict[str, int | None]:
+    def _known_lengths(self) -> dict[str, float | None]:
         times, positions = self.statements.stated("pulse_time_s"), self.statements.stated("line_position_m")
         scene = self.statements.scene
         return {
-            "pulse": scene.pulse_count if times is None else len(times[0]),
-            "sample": scene.record_samples if self.settings.samples is None else None,
+            "pulse": scene.get("pulse_count") if times is None else len(times[0]),
+            "sample": scene.get("record_samples") if self.settings.samples is None else None,
             "line": None if positions is None else len(positions[0]),
         }
 

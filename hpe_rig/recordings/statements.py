@@ -22,22 +22,8 @@ MAX_JITTER_PERIODS = 1e-3
 MAX_TIME_S = 1e3
 
 
-@dataclass(frozen=True, slots=True)
-class StatedSettings:
-    """Settings that the scene states: numbers of pulses and samples, ``values`` by key of a recording's settings."""
-
-    pulse_count: int | None = None
-    record_samples: int | None = None
-    values: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class PulseTimes:
-    """Times of the pulses (pulse,), s; ``regular``: they have the fixed rate ``rate_hz``. None if unknown."""
-
-    time_s: FloatArray | None = None
-    rate_hz: float | None = None
-    regular: bool = True
+PulseTimes = tuple[FloatArray | None, float | None, bool]
+"""Times of the pulses (pulse,), s; their rate, Hz; whether the rate is fixed. None if unknown."""
 
 
 @dataclass(slots=True)
@@ -46,7 +32,8 @@ class Statements:
 
     settings: RecordingSettings
     contents: Contents
-    scene: StatedSettings
+    scene: Mapping[str, float]
+    """Settings that the scene states, by key; also ``pulse_count`` and ``record_samples``."""
     origins: Mapping[str, str]
     """Origin of each of ``settings``."""
     mistakes: list[Mistake] = field(default_factory=list)
@@ -77,9 +64,9 @@ class Statements:
             return float(value)
         if in_file is not None:
             return self._number_of_file(key, float(in_file[0]), in_file[1])
-        if key in self.scene.values:
-            self.inferred.append(f"{key} = {self.scene.values[key]:g}, from the scene")
-            return self.scene.values[key]
+        if key in self.scene:
+            self.inferred.append(f"{key} = {self.scene[key]:g}, from the scene")
+            return self.scene[key]
         if needed:
             self.add_mistake(
                 key, "neither options, sidecar, file nor scene state it", f"--set {key}=... or a sidecar file"
@@ -104,7 +91,7 @@ class Statements:
         values, origin = stated
         time_s = np.array(values, dtype=np.float64)
         if not self._times_are_valid(time_s, origin, count):
-            return PulseTimes()
+            return None, None, True
         # Regular pulses deviate from the fixed rate between the first and the last pulse by little.
         mean_rate_hz = (time_s.size - 1) / (time_s[-1] - time_s[0])
         fixed_rate_s = time_s[0] + np.arange(time_s.size) / mean_rate_hz
@@ -114,20 +101,19 @@ class Statements:
             self.inferred.append(f"pulses: {time_s.size} times from {origin!r} of the file")
         spacing = "regular to 0.1 %" if regular else "irregular: each time is used"
         self.inferred.append(f"pulse_rate_hz = {rate_hz:.6g}, from {time_s.size} times, {spacing}")
-        return PulseTimes(time_s, rate_hz, regular)
+        return time_s, rate_hz, regular
 
     def _regular_times(self, count: int | None) -> PulseTimes:
         """Return times at the stated pulse rate."""
         rate_hz = self.number("pulse_rate_hz")
         first_s = self.settings.first_pulse_s
         if first_s is None:
-            in_scene = "first_pulse_s" in self.scene.values
-            first_s = self.scene.values.get("first_pulse_s", 0.0)
-            origin = "from the scene's tracking.delay_s" if in_scene else "the default"
+            first_s = self.scene.get("first_pulse_s", 0.0)
+            origin = "from the scene's tracking.delay_s" if "first_pulse_s" in self.scene else "the default"
             self.inferred.append(f"the first pulse is fired at {first_s:g} s, {origin}: phases count from there")
         if rate_hz is None or count is None:
-            return PulseTimes(rate_hz=rate_hz)
-        return PulseTimes(first_s + np.arange(count) / rate_hz, rate_hz)
+            return None, rate_hz, True
+        return first_s + np.arange(count) / rate_hz, rate_hz, True
 
     def _times_are_valid(self, time_s: FloatArray, origin: str, count: int | None) -> bool:
         """Return whether the times of the pulses are valid; add a mistake if they are not."""

@@ -3,7 +3,7 @@ from .comparison import (
     compare_runs as compare_runs,
     comparison_schema as comparison_schema,
 )
-from .page import StoredAxes as StoredAxes, write_report as write_report
+from .page import write_report as write_report
 from .page_writer import (
     PageSection as PageSection,
     PageTable as PageTable,
@@ -17,7 +17,6 @@ from .views import (
     EchoView as EchoView,
     MotionView as MotionView,
     echo_view as echo_view,
-    gate_records as gate_records,
     grey_limit_v as grey_limit_v,
     motion_view as motion_view,
     selected_pulses as selected_pulses,

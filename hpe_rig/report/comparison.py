@@ -22,7 +22,6 @@ from hpe_rig.bench import settings_differences
 from hpe_rig.result import (
     PALETTE,
     RECTIFIED,
-    Component,
     Headline,
     RepeatMean,
     Result,
@@ -178,18 +177,23 @@ def _points(result: Result) -> Points:
         if (setting := _setting(shot)) not in repeated:
             for estimate in shot.estimates:
                 independent = [part for part in estimate.budget if part.source in INDEPENDENT_SOURCES]
-                point = _Point(f"{shot.shot + 1}", estimate.headline, *_combined(independent))
+                noise_m = math.hypot(*(part.amplitude_m for part in independent))
+                noise_rad = math.hypot(*(part.phase_rad for part in independent))
+                point = _Point(f"{shot.shot + 1}", estimate.headline, noise_m, noise_rad)
                 points.setdefault(setting, {}).setdefault(estimate.frequency_hz, point)
     return points
 
 
-def _combined(components: list[Component]) -> tuple[float, float]:
-    return math.hypot(*(item.amplitude_m for item in components)), math.hypot(*(item.phase_rad for item in components))
-
-
 def _setting(result: ShotResult | RepeatMean) -> Setting:
-    names = ("burst_length_s", "force_fraction", "pulse_rate_hz", "window_length_s", "lateral_offset_m")
-    return *((name, getattr(result, name)) for name in (*names, "axial_offset_m")), *result.swept.items()
+    names = (
+        "burst_length_s",
+        "force_fraction",
+        "pulse_rate_hz",
+        "window_length_s",
+        "lateral_offset_m",
+        "axial_offset_m",
+    )
+    return *((name, getattr(result, name)) for name in names), *result.swept.items()
 
 
 def _pairs(
@@ -284,7 +288,7 @@ def _figure(comparison: Comparison) -> Figure:
     panels = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
     rows = comparison.results
     frequency_hz = np.array([row.frequency_hz for row in rows])
-    # Half the distance by which the two runs are drawn apart, so that neither hides the other.
+    # Both runs are shifted by this distance from the frequency, so that neither hides the other.
     shift_hz = 0.003 * (float(np.ptp(frequency_hz)) if frequency_hz.size > 1 else 100.0)
     quantities = (
         ("amplitude_m", "amplitude_uncertainty_m", "amplitude / nm", 1e9),

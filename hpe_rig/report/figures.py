@@ -135,15 +135,10 @@ def _sweep_amplitude(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
     figure, axes = panel()
     descriptions = []
     for index, curve in enumerate(curves):
-        marker, colour = mark(index)
-        sd_nm = np.nan_to_num(curve.amplitude_sd_m) * 1e9
-        axes.errorbar(
-            curve.x, curve.amplitude_m * 1e9, sd_nm, fmt=marker, ms=4, capsize=2, color=colour,
-            label=curve.group or "mean, sd",
-        )  # fmt: skip
+        _plot_curve(axes, index, curve, curve.amplitude_m * 1e9, np.nan_to_num(curve.amplitude_sd_m) * 1e9)
         if curve.line is not None:
             ends = np.array([curve.x.min(), curve.x.max()])
-            axes.plot(ends, (curve.line.intercept + curve.line.slope * ends) * 1e9, color=colour, lw=0.9)
+            axes.plot(ends, (curve.line.intercept + curve.line.slope * ends) * 1e9, color=mark(index)[1], lw=0.9)
             descriptions.append(
                 f"{curve.group or 'line'}: slope {curve.line.slope * 1e9:.4g} nm, R2 {curve.line.r_squared:.4f}"
             )
@@ -158,6 +153,13 @@ def _sweep_amplitude(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
     return picture(figure, f"sweep-amplitude-{hz:g}", f"Amplitude at {hz:g} Hz over {sweep.name}", alt)
 
 
+def _plot_curve(axes: Axes, index: int, curve: SweepCurve, mean: FloatArray, sd: FloatArray) -> None:
+    """Draw means with bars of one standard deviation in the colour of curve number ``index``."""
+    marker, colour = mark(index)
+    label = curve.group or "mean, sd"
+    axes.errorbar(curve.x, mean, sd, fmt=marker, ms=4, capsize=2, color=colour, label=label)
+
+
 def _format_x_axis(axes: Axes) -> None:
     """Use a common power of ten for very small and very large values, and at most seven labels."""
     axes.ticklabel_format(axis="x", style="sci", scilimits=(-2, 5))
@@ -167,12 +169,8 @@ def _format_x_axis(axes: Axes) -> None:
 def _sweep_phase(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
     figure, axes = panel()
     for index, curve in enumerate(curves):
-        marker, colour = mark(index)
         sd_deg = np.degrees(np.nan_to_num(curve.phase_sd_rad))
-        axes.errorbar(
-            curve.x, np.degrees(_unwrapped(curve)), sd_deg, fmt=marker, ms=4, capsize=2, color=colour,
-            label=curve.group or "mean, sd",
-        )  # fmt: skip
+        _plot_curve(axes, index, curve, np.degrees(_unwrapped(curve)), sd_deg)
     axes.set(xlabel=sweep.label, ylabel="phase (degrees)")
     _format_x_axis(axes)
     legend(axes, "best")

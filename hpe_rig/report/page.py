@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from hpe_rig.bench import twin_of
@@ -21,19 +20,17 @@ from hpe_rig.report.page_writer import PageTable, render_template
 from hpe_rig.report.prediction import predictions
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.sweep import Sweep, make_sweep
-from hpe_rig.report.views import MotionView, echo_view, gate_records, motion_view, tracked_motion
+from hpe_rig.report.views import MotionView, echo_view, motion_view, tracked_motion
 from hpe_rig.result import (
     Estimate,
     Picture,
     Result,
     ShotResult,
     Stages,
-    amplitude_spectrum,
     headline_sentence,
     main_shot,
-    phase_spectrum,
-    repeats_of,
     shot_warnings,
+    spectra,
 )
 from hpe_rig.runs import Run, estimate_points, open_run, points_over
 from hpe_rig.scene import Axis, Scene
@@ -50,44 +47,29 @@ SOURCES_OF_RESIDUAL = ("noise", "trigger jitter")
 PAGE_START = b"<!DOCTYPE html>"
 
 
-@dataclass(frozen=True, slots=True)
-class StoredAxes:
-    """Axes of a sweep of the processing settings; ``together`` combines the n-th values of all axes."""
-
-    axes: tuple[Axis, ...]
-    together: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class _ShotDisplay:
-    """Pictures of the main shot, the tests of its residual, and its motion, None if it has no displacement."""
-
-    pictures: Sequence[Picture]
-    tests: Sequence[ResidualTest]
-    motion: MotionView | None
-
-
 def write_report(
     path: Path,
     estimator: str | None = None,
     output: Path | None = None,
     shot: int | None = None,
+    *,
     profile_step_m: float | None = None,
-    axes: StoredAxes | None = None,
+    axes: Sequence[Axis] = (),
+    together: bool = False,
 ) -> Path:
     """Write the page of the run in ``path`` and return its path, by default that of the run with the suffix .html.
 
     ``shot``: number of the main shot from 1, by default the complete one with the largest amplitude.
     ``profile_step_m``: distance of additional gates over depth. ``axes``: values of processing settings, for which the
-    page shows results and curves from the same records, as ``Run.sweep``. Raises ``StoreError`` for a file that cannot
-    be read or written, or would be lost, and ``SettingsError`` for wrong settings.
+    page shows results and curves from the same records; ``together`` as for ``Run.sweep``. Raises ``StoreError`` for a
+    file that cannot be read or written, or would be lost, and ``SettingsError`` for wrong settings.
     """
     if not path.name:
         raise StoreError(f"{path} is a folder. Try: the path of a run file.")
     target = output or path.with_suffix(".html")
     _refuse_other_file(target)
     refuse_unwritable(target)
-    page = render(path, estimator, shot, profile_step_m, axes)
+    page = render(path, estimator, shot, profile_step_m=profile_step_m, axes=axes, together=together)
     try:
         target.write_text(page, encoding="utf-8")
     except OSError as error:
@@ -113,14 +95,16 @@ def render(
     path: Path,
     estimator: str | None = None,
     shot_number: int | None = None,
+    *,
     profile_step_m: float | None = None,
-    axes: StoredAxes | None = None,
+    axes: Sequence[Axis] = (),
+    together: bool = False,
 ) -> str:
     """Return the page of the run in ``path`` as HTML; raises as ``write_report``."""
     stages = Stages()
     with stages("read"):
         stored_run = open_run(path).with_profile(profile_step_m)
-    if axes is None:
+    if not axes:
         run = stored_run
         result = run.estimate(estimator, stages)
         # The result file is for other programs; the page never reads one, since it could have been edited.
@@ -128,17 +112,18 @@ def render(
             run.save(result)
         shot = _selected_shot(result, shot_number)
     else:
-        points = points_over(stored_run, axes.axes, axes.together)
+        points = points_over(stored_run, axes, together)
         result = estimate_points(points, estimator)
         shot = _selected_shot(result, shot_number)
         # The pictures of the main shot use the settings of its point.
-        run = next(point.run for point in points if point.values.items() <= shot.swept.items())
+        run = next(run for values, run in points if values.items() <= shot.swept.items())
     with stages("draw"):
-        display = _display(run, shot, repeats_of(result, shot))
+        pictures, tests, motion = _display(run, result, shot)
         sweep = make_sweep(result.shots)
         sweep_pictures = figures.sweep_pictures(sweep) if sweep else ()
         moduli = moduli_summary(stored_run, estimator)
-        depth_pictures = profile_pictures([gate for gate in result.profile if _same_window(gate.shot, shot)])
+        same_window = [gate for gate in result.profile if gate.shot.window_length_s == shot.window_length_s]
+        depth_pictures = profile_pictures([gate for gate in same_window if gate.shot.shot == shot.shot])
     warnings = (*result.warnings, *shot_warnings(result.shots))
     return render_template(
         "report.html",
@@ -149,16 +134,16 @@ def render(
         corrected=strongest(shot).headline.corrected,
         known=_has_truth(result),
         headline=headline_sentence(result),
-        badges=list(badges(result, warnings, run.findings, display.tests)),
+        badges=list(badges(result, warnings, run.findings, tests)),
         warnings=warnings,
         facts=[*_facts(run, result), *_dose(run, shot)],
         shot_settings=_settings_texts(shot),
-        pictures={picture.key: picture for picture in display.pictures},
+        pictures={picture.key: picture for picture in pictures},
         sweep=sweep,
         sweep_pictures=sweep_pictures,
         depth_pictures=depth_pictures,
         moduli=moduli,
-        tables=_tables(run, result, shot, display, sweep),
+        tables=_tables(run, result, shot, sweep) | _error_tables(shot, tests, motion),
         check_results=run.findings,
         settings=report_provenance.settings(path, shot.shot),
         fingerprint=report_provenance.fingerprint(path),
@@ -167,15 +152,10 @@ def render(
     )
 
 
-def _tables(
-    run: Run, result: Result, shot: ShotResult, display: _ShotDisplay, sweep: Sweep | None
-) -> dict[str, PageTable | None]:
+def _tables(run: Run, result: Result, shot: ShotResult, sweep: Sweep | None) -> dict[str, PageTable | None]:
     """Return the tables of the page by name; None for an empty one."""
     scene, has_truth = _scene_at(run, shot), _has_truth(result)
     predicted = list(predictions(scene, run.plan.shots[shot.shot], shot, result.estimator))
-    lead = strongest(shot)
-    tests = [{"test": t.name, "verdict": t.verdict, "value": t.value, "meaning": t.meaning} for t in display.tests]
-    stages = [{"stage": s, "size": size, "source": text} for s, size, text in error_stages(shot, display.motion)]
     attributes = report_provenance.attributes(run.path, [f"version_{name}" for name in result.versions])
     return {
         "means": page_tables.means_table(result.means) if result.means else None,
@@ -183,20 +163,27 @@ def _tables(
         "estimates": page_tables.estimates_table(shot, has_truth),
         "budget": page_tables.budget_table(shot),
         "prediction": page_tables.prediction_table(predicted) if predicted else None,
-        "residual_tests": text_table("tests", "Tests of residual and innovations; noticed below p = 0.001.", tests),
-        "error_stages": text_table("errors", f"Error of the strongest harmonic, {lead.frequency_hz:g} Hz.", stages),
         "run_times": page_tables.run_times_table(result),
         "shots": page_tables.shots_table(result, has_truth) if sweep else None,
         "versions": page_tables.versions_table(result, attributes),
     }
 
 
+def _error_tables(
+    shot: ShotResult, tests: Sequence[ResidualTest], motion: MotionView | None
+) -> dict[str, PageTable | None]:
+    """Return the residual tests, and the contributions to the error of the strongest harmonic."""
+    test_rows = [{"test": t.name, "verdict": t.verdict, "value": t.value, "meaning": t.meaning} for t in tests]
+    stages = [{"stage": s, "size": size, "source": text} for s, size, text in error_stages(shot, motion)]
+    caption = f"Error of the strongest harmonic, {strongest(shot).frequency_hz:g} Hz."
+    return {
+        "residual_tests": text_table("tests", "Tests of residual and innovations; noticed below p = 0.001.", test_rows),
+        "error_stages": text_table("errors", caption, stages),
+    }
+
+
 def _has_truth(result: Result) -> bool:
     return any(item.true_amplitude_m is not None for shot in result.shots for item in shot.estimates)
-
-
-def _same_window(one: ShotResult, other: ShotResult) -> bool:
-    return (one.shot, one.window_length_s) == (other.shot, other.window_length_s)
 
 
 def _settings_texts(shot: ShotResult) -> list[str]:
@@ -260,33 +247,34 @@ def _selected_shot(result: Result, number: int | None) -> ShotResult:
     raise StoreError(f"shot {number} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
 
 
-def _display(run: Run, result: ShotResult, repeats: Sequence[Sequence[Estimate]]) -> _ShotDisplay:
-    """Return the pictures, residual tests and motion of one shot."""
-    shot = run.plan.shots[result.shot]
+def _display(
+    run: Run, result: Result, shot_result: ShotResult
+) -> tuple[list[Picture], list[ResidualTest], MotionView | None]:
+    """Return the pictures of a shot, the tests of its residual, and its motion, None if it has no displacement."""
+    shot = run.plan.shots[shot_result.shot]
     scene = scene_of_shot(run.scene, shot)
     # A large shot is read in the gate only, with the margins that the estimators need.
     needed, margin, last = samples_needed(scene, shot), margin_needed(scene, shot), shot.capture.record_samples
     samples = slice(0, last)
     if 2 * shot.capture.record_count * last > MAX_SHOT_BYTES:
         samples = slice(max(0, needed.start - margin), min(last, needed.stop + margin))
-    records = run.records.gated(result.shot, samples)
+    records = run.records.gated(shot.index, samples)
     pictures = list(timing_pictures(shot))
     echoes = echo_view(scene, shot, records, first_sample=samples.start)
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
-    if result.estimates:
-        pictures += [amplitude_spectrum(result.estimates, repeats), phase_spectrum(result.estimates, repeats)]
+    pictures += spectra(result, shot_result)
     try:
-        tracked = tracked_motion(scene, shot, gate_records(scene, shot, records, samples.start))
-        motion = motion_view(scene, shot, tracked, result.estimates)
+        tracked = tracked_motion(scene, shot, records, samples.start)
+        motion = motion_view(scene, shot, tracked, shot_result.estimates)
     except ValueError as error:
-        return _ShotDisplay(pictures, [ResidualTest("displacement", "not possible", str(error), "")], None)
+        return pictures, [ResidualTest("displacement", "not possible", str(error), "")], None
     pictures.append(figures.displacement(motion, None, "displacement", "Displacement in the processing window"))
-    span_s = CLOSE_UP_PERIODS / min((item.frequency_hz for item in result.estimates), default=math.inf)
+    span_s = CLOSE_UP_PERIODS / min((item.frequency_hz for item in shot_result.estimates), default=math.inf)
     if 0 < span_s < motion.time_s[-1] - motion.time_s[0]:
         title = f"Close-up: {CLOSE_UP_PERIODS} periods of the lowest frequency"
         pictures.append(figures.displacement(motion, span_s, "displacement-close", title))
-    return _ShotDisplay([*pictures, *figures.residual(motion)], residual_tests(motion), motion)
+    return [*pictures, *figures.residual(motion)], residual_tests(motion), motion
 
 
 def _facts(run: Run, result: Result) -> Iterator[tuple[str, str]]:
@@ -342,14 +330,14 @@ def _scene_at(run: Run, shot: ShotResult) -> Scene:
     # The axes of a sweep multiply: offsets, then pulse rates, then windows.
     settings = shot.pulse_rate_hz, shot.lateral_offset_m, shot.axial_offset_m
     point = scene_of_shot(run.scene, run.plan.shots[shot.shot])
-    rates = [rate for place in point.places for rate in place.rates if _tracking_settings(rate) == settings]
+    rates = [
+        rate
+        for place in point.places
+        for rate in place.rates
+        if settings == (rate.tracking.pulse_rate_hz, rate.tracking.lateral_offset_m, rate.tracking.axial_offset_m)
+    ]
     windows = [window for rate in rates for window in rate.windows]
     return next((scene for scene in windows if scene.processing.window_length_s == shot.window_length_s), point)
-
-
-def _tracking_settings(scene: Scene) -> tuple[float, float, float]:
-    tracking = scene.tracking
-    return tracking.pulse_rate_hz, tracking.lateral_offset_m, tracking.axial_offset_m
 
 
 def _dose(run: Run, shot: ShotResult) -> list[tuple[str, str]]:

@@ -173,8 +173,14 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text(encoding="utf-8")),
     )
+    # An SVG needs no escaping: Matplotlib drew it from numbers and escaped every text.
     environment.filters.update(
-        cell=cell_text, heading=heading, symbols=symbols, svg=_svg, width=_width_px, address=_csv_address
+        cell=cell_text,
+        heading=heading,
+        symbols=symbols,
+        svg=lambda picture: Markup(picture.svg),  # noqa: S704
+        width=_width_px,
+        address=_csv_address,
     )
     environment.globals["ACCEPTED"] = ACCEPTED_VERDICTS
     return environment
@@ -182,11 +188,6 @@ def _environment() -> jinja2.Environment:
 
 def _is_text(value: Any) -> bool:
     return isinstance(value, str) and not value.startswith(("-", "+", "–", *"0123456789"))
-
-
-def _svg(picture: Picture) -> Markup:
-    # Matplotlib drew this from numbers and escaped every text.
-    return Markup(picture.svg)  # noqa: S704
 
 
 def _width_px(picture: Picture) -> int:

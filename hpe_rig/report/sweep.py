@@ -114,7 +114,7 @@ AXES: tuple[tuple[_Setting, tuple[_Setting, ...]], ...] = (
     (PULSE_RATE, ()),
     (WINDOW, ()),
 )
-"""Settings that make an axis, of which the first that varies applies, and the settings that group its curves.
+"""Settings that make an axis, and the settings that group its curves; the first setting that varies applies.
 
 The burst length always groups curves."""
 GROUPS_OF_AXIS = (LATERAL, AXIAL, FORCE_FRACTION, BURST_LENGTH, WINDOW)
@@ -167,11 +167,11 @@ def _texts(shot: ShotResult, settings: Sequence[_Setting], shots: Sequence[ShotR
 def _other_axes(shot: ShotResult, name: str, shots: Sequence[ShotResult]) -> Iterator[str]:
     """Yield the values of the other axes of the sweep, except those that follow the axis ``name``."""
     axis_values = {item.swept[name] for item in shots}
-    for other, value in shot.swept.items():
-        pairs = {(item.swept[name], item.swept[other]) for item in shots}
+    for axis, value in shot.swept.items():
+        pairs = {(item.swept[name], item.swept[axis]) for item in shots}
         # An axis combined by zip has one value at each value of ``name``, so it does not distinguish curves.
-        if other != name and len(pairs) > len(axis_values):
-            yield f"{other} = {value:g}"
+        if axis != name and len(pairs) > len(axis_values):
+            yield f"{axis} = {value:g}"
 
 
 def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:

@@ -78,7 +78,7 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, fir
     valid = np.flatnonzero(records.valid[:MAX_PULSES])
     if not valid.size:
         return None
-    # Depth from which the centre of an echo arrives at each sample.
+    # The centre of the echo at each sample comes from this depth.
     sample = first_sample + np.arange(records.codes.shape[1])
     delay_s = sample / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
     depth_m = np.asarray(delay_s * scene.acquisition.sound_speed_m_per_s / 2)

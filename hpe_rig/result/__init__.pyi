@@ -16,7 +16,7 @@ from .phase import (
     rectified_variance_m2 as rectified_variance_m2,
 )
 from .print_symbols import symbols as symbols
-from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance, Stages as Stages
+from .provenance import Provenance as Provenance, Stages as Stages
 from .repeats import RepeatMean as RepeatMean
 from .result import Result as Result
 from .result_data import json_values as json_values, shot_warnings as shot_warnings
@@ -27,12 +27,7 @@ from .sentence import (
     lead_frequency_hz as lead_frequency_hz,
     scale_of as scale_of,
 )
-from .spectra import (
-    amplitude_spectrum as amplitude_spectrum,
-    main_shot as main_shot,
-    phase_spectrum as phase_spectrum,
-    repeats_of as repeats_of,
-)
+from .spectra import main_shot as main_shot, spectra as spectra
 from .svg import (
     MARKS as MARKS,
     PALETTE as PALETTE,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 
 from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.result.result_data import ResultData
+from hpe_rig.result.tables import frames_package
 
 if TYPE_CHECKING:
     import xarray
@@ -111,12 +112,7 @@ def _motion(result: ResultData) -> Mapping[str, FloatArray]:
 
 def result_dataset(result: ResultData) -> xarray.Dataset:
     """Return the arrays as an xarray Dataset with axes, units and the settings of each shot."""
-    try:
-        import xarray
-    except ModuleNotFoundError as error:
-        message = 'Result.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
-        raise ModuleNotFoundError(message, name=error.name) from None
-
+    dataset = frames_package("xarray", "Result.to_xarray").Dataset
     # Shots with different frequencies share no frequency axis: it then counts the harmonics.
     grid = result_grid(result)
     number = np.arange(1, grid.frequency_hz.shape[1] + 1)
@@ -135,9 +131,8 @@ def result_dataset(result: ResultData) -> xarray.Dataset:
         tables |= motion
     names = ("title", "run_file", "estimator", "phase_reference", "status")
     attributes = {name: getattr(result, name) for name in names} | {"simulated": int(result.simulated)}
-    return xarray.Dataset(
-        tables, coordinates, attributes | {f"note_{name}": note for name, note in result.notes.items()}
-    )
+    attributes |= {f"note_{name}": note for name, note in result.notes.items()}
+    return cast("xarray.Dataset", dataset(tables, coordinates, attributes))
 
 
 def _number(value: float | None) -> float:

@@ -11,7 +11,7 @@ from hpe_rig.result.print_symbols import symbols
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData, shot_warnings
 from hpe_rig.result.sentence import headline_sentence
-from hpe_rig.result.spectra import amplitude_spectrum, main_shot, phase_spectrum, repeats_of
+from hpe_rig.result.spectra import main_shot, repeats_of, spectra
 from hpe_rig.result.svg import image
 from hpe_rig.result.values import Headline
 
@@ -28,17 +28,17 @@ def result_html(result: ResultData) -> str:
     """Return self-contained HTML with the tables of the first ``MAX_SHOTS`` shots."""
     source = ", ".join(text for text in (_origin(result), result.run_file, result.estimator) if text)
     lead = "<br>".join([f"<b>{symbols(headline_sentence(result))}</b>", symbols(result.title), escape(source)])
-    parts = [f"<p>{lead}</p>", _spectra(result)]
+    blocks = [f"<p>{lead}</p>", _spectra(result)]
     for shots, means in groupby(result.means, key=lambda mean: mean.shots):
         rows = [(mean.frequency_hz, mean) for mean in means]
-        parts.append(_table(f"mean of {len(shots)} repeats from shot {shots[0] + 1} on", rows))
+        blocks.append(_table(f"mean of {len(shots)} repeats from shot {shots[0] + 1} on", rows))
     for shot in result.shots[:MAX_SHOTS]:
-        parts.append(_table(f"shot {shot.shot + 1}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
+        blocks.append(_table(f"shot {shot.shot + 1}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
     if len(result.shots) > MAX_SHOTS:
-        parts.append(f"<p>and {len(result.shots) - MAX_SHOTS} more shots</p>")
+        blocks.append(f"<p>and {len(result.shots) - MAX_SHOTS} more shots</p>")
     # Warnings come last, after the numbers that they concern.
     warnings = (*result.warnings, *shot_warnings(result.shots))
-    return "\n".join([*parts, *(f"<p><b>WARNING</b> {symbols(text)}</p>" for text in warnings)])
+    return "\n".join([*blocks, *(f"<p><b>WARNING</b> {symbols(text)}</p>" for text in warnings)])
 
 
 def _origin(result: ResultData) -> str:
@@ -50,10 +50,8 @@ def _spectra(result: ResultData) -> str:
     shot = main_shot(result)
     if not shot.estimates:
         return ""
-    repeats = repeats_of(result, shot)
-    spectra = (amplitude_spectrum(shot.estimates, repeats), phase_spectrum(shot.estimates, repeats))
-    caption = f"shot {shot.shot + 1}" + (" and the other repeats of its setting" if repeats else "")
-    return "".join([*(image(spectrum) for spectrum in spectra), f"<p>{caption}; bars: 2 u</p>"])
+    caption = f"shot {shot.shot + 1}" + (" and the other repeats of its setting" if repeats_of(result, shot) else "")
+    return "".join([*(image(spectrum) for spectrum in spectra(result, shot)), f"<p>{caption}; bars: 2 u</p>"])
 
 
 def _table(caption: str, rows: Sequence[tuple[float, Headline | RepeatMean]]) -> str:

@@ -14,7 +14,7 @@ MOST_PULSES = 5_000_000
 class ShotMotion:
     """Displacement D(t) of the pulses in a shot's window, up to a constant; all arrays (pulse,).
 
-    ``pulse``: number of the pulse in the shot, from 0. ``time_s``: time at which it samples the motion, after the phase
+    ``pulse``: number of the pulse in the shot, from 0. ``time_s``: its time of sampling the motion, after the phase
     reference. ``displacement_m``: positive away from the transducer, NaN for missing or excluded records.
     ``uncertainty_m``: standard uncertainty of a pulse relative to the others, the larger of the scatter of its echo and
     the residual of the fit; the budgets of the estimates list the sources common to all pulses. ``model_m``: the

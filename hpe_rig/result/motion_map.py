@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from hpe_rig.arrays import ByteArray, FloatArray
+from hpe_rig.result.tables import frames_package
 
 if TYPE_CHECKING:
     import xarray
@@ -72,11 +73,7 @@ class MotionMap:
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an xarray dataset with axes line, depth and frequency, and units; needs the extra 'frames'."""
-        try:
-            import xarray
-        except ModuleNotFoundError:
-            what = 'MotionMap.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
-            raise ModuleNotFoundError(what) from None
+        dataset = frames_package("xarray", "MotionMap.to_xarray").Dataset
         # Amplitudes and phases have a value for each frequency, all other quantities one for each pixel.
         pixel, pixel_and_frequency = ("line", "depth"), ("line", "depth", "frequency")
         variables: dict[str, Any] = {}
@@ -93,7 +90,8 @@ class MotionMap:
             "depth": ("depth", self.depth_m, {"units": "m"}),
             "frequency": ("frequency", self.frequency_hz, {"units": "Hz"}),
         }
-        return xarray.Dataset(variables, coordinates, {"title": "Motion map", "source": self.origin})
+        attributes = {"title": "Motion map", "source": self.origin}
+        return cast("xarray.Dataset", dataset(variables, coordinates, attributes))
 
     def figure(self, frequency: int = 0) -> Figure:
         """Return images of amplitude, phase and u at the frequency of this index, and of velocity; bad pixels blank."""

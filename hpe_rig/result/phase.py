@@ -31,7 +31,7 @@ RAYLEIGH_SQUARE = 2.2957
 DETECTED = 3.0
 """Detection limit: amplitude over the standard deviation of its noise, exceeded by noise alone in 1.1 %."""
 STRONG = 20.0
-"""Amplitude over the root of both quadratures' variances from which on the small-angle approximation holds."""
+"""Minimum of amplitude over the root of both quadratures' variances for the small-angle approximation."""
 MIN_VARIANCE_RATIO = 1e-7
 """Lower limit on the variance of either quadrature over that of both, set by the spacing of the angles."""
 _STEP = np.linspace(-1.0, 1.0, 513)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Start and end of a run, ISO 8601 with the offset from UTC, host and user; "" for unknown values.
+    """Start and end of a run, ISO 8601 with the offset from UTC, host and user; "" for values that no file states.
 
     ``drivers``: the packages below the instrument drivers with their versions. Firmware and driver versions reported by
     instruments are stored with their settings.
@@ -24,10 +24,6 @@ class Provenance:
     host: str = ""
     user: str = ""
     drivers: str = ""
-
-
-UNKNOWN = Provenance()
-"""Provenance of files of earlier releases, and of results without a run."""
 
 
 class Stages:

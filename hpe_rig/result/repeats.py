@@ -16,8 +16,9 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from statistics import fmean
+from typing import Any
 
 from hpe_rig.result.interval import interval_95, phase_interval_95_rad, student_widening
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
@@ -29,6 +30,16 @@ DETECTED_AMPLITUDE = 4.0
 """Amplitude over its u above which the phase is not that of noise."""
 SIGNIFICANCE = 0.01
 """Probability of the chi-square below which the repeats disagree with their uncertainties."""
+
+SETTINGS = (
+    "burst_length_s",
+    "force_fraction",
+    "pulse_rate_hz",
+    "window_length_s",
+    "lateral_offset_m",
+    "axial_offset_m",
+)
+"""Settings that the repeats have in common, in addition to the values of a sweep."""
 
 Pair = tuple[float, float]
 """Values for amplitude, m, and phase, rad."""
@@ -73,18 +84,10 @@ class RepeatMean:
     interval_95_rad: float = math.nan
     swept: Mapping[str, float] = field(default_factory=dict)
 
-
-@dataclass(frozen=True, slots=True)
-class _Agreement:
-    """Test of the deviations of the repeats against the independent uncertainties."""
-
-    chi_square: float
-    degrees_of_freedom: int
-    probability: float
-
     @property
-    def agrees(self) -> bool:
-        return self.probability >= SIGNIFICANCE
+    def headline(self) -> Headline:
+        """Amplitude and phase with their uncertainties, as of a single shot."""
+        return Headline(**{item.name: getattr(self, item.name) for item in fields(Headline)})
 
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
@@ -102,33 +105,29 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
 
 
 def _setting(shot: ShotResult) -> tuple[float | None, ...]:
-    timing = shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
-    return *timing, shot.lateral_offset_m, shot.axial_offset_m, *shot.swept.values()
+    return *(getattr(shot, name) for name in SETTINGS), *shot.swept.values()
 
 
 def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     """Return the mean of the estimates number ``index`` of ``shots``."""
+    from scipy.special import gammaincc
+
     estimates = [shot.estimates[index] for shot in shots]
     headlines = [estimate.headline for estimate in estimates]
     # Complex mean: amplitudes alone would average the noise of a weak harmonic to a positive value.
     phasor = _mean_phasor((headline.amplitude_m, headline.phase_rad) for headline in headlines)
     deviations = _deviations(headlines, phasor)
     independent = [_uncertainty(estimate, independent=True) for estimate in estimates]
-    agreement = _agreement(deviations, independent, estimates)
-    sources = _sources_of_mean(estimates, independent, deviations, agreement, abs(phasor))
-    # True phasors may differ between repeats: their mean is the truth of the mean.
-    has_truth = all(estimate.true_amplitude_m is not None for estimate in estimates)
-    truth = _mean_phasor((item.true_amplitude_m or 0.0, item.true_phase_rad or 0.0) for item in estimates)
-    first = shots[0]
+    chi_square, degrees_of_freedom = _chi_square(deviations, independent, estimates), 2 * (len(shots) - 1)
+    probability = float(gammaincc(degrees_of_freedom / 2, chi_square / 2))
+    agrees = probability >= SIGNIFICANCE
+    sources = _sources_of_mean(estimates, independent, None if agrees else deviations, abs(phasor))
+    truth = _mean_truth(estimates)
+    settings: dict[str, Any] = {name: getattr(shots[0], name) for name in SETTINGS}
     return RepeatMean(
+        **settings,
+        swept=shots[0].swept,
         shots=tuple(shot.shot for shot in shots),
-        burst_length_s=first.burst_length_s,
-        force_fraction=first.force_fraction,
-        pulse_rate_hz=first.pulse_rate_hz,
-        window_length_s=first.window_length_s,
-        swept=first.swept,
-        lateral_offset_m=first.lateral_offset_m,
-        axial_offset_m=first.axial_offset_m,
         frequency_hz=estimates[0].frequency_hz,
         corrected=all(headline.corrected for headline in headlines),
         amplitude_m=abs(phasor),
@@ -139,13 +138,20 @@ def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         interval_95_rad=phase_interval_95_rad(sources[1]),
         amplitude_sd_m=_standard_deviation(deviations[0]),
         phase_sd_rad=_standard_deviation(deviations[1]),
-        chi_square=agreement.chi_square,
-        degrees_of_freedom=agreement.degrees_of_freedom,
-        probability=agreement.probability,
-        agrees=agreement.agrees,
-        true_amplitude_m=abs(truth) if has_truth else None,
-        true_phase_rad=cmath.phase(truth) if has_truth else None,
+        chi_square=chi_square,
+        degrees_of_freedom=degrees_of_freedom,
+        probability=probability,
+        agrees=agrees,
+        true_amplitude_m=None if truth is None else abs(truth),
+        true_phase_rad=None if truth is None else cmath.phase(truth),
     )
+
+
+def _mean_truth(estimates: Sequence[Estimate]) -> complex | None:
+    """Return the mean of the true phasors, which may differ between repeats; None if one is unknown."""
+    if any(estimate.true_amplitude_m is None for estimate in estimates):
+        return None
+    return _mean_phasor((item.true_amplitude_m or 0.0, item.true_phase_rad or 0.0) for item in estimates)
 
 
 def _mean_phasor(values: Iterable[Pair]) -> complex:
@@ -162,29 +168,28 @@ def _deviations(headlines: Sequence[Headline], phasor: complex) -> tuple[list[fl
     return [item.amplitude_m - mean_m for item in headlines], [angle - mean_rad for angle in relative]
 
 
-def _agreement(
+def _chi_square(
     deviations: tuple[list[float], list[float]], independent: Sequence[Pair], estimates: Sequence[Estimate]
-) -> _Agreement:
-    from scipy.special import gammaincc
-
-    degrees_of_freedom = 2 * (len(estimates) - 1)
+) -> float:
+    """Return X of the deviations of amplitudes and phases."""
     # The uncertainties are estimates too: the widening allows for their degrees of freedom.
-    chi_square = sum(
+    return sum(
         _squared_ratio(deviation, stated[axis] * student_widening(estimate.noise_freedom))
         for axis, of_axis in enumerate(deviations)
         for deviation, stated, estimate in zip(of_axis, independent, estimates, strict=True)
     )
-    return _Agreement(chi_square, degrees_of_freedom, float(gammaincc(degrees_of_freedom / 2, chi_square / 2)))
 
 
 def _sources_of_mean(
     estimates: Sequence[Estimate],
     independent: Sequence[Pair],
-    deviations: tuple[list[float], list[float]],
-    agreement: _Agreement,
+    deviations: tuple[list[float], list[float]] | None,
     amplitude_m: float,
 ) -> tuple[list[Source], list[Source]]:
-    """Return (uncertainty, degrees of freedom) of the independent and the common source, of amplitude and phase."""
+    """Return (uncertainty, degrees of freedom) of the independent and the common source, of amplitude and phase.
+
+    ``deviations`` of repeats that disagree replace smaller stated uncertainties; None for repeats that agree.
+    """
     count = len(estimates)
     stated = _independent_uncertainty(estimates, independent, amplitude_m)
     common = [_uncertainty(estimate, independent=False) for estimate in estimates]
@@ -192,9 +197,8 @@ def _sources_of_mean(
 
     def sources(axis: int) -> list[Source]:
         source = stated[axis], pooled
-        scatter = _standard_deviation(deviations[axis]) / math.sqrt(count)
         # Scatter beyond the stated uncertainties has a cause that no component lists: the scatter then replaces them.
-        if not agreement.agrees and scatter > stated[axis]:
+        if deviations and (scatter := _standard_deviation(deviations[axis]) / math.sqrt(count)) > stated[axis]:
             source = scatter, count - 1.0
         # Common errors are fully correlated between the repeats, so that their standard uncertainties are averaged.
         return [source, (sum(u[axis] for u in common) / count, math.inf)]
@@ -204,7 +208,8 @@ def _sources_of_mean(
 
 def _independent_uncertainty(estimates: Sequence[Estimate], independent: Sequence[Pair], amplitude_m: float) -> Pair:
     """Return the independent uncertainty of the mean amplitude, m, and phase, rad."""
-    u_m, u_rad = (_root_mean_square(u[axis] for u in independent) / math.sqrt(len(independent)) for axis in (0, 1))
+    # The mean of K independent values has the root mean square of their uncertainties over the root of K.
+    u_m, u_rad = (math.sqrt(fmean(u[axis] ** 2 for u in independent)) / math.sqrt(len(independent)) for axis in (0, 1))
     pairs = zip(estimates, independent, strict=True)
     if all(estimate.headline.amplitude_m > DETECTED_AMPLITUDE * u[0] for estimate, u in pairs):
         return u_m, u_rad
@@ -227,10 +232,6 @@ def _squared_ratio(deviation: float, uncertainty: float) -> float:
     if uncertainty > 0:
         return (deviation / uncertainty) ** 2
     return 0.0 if deviation == 0 else math.inf
-
-
-def _root_mean_square(values: Iterable[float]) -> float:
-    return math.sqrt(fmean(value**2 for value in values))
 
 
 def _standard_deviation(deviations: Sequence[float]) -> float:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from hpe_rig.result.provenance import UNKNOWN, Provenance
+from hpe_rig.result.provenance import Provenance
 from hpe_rig.result.repeats import RepeatMean, repeat_means
 from hpe_rig.result.values import DERIVED, GateResult, ShotResult
 from hpe_rig.scene import Estimator
@@ -36,7 +36,7 @@ class ResultData:
     shots_without_result: tuple[tuple[int, str], ...] = ()
     profile: tuple[GateResult, ...] = ()
     notes: Mapping[str, str | int | float | bool] = field(default_factory=dict)
-    provenance: Provenance = UNKNOWN
+    provenance: Provenance = Provenance()  # noqa: RUF009, a frozen value
     imported: str | None = None
 
     @property

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData
-from hpe_rig.result.tables import csv_text, text_table
+from hpe_rig.result.tables import csv_text, frames_package, text_table
 from hpe_rig.result.values import Headline
 
 if TYPE_CHECKING:
@@ -62,13 +62,7 @@ def result_csv(result: ResultData) -> str:
 
 def result_frame(result: ResultData) -> pd.DataFrame:
     """Return the rows as a pandas frame; ``attrs`` hold title, run file, estimator and ``simulated``."""
-    try:
-        import pandas as pd
-    except ModuleNotFoundError as error:
-        message = 'Result.to_frame needs pandas, which is not installed. Try: pip install "hpe-rig[frames]".'
-        raise ModuleNotFoundError(message, name=error.name) from None
-
-    frame = pd.DataFrame(result_rows(result))
+    frame: pd.DataFrame = frames_package("pandas", "Result.to_frame").DataFrame(result_rows(result))
     frame.attrs.update({name: getattr(result, name) for name in ("title", "run_file", "estimator", "simulated")})
     return frame
 

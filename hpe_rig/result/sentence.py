@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
-from dataclasses import fields
 
-from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.values import Estimate, Headline, ShotResult
 
@@ -26,7 +25,7 @@ def headline_sentence(result: ResultData) -> str:
     means = [mean for mean in result.means if mean.frequency_hz == frequency_hz]
     # Without a mean for every shot, the single shots represent the settings.
     if sum(len(mean.shots) for mean in means) == len(shots):
-        values = [_headline_of_mean(mean) for mean in means]
+        values = [mean.headline for mean in means]
     else:
         values = [estimate_at(shot, frequency_hz).headline for shot in shots]
     untrusted = sum(bool(shot.untrusted) for shot in shots)
@@ -35,7 +34,8 @@ def headline_sentence(result: ResultData) -> str:
     quantity = "corrected" if values[0].corrected else "as tracked"
     if len(values) == 1:
         return _single_sentence(values[0], frequency_hz, quantity) + source
-    smallest, largest = min(values, key=_amplitude_m), max(values, key=_amplitude_m)
+    by_amplitude = operator.attrgetter("amplitude_m")
+    smallest, largest = min(values, key=by_amplitude), max(values, key=by_amplitude)
     scale, unit = scale_of(largest.amplitude_m)
     span = " to ".join(
         _with_u(item.amplitude_m / scale, item.amplitude_uncertainty_m / scale) for item in (smallest, largest)
@@ -43,16 +43,18 @@ def headline_sentence(result: ResultData) -> str:
     return f"{span} {unit} at {frequency_hz:g} Hz ({quantity}) over {len(values)} settings{source}"
 
 
-def _amplitude_m(value: Headline) -> float:
-    return value.amplitude_m
-
-
 def _single_sentence(value: Headline, frequency_hz: float, quantity: str) -> str:
-    scale, _ = scale_of(value.amplitude_m)
-    low, high = (plain(limit_m / scale, value.amplitude_uncertainty_m / scale) for limit_m in interval_m(value))
+    amplitude_m, u_m, half_width_m = value.amplitude_m, value.amplitude_uncertainty_m, value.interval_95_m
+    scale, _ = scale_of(amplitude_m)
+    # An amplitude has no negative values.
+    limits_m = max(amplitude_m - half_width_m, 0.0), amplitude_m + half_width_m
+    low, high = (plain(limit_m / scale, u_m / scale) for limit_m in limits_m)
+    # The unit suits the larger of amplitude and uncertainty.
+    scale, unit = scale_of(max(amplitude_m, u_m))
+    phase = _with_u(math.degrees(value.phase_rad), math.degrees(value.phase_uncertainty_rad))
     return (
-        f"{amplitude_text(value.amplitude_m, value.amplitude_uncertainty_m)} at {frequency_hz:g} Hz ({quantity}, "
-        f"95 %: {low} to {high}), phase {phase_text(value.phase_rad, value.phase_uncertainty_rad)}"
+        f"{_with_u(amplitude_m / scale, u_m / scale)} {unit} at {frequency_hz:g} Hz ({quantity}, "
+        f"95 %: {low} to {high}), phase {phase} deg"
     )
 
 
@@ -65,22 +67,6 @@ def lead_frequency_hz(shots: Sequence[ShotResult]) -> float:
 def estimate_at(shot: ShotResult, frequency_hz: float) -> Estimate:
     """Return the estimate of ``shot`` nearest to ``frequency_hz``."""
     return min(shot.estimates, key=lambda estimate: abs(estimate.frequency_hz - frequency_hz))
-
-
-def interval_m(value: Headline) -> tuple[float, float]:
-    """Return the limits of the 95 % interval about an amplitude, the lower one at least zero."""
-    return max(value.amplitude_m - value.interval_95_m, 0.0), value.amplitude_m + value.interval_95_m
-
-
-def amplitude_text(amplitude_m: float, uncertainty_m: float) -> str:
-    """Return an amplitude with its standard uncertainty: 787 +- 14 nm."""
-    scale, unit = scale_of(max(amplitude_m, uncertainty_m))
-    return f"{_with_u(amplitude_m / scale, uncertainty_m / scale)} {unit}"
-
-
-def phase_text(phase_rad: float, uncertainty_rad: float) -> str:
-    """Return a phase with its standard uncertainty: 73.4 +- 0.5 deg."""
-    return f"{_with_u(math.degrees(phase_rad), math.degrees(uncertainty_rad))} deg"
 
 
 def _with_u(value: float, uncertainty: float) -> str:
@@ -96,9 +82,5 @@ def plain(value: float, uncertainty: float) -> str:
 
 
 def scale_of(length_m: float) -> tuple[float, str]:
-    """Return the unit in which a length has one to four digits before the point: size in metres, and name."""
+    """Return size in metres and name of the unit that gives a length one to four digits before the point."""
     return next(((scale, unit) for scale, unit in UNITS if length_m >= scale * 9.9995), UNITS[-1])
-
-
-def _headline_of_mean(mean: RepeatMean) -> Headline:
-    return Headline(**{item.name: getattr(mean, item.name) for item in fields(Headline)})

@@ -26,15 +26,21 @@ def main_shot(result: ResultData) -> ShotResult:
 def repeats_of(result: ResultData, shot: ShotResult) -> list[tuple[Estimate, ...]]:
     """Return the estimates of the other repeats of the setting of ``shot``."""
     numbers = {number for mean in result.means if shot.shot in mean.shots for number in mean.shots} - {shot.shot}
-    same_window = [other for other in result.shots if other.window_length_s == shot.window_length_s]
-    return [other.estimates for other in same_window if other.shot in numbers]
+    same_window = [item for item in result.shots if item.window_length_s == shot.window_length_s]
+    return [item.estimates for item in same_window if item.shot in numbers]
 
 
-def amplitude_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]] = ()) -> Picture:
-    """Return amplitude over frequency: headline with combined uncertainty, tracked amplitude, and ground truth.
+def spectra(result: ResultData, shot: ShotResult) -> tuple[Picture, ...]:
+    """Return amplitude and phase of ``shot`` over frequency, with the other repeats of its setting as small marks.
 
-    ``repeats``: the other shots of the setting, drawn as small marks.
+    Empty without an estimate.
     """
+    repeats = repeats_of(result, shot)
+    return tuple(draw(shot.estimates, repeats) for draw in (_amplitude, _phase) if shot.estimates)
+
+
+def _amplitude(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]]) -> Picture:
+    """Return amplitude over frequency: headline with combined uncertainty, tracked amplitude, and ground truth."""
     figure, axes = panel()
     _plot_repeats(axes, repeats, lambda item: item.headline.amplitude_m * 1e9)
     frequency_hz = np.array([item.frequency_hz for item in estimates])
@@ -64,11 +70,8 @@ def amplitude_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence
     return picture(figure, "amplitude", "Amplitude spectrum", alt)
 
 
-def phase_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]] = ()) -> Picture:
-    """Return the headline phase over frequency, unwrapped, with uncertainty and the ground truth of a twin.
-
-    ``repeats``: the other shots of the setting, drawn as small marks.
-    """
+def _phase(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]]) -> Picture:
+    """Return the headline phase over frequency, unwrapped, with uncertainty and the ground truth of a twin."""
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
     # Neighbouring harmonics differ by less than half a turn; wrapped phases would hide the trend.

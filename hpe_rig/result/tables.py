@@ -1,8 +1,9 @@
-"""Tables of rows: the layout for the terminal, and CSV."""
+"""Tables of rows: the layout for the terminal, CSV, and the packages of the extra 'frames'."""
 
 from __future__ import annotations
 
 import csv
+import importlib
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
@@ -18,6 +19,15 @@ TEXT_WIDTH = 1000
 def mappings(rows: Iterable[Any]) -> list[Mapping[str, Any]]:
     """Return rows, dataclass instances or mappings, as mappings by column."""
     return [asdict(row) if is_dataclass(row) and not isinstance(row, type) else row for row in rows]
+
+
+def frames_package(name: str, caller: str) -> Any:
+    """Return the package ``name`` of the extra 'frames', which ``caller`` needs."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        message = f'{caller} needs {name}, which is not installed. Try: pip install "hpe-rig[frames]".'
+        raise ModuleNotFoundError(message, name=error.name) from None
 
 
 def csv_text(rows: Iterable[Any]) -> str:

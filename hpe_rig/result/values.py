@@ -116,7 +116,7 @@ class Estimate:
     predicted ratio and lag of tracked to peak displacement, None without beams. ``aliasing_factor`` and
     ``aliasing_phase_rad`` are the predicted effect of unresolved harmonics on the tracked values; the headline is
     corrected for it. ``components`` are the independent sources of the headline's uncertainty; empty: noise only.
-    ``noise_freedom`` are the degrees of freedom of the residual from which the noise is estimated.
+    ``noise_freedom`` are the degrees of freedom of the fit's residual, which estimates the noise.
     ``true_amplitude_m`` and ``true_phase_rad`` are the peak displacement at the focus, which only the twin provides.
     """
 
@@ -236,7 +236,7 @@ class Estimate:
 class ShotResult:
     """The estimates of one shot, with its settings and the number of missing pulses.
 
-    ``complete`` is False for the shot in which a run stopped. ``untrusted`` states why the records are not to be
+    ``complete`` is False if the run stopped during the shot. ``untrusted`` states why the records are not to be
     trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``motion``: displacement,
     model and residual of each pulse, None if not stored.
     """

@@ -7,7 +7,7 @@ from .api import (
 )
 from .checked_scene import CheckedScene as CheckedScene, check as check
 from .estimation import chosen_estimator as chosen_estimator
-from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
+from .importing import import_recording as import_recording, import_records as import_records
 from .mapping import map_motion as map_motion, map_recording as map_recording
 from .run import (
     Run as Run,

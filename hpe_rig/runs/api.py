@@ -75,8 +75,8 @@ def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]
     ...     print(bench.master.identify())
     """
     setup = prepare(scene, bench)
-    with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
-        yield opened
+    with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as instruments:
+        yield instruments
 
 
 def fit_moduli(
@@ -106,15 +106,15 @@ def fit_moduli(
         )
     # In the order of the laws, whatever the order of the request.
     fitted_laws = [law for law in law_names() if law in laws] or list(law_names())
-    opened = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
-    if not opened:
+    stored_runs = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
+    if not stored_runs:
         raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])
-    chosen_estimator(estimator, opened[0].scene)
+    chosen_estimator(estimator, stored_runs[0].scene)
     try:
-        sources = [Source(run.path.name, run.scene, run.plan, run.stored) for run in opened]
+        sources = [Source(run.path.name, run.scene, run.plan, run.stored) for run in stored_runs]
         return moduli_of(sources, fitted_laws, estimator, width_uncertainty, common_amplitude)
     except ValueError as error:
-        raise StoreError(f"{opened[0].path}: {error}") from error
+        raise StoreError(f"{stored_runs[0].path}: {error}") from error
 
 
 def estimate(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hpe_rig.bench import BenchFile, twin_of
 from hpe_rig.extensions import ESTIMATORS, MEDIA, origin
-from hpe_rig.measurement import BenchSource, Setup, bench_path, prepare
+from hpe_rig.measurement import BenchSource, Setup, prepare
 from hpe_rig.plan import CheckResult, Shot
 from hpe_rig.scene import BUILT_IN_ESTIMATORS, Scene, SceneSource
 
@@ -75,7 +75,7 @@ def check(scene: SceneSource, bench: BenchSource = None, target: str | None = No
     """
     from hpe_rig.scene import length_m
 
-    setup = prepare(scene, bench_path(bench), refuse=False)
+    setup = prepare(scene, bench, refuse=False)
     target_m = None if target is None else length_m(target, "--target")
     return CheckedScene(setup, tuple(_predictions(setup, target_m)))
 
@@ -84,6 +84,7 @@ def _predictions(setup: Setup, target_m: float | None) -> Iterator[str]:
     """Yield the predictions: detection, aliasing, calibration, beam averaging, jitter."""
     from hpe_rig import prediction
 
+    # The predictions are those of the first point of a sweep.
     first, shot = setup.scene.scene.points[0], setup.plan.shots[0]
     scene, bench = first.scene, setup.bench.bench.with_(first.bench)
     yield from _extensions_used(scene, bench)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hpe_rig.plan import DepthGate, Plan, depth_gates, off_axis_offsets_m, plans_at_offsets, shots_with_gate, with_gate
@@ -12,14 +12,6 @@ from hpe_rig.store import StoredRun, StoreError
 
 if TYPE_CHECKING:
     from hpe_rig.processing import Estimates
-
-
-@dataclass(frozen=True, slots=True)
-class DepthProfile:
-    """Estimates over depth; ``failures`` describe the gates and shots without an estimate."""
-
-    gates: tuple[GateResult, ...] = ()
-    failures: tuple[str, ...] = ()
 
 
 def chosen_estimator(name: str | None, scene: Scene | None = None) -> Estimator:
@@ -68,8 +60,10 @@ def no_estimate(stored: StoredRun, why: str) -> StoreError:
     return StoreError(f"{stored.path} cannot be estimated ({why}). Try: another estimator, or more records.")
 
 
-def estimate_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator) -> DepthProfile:
-    """Return the estimates of every shot at every gate over depth, if the scene has such gates.
+def estimate_profile(
+    scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator
+) -> tuple[list[GateResult], list[str]]:
+    """Return the estimates of every shot at every gate over depth, and a text for each shot and gate without one.
 
     The beam averaging of the focal plane is assumed at all depths. Raises ``ValueError`` if it cannot be predicted.
     """
@@ -79,10 +73,10 @@ def estimate_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: Est
     stored = replace(stored, true_displacement_m=None)
     for place_scene, place_plan in plans_at_offsets(scene, plan):
         for gate in depth_gates(place_scene, place_plan.shots[0]) if place_plan.shots else ():
-            profile = _estimate_gate(gate, place_scene, place_plan, stored, estimator, lateral_offsets_m)
-            gates += profile.gates
-            failures += profile.failures
-    return DepthProfile(tuple(gates), tuple(failures))
+            results, texts = _estimate_gate(gate, place_scene, place_plan, stored, estimator, lateral_offsets_m)
+            gates += results
+            failures += texts
+    return gates, failures
 
 
 def _estimate_gate(
@@ -92,11 +86,12 @@ def _estimate_gate(
     stored: StoredRun,
     estimator: Estimator,
     lateral_offsets_m: tuple[float, ...],
-) -> DepthProfile:
-    """Return the estimates of the shots of ``plan`` at one gate."""
+) -> tuple[list[GateResult], list[str]]:
+    """Return the estimates of the shots of ``plan`` at one gate, and a text for each shot without one."""
     from hpe_rig.prediction import beam_widths, predicted_averaging
     from hpe_rig.processing import burst_period_motion, estimate_run
 
+    # The shots are estimated as if this gate were the only one.
     scene = with_gate(scene, gate)
     plan = shots_with_gate(plan, gate, scene.acquisition.sound_speed_m_per_s)
     averaging = predicted_averaging(scene, estimator, lateral_offsets_m)
@@ -109,5 +104,4 @@ def _estimate_gate(
         shot_result = replace(shot, motion=None, untrusted=stored.untrusted.get(shot.shot, ""))
         gates.append(GateResult(gate.depth_m, gate.length_m, shot_result, tuple(time_s), tuple(displacement_m)))
     where = f"gate at {gate.depth_m * 1e3:.4g} mm, shot"
-    failures = (f"{where} {shot + 1} left out: {why}" for shot, why in estimates.failures.items())
-    return DepthProfile(tuple(gates), tuple(failures))
+    return gates, [f"{where} {shot + 1} left out: {why}" for shot, why in estimates.failures.items()]

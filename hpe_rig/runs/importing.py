@@ -11,7 +11,7 @@ import json
 import math
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.arrays import Int16Array
-from hpe_rig.bench import BenchText, parse_bench
+from hpe_rig.arrays import BoolArray, Int16Array
+from hpe_rig.bench import parse_bench
 from hpe_rig.measurement import plan_and_check
 from hpe_rig.plan import Plan, refuse_conflicts
-from hpe_rig.recordings import Recording, StatedSettings, read_recording, read_settings
+from hpe_rig.recordings import Recording, read_recording, read_settings
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import (
     KeyPath,
@@ -52,15 +52,6 @@ SCENE_KEYS: Mapping[str, str] = {
     "first_pulse_s": "tracking.delay_s",
 }
 """Key of a scene for each setting of a recording."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Samples:
-    """Samples as ``codes`` (line, shot, pulse, sample) of ``scale_v`` volts each; ``inferred``: assumptions made."""
-
-    codes: Int16Array
-    scale_v: float
-    inferred: tuple[str, ...]
 
 
 def import_records(
@@ -104,44 +95,46 @@ def import_recording(
     tables = parse_toml(text, f"scene {name}")
     settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
     recording = read_recording(source, settings, origins, stated_by_scene(name, text))
-    samples = _to_codes(recording)
+    codes, scale_v, assumptions = _to_codes(recording)
     # Full scale is half a code above the highest code.
     code_limits = parse_bench("imported", _bench_text(recording, ())).bench.digitizer.board_model.code_limits
-    values = _scene_values(tables, recording, samples.scale_v * (2 * code_limits[1] + 1) / 2)
+    values = _scene_values(tables, recording, scale_v * (2 * code_limits[1] + 1) / 2)
     _refuse_sweeps(tables, f"scene {name}")
     scene_as_recorded = parse_scene(name, edited_text(text, values))
 
     # The bench file holds the inferred values, but the warnings about quantisation need a plan, which needs a bench.
     # So the bench file is made twice.
-    inferred = (*recording.inferred, *samples.inferred, *_replacements(tables, values))
+    inferred = (*recording.inferred, *assumptions, *_replacements(tables, values))
     bench = parse_bench("imported", _bench_text(recording, inferred))
     plan, findings = plan_and_check(scene_as_recorded.scene, bench.bench)
     refuse_conflicts(findings)
-    _refuse_other_shot_count(plan, samples.codes, f"recording {recording.name}")
-    inferred = (*inferred, *_quantisation_warnings(recording, samples.codes, plan))
+    _refuse_other_shot_count(plan, codes, f"recording {recording.name}")
+    inferred = (*inferred, *_quantisation_warnings(recording, codes, plan))
     bench = parse_bench("imported", _bench_text(recording, inferred))
 
     path = path or free_path(recording.name.partition(".")[0] or "recording", Path())
     plan = _with_recorded_times(plan, recording)
     with RunWriter(path, scene_as_recorded, bench, plan, write or WriteOptions()) as writer:
-        _write_records(writer, plan, bench, recording, samples)
+        _write_records(writer, plan, codes, recording.recorded, scale_v=scale_v, limits=code_limits)
     return path, inferred
 
 
-def stated_by_scene(name: str, text: str) -> StatedSettings:
-    """Return the settings that the scene's ``text`` states, without defaults."""
+def stated_by_scene(name: str, text: str) -> dict[str, float]:
+    """Return the settings of a recording that the scene's ``text`` states, by key, without defaults."""
     tables = parse_toml(text, f"scene {name}")
     sections = {section: tables.get(section, {}) for section in ("tracking", "acquisition")}
+    # A malformed scene is reported when it is parsed.
     if not all(isinstance(section, Mapping) for section in sections.values()):
-        return StatedSettings()
-    values = {}
+        return {}
+    values: dict[str, float] = {}
     for key, scene_key in SCENE_KEYS.items():
         section, _, last = scene_key.partition(".")
         if isinstance(value := sections[section].get(last), int | float) and not isinstance(value, bool):
             values[key] = float(value)
-    counts = (sections["tracking"].get("pulse_count"), sections["acquisition"].get("record_samples"))
-    pulses, samples = (count if isinstance(count, int) else None for count in counts)
-    return StatedSettings(pulses, samples, values)
+    for section, key in (("tracking", "pulse_count"), ("acquisition", "record_samples")):
+        if isinstance(count := sections[section].get(key), int):
+            values[key] = count
+    return values
 
 
 def _scene_values(tables: Mapping[str, Any], recording: Recording, range_v: float) -> dict[KeyPath, Any]:
@@ -207,8 +200,11 @@ def _refuse_other_shot_count(plan: Plan, codes: Int16Array, source: str) -> None
         raise SettingsError(source, [Mistake("axes", what, remedy)])
 
 
-def _to_codes(recording: Recording) -> _Samples:
-    """Return the samples as int16 codes: integers of up to 16 bits are kept, other values are quantised."""
+def _to_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
+    """Return the samples as codes (line, shot, pulse, sample), the volts of one code, and the assumptions in words.
+
+    Integers of up to 16 bits are kept, other values are quantised.
+    """
     values = recording.values
     if values.dtype.kind in "iu" and values.dtype.itemsize <= 2:
         return _shifted_codes(recording)
@@ -223,11 +219,11 @@ def _to_codes(recording: Recording) -> _Samples:
     elif recording.scale_v is None:
         inferred.append("volts are not stated: a value of 1 counts as 1 V")
     codes = np.rint(values * (MAX_CODE / largest)).astype(np.int16)
-    return _Samples(codes, 2 * range_v / (2 * MAX_CODE + 3), tuple(inferred))
+    return codes, 2 * range_v / (2 * MAX_CODE + 3), inferred
 
 
-def _shifted_codes(recording: Recording) -> _Samples:
-    """Return integers of up to 16 bits as codes around zero."""
+def _shifted_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
+    """Return integers of up to 16 bits as codes around zero, as ``_to_codes``."""
     values, scale_v = recording.values, recording.scale_v
     zero = 0 if values.dtype.kind == "i" else 1 << (8 * values.dtype.itemsize - 1)
     centred = values.astype(np.int32) - zero
@@ -240,7 +236,7 @@ def _shifted_codes(recording: Recording) -> _Samples:
     if scale_v is None:
         scale_v = 2.0 / (2 * (MAX_CODE + 1) + 1)
         inferred.append("volts are not stated: the codes of 16 bits span plus and minus 1 V")
-    return _Samples(codes, scale_v, tuple(inferred))
+    return codes, scale_v, inferred
 
 
 def _quantisation_warnings(recording: Recording, codes: Int16Array, plan: Plan) -> tuple[str, ...]:
@@ -282,10 +278,11 @@ def _with_recorded_times(plan: Plan, recording: Recording) -> Plan:
     return replace(plan, shots=tuple(shots))
 
 
-def _write_records(writer: RunWriter, plan: Plan, bench: BenchText, recording: Recording, samples: _Samples) -> None:
-    limits = bench.bench.digitizer.board_model.code_limits
-    shot_codes = samples.codes.reshape(-1, *samples.codes.shape[2:])
-    shot_recorded = recording.recorded.reshape(-1, samples.codes.shape[2])
+def _write_records(
+    writer: RunWriter, plan: Plan, codes: Int16Array, recorded: BoolArray, *, scale_v: float, limits: tuple[int, int]
+) -> None:
+    """Write the records of every line and shot as the shots of the run; ``recorded`` (line, shot, pulse)."""
+    shot_codes, shot_recorded = codes.reshape(-1, *codes.shape[2:]), recorded.reshape(-1, codes.shape[2])
     for shot, codes, recorded in zip(plan.shots, shot_codes, shot_recorded, strict=True):
         writer.write_settings(shot, {})
         # The records of a block without times are consecutive. So each run of existing records is one block.
@@ -293,7 +290,6 @@ def _write_records(writer: RunWriter, plan: Plan, bench: BenchText, recording: R
             if recorded[rows[0]]:
                 block = np.ascontiguousarray(codes[rows])
                 times = np.full(rows.size, np.nan)
-                scale_v = samples.scale_v
                 writer.append(shot, RecordBlock(int(rows[0]), block, times, scale_v, scale_v / 2, limits))
         writer.write_clipped(shot, bool((codes <= limits[0]).any() or (codes >= limits[1]).any()))
         writer.finish(shot)

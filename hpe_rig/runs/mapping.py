@@ -96,6 +96,7 @@ def _map_settings(scene: Scene, recording: Recording) -> Any:
     from hpe_rig.processing import MapSettings
 
     acquisition = scene.acquisition
+    # Samples per metre of depth: sound travels there and back.
     per_metre = 2 / acquisition.sound_speed_m_per_s * recording.sample_rate_hz
     return MapSettings(
         sample_rate_hz=recording.sample_rate_hz,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 from hpe_rig.bench import BenchFile
@@ -19,43 +19,35 @@ PROCESSING_TIMES = ("gate_offset_s", "reference_offset_s", "push_delay_s")
 Text = TypeVar("Text")
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessingPoint:
-    """Scene and plan of a stored run with the settings ``values``, by key, of one point."""
-
-    values: Mapping[str, float]
-    scene: Scene
-    plan: Plan
-    findings: tuple[CheckResult, ...]
-
-
-def processing_points(
-    scene: Scene, bench: BenchFile, plan: Plan, axes: Sequence[Axis], together: bool, source: str
-) -> Iterator[ProcessingPoint]:
-    """Yield scene and plan at every point of ``axes``.
+def points_of(scene: Scene, axes: Sequence[Axis], together: bool, source: str) -> list[Mapping[str, float]]:
+    """Return the values, by key, at every point of ``axes``.
 
     ``together`` combines the n-th values of all axes, else each value is combined with each. Raises ``SettingsError``
-    about the run file ``source`` for axes that vary the acquisition and for invalid values, and ``PlanError`` if the
-    records do not contain a point's window or gate.
+    about the run file ``source`` for axes that vary the acquisition and for invalid values.
     """
-    for point in _scene_points(scene, axes, together, source):
-        varied = _without_other_windows(scene.with_(point.values), point.values)
-        if bench.simulated:
-            varied = with_default_specimen(varied)
-        varied_plan = _with_gates_of(make_plan(varied, bench), plan, scene, source)
-        findings = tuple(check_plan(varied, bench, varied_plan))
-        refuse_conflicts(findings)
-        yield ProcessingPoint(point.values, varied, varied_plan, findings)
-
-
-def _scene_points(scene: Scene, axes: Sequence[Axis], together: bool, source: str) -> tuple[ScenePoint, ...]:
     # Windows that the scene sweeps would count as another axis. They are dropped: see `_without_other_windows`.
     sweep = type(scene.sweep)(**scene.sweep.model_dump(exclude={"window_length_s"}, exclude_unset=True))
     values = {axis.name: list(axis.labels) for axis in axes}
     swept = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
     points = scene.model_copy(update={"sweep": sweep}).with_(swept).points
     _refuse_acquisition_keys(points[0], source)
-    return points
+    return [point.values for point in points]
+
+
+def reprocessed(
+    scene: Scene, bench: BenchFile, plan: Plan, values: Mapping[str, float], source: str
+) -> tuple[Scene, Plan, tuple[CheckResult, ...]]:
+    """Return scene, plan and findings of a stored run with the processing settings ``values``.
+
+    Raises ``PlanError`` or ``SettingsError`` if the records do not contain the window or gate.
+    """
+    varied = _without_other_windows(scene.with_(values), values)
+    if bench.simulated:
+        varied = with_default_specimen(varied)
+    varied_plan = _with_gates_of(make_plan(varied, bench), plan, scene, source)
+    findings = tuple(check_plan(varied, bench, varied_plan))
+    refuse_conflicts(findings)
+    return varied, varied_plan, findings
 
 
 def _without_other_windows(scene: Scene, values: Mapping[str, float]) -> Scene:
@@ -88,8 +80,7 @@ def _with_gates_of(varied: Plan, plan: Plan, scene: Scene, source: str) -> Plan:
     """Return ``plan`` with the gates of the plan ``varied``; raise ``SettingsError`` if they leave the records."""
     shots = tuple(
         replace(
-            shot,
-            timeline=replace(shot.timeline, **{name: getattr(other.timeline, name) for name in PROCESSING_TIMES}),
+            shot, timeline=replace(shot.timeline, **{name: getattr(other.timeline, name) for name in PROCESSING_TIMES})
         )
         for shot, other in zip(plan.shots, varied.shots, strict=True)
     )

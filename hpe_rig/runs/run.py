@@ -106,7 +106,7 @@ class Run:
         name = chosen_estimator(estimator, self.scene)
         with stages("process"):
             estimates = estimate_shots(self.scene, self.plan, self.stored, name)
-            profile = estimate_profile(self.scene, self.plan, self.stored, name)
+            gates, gate_failures = estimate_profile(self.scene, self.plan, self.stored, name)
         warnings = run_warnings(self.scene, self.plan, self.findings, self.stored, estimates)
         return Result(
             title=self.scene.title,
@@ -116,7 +116,7 @@ class Run:
             estimator=name,
             phase_reference=phase_reference_of(self.scene).words,
             shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
-            warnings=(*warnings, *profile.failures),
+            warnings=(*warnings, *gate_failures),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, name), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,
@@ -125,15 +125,11 @@ class Run:
             imported=None if self.bench.recording is None else self.bench.recording.words,
             notes=self.scene.notes,
             provenance=self.stored.provenance,
-            profile=profile.gates,
+            profile=tuple(gates),
         )
 
     def sweep(
-        self,
-        axes: Mapping[str, Sequence[float]],
-        *,
-        together: bool = False,
-        estimator: str | None = None,
+        self, axes: Mapping[str, Sequence[float]], *, together: bool = False, estimator: str | None = None
     ) -> Result:
         """Return the estimates at every value of the ``axes`` from the stored records; nothing is acquired.
 
@@ -174,7 +170,7 @@ class Run:
         return replace(self, scene=scene)
 
     def save(self, result: Result) -> Path:
-        """Write ``result`` beside the run file, replacing one of the same estimator, and return its path."""
+        """Write ``result`` to the folder of the run file, replacing one of the same estimator, and return its path."""
         path = result_path(self.path, result.estimator)
         write_result(path, result)
         return path
@@ -224,6 +220,7 @@ def _with_stored_forces(plan: Plan, stored: StoredRun) -> Plan:
 
 def _with_stored_times(plan: Plan, stored: StoredRun) -> Plan:
     """Return ``plan`` with the pulse times of an imported recording, if it states them."""
+    # All shots of a recording have the times of the first one.
     onset_s = stored.rows(0).tables["records/pulse_onset_s"]
     if not np.isfinite(onset_s).all():
         return plan
@@ -234,7 +231,7 @@ def _with_stored_times(plan: Plan, stored: StoredRun) -> Plan:
 def process(
     path: Path, estimator: str | None = None, stages: Stages | None = None, profile_step_m: float | None = None
 ) -> Result:
-    """Return the result of the run in ``path`` and write it beside the run file.
+    """Return the result of the run in ``path`` and write it to the folder of the run file.
 
     ``profile_step_m``: step of additional gates over depth; it replaces the gates of the scene.
     """
@@ -247,36 +244,30 @@ def process(
     return result
 
 
-@dataclass(frozen=True, slots=True)
-class StoredPoint:
-    """A run with the processing settings ``values``, by key, of one point of a sweep."""
+def points_over(run: Run, axes: Sequence[Axis], together: bool = False) -> list[tuple[Mapping[str, float], Run]]:
+    """Return the values, by key, at every point of ``axes``, and ``run`` with them; raises as ``Run.sweep``."""
+    from hpe_rig.runs.reprocessing import points_of, reprocessed
 
-    values: Mapping[str, float]
-    run: Run
-
-
-def points_over(run: Run, axes: Sequence[Axis], together: bool = False) -> tuple[StoredPoint, ...]:
-    """Return ``run`` at every point of ``axes``, all checked; raises as ``Run.sweep``."""
-    from hpe_rig.runs.reprocessing import processing_points
-
-    return tuple(
-        StoredPoint(point.values, replace(run, scene=point.scene, plan=point.plan, findings=point.findings))
-        for point in processing_points(run.scene, run.bench, run.plan, axes, together, run.path.name)
-    )
+    points = []
+    # All points are checked before the first one is estimated.
+    for values in points_of(run.scene, axes, together, run.path.name):
+        scene, plan, findings = reprocessed(run.scene, run.bench, run.plan, values, run.path.name)
+        points.append((values, replace(run, scene=scene, plan=plan, findings=findings)))
+    return points
 
 
-def estimate_points(points: Sequence[StoredPoint], estimator: str | None = None) -> Result:
-    """Return the estimates at all ``points`` as one result; raise ``StoreError`` if no point has an estimate."""
+def estimate_points(points: Sequence[tuple[Mapping[str, float], Run]], estimator: str | None = None) -> Result:
+    """Return the estimates at all points of ``points_over`` as one result; raise ``StoreError`` if there are none."""
     from hpe_rig.runs.reprocessing import combine_results, point_text
 
     results, failures = list[tuple[Mapping[str, float], Result]](), dict[str, str]()
-    for point in points:
+    for values, run in points:
         try:
-            results.append((point.values, point.run.estimate(estimator)))
+            results.append((values, run.estimate(estimator)))
         except StoreError as error:
             if len(points) == 1:
                 raise
-            failures[point_text(point.values)] = str(error)
+            failures[point_text(values)] = str(error)
     if not results:
         raise StoreError("; ".join(f"at {point}: {error}" for point, error in failures.items()))
     return combine_results(results, failures)

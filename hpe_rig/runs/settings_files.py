@@ -28,6 +28,7 @@ def json_schema(of: str, others: Mapping[str, Callable[[], dict[str, Any]]] | No
 
     ``others`` are additional schemas by name. Raises ``SettingsError`` for an unknown name.
     """
+    # Imported here: pages and editors ask for one schema at a time.
     from hpe_rig.measurement import QueueList
     from hpe_rig.moduli import moduli_schema
     from hpe_rig.store import listing_schema, verification_schema

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import Setting
 from hpe_rig.arrays import BoolArray, FloatArray, Int16Array
 from hpe_rig.plan import Plan
-from hpe_rig.result import UNKNOWN, Provenance
+from hpe_rig.result import Provenance
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
 from hpe_rig.store.format import (
     MAX_STAGES,
@@ -516,7 +516,7 @@ def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], bool]:
 def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
     """Return the provenance, and whether the time of the end matches its checksum."""
     if not checked.has("provenance"):
-        return UNKNOWN, True
+        return Provenance(), True
     texts = {name: checked.text(f"provenance/{name}") for name in ("started", "host", "user", "drivers")}
     ended, intact = _row(checked, "provenance/ended", checked.dataset("provenance/ended", f"S{TIME_BYTES}", ()), None)
     text = ended.item().decode("ascii", "replace")

@@ -1,5 +1,4 @@
 from .executor import (
-    NO_TLS as NO_TLS,
     TlsFiles as TlsFiles,
     cluster as cluster,
     processes as processes,
@@ -9,7 +8,7 @@ from .map_figures import PAPER_WIDTH_RATIO as PAPER_WIDTH_RATIO, lateral_average
 from .measured_case import one_shot as one_shot
 from .report import write_study_report as write_study_report
 from .results import SUMMARY_FILE as SUMMARY_FILE, StudyResult as StudyResult
-from .run import OnProgress as OnProgress, run_study as run_study
+from .run import run_study as run_study
 from .series import (
     Curve as Curve,
     View as View,

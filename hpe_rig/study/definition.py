@@ -185,7 +185,7 @@ def shipped_studies() -> dict[str, str]:
     folder = resources.files("hpe_rig.study") / "definitions"
     files = [file for file in folder.iterdir() if file.name.endswith(".toml")]
     texts = {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
-    return dict(sorted(texts.items(), key=lambda item: [part.zfill(3) for part in item[0].split("-")]))
+    return dict(sorted(texts.items(), key=lambda item: [word.zfill(3) for word in item[0].split("-")]))
 
 
 def read_studies(

@@ -33,7 +33,7 @@ from hpe_rig.study.statistics import errors, phase_errors
 TOLERANCE = 1e-7
 """Error of the echoes, rms relative to rms: 1 pm of motion."""
 MIN_DRAWS = 64
-"""Draws from which on a standard error is reliable."""
+"""Minimum number of draws for a reliable standard error."""
 _NOISE_VALUES = 200_000
 """Noise values drawn at once; they fit the processor's cache."""
 _DRAWS, _NOISE, _TAPERED_NOISE = 0, 1, 2

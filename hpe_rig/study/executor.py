@@ -114,7 +114,7 @@ def _interrupts_blocked() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """PEM files with which client and scheduler authenticate: authority, client certificate, client key."""
+    """PEM files for the authentication of client and scheduler: authority, client certificate, client key."""
 
     ca: Path | None = None
     cert: Path | None = None
@@ -169,8 +169,12 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
         ):
             yield client.get_executor(pure=False, retries=MAX_LOSSES)
         return
+    security = None
+    if tls != NO_TLS:
+        files = {"tls_ca_file": str(tls.ca), "tls_client_cert": str(tls.cert), "tls_client_key": str(tls.key)}
+        security = distributed.Security(**files, require_encryption=True)
     try:
-        client = distributed.Client(address, timeout="10s", security=_security(distributed.Security, tls))
+        client = distributed.Client(address, timeout="10s", security=security)
     except (OSError, ValueError, TypeError, RuntimeError) as error:
         remedy = "tcp://HOST:8786, tls://HOST:8786 with the files of its certificates, or local"
         mistake = Mistake("--scheduler", f"{address} does not answer ({error})", remedy)
@@ -200,11 +204,3 @@ def _require_worker(client: Any, address: str) -> None:
     except TimeoutError:
         what = f"{address} has no workers, so that no case would ever start"
         raise SettingsError("command line", [Mistake("--scheduler", what, f"dask worker {address}, first")]) from None
-
-
-def _security(security: Callable[..., Any], tls: TlsFiles) -> Any:
-    """Return dask's TLS settings with the given files; None keeps dask's configuration."""
-    if tls == NO_TLS:
-        return None
-    ca, cert, key = str(tls.ca), str(tls.cert), str(tls.key)
-    return security(tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, require_encryption=True)

@@ -23,7 +23,7 @@ from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
 from hpe_rig.processing import (
     Band,
     EchoGate,
-        Motion,
+    Motion,
     Options,
     band_frequencies_hz,
     band_of,
@@ -55,7 +55,7 @@ class Train:
 
     @property
     def pulse_time_s(self) -> FloatArray:
-        """Time at which each pulse samples the motion, (pulse,)."""
+        """Sampling time of the motion by each pulse, (pulse,)."""
         return self.delay_s + np.arange(self.pulses) / self.pulse_rate_hz
 
     @property

@@ -80,7 +80,7 @@ def overview_section(results: Sequence[StudyResult]) -> PageSection:
     rows: list[dict[str, Any]] = [
         ({"study": result.definition.title} if len(results) > 1 else {})
         | {"reading": reading_text(view.reading), "estimator": spec_of(view.estimator).label}
-        | ({"frequency (Hz)": view.frequency_hz} if len({other.frequency_hz for other in views(result)}) > 1 else {})
+        | ({"frequency (Hz)": view.frequency_hz} if len({item.frequency_hz for item in views(result)}) > 1 else {})
         | dict(zip(ERROR_COLUMNS, spans(view.rows), strict=True))
         for result in results
         for view in views(result)
@@ -171,11 +171,7 @@ def run_times(result: StudyResult) -> list[dict[str, Any]]:
         mean_nm, jitter_nm = (
             view.values(f"amplitude_{name}_se_m") * np.sqrt(count) * NM for name in ("bias", "jitter")
         )
-        row: dict[str, Any] = {
-            "study": result.name,
-            "reading": reading_text(view.reading),
-            "estimator": view.estimator,
-        }
+        row: dict[str, Any] = {"study": result.name, "reading": reading_text(view.reading), "estimator": view.estimator}
         for realisations in (100, 1000):
             row[f"s.e. of mean from {realisations} (nm)"] = _finite_median(mean_nm) / math.sqrt(realisations)
             row[f"s.e. of jitter from {realisations} (nm)"] = _finite_median(jitter_nm) / math.sqrt(realisations)

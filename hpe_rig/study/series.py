@@ -25,7 +25,7 @@ READINGS = {
 }
 """Names of the readings in titles."""
 MIN_MAP_VALUES = 5
-"""Values of each of the last two axes from which on they make a map."""
+"""Minimum number of values of each of the last two axes for a map."""
 
 
 @dataclass(frozen=True, slots=True)

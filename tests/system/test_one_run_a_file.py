@@ -19,14 +19,13 @@ from hpe_rig.measurement import (
     Step,
     StopRequested,
     clear_stale_stop,
-    clear_stop,
     record_run,
     request_stop,
     stop_path,
     stop_requested,
-    with_stop_requests,
 )
 from hpe_rig.measurement.resumption import prepare_resumption
+from hpe_rig.measurement.stop_request import clear_stop, with_stop_requests
 from hpe_rig.runs.run import process
 from hpe_rig.store import StoreError, WriteOptions, journal, read_run, result_path
 

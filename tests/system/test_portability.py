@@ -117,5 +117,5 @@ def test_a_folder_named_like_a_package_of_ours_does_not_keep_the_live_page_from_
     run_file = Path(shutil.copy(ROOT / "tests" / "fixtures" / "run_files" / "specimen.h5", tmp_path))
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONPATH", raising=False)
-    with live_page_of(run_file) as page:
-        assert page.address.startswith("http://127.0.0.1:")
+    with live_page_of(run_file) as (address, _):
+        assert address.startswith("http://127.0.0.1:")

@@ -23,7 +23,6 @@ from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import _announce_moves, _ask_for_moves
 from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.measurement import (
-    QUEUE_FILE,
     Observer,
     Progress,
     QueueHooks,
@@ -39,8 +38,8 @@ from hpe_rig.measurement import (
     record_run,
     run_queue,
     toggle_pause,
-    with_pauses,
 )
+from hpe_rig.measurement.pause import with_pauses
 from hpe_rig.runs import json_schema, process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
@@ -249,7 +248,7 @@ def test_nothing_starts_where_one_run_is_wrong_and_all_that_is_wrong_is_said(tmp
 
 @pytest.mark.parametrize("content", ["", "[]", "{}", '[{"name": 1}]', "[" * 2000, "\0\xff"])
 def test_a_damaged_list_is_said_on_the_page_and_refused_by_the_command(content: str, tmp_path: Path) -> None:
-    (tmp_path / QUEUE_FILE).write_text(content, encoding="latin-1")
+    (tmp_path / "queue.json").write_text(content, encoding="latin-1")
     state = QueueSource(tmp_path).poll()
     assert state is not None
     assert (state["status"], "it lists no runs of a queue" in state["why"]) == ("waiting", True)

@@ -16,7 +16,7 @@ from hpe_rig.design.command import Request, write_design
 from hpe_rig.design.comparison import compare
 from hpe_rig.design.model import effective_pulses, predicted
 from hpe_rig.design.page import write_page
-from hpe_rig.design.problem import Constraints, Goal, Problem
+from hpe_rig.design.problem import Goal, Problem
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
@@ -61,7 +61,7 @@ def _problem(
     longest_s = longest_s or setup.plan.duration_s
     tables = tomllib.loads(setup.scene.text)
     space = variables(tables, setup.scene.scene, setup.bench.bench, longest_s, over.split(","), bounds)
-    return Problem(setup, tables, space, goal, Constraints(longest_s, target_m))
+    return Problem(setup, tables, space, goal, longest_s=longest_s, target_m=target_m)
 
 
 def _best(found: DesignResult) -> dict[str, float]:
@@ -276,12 +276,13 @@ def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: fl
     assert start.scene is not None
     assert start.plan is not None
     draws = 96
-    found = simulate(start.scene, start.plan, start.setting, problem.baseline, draws, 3)
-    assert found is not None
+    simulated = simulate(start.scene, start.plan, start.setting, problem.baseline, draws, 3)
+    assert simulated is not None
+    amplitude, _ = simulated
     # the model's 15 %, and three standard errors of a standard deviation
-    assert found.amplitude_m.jitter == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
+    assert amplitude.jitter == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
     # Faded echoes make heavy tails: an excess kurtosis k raises the normal error by sqrt(1 + k / 2), at 3 mm to 1.54.
-    assert 0.5 < found.amplitude_m.jitter_se / (found.amplitude_m.jitter / math.sqrt(2 * draws)) < 1.7
+    assert 0.5 < amplitude.jitter_se / (amplitude.jitter / math.sqrt(2 * draws)) < 1.7
 
 
 def test_few_draws_predict_the_papers_chain_like_many_at_a_high_pulse_rate() -> None:

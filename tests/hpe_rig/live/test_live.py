@@ -536,8 +536,8 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
         "from hpe_rig.cli.options import WatchOptions\nfrom hpe_rig.cli.watch import supervise\n"
         "setup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"
-        "with supervise(setup, path, '', WatchOptions(), print) as supervision:\n"
-        "    record_run(setup, path, supervision.observed(lambda progress: None))\n"
+        "with supervise(setup, path, '', WatchOptions(), print) as (watched, move):\n"
+        "    record_run(setup, path, watched(lambda progress: None))\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

@@ -191,14 +191,14 @@ def test_every_format_gives_the_true_motion_of_its_echoes(
 def test_an_imported_run_is_sound_states_its_origin_and_is_not_resumed(scene: Path, tmp_path: Path) -> None:
     path = tmp_path / "rf.npz"
     npz(tmp_path / "rf")
-    made = import_recording(path, scene, tmp_path / "run.h5")
-    assert any("carrier_hz = 5e+06, from 'fc' of the file" in text for text in made.inferred)
-    assert verify(made.path).as_dict()["sound"]
-    result = hpe.open_run(made.path).estimate()
+    run_file, inferred = import_recording(path, scene, tmp_path / "run.h5")
+    assert any("carrier_hz = 5e+06, from 'fc' of the file" in text for text in inferred)
+    assert verify(run_file).as_dict()["sound"]
+    result = hpe.open_run(run_file).estimate()
     assert result.origin.startswith("IMPORTED from rf.npz, SHA-256 ")
     assert str(result.as_dict()["imported"]) in result.origin
     with pytest.raises(StoreError, match=r"imported from rf\.npz: no instrument can continue it"):
-        prepare_resumption(made.path)
+        prepare_resumption(run_file)
 
 
 def test_an_imported_run_is_swept_over_its_processing_settings(scene: Path) -> None:
