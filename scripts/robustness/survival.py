@@ -1,12 +1,14 @@
-"""What a run file survives, at full size: a run far larger than memory may grow, and disks that are full.
+"""Test run files at full size: runs far larger than memory, and disks that become full. Linux.
 
-Usage: python scripts/robustness/survival.py stream FOLDER --gigabytes 20
-       python scripts/robustness/survival.py throughput FOLDER
-       python scripts/robustness/survival.py full --sizes 50        (as root: mounts a tmpfs of each size)
-`stream` measures a simulated scene into FOLDER, printing resident memory as the file grows, then does what
-`throughput` does: write the same records with the run file's writer and with plain h5py, without checksums and with
-the same checksums of the same bytes, in turns. `full` measures onto each disk, moves what is left to a larger one, goes
-on there, and compares the table with that of an undisturbed run. Linux.
+    python scripts/robustness/survival.py stream FOLDER --gigabytes 20
+    python scripts/robustness/survival.py throughput FOLDER
+    python scripts/robustness/survival.py full --sizes 50        (as root: mounts a tmpfs of each size)
+
+stream      measures a simulated scene into FOLDER, prints resident memory as the file grows, then does `throughput`
+throughput  writes the same records with the run file's writer and with plain h5py, without checksums and with the same
+            checksums, alternately
+full        measures onto each disk, moves the remaining file to a larger disk, resumes there, and compares the result
+            with that of an undisturbed run
 """
 
 from __future__ import annotations
@@ -19,39 +21,28 @@ import statistics
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from unittest.mock import patch
 
 import h5py
 import numpy as np
+from edited_scenes import prepare_edited, result_table
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import open_bench
-from hpe_rig.measurement import (
-    Progress,
-    Setup,
-    ShotBlock,
-    Step,
-    acquire,
-    prepare_resumption,
-    prepare_text,
-    record_run,
-    resume,
-)
-from hpe_rig.runs import process
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.measurement import Progress, Setup, ShotBlock, Step, acquire, prepare_resumption, record_run, resume
 from hpe_rig.store import RunWriter, StoreError, read_run
 
-LONG = (
-    ("pulse_count = 101", "pulse_count = 500"),
+RECORDS, SAMPLES = 500, 10_000
+SHOT_BYTES = RECORDS * SAMPLES * 2
+LONG_SHOTS = (
+    ("pulse_count = 101", f"pulse_count = {RECORDS}"),
     ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 2000.0"),
     ("snr_db = 40.0", ""),
 )
-SHOT_BYTES = 500 * 10_000 * 2
-SWEEP = (
+FOUR_SHOTS = (
     ("burst_length_s = 100e-6", "burst_length_s = [50e-6, 100e-6]"),
     ("burst_count = 20", "burst_count = 6"),
     ("window_start_s = 50e-3", ""),
@@ -59,54 +50,45 @@ SWEEP = (
 )
 
 
-def edited(name: str, *edits: tuple[str, str]) -> Setup:
-    """Return a shipped scene with pieces of its text replaced, prepared on the simulated bench."""
-    text = shipped_scenes()[name]
-    for old, new in edits:
-        if old not in text:
-            raise SystemExit(f"the scene {name} has no {old!r} any more")
-        text = text.replace(old, new)
-    return prepare_text(name, text)
-
-
-def long_setup(gigabytes: float) -> Setup:
-    """Return a measurement of so many gigabytes of records."""
+def large_setup(gigabytes: float) -> Setup:
+    """Prepare a measurement with this size of records."""
     shots = round(gigabytes * 1e9 / SHOT_BYTES)
-    return edited("table-1", *LONG, ("[acquisition]", f"[acquisition]\nrecord_samples = 10000\nrepeats = {shots}"))
+    acquisition = f"[acquisition]\nrecord_samples = {SAMPLES}\nrepeats = {shots}"
+    return prepare_edited("table-1", *LONG_SHOTS, ("[acquisition]", acquisition))
 
 
 def resident_mb() -> float:
-    """Return how much of the machine's memory this process holds."""
+    """Return the resident memory of this process."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def stream(folder: Path, gigabytes: float) -> None:
-    """Measure, and print resident memory over time and at its highest."""
-    setup, path = long_setup(gigabytes), folder / "stream.h5"
-    start_s, seen_mb = time.monotonic(), []
-    every = max(1, len(setup.plan.shots) // 20)
+    """Measure, and print resident memory over time and its maximum."""
+    setup, path = large_setup(gigabytes), folder / "stream.h5"
+    start_s, memory_mb = time.monotonic(), []
+    shots_per_line = max(1, len(setup.plan.shots) // 20)
 
     def observe(progress: Progress) -> None:
-        seen_mb.append(resident_mb())
+        memory_mb.append(resident_mb())
         shot = progress.shot.index
-        if progress.step is Step.SAFE and shot % every == 0:
-            print(
-                f"{time.monotonic() - start_s:8.1f} s  {(shot + 1) * SHOT_BYTES / 1e9:7.2f} GB  {seen_mb[-1]:6.1f} MB"
-            )
+        if progress.step is Step.SAFE and shot % shots_per_line == 0:
+            written_gb = (shot + 1) * SHOT_BYTES / 1e9
+            print(f"{time.monotonic() - start_s:8.1f} s  {written_gb:7.2f} GB  {memory_mb[-1]:6.1f} MB")
 
     record_run(setup, path, observe)
-    took_s, size = time.monotonic() - start_s, path.stat().st_size
-    print(f"{size / 1e9:.2f} GB in {took_s:.0f} s, resident memory at most {max(seen_mb):.0f} MB")
+    elapsed_s, size = time.monotonic() - start_s, path.stat().st_size
+    print(f"{size / 1e9:.2f} GB in {elapsed_s:.0f} s, resident memory at most {max(memory_mb):.0f} MB")
     path.unlink()
 
 
 def throughput(folder: Path, gigabytes: float = 1.0, rounds: int = 5) -> None:
-    """Write the same records with the run file's writer and with plain h5py in turns; print median and range, MB/s.
+    """Write the same records with each writer alternately; print median and range of the rate, MB/s.
 
-    Plain h5py once without and once with the checksums that the run file has; then the run file's speed over that of
-    the others, medians of the rounds, by the clock and by processor time, which a busy machine changes less.
+    Then the speed of the run file's writer relative to the others, medians over the rounds, by elapsed and by processor
+    time. A busy machine changes the latter less.
     """
-    setup = long_setup(gigabytes)
+    setup = large_setup(gigabytes)
+    # Every shot has the records of the first, so that computing echoes does not count.
     first = replace(setup.plan, shots=setup.plan.shots[:1])
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
         blocks = [event.block for event in acquire(first, bench) if isinstance(event, ShotBlock)]
@@ -115,126 +97,114 @@ def throughput(folder: Path, gigabytes: float = 1.0, rounds: int = 5) -> None:
         "h5py, checksums": partial(write_plain, checksums=True),
         "plain h5py": write_plain,
     }
-    took_s, worked_s = ({name: list[float]() for name in writers} for _ in range(2))
+    elapsed_s, processor_s = ({name: list[float]() for name in writers} for _ in range(2))
     for _ in range(rounds):
         for name, write in writers.items():
             path = folder / "throughput.h5"
-            start_s, begun_s = time.monotonic(), time.process_time()
+            start_s, start_processor_s = time.monotonic(), time.process_time()
             write(path, setup, blocks)
-            took_s[name].append(time.monotonic() - start_s)
-            worked_s[name].append(time.process_time() - begun_s)
+            elapsed_s[name].append(time.monotonic() - start_s)
+            processor_s[name].append(time.process_time() - start_processor_s)
             path.unlink()
     megabytes = len(setup.plan.shots) * SHOT_BYTES / 1e6
-    for name, each_s in took_s.items():
-        rate, low, high = (megabytes / value(each_s) for value in (statistics.median, max, min))
+    for name, times_s in elapsed_s.items():
+        rate, low, high = (megabytes / statistic(times_s) for statistic in (statistics.median, max, min))
         print(f"{name:15}  {rate:6.0f} MB/s ({low:.0f} to {high:.0f}), {rounds} times {megabytes:.0f} MB, synced")
     for name in list(writers)[1:]:
-        of_clock, of_processor = (
-            statistics.median(other / own for own, other in zip(each["run file"], each[name], strict=True))
-            for each in (took_s, worked_s)
+        elapsed_ratio, processor_ratio = (
+            statistics.median(np.array(times_s[name]) / np.array(times_s["run file"]))
+            for times_s in (elapsed_s, processor_s)
         )
-        print(f"run file over {name}: {of_clock:.2f} by the clock, {of_processor:.2f} by processor time")
+        print(f"run file over {name}: {elapsed_ratio:.2f} by elapsed time, {processor_ratio:.2f} by processor time")
 
 
 def write_run(path: Path, setup: Setup, blocks: list[RecordBlock]) -> None:
-    """Write every shot as the digitizer delivers it, and print resident memory in the middle and at the end."""
-    held_mb = []
+    """Write every shot in blocks as from the digitizer, and print resident memory in the middle and at the end."""
+    memory_mb = []
     with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
         for shot in setup.plan.shots:
             for block in blocks:
                 writer.append(shot, block)
             writer.finish(shot)
-            held_mb.append(resident_mb())
-    print(f"run file: {held_mb[len(held_mb) // 2]:.0f} MB of memory in the middle, {held_mb[-1]:.0f} MB at the end")
+            memory_mb.append(resident_mb())
+    print(
+        f"run file: {memory_mb[len(memory_mb) // 2]:.0f} MB of memory in the middle, {memory_mb[-1]:.0f} MB at the end"
+    )
 
 
 def write_plain(path: Path, setup: Setup, blocks: list[RecordBlock], checksums: bool = False) -> None:
-    """Write the same codes into one chunked dataset, without marks, flushes or readers, synced at the end."""
-    found = []
+    """Write the same codes into one chunked dataset, without flushes between shots, synced at the end."""
+    digests = []
     shots = len(setup.plan.shots)
     with h5py.File(path, "w", libver="v110") as file:
-        echo = file.create_dataset("echo", (shots, 500, 10_000), "<i2", chunks=(1, 50, 10_000))
+        echo = file.create_dataset("echo", (shots, RECORDS, SAMPLES), "<i2", chunks=(1, 50, SAMPLES))
         for shot in range(shots):
             for block in blocks:
                 echo[shot, block.first_record : block.first_record + block.codes.shape[0]] = block.codes
                 if checksums:
-                    found.append(hashlib.blake2b(block.codes.tobytes(), digest_size=8).digest())
+                    digests.append(hashlib.blake2b(block.codes.tobytes(), digest_size=8).digest())
         if checksums:
-            file["checksum"] = np.frombuffer(b"".join(found), "<u8")
+            file["checksum"] = np.frombuffer(b"".join(digests), "<u8")
         file.flush()
         os.fsync(file.id.get_vfd_handle())
 
 
 def full(sizes: int) -> None:
-    """Measure onto tmpfs disks of random sizes up to the run file's; raise where a record or the table is not kept."""
-    setup = edited("bovine-muscle-synchronous", *SWEEP)
+    """Measure onto disks of random sizes up to the run file's; fail if a record or the result differs."""
+    setup = prepare_edited("bovine-muscle-synchronous", *FOUR_SHOTS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        whole_path = record_run(setup, folder / "whole.h5")
-        whole, expected = read_run(whole_path), table(whole_path)
-        refused, kept, records = 0, 0, 0
-        for size in np.random.default_rng(3).uniform(0.01, 0.99, sizes) * whole_path.stat().st_size:
-            left = on_small_disk(setup, folder, int(size))
-            if left is None:
+        complete_path = record_run(setup, folder / "complete.h5")
+        complete, expected = read_run(complete_path), result_table(complete_path)
+        refused, partial_files, records = 0, 0, 0
+        for size in np.random.default_rng(3).uniform(0.01, 0.99, sizes) * complete_path.stat().st_size:
+            path = measure_onto_full_disk(setup, folder, int(size))
+            if path is None:
                 refused += 1
                 continue
-            stored = read_run(left)
-            for shot in range(len(whole.records)):
-                here, there = stored.records[shot], whole.records[shot]
-                np.testing.assert_array_equal(here.codes[here.valid], there.codes[here.valid])
-                records += int(here.valid.sum())
-            done = resume(prepare_resumption(left), folder / "resumed.h5")
-            assert table(done) == expected
-            kept += 1
-            for path in (left, done, folder / "resumed.coherent.h5"):
-                path.unlink()
-        print(f"{sizes} disks: {refused} refused before a file was there, {kept} files kept, {records} records equal")
+            stored = read_run(path)
+            for shot in range(len(complete.records)):
+                record, reference = stored.records[shot], complete.records[shot]
+                np.testing.assert_array_equal(record.codes[record.valid], reference.codes[record.valid])
+                records += int(record.valid.sum())
+            resumed = resume(prepare_resumption(path), folder / "resumed.h5")
+            assert result_table(resumed) == expected
+            partial_files += 1
+            for file in (path, resumed, folder / "resumed.coherent.h5"):
+                file.unlink()
+    print(
+        f"{sizes} disks: {refused} refused before a file existed, {partial_files} files kept, {records} records equal"
+    )
 
 
-def on_small_disk(setup: Setup, folder: Path, size: int) -> Path | None:
-    """Measure onto a tmpfs of ``size`` bytes and return what is left, moved off it; None where no file appeared."""
+def measure_onto_full_disk(setup: Setup, folder: Path, size: int) -> Path | None:
+    """Measure onto a tmpfs of ``size`` bytes; return a copy of the remaining file, or None if there is none."""
     disk = folder / "disk"
     disk.mkdir(exist_ok=True)
+    disk_usage = shutil.disk_usage
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", disk], check=True)
-    complaint = ""
+    message = ""
     try:
-        # Somebody else fills the disk while the run goes on: the check for room before it sees enough.
-        with unchecked_room():
+        # The check for free space reports a large disk, as if another program filled the disk during the run.
+        with patch("shutil.disk_usage", lambda path: disk_usage(path)._replace(free=1 << 40)):
             record_run(setup, disk / "run.h5")
     except StoreError as error:
-        complaint = str(error)
+        message = str(error)
     try:
-        assert "No space left on device" in complaint, complaint or f"a disk of {size} bytes held the run"
-        assert "Try:" in complaint, complaint
-        left = disk / "run.h5"
-        assert sorted(disk.iterdir()) == ([left] if left.exists() else []), "something was left behind"
-        if not left.exists():
+        assert "No space left on device" in message, message or f"a disk of {size} bytes held the run"
+        assert "Try:" in message, message
+        path = disk / "run.h5"
+        assert list(disk.iterdir()) in ([], [path]), "other files remain"
+        if not path.exists():
             return None
-        assert read_run(left).status == "failed"
-        return Path(shutil.copy(left, folder / "left.h5"))
+        assert read_run(path).status == "failed"
+        return Path(shutil.copy(path, folder / "partial.h5"))
     finally:
         subprocess.run(["umount", disk], check=True)
 
 
-@contextmanager
-def unchecked_room() -> Iterator[None]:
-    """Let the check for room before a run see a large disk."""
-    usage = shutil.disk_usage
-    shutil.disk_usage = lambda path: usage(path)._replace(free=1 << 40)
-    try:
-        yield
-    finally:
-        shutil.disk_usage = usage
-
-
-def table(path: Path) -> dict[str, object]:
-    """Return everything a result says but its file's name and the time it took."""
-    result = process(path).as_dict()
-    return {key: value for key, value in result.items() if key not in ("run_file", "run_time_s")}
-
-
 def main() -> None:
-    """Run one of the three."""
+    """Run one of the three commands."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="command")
     streaming = commands.add_parser("stream")
@@ -245,15 +215,15 @@ def main() -> None:
     writing.add_argument("--gigabytes", type=float, default=1.0)
     writing.add_argument("--rounds", type=int, default=5)
     commands.add_parser("full").add_argument("--sizes", type=int, default=50)
-    given = parser.parse_args()
-    match given.command:
+    options = parser.parse_args()
+    match options.command:
         case "full":
-            full(given.sizes)
+            full(options.sizes)
         case "stream":
-            stream(given.folder, given.gigabytes)
-            throughput(given.folder)
+            stream(options.folder, options.gigabytes)
+            throughput(options.folder)
         case "throughput":
-            throughput(given.folder, given.gigabytes, given.rounds)
+            throughput(options.folder, options.gigabytes, options.rounds)
 
 
 if __name__ == "__main__":

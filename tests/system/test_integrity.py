@@ -1,4 +1,4 @@
-"""Nothing is silently wrong: bits flipped, files cut or lost, disks that fail; `scripts/robustness/integrity.py` counts."""
+"""Damage to a run file or its disk never changes a result silently; `scripts/robustness/integrity.py` counts cases."""
 
 from __future__ import annotations
 
@@ -14,67 +14,69 @@ import pytest
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness" / "integrity.py"
 Counts = dict[str, dict[str, int]]
+DETECTED = "detected by verify"
 LINUX = pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="needs cc and Linux's /proc")
 
 
-def counts(*arguments: str) -> Counts:
-    """Return what the script counted in a process of its own; fail where anything was silent, crashed or hung."""
+def counts_of_process(*arguments: str) -> Counts:
+    """Return the counts of the script in its own process; fail if anything was silent, crashed or hung."""
     command = [sys.executable, str(SCRIPT), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=SCRIPT.parents[1])
     assert done.returncode == 0, done.stdout + done.stderr
-    return counted(done.stdout)
+    return parse_counts(done.stdout)
 
 
 @pytest.fixture
-def counts_here(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Counts]:
-    """Return the same of what needs no process: a second less of processor time a start."""
+def counts_of(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Counts]:
+    """Return a function that runs the script in this process, which saves a second of start-up."""
 
     def run(*arguments: str) -> Counts:
         monkeypatch.syspath_prepend(SCRIPT.parent)
         monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
         code = importlib.import_module("integrity").main()
-        said = capsys.readouterr()
-        assert code == 0, said.out + said.err
-        return counted(said.out)
+        output = capsys.readouterr()
+        assert code == 0, output.out + output.err
+        return parse_counts(output.out)
 
     return run
 
 
-def counted(text: str) -> Counts:
+def parse_counts(text: str) -> Counts:
     """Return the counts that the script printed, by kind of file and outcome."""
     lines = re.findall(r"^\w+, (\w+): (.*)$", text, flags=re.MULTILINE)
     assert [kind for kind, _ in lines] == ["plain", "compressed"]
     return {
-        kind: {what: int(count) for count, what in re.findall(r"(\d+) ([^;]+)(?:; |$)", line)} for kind, line in lines
+        kind: {outcome: int(count) for count, outcome in re.findall(r"(\d+) ([^;]+)(?:; |$)", line)}
+        for kind, line in lines
     }
 
 
 @pytest.mark.parametrize("cases", [10, pytest.param(1000, marks=pytest.mark.slow)])
-def test_no_flipped_bit_changes_a_result_without_a_message(cases: int, counts_here: Callable[..., Counts]) -> None:
-    for found in counts_here("flips", "--cases", str(cases)).values():
-        assert sum(count for what, count in found.items() if what != "found by verify") == cases
-        # Most of a file are records: a bit flipped there must be noticed, or the test tests nothing.
-        assert found["result without what is damaged, said so"] > cases / 4
+def test_no_flipped_bit_changes_a_result_without_a_message(cases: int, counts_of: Callable[..., Counts]) -> None:
+    for counts in counts_of("flips", "--cases", str(cases)).values():
+        assert sum(count for outcome, count in counts.items() if outcome != DETECTED) == cases
+        # Most of a file are records. If no flipped bit in them were reported, the test would test nothing.
+        assert counts["result without the damaged records, with a message"] > cases / 4
 
 
 @pytest.mark.parametrize("cases", [5, pytest.param(400, marks=pytest.mark.slow)])
-def test_no_truncation_changes_a_result_without_a_message(cases: int, counts_here: Callable[..., Counts]) -> None:
-    for found in counts_here("truncations", "--cases", str(cases)).values():
-        assert sum(count for what, count in found.items() if what != "found by verify") == cases
-        assert found["found by verify"] == cases
+def test_no_truncation_changes_a_result_without_a_message(cases: int, counts_of: Callable[..., Counts]) -> None:
+    for counts in counts_of("truncations", "--cases", str(cases)).values():
+        assert sum(count for outcome, count in counts.items() if outcome != DETECTED) == cases
+        assert counts[DETECTED] == cases
 
 
 @LINUX
 @pytest.mark.parametrize("every", [61, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_disk_that_fails_at_any_step_ends_in_a_message_and_a_file_that_holds_what_it_says(every: int) -> None:
-    for found in counts("faults", "--every", str(every)).values():
-        assert sum(found.values()) >= 4
-        assert set(found) <= {"exit 2, message, file readable", "exit 2, message, no file", "no step failed"}
-        assert found.get("no step failed", 0) <= 4
+def test_a_disk_that_fails_at_any_operation_ends_in_a_message_and_an_intact_file(every: int) -> None:
+    for counts in counts_of_process("faults", "--every", str(every)).values():
+        assert sum(counts.values()) >= 4
+        assert set(counts) <= {"exit 2, message, file readable", "exit 2, message, no file", "no step failed"}
+        assert counts.get("no step failed", 0) <= 4
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="an open file is neither moved nor removed there")
-def test_a_file_lost_under_its_run_ends_the_run_with_a_message(counts_here: Callable[..., Counts]) -> None:
-    for found in counts_here("lost").values():
-        assert sum(found.values()) == 14
-        assert all("noticed" in what for what in found)
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows neither moves nor removes an open file")
+def test_a_file_lost_under_its_run_ends_the_run_with_a_message(counts_of: Callable[..., Counts]) -> None:
+    for counts in counts_of("lost").values():
+        assert sum(counts.values()) == 14
+        assert all("noticed" in outcome for outcome in counts)

@@ -2,8 +2,8 @@
 
 Mutation knows the structure: it changes tables, not characters, so that most of what it makes gets past the parser. A
 number becomes another type, an extreme, or any number within or beside the bounds that the schema states; keys come
-and go, are nested, doubled and swapped; texts hold any of Unicode. What it found once are cases of their own in
-`test_found_by_mutation.py`.
+and go, are nested, doubled and swapped; texts hold any of Unicode. Inputs that once failed are separate cases in
+`test_extreme_input.py`.
 """
 
 from __future__ import annotations

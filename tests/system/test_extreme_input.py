@@ -1,4 +1,4 @@
-"""What mutated input found once, each a case of its own; arguments, paths and numbers that cannot be."""
+"""Impossible or extreme scenes, numbers, paths and arguments are refused with a message."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ keys = {"tracking.pulse_rate_hz" = [2000.0, 4000.0]}
 
 
 def small_scene() -> str:
-    """Return a scene that is measured in a moment."""
+    """Return the text of a scene with few and short records."""
     text = shipped_scenes()["table-1"]
     for old, new in (
         ("pulse_count = 101", "pulse_count = 48"),
@@ -56,10 +56,10 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_run(prepare_text("small", small_scene()), tmp_path_factory.mktemp("run") / "run.h5")
 
 
-DEEP, LONG = f"x = {'[' * 5000}{']' * 5000}\n", f"x = {'9' * 5000}\n"
+DEEP_TABLE, LONG_NUMBER = f"x = {'[' * 5000}{']' * 5000}\n", f"x = {'9' * 5000}\n"
 MUSCLE, TABLE_1 = "bovine-muscle", "table-1"
 SPECIMEN, MOTION = "simulation.specimen", "simulation.motion[0]"
-FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
+EXTREME_SCENES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "pulses at twice the burst rate": (MUSCLE, {"tracking.pulse_rate_hz": 200.0}, "no vibration frequency is wanted"),
     "pulses slower than bursts": (MUSCLE, {"tracking.pulse_rate_hz": 90.0}, "no vibration frequency is wanted"),
     "attenuation of 60": (MUSCLE, {f"{SPECIMEN}.attenuation_db_per_cm_mhz": 60.0}, "at most 40 dB/cm/MHz"),
@@ -112,9 +112,9 @@ FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", FOUND)
-def test_what_mutation_found_once_is_refused_with_a_message(tmp_path: Path, case: str) -> None:
-    name, changes, message = FOUND[case]
+@pytest.mark.parametrize("case", EXTREME_SCENES)
+def test_an_extreme_scene_is_refused_with_a_message(tmp_path: Path, case: str) -> None:
+    name, changes, message = EXTREME_SCENES[case]
     tables = with_values(
         parse_toml(shipped_scenes()[name], name), {path_of(key): value for key, value in changes.items()}
     )
@@ -123,15 +123,15 @@ def test_what_mutation_found_once_is_refused_with_a_message(tmp_path: Path, case
     try:
         checked = check(path)
     except MESSAGES as error:
-        said = str(error)
+        message_text = str(error)
     else:
         assert checked.refused
-        said = str(checked)
-    assert re.search(message, said), said
-    assert "Try:" in said
+        message_text = str(checked)
+    assert re.search(message, message_text), message_text
+    assert "Try:" in message_text
 
 
-def test_a_push_that_takes_minutes_says_so_before_it_begins(
+def test_a_push_that_takes_minutes_is_announced_before_it_begins(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import sim_backend.transducer as transducer
@@ -142,20 +142,22 @@ def test_a_push_that_takes_minutes_says_so_before_it_begins(
     assert "with 128 harmonics takes minutes" in caplog.text
 
 
-@pytest.mark.parametrize("text", [DEEP, LONG, "x = 0x" + "f" * 5000 + "\n", "x = " + "{a=" * 3000 + "1" + "}" * 3000])
-@pytest.mark.parametrize("place", ["scene", "bench", "study", "stored scene", "stored bench"])
-def test_numbers_and_nesting_without_end_are_refused(small_run: Path, tmp_path: Path, place: str, text: str) -> None:
+@pytest.mark.parametrize(
+    "text", [DEEP_TABLE, LONG_NUMBER, "x = 0x" + "f" * 5000 + "\n", "x = " + "{a=" * 3000 + "1" + "}" * 3000]
+)
+@pytest.mark.parametrize("source", ["scene", "bench", "study", "stored scene", "stored bench"])
+def test_endless_numbers_and_nesting_are_refused(small_run: Path, tmp_path: Path, source: str, text: str) -> None:
     path = tmp_path / "x.toml"
     bodies = {"scene": small_scene(), "bench": read_bench().text, "study": STUDY}
-    path.write_text(text + bodies.get(place, ""), encoding="utf-8")
+    path.write_text(text + bodies.get(source, ""), encoding="utf-8")
     reads: Mapping[str, Callable[[], object]] = {
         "scene": lambda: prepare(str(path)),
         "bench": lambda: prepare(TABLE_1, path),
         "study": lambda: read_studies(path),
     }
-    read = reads.get(place)
+    read = reads.get(source)
     if read is None:
-        run, name = tmp_path / "run.h5", place.split()[1]
+        run, name = tmp_path / "run.h5", source.split()[1]
         run.write_bytes(small_run.read_bytes())
         with h5py.File(run, "r+", libver=("v110", "v110")) as file:
             stored = text + file[name].asstr()[()]
@@ -166,7 +168,7 @@ def test_numbers_and_nesting_without_end_are_refused(small_run: Path, tmp_path: 
         read()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="names and links that Windows does not have")
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such names and links")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -186,15 +188,15 @@ def test_numbers_and_nesting_without_end_are_refused(small_run: Path, tmp_path: 
         (["live", "no/x.h5"], "no run can be followed"),
         (["live", "loop.h5"], "no run can be followed"),
         (["accuracy", "motion", "--output", "folder.csv"], "cannot be written"),
-        (["accuracy", "harmonic", "--figure", "file/x.svg"], "no folder"),
-        (["design", "s.toml", "--over", "pulse_rate_hz", "--seed", str(10**30)], "no seed"),
-        (["design", "s.toml", "--over", "pulse_rate_hz", "--draws", str(10**12)], "never end"),
+        (["accuracy", "harmonic", "--figure", "file/x.svg"], "does not exist"),
+        (["design", "s.toml", "--over", "pulse_rate_hz", "--seed", str(10**30)], "the seed is out of range"),
+        (["design", "s.toml", "--over", "pulse_rate_hz", "--draws", str(10**12)], "take too long"),
         (["study", "fig-7", "--seed", str(10**30)], "out of bounds"),
         (["study", "fig-7", "--output", "file"], "cannot be written"),
         (["study", "endless.toml"], "points in all"),
     ],
 )
-def test_paths_and_numbers_that_cannot_be_are_told_before_the_work(
+def test_impossible_paths_and_numbers_are_refused_before_the_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -216,17 +218,17 @@ def test_paths_and_numbers_that_cannot_be_are_told_before_the_work(
 LONG_COMMENT = f"# {'x' * 1_000_000}\n"
 
 
-@pytest.mark.parametrize("place", ["scene", "bench", "study"])
+@pytest.mark.parametrize("source", ["scene", "bench", "study"])
 @pytest.mark.parametrize(
     ("text", "message"),
     [(LONG_COMMENT, "more than 1000000 bytes"), ("\n# \x9b2J\n", "line 2: the control character U+009B")],
 )
-def test_a_text_that_no_run_file_holds_is_refused_before_the_run(
-    tmp_path: Path, place: str, text: str, message: str
+def test_a_text_that_a_run_file_cannot_hold_is_refused_before_the_run(
+    tmp_path: Path, source: str, text: str, message: str
 ) -> None:
     path = tmp_path / "x.toml"
     path.write_text(
-        text + {"scene": small_scene(), "bench": read_bench().text, "study": STUDY}[place], encoding="utf-8"
+        text + {"scene": small_scene(), "bench": read_bench().text, "study": STUDY}[source], encoding="utf-8"
     )
     reads: Mapping[str, Callable[[], object]] = {
         "scene": lambda: prepare(str(path)),
@@ -234,48 +236,48 @@ def test_a_text_that_no_run_file_holds_is_refused_before_the_run(
         "study": lambda: read_studies(path),
     }
     with pytest.raises(SettingsError, match=re.escape(message)) as refused:
-        reads[place]()
+        reads[source]()
     assert "Try:" in str(refused.value)
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="POSIX")
-def test_a_file_without_end_is_no_settings_file() -> None:
+def test_an_endless_file_is_refused_as_a_settings_file() -> None:
     for read in (prepare, lambda path: read_bench(Path(path)), read_studies):
         with pytest.raises(SettingsError, match="it has more than 1000000 bytes"):
             read("/dev/zero")
 
 
-def test_whatever_check_accepts_as_text_or_name_is_read_again(tmp_path: Path) -> None:
-    """Spaces of other widths come with text from the web; none of them is a reason to refuse what was measured."""
-    odd = "a\u00a0b\u200b\u202e\u2009"
-    (scene := tmp_path / f"{odd}.toml").write_text(f"# {odd}\n{small_scene()}", encoding="utf-8")
-    (bench := tmp_path / f"bench {odd}.toml").write_text(f"# {odd}\n{read_bench().text}", encoding="utf-8")
-    run = record_run(prepare(str(scene), bench), tmp_path / f"{odd}.h5")
+def test_texts_and_names_with_unusual_spaces_are_measured_and_read_again(tmp_path: Path) -> None:
+    """Text copied from a web page may contain them. They are no reason to refuse a measurement."""
+    unusual = "a\u00a0b\u200b\u202e\u2009"
+    (scene := tmp_path / f"{unusual}.toml").write_text(f"# {unusual}\n{small_scene()}", encoding="utf-8")
+    (bench := tmp_path / f"bench {unusual}.toml").write_text(f"# {unusual}\n{read_bench().text}", encoding="utf-8")
+    run = record_run(prepare(str(scene), bench), tmp_path / f"{unusual}.h5")
     assert process(run).shots
     stored = read_run(run)
-    assert stored.scene_toml.startswith(f"# {odd}\n")
-    assert stored.bench_toml.startswith(f"# {odd}\n")
-    # What is printed again is escaped: one of them turns a line's direction.
+    assert stored.scene_toml.startswith(f"# {unusual}\n")
+    assert stored.bench_toml.startswith(f"# {unusual}\n")
+    # Printed names are escaped: one of the characters reverses the direction of a line.
     assert stored.scene_name.isprintable()
     assert stored.scene_name.startswith("a\\xa0b")
 
 
-def test_an_argument_that_is_no_text_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_argument_that_is_not_utf_8_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         refuse_undecodable(["hpe-rig", "check", os.fsdecode(b"\xff.toml")])
     assert ended.value.code == 2
     assert "no UTF-8 text. Try: rename" in capsys.readouterr().err
 
 
-def test_what_nobody_foresaw_is_one_message_and_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_error_ends_in_one_message_and_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
     @guarded
     def command() -> None:
-        raise LookupError("nobody foresaw this")
+        raise LookupError("unexpected")
 
     with pytest.raises(typer.Exit) as ended:
         command()
     assert ended.value.exit_code == 70
-    (kept,) = tmp_path.glob("hpe-rig-*.txt")
-    assert "LookupError: nobody foresaw this" in kept.read_text(encoding="utf-8")
+    (traceback,) = tmp_path.glob("hpe-rig-*.txt")
+    assert "LookupError: unexpected" in traceback.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Whatever a file holds, reading it ends in a result or a message: no traceback, no crash, no other file opened."""
+"""Reading a tampered run file ends in a result or a message: no traceback, no crash, no other file is opened."""
 
 from __future__ import annotations
 
@@ -29,38 +29,40 @@ SMALL = (
     ("[acquisition]", "[acquisition]\nrecord_samples = 256"),
 )
 LIBRARY_WORDS = re.compile(r"nable to|synchronously|errno|H5[A-Z]|0x[0-9a-f]")
-"""What messages of the HDF5 library are made of; they say nothing to whoever reads them."""
-MOST_S = 5.0
-MOST_BYTES = 1 << 30
+"""Words in messages of the HDF5 library, which would not help the user."""
+MAX_S = 5.0
+"""Processor time for reading one file."""
+MAX_BYTES = 1 << 30
+"""Memory for reading, beyond that of the process before."""
 
 
 @pytest.fixture(scope="module")
-def measured_once(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return a small run file without checksums, as early releases wrote, so that they do not find what is changed."""
+def small_run_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return a small run file without checksums, as of early releases: checksums would detect every change first."""
     text = shipped_scenes()["table-1"]
     for old, new in SMALL:
         assert old in text, old
         text = text.replace(old, new)
-    path = record_run(prepare_text("table-1", text), tmp_path_factory.mktemp("distrust") / "run.h5")
+    path = record_run(prepare_text("table-1", text), tmp_path_factory.mktemp("tampered") / "run.h5")
     _delete(path, "checksum")
     return path.read_bytes()
 
 
 @pytest.fixture
-def small(measured_once: bytes, tmp_path: Path) -> Path:
+def small(small_run_bytes: bytes, tmp_path: Path) -> Path:
     """Return a copy of the small run file."""
     path = tmp_path / "run.h5"
-    path.write_bytes(measured_once)
+    path.write_bytes(small_run_bytes)
     return path
 
 
-def fixed(text: str) -> Any:
-    """Return ``text`` as run files hold it."""
+def fixed_length(text: str) -> Any:
+    """Return ``text`` as run files store it."""
     return np.array(text.encode(), dtype=h5py.string_dtype("utf-8", len(text.encode())))
 
 
 def contents(data: bytes) -> Callable[[Path], None]:
-    """Return what replaces a whole file."""
+    """Return a change that replaces the whole file."""
 
     def change(path: Path) -> None:
         path.write_bytes(data)
@@ -68,37 +70,37 @@ def contents(data: bytes) -> Callable[[Path], None]:
     return change
 
 
-def rewritten(path: Path, name: str, **changes: Any) -> None:
-    """Replace dataset ``name`` by one made with ``changes``, its attributes kept."""
+def replace_dataset(path: Path, name: str, **changes: Any) -> None:
+    """Replace dataset ``name`` by one created with ``changes``; its attributes stay."""
     with h5py.File(path, "r+", libver=("v110", "v110")) as file:
         attributes = dict(file[name].attrs)
         del file[name]
         file.create_dataset(name, **changes).attrs.update(attributes)
 
 
-def a_pipe(path: Path) -> None:
+def make_pipe(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
 
 
-def a_folder(path: Path) -> None:
+def make_folder(path: Path) -> None:
     path.unlink()
     path.mkdir()
 
 
-def attribute(name: str, value: Any, of: str = "/") -> Callable[[Path], None]:
-    """Return what sets an attribute."""
+def attribute(name: str, value: Any, owner: str = "/") -> Callable[[Path], None]:
+    """Return a change that sets an attribute."""
 
     def change(path: Path) -> None:
         with h5py.File(path, "r+", libver=("v110", "v110")) as file:
-            del file[of].attrs[name]
-            file[of].attrs[name] = fixed(value) if isinstance(value, str) else value
+            del file[owner].attrs[name]
+            file[owner].attrs[name] = fixed_length(value) if isinstance(value, str) else value
 
     return change
 
 
 def link(name: str, target: Any) -> Callable[[Path], None]:
-    """Return what puts a link in the place of something."""
+    """Return a change that replaces an object by a link."""
 
     def change(path: Path) -> None:
         with h5py.File(path, "r+", libver=("v110", "v110")) as file:
@@ -108,21 +110,21 @@ def link(name: str, target: Any) -> Callable[[Path], None]:
     return change
 
 
-def a_group(path: Path) -> None:
+def echoes_as_group(path: Path) -> None:
     with h5py.File(path, "r+", libver=("v110", "v110")) as file:
         del file["records/echo"]
         file.create_group("records/echo")
 
 
-def elsewhere(path: Path) -> None:
-    """Keep a dataset's values in another file."""
-    other = path.with_name("secret.bin")
-    other.write_bytes(bytes(48 * 8))
-    rewritten(path, "records/trigger_time_s", shape=(1, 48), dtype="<f8", external=[(str(other), 0, 48 * 8)])
+def values_in_another_file(path: Path) -> None:
+    """Move a dataset's values to another file."""
+    external = path.with_name("secret.bin")
+    external.write_bytes(bytes(48 * 8))
+    replace_dataset(path, "records/trigger_time_s", shape=(1, 48), dtype="<f8", external=[(str(external), 0, 48 * 8)])
 
 
-def virtual(path: Path) -> None:
-    """Make a dataset a view of another file's."""
+def view_of_another_file(path: Path) -> None:
+    """Replace a dataset by a view of a dataset in another file."""
     layout = h5py.VirtualLayout((1, 48), "<f8")
     layout[...] = h5py.VirtualSource(str(path.with_name("other.h5")), "x", (1, 48))
     with h5py.File(path, "r+", libver=("v110", "v110")) as file:
@@ -131,20 +133,20 @@ def virtual(path: Path) -> None:
 
 
 def scene_with(old: str, new: str) -> Callable[[Path], None]:
-    """Return what edits the stored scene."""
+    """Return a change that edits the stored scene."""
 
     def change(path: Path) -> None:
         with h5py.File(path, "r+", libver=("v110", "v110")) as file:
             text = file["scene"].asstr()[()]
             assert old in text
             del file["scene"]
-            file["scene"] = fixed(text.replace(old, new))
+            file["scene"] = fixed_length(text.replace(old, new))
 
     return change
 
 
 def values(name: str, value: Any) -> Callable[[Path], None]:
-    """Return what overwrites a dataset's values."""
+    """Return a change that overwrites a dataset's values."""
 
     def change(path: Path) -> None:
         with h5py.File(path, "r+", libver=("v110", "v110")) as file:
@@ -153,9 +155,9 @@ def values(name: str, value: Any) -> Callable[[Path], None]:
     return change
 
 
-def remade(name: str, **changes: Any) -> Callable[[Path], None]:
-    """Return what replaces a dataset."""
-    return lambda path: rewritten(path, name, **changes)
+def replaced(name: str, **changes: Any) -> Callable[[Path], None]:
+    """Return a change that replaces a dataset."""
+    return lambda path: replace_dataset(path, name, **changes)
 
 
 HUGE = (1, 1_000_000, 10_000_000)
@@ -163,8 +165,8 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "empty": (contents(b""), "not an HDF5 file"),
     "text": (contents(b"[scene]"), "not an HDF5 file"),
     "signature alone": (contents(b"\x89HDF\r\n\x1a\n"), "another kind"),
-    "a pipe": (a_pipe, "not a regular file"),
-    "a folder": (a_folder, "is a folder"),
+    "a pipe": (make_pipe, "not a regular file"),
+    "a folder": (make_folder, "is a folder"),
     "absent": (lambda path: path.unlink(), "does not exist"),
     "another program's": (attribute("format", "NeXus"), "another program"),
     "a newer version": (attribute("format_version", 99), "newer hpe-rig"),
@@ -177,29 +179,38 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "NaN volts": (attribute("scale_factor", np.nan, "records/echo"), "is nan"),
     "other volts": (attribute("scale_factor", 1e-3, "records/echo"), "V per code"),
     "infinite volts": (attribute("add_offset", np.inf, "records/echo"), "is inf"),
-    "an external link": (link("records/echo", h5py.ExternalLink("/etc/passwd", "/echo")), "is a link to another object"),
+    "an external link": (
+        link("records/echo", h5py.ExternalLink("/etc/passwd", "/echo")),
+        "is a link to another object",
+    ),
     "a soft link": (link("records/echo", h5py.SoftLink("/elsewhere")), "is a link to another object"),
-    "values in another file": (elsewhere, "another file"),
-    "a view of another file": (virtual, "another file"),
-    "echoes that are a group": (a_group, "is not a dataset"),
-    "floating echoes": (remade("records/echo", shape=(1, 48, 256), dtype="<f8", chunks=(1, 48, 256)), "float64"),
-    "flat echoes": (remade("records/echo", shape=(48, 256), dtype="<i2", chunks=(48, 256)), "shape"),
-    "fewer echoes": (remade("records/echo", shape=(1, 40, 256), dtype="<i2", chunks=(1, 40, 256)), "shape"),
-    "echoes in one piece": (remade("records/echo", shape=(1, 48, 256), dtype="<i2"), "in one piece"),
-    "huge echoes": (remade("records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 256)), "shape"),
-    "huge chunks": (remade("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256)), ""),
-    "a bomb": (remade("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256), compression=9), "filters"),
-    "a scene of numbers": (remade("scene", shape=(), dtype="<f8"), "is not text"),
-    "a list of scenes": (remade("scene", shape=(7,), dtype="S9"), "not a single text"),
-    "a huge scene": (remade("scene", data=fixed("x" * 3_000_000)), "more than 1000000"),
-    "a scene of any length": (remade("scene", data="x"), "variable length"),
-    "a huge place for a scene": (remade("scene", shape=(), dtype="S2000000000"), "more than 1000000"),
+    "values in another file": (values_in_another_file, "another file"),
+    "a view of another file": (view_of_another_file, "another file"),
+    "echoes that are a group": (echoes_as_group, "is not a dataset"),
+    "floating echoes": (replaced("records/echo", shape=(1, 48, 256), dtype="<f8", chunks=(1, 48, 256)), "float64"),
+    "flat echoes": (replaced("records/echo", shape=(48, 256), dtype="<i2", chunks=(48, 256)), "shape"),
+    "fewer echoes": (replaced("records/echo", shape=(1, 40, 256), dtype="<i2", chunks=(1, 40, 256)), "shape"),
+    "echoes in one piece": (replaced("records/echo", shape=(1, 48, 256), dtype="<i2"), "in one piece"),
+    "huge echoes": (replaced("records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 256)), "shape"),
+    "huge chunks": (replaced("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256)), ""),
+    "a bomb": (
+        replaced("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256), compression=9),
+        "filters",
+    ),
+    "a scene of numbers": (replaced("scene", shape=(), dtype="<f8"), "is not text"),
+    "a list of scenes": (replaced("scene", shape=(7,), dtype="S9"), "not a single text"),
+    "a huge scene": (replaced("scene", data=fixed_length("x" * 3_000_000)), "more than 1000000"),
+    "a scene of any length": (replaced("scene", data="x"), "variable length"),
+    "a huge place for a scene": (replaced("scene", shape=(), dtype="S2000000000"), "more than 1000000"),
     "a scene that is no TOML": (scene_with("[tracking]", "[tracking"), "not valid TOML"),
     "a scene with another gate": (scene_with("record_samples = 256", "record_samples = 512"), "its scene asks"),
     "a scene with a gate outside": (scene_with("gate_length_m = 1.0e-3", "gate_length_m = 9e-3"), "the gate takes"),
     "a scene with an endless sweep": (scene_with("[acquisition]", "[acquisition]\nrepeats = 1000000"), "shots"),
-    "run times of another type": (remade("run_time/run_time_s", shape=(11,), dtype="S9"), "/run_time/run_time_s holds"),
-    "run times without end": (remade("run_time/stage", shape=(1_000_000,), dtype="S16"), "1000000 stages"),
+    "run times of another type": (
+        replaced("run_time/run_time_s", shape=(11,), dtype="S9"),
+        "/run_time/run_time_s holds",
+    ),
+    "run times without end": (replaced("run_time/stage", shape=(1_000_000,), dtype="S16"), "1000000 stages"),
     "run times that are none": (values("run_time/run_time_s", np.inf), ""),
     "truth that is absent": (lambda path: _delete(path, "truth"), "absent"),
     "settings that are no JSON": (values("snapshot", b"{" * 900), ""),
@@ -217,7 +228,7 @@ def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(small: Path
     change, message = TAMPERED[case]
     change(small)
     if not message:
-        # Nothing wrong that anybody needs: any outcome but a traceback.
+        # The damaged part is not needed: any outcome except a traceback.
         for read in (process, read_snapshots, render):
             _outcome(partial(read, small))
         return
@@ -229,14 +240,14 @@ def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(small: Path
         prepare_resumption(small)
 
 
-def test_records_that_never_came_take_no_memory(small: Path) -> None:
-    """A small file that declares 20 TB of echoes, in every place where sizes are compared."""
+def test_records_that_were_never_written_take_no_memory(small: Path) -> None:
+    """A small file declares 20 TB of echoes, consistently in all datasets."""
     scene_with("pulse_count = 48", "pulse_count = 1000000")(small)
     scene_with("record_samples = 256", "record_samples = 10000000\nsample_rate_hz = 100e6")(small)
-    rewritten(small, "records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 10_000_000), fillvalue=-32768)
+    replace_dataset(small, "records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 10_000_000), fillvalue=-32768)
     for name, dtype in (("recorded", "u1"), ("trigger_time_s", "<f8"), ("pulse_onset_s", "<f8")):
-        rewritten(small, f"records/{name}", shape=HUGE[:2], dtype=dtype, chunks=(1, 65536), fillvalue=1)
-    rewritten(small, "truth/displacement_m", shape=HUGE[:2], dtype="<f8", chunks=(1, 65536))
+        replace_dataset(small, f"records/{name}", shape=HUGE[:2], dtype=dtype, chunks=(1, 65536), fillvalue=1)
+    replace_dataset(small, "truth/displacement_m", shape=HUGE[:2], dtype="<f8", chunks=(1, 65536))
     with pytest.raises(MESSAGES, match="records"):
         process(small)
     with pytest.raises(StoreError, match="records"):
@@ -254,27 +265,27 @@ def _outcome(call: Callable[[], object]) -> str:
 
 def mutated_bytes(data: bytes, rng: np.random.Generator) -> bytes:
     """Return ``data`` cut short, or with bits, bytes or whole pieces changed."""
-    bytes_ = bytearray(data)
+    mutated = bytearray(data)
     start, length = int(rng.integers(len(data))), int(rng.integers(1, 5000))
     match int(rng.integers(5)):
         case 0:
-            del bytes_[start:]
+            del mutated[start:]
         case 1:
-            for place in rng.integers(0, len(data), rng.integers(1, 20)):
-                bytes_[place] = rng.integers(256)
+            for position in rng.integers(0, len(data), rng.integers(1, 20)):
+                mutated[position] = rng.integers(256)
         case 2:
-            for place in rng.integers(0, 9000, rng.integers(1, 8)):
-                bytes_[place] ^= 1 << int(rng.integers(8))
+            for position in rng.integers(0, 9000, rng.integers(1, 8)):
+                mutated[position] ^= 1 << int(rng.integers(8))
         case 3:
-            bytes_[start : start + length] = bytes(length)
+            mutated[start : start + length] = bytes(length)
         case _:
             source = int(rng.integers(len(data)))
-            bytes_[start : start + length] = data[source : source + length]
-    return bytes(bytes_)
+            mutated[start : start + length] = data[source : source + length]
+    return bytes(mutated)
 
 
 def outcomes_of(calls: Iterator[tuple[str, Callable[[], object]]], folder: Path) -> dict[str, int]:
-    """Make every call in a process with bounded memory; return how often each outcome came, and fail on any other."""
+    """Make every call in a process with bounded memory and return the number of each outcome; fail on any other."""
     import resource
 
     (folder / "before").write_text("")
@@ -284,12 +295,12 @@ def outcomes_of(calls: Iterator[tuple[str, Callable[[], object]]], folder: Path)
         code = 1
         try:
             base = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-            resource.setrlimit(resource.RLIMIT_AS, (base + MOST_BYTES, base + MOST_BYTES))
+            resource.setrlimit(resource.RLIMIT_AS, (base + MAX_BYTES, base + MAX_BYTES))
             for number, (name, call) in enumerate(calls):
                 (folder / "before").write_text(f"{number}: {name}")
                 start_s = time.process_time()
                 outcome = _outcome(call)
-                assert time.process_time() - start_s < MOST_S, "a hang"
+                assert time.process_time() - start_s < MAX_S, "a hang"
                 outcomes[outcome] = outcomes.get(outcome, 0) + 1
             (folder / "after").write_text(repr(outcomes))
             code = 0
@@ -303,8 +314,8 @@ def outcomes_of(calls: Iterator[tuple[str, Callable[[], object]]], folder: Path)
     code = os.waitstatus_to_exitcode(status)
     after = (folder / "after").read_text() if (folder / "after").exists() else ""
     assert code == 0, f"exit {code} at case {(folder / 'before').read_text()}\n{after}"
-    found: dict[str, int] = eval(after)
-    return found
+    counts: dict[str, int] = eval(after)
+    return counts
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and Linux's memory limits")
@@ -321,6 +332,6 @@ def test_mutated_run_files_end_in_a_result_or_a_message(small: Path, tmp_path: P
 
     outcomes = outcomes_of(calls(), tmp_path)
     assert sum(outcomes.values()) == cases
-    # A change of an echo is no mistake, a change of anything else mostly is: both must come, or the test tests nothing.
+    # A changed echo is valid, most other changes are not. Without both outcomes the test would test nothing.
     assert outcomes["success"] >= cases // 5
     assert outcomes["message"] >= cases // 5
