@@ -13,6 +13,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import messages
+
 from hpe_rig.scene.description import DescribedKey
 
 EXAMPLES = {
@@ -99,7 +101,7 @@ def pages() -> dict[str, str]:
         "commands.md": commands_page(),
         "api.md": api_page(),
         "packages.md": packages_page(),
-        "messages.md": messages_page(),
+        "messages.md": messages.markdown(),
     }
 
 
@@ -289,10 +291,3 @@ def described_names(module: Any) -> list[tuple[str, str]]:
 def _first_sentence(text: str) -> str:
     paragraph = " ".join(text.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
     return paragraph.partition(". ")[0].removesuffix(".") + "."
-
-
-def messages_page() -> str:
-    """Return the page of the error messages, each provoked in an empty folder."""
-    from messages import markdown
-
-    return markdown()
