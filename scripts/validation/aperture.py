@@ -1,8 +1,8 @@
-"""Beams of the aperture beside Gaussian beams: error against run time, tracked over peak displacement, cost of echoes.
+"""Compare beams of an aperture with Gaussian beams: errors, run times, tracked displacement, and fitted moduli.
 
 Usage: python scripts/validation/aperture.py [--draws 400] [--moduli] [--measured] [--records SEED ...]
 
-Run times are processor time, ratios within one run; milliseconds hold on no other machine.
+Run times are processor times of this machine; only their ratios within one run are comparable.
 """
 
 import argparse
@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.integrate import quad
-from scipy.special import j0, j1
+from scipy.special import j1
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from sim_backend.acoustics import Acoustics
 from sim_backend.echoes import EchoDelays, beam_response, draw_field, drawn_echoes, echo_pulse, echoes
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
-from sim_backend.wiring import Bursts, Capture
+from sim_backend.wiring import Bursts, Capture, no_bursts
 
 if TYPE_CHECKING:
     from hpe_rig.medium import PushForce
@@ -34,22 +34,22 @@ APERTURE = {"field": "aperture"}
 GAUSSIAN = {"excitation_width_m": (0.34e-3, 0.34e-3, 3.60e-3), "tracking_width_m": (0.110e-3, 0.110e-3, 1.19e-3)}
 
 
-def timed(make: Callable[[], Any], times: int = 5) -> tuple[Any, float]:
-    """Return what ``make`` makes and the shortest of its processor times, s: other work on the machine only adds."""
-    taken = []
-    for _ in range(times):
-        begin = time.process_time()
-        made = make()
-        taken.append(time.process_time() - begin)
-    return made, min(taken)
+def timed(compute: Callable[[], Any], repeats: int = 5) -> tuple[Any, float]:
+    """Return the value of ``compute()`` and the shortest of its processor times, s: disturbances only add to it."""
+    times_s = []
+    for _ in range(repeats):
+        start_s = time.process_time()
+        value = compute()
+        times_s.append(time.process_time() - start_s)
+    return value, min(times_s)
 
 
 def on_axis(k: complex, axial_m: FloatArray) -> ComplexArray:
-    """Return O'Neil's closed form on the axis."""
+    """Return the pressure on the axis by O'Neil's closed form."""
     focal_m, radius_m = PAPER.focal_length_m, PAPER.diameter_m / 2
-    middle_m = focal_m + axial_m
-    rim_m = np.hypot(middle_m - (focal_m - np.sqrt(focal_m**2 - radius_m**2)), radius_m)
-    return np.asarray((np.exp(-1j * k * middle_m) - np.exp(-1j * k * rim_m)) / (1 - middle_m / focal_m))
+    centre_m = focal_m + axial_m
+    rim_m = np.hypot(centre_m - (focal_m - np.sqrt(focal_m**2 - radius_m**2)), radius_m)
+    return np.asarray((np.exp(-1j * k * centre_m) - np.exp(-1j * k * rim_m)) / (1 - centre_m / focal_m))
 
 
 def rayleigh(k: complex, lateral_m: float, axial_m: float, nodes: int) -> complex:
@@ -58,142 +58,150 @@ def rayleigh(k: complex, lateral_m: float, axial_m: float, nodes: int) -> comple
     focal_m, sine = PAPER.focal_length_m, PAPER.half_aperture
     edge = np.sqrt(1 - sine**2)
     cosine, weight = edge + (1 - edge) * (node + 1) / 2, weight * (1 - edge) / 2
-    turn = (np.arange(nodes) + 0.5) * 2 * np.pi / nodes
+    angle = (np.arange(nodes) + 0.5) * 2 * np.pi / nodes
     across = focal_m * np.sqrt(1 - cosine**2)
-    lateral = np.hypot(np.outer(across, np.cos(turn)) - lateral_m, np.outer(across, np.sin(turn)))
+    lateral = np.hypot(np.outer(across, np.cos(angle)) - lateral_m, np.outer(across, np.sin(angle)))
     distance_m = np.hypot(lateral, (focal_m * cosine + axial_m)[:, None])
     return complex(1j * k * focal_m**2 / nodes * (weight @ (np.exp(-1j * k * distance_m) / distance_m)).sum())
 
 
 def adaptive(k: complex, lateral_m: float, axial_m: float) -> complex:
-    """Return the Rayleigh integral by scipy's adaptive quadrature over both angles: slow, and nobody's own rule."""
+    """Return the Rayleigh integral by scipy's adaptive quadrature over both angles, which is slow and independent."""
     focal_m = PAPER.focal_length_m
     edge = np.sqrt(1 - PAPER.half_aperture**2)
 
-    def ring(cosine: float, part: Callable[[complex], float]) -> float:
+    def ring(cosine: float, component: Callable[[complex], float]) -> float:
         across, along = focal_m * np.sqrt(1 - cosine**2), focal_m * cosine + axial_m
 
-        def wave(turn: float) -> float:
-            d = np.sqrt(across**2 + lateral_m**2 - 2 * across * lateral_m * np.cos(turn) + along**2)
-            return part(np.exp(-1j * k * d) / d)
+        def wave(angle: float) -> float:
+            d = np.sqrt(across**2 + lateral_m**2 - 2 * across * lateral_m * np.cos(angle) + along**2)
+            return component(np.exp(-1j * k * d) / d)
 
         return quad(wave, 0, np.pi, epsabs=1e-12, epsrel=1e-11, limit=400)[0] / np.pi
 
-    real, imag = (quad(ring, edge, 1, (part,), epsabs=1e-10, epsrel=1e-10, limit=400)[0] for part in (np.real, np.imag))
+    real, imag = (
+        quad(ring, edge, 1, (component,), epsabs=1e-10, epsrel=1e-10, limit=400)[0] for component in (np.real, np.imag)
+    )
     return 1j * k * focal_m**2 * complex(real, imag)
 
 
 def radiation() -> None:
-    """Print the field's error and run time."""
-    print("## Field of the bowl, error over the focus' pressure\n")
+    """Print error and run time of the field of the bowl."""
+    print("## Field of the bowl, error relative to the pressure at the focus\n")
     print("| frequency | against | largest error | run time |")
     print("|---|---|---|---|")
     axial_m, lateral_m = np.linspace(-14.7e-3, 15e-3, 200), np.linspace(0, 4e-3, 100)
     for frequency_hz in (3e6, 9e6):
         for loss in (0.0, 0.5):
             k = wave_number(frequency_hz, SPEED, loss)
-            made, taken = timed(lambda k=k: bowl_pressure(PAPER, k, lateral_m, axial_m))
-            focus = np.abs(made).max()
-            error = np.abs(made[:, 0] - on_axis(k, axial_m)).max() / focus
+            field, field_s = timed(lambda k=k: bowl_pressure(PAPER, k, lateral_m, axial_m))
+            focus = np.abs(field).max()
+            error = np.abs(field[:, 0] - on_axis(k, axial_m)).max() / focus
             print(f"| {frequency_hz / 1e6:g} MHz, {loss:g} dB/cm/MHz | O'Neil's axis, 200 depths | {error:.1e} | "
-                  f"{taken * 1e3:.0f} ms for 20 000 places |")  # fmt: skip
-            place = 1e-3, 2e-3
-            own = bowl_pressure(PAPER, k, np.array([place[0]]), np.array([place[1]]))[0, 0]
+                  f"{field_s * 1e3:.0f} ms for 20 000 points |")  # fmt: skip
+            point = 1e-3, 2e-3
+            pressure = bowl_pressure(PAPER, k, np.array([point[0]]), np.array([point[1]]))[0, 0]
             for nodes in (40, 80, 160):
-                other, each = timed(lambda n=nodes, k=k, at=place: rayleigh(k, *at, n))
-                print(f"| | Rayleigh, {nodes} x {nodes} points | {abs(other - own) / focus:.1e} | "
-                      f"{each * 1e3:.2f} ms for one place |")  # fmt: skip
+                exact, exact_s = timed(lambda n=nodes, k=k, at=point: rayleigh(k, *at, n))
+                print(f"| | Rayleigh, {nodes} x {nodes} points | {abs(exact - pressure) / focus:.1e} | "
+                      f"{exact_s * 1e3:.2f} ms for one point |")  # fmt: skip
         k = wave_number(frequency_hz, SPEED)
-        own = bowl_pressure(PAPER, k, np.array([0.3e-3]), np.array([1e-3]))[0, 0]
-        other, each = timed(lambda k=k: adaptive(k, 0.3e-3, 1e-3), 1)
+        pressure = bowl_pressure(PAPER, k, np.array([0.3e-3]), np.array([1e-3]))[0, 0]
+        exact, exact_s = timed(lambda k=k: adaptive(k, 0.3e-3, 1e-3), 1)
         focus = abs(bowl_pressure(PAPER, k, np.zeros(1), np.zeros(1))[0, 0])
-        print(f"| | scipy's adaptive quadrature | {abs(other - own) / focus:.1e} | {each:.1f} s for one place |")
-        place = np.linspace(0.02, 4, 100)
-        made = np.abs(bowl_pressure(PAPER, k, place / (k.real * PAPER.half_aperture), np.zeros(1))[0])
-        jinc = np.abs(2 * j1(place) / place)
-        print(f"| {frequency_hz / 1e6:g} MHz | the focal plane's jinc | {np.abs(made / focus - jinc).max():.1e} "
-              f"(what it leaves out) | |")  # fmt: skip
+        print(
+            f"| | scipy's adaptive quadrature | {abs(exact - pressure) / focus:.1e} | {exact_s:.1f} s for one point |"
+        )
+        argument = np.linspace(0.02, 4, 100)
+        field = np.abs(bowl_pressure(PAPER, k, argument / (k.real * PAPER.half_aperture), np.zeros(1))[0])
+        jinc = np.abs(2 * j1(argument) / argument)
+        error = np.abs(field / focus - jinc).max()
+        print(f"| {frequency_hz / 1e6:g} MHz | jinc (approximate) in the focal plane | {error:.1e} | |")
 
 
 def push() -> None:
-    """Print what the sum of Gaussians makes of the push."""
+    """Print the error of the sum of Gaussians that approximates the intensity of the push."""
     settings = SimulationSettings.model_validate({"beams": APERTURE, "specimen": {}})
-    shape, taken = timed(lambda: push_intensity.__wrapped__(settings) if hasattr(push_intensity, "__wrapped__") else push_intensity(settings), 1)  # fmt: skip  # noqa: E501
+    uncached = getattr(push_intensity, "__wrapped__", push_intensity)
+    shape, fit_s = timed(lambda: uncached(settings), 1)
     k = wave_number(3e6, SPEED, 0.5)
     axial_m, lateral_m = np.linspace(-12e-3, 12e-3, 121), np.linspace(0, 3e-3, 151)
     intensity = np.abs(bowl_pressure(PAPER, k, lateral_m, axial_m)) ** 2
     intensity /= intensity[60, 0]
-    place = np.meshgrid(lateral_m, axial_m)
-    made = shape.at(place[0].ravel(), place[1].ravel()).reshape(intensity.shape)
-    gauss = np.exp(-0.5 * (place[0] / 0.34e-3) ** 2 - 0.5 * (place[1] / 3.6e-3) ** 2)
-    print("\n## The push's intensity at 3 MHz, 24 mm along and 6 mm across\n")
-    print("| shape | largest error over the focus | rms error |")
+    lateral, axial = np.meshgrid(lateral_m, axial_m)
+    approximation = shape.at(lateral.ravel(), axial.ravel()).reshape(intensity.shape)
+    gauss = np.exp(-0.5 * (lateral / 0.34e-3) ** 2 - 0.5 * (axial / 3.6e-3) ** 2)
+    print("\n## Intensity of the push at 3 MHz, within 24 mm axially and 6 mm laterally\n")
+    print("| shape | largest error relative to the focus | rms error |")
     print("|---|---|---|")
-    for name, each in (
-        (f"{len(shape.centre_m)} x {len(shape.lateral_width_m)} Gaussians", made),
+    for name, values in (
+        (f"{len(shape.centre_m)} x {len(shape.lateral_width_m)} Gaussians", approximation),
         ("one Gaussian", gauss),
     ):
-        rms = np.sqrt(((each - intensity) ** 2 * lateral_m).sum() / (intensity**2 * lateral_m).sum())
-        print(f"| {name} | {np.abs(each - intensity).max():.3f} | {rms:.3f} |")
-    print(f"\nfitted in {taken:.2f} s, once a transducer and medium")
+        rms = np.sqrt(((values - intensity) ** 2 * lateral_m).sum() / (intensity**2 * lateral_m).sum())
+        print(f"| {name} | {np.abs(values - intensity).max():.3f} | {rms:.3f} |")
+    print(f"\nfitted in {fit_s:.2f} s, once per transducer and medium")
 
 
-def settings_of(beams: dict[str, Any], **more: Any) -> SimulationSettings:
-    """Return Table I's scatterers in these beams."""
-    return SimulationSettings.model_validate({"beams": beams} | more)
+def settings_of(beams: dict[str, Any], **sections: Any) -> SimulationSettings:
+    """Return the settings with the scatterers of Table I and these beams."""
+    return SimulationSettings.model_validate({"beams": beams} | sections)
 
 
 def costs() -> None:
-    """Print what echoes cost through either beam, side by side."""
-    print("\n## Run time of the echoes, aperture over Gaussian, in one run\n")
+    """Print the run time of echoes with both kinds of beam."""
+    print("\n## Run time of the echoes, aperture relative to Gaussian, in one run\n")
     print("| echoes | Gaussian | aperture | ratio |")
     print("|---|---|---|---|")
     motion = [{"frequency_hz": 200.0, "amplitude_m": 1e-6}]
     medium = {"shear_modulus_pa": 9e3, "shear_viscosity_pa_s": 2.0, "force_density_n_per_m3": 1.4e6}
     count = 800
     onset = np.arange(count) * 250_000_000
-    pulses = Bursts(*(np.asarray(each) for each in (onset, onset + 333_333, np.full(count, 9e6), np.full(count, 3.0), np.ones(count))))  # noqa: E501  # fmt: skip
-    pushes = np.arange(20) * 10_000_000_000 - 120_000_000
-    bursts = Bursts(pushes, pushes + 100_000_000, np.full(20, 3e6), np.full(20, 300.0), np.ones(20))
-    none = Bursts(*(np.zeros(0, dtype) for dtype in (np.int64, np.int64, float, float, float)))
+    ones = np.ones(count)
+    pulses = Bursts(onset, onset + 333_333, 9e6 * ones, 3.0 * ones, ones)
+    burst_onset = np.arange(20) * 10_000_000_000 - 120_000_000
+    bursts = Bursts(burst_onset, burst_onset + 100_000_000, np.full(20, 3e6), np.full(20, 300.0), np.ones(20))
     capture = Capture(0, 0, onset + 88_460_000, 10_000, 512)
-    for name, more, driven in (
-        ("prescribed motion, 800 echoes of 512 samples", {"motion": motion}, none),
+    for name, sections, tonebursts in (
+        ("prescribed motion, 800 echoes of 512 samples", {"motion": motion}, no_bursts()),
         ("medium's field, 800 echoes of 512 samples", {"specimen": medium}, bursts),
     ):
-        taken = []
+        times_s = []
         for beams in (GAUSSIAN, APERTURE):
-            bench = Acoustics(settings_of(beams, **more))
-            bench.record_volts(driven, pulses, capture)
-            taken.append(timed(lambda b=bench, d=driven: b.record_volts(d, pulses, capture))[1])
-        print(f"| {name} | {taken[0] * 1e3:.0f} ms | {taken[1] * 1e3:.0f} ms | {taken[1] / taken[0]:.2f} |")
-    moved_m = 1e-6 * np.sin(2 * np.pi * 200 * np.arange(101) / 4000)
-    taken = []
+            bench = Acoustics(settings_of(beams, **sections))
+            bench.record_volts(tonebursts, pulses, capture)
+            times_s.append(timed(lambda b=bench, d=tonebursts: b.record_volts(d, pulses, capture))[1])
+        print(f"| {name} | {times_s[0] * 1e3:.0f} ms | {times_s[1] * 1e3:.0f} ms | {times_s[1] / times_s[0]:.2f} |")
+    displacement_m = 1e-6 * np.sin(2 * np.pi * 200 * np.arange(101) / 4000)
+    times_s = []
     for beams in (GAUSSIAN, APERTURE):
         settings = settings_of(beams)
         pulse = echo_pulse(settings, 9e6)
         rng = np.random.default_rng(1)
-        list(drawn_echoes(settings, moved_m, pulse, GATE_S, rng, 16))
-        taken.append(timed(lambda s=settings, p=pulse, r=rng: list(drawn_echoes(s, moved_m, p, GATE_S, r, 64)))[1] / 64)
-    print(f"| a study's draw of 101 echoes | {taken[0] * 1e3:.2f} ms | {taken[1] * 1e3:.2f} ms | "
-          f"{taken[1] / taken[0]:.2f} |")  # fmt: skip
+        list(drawn_echoes(settings, displacement_m, pulse, GATE_S, rng, 16))
+        times_s.append(
+            timed(lambda s=settings, p=pulse, r=rng: list(drawn_echoes(s, displacement_m, p, GATE_S, r, 64)))[1] / 64
+        )
+    print(f"| one draw of 101 echoes in a study | {times_s[0] * 1e3:.2f} ms | {times_s[1] * 1e3:.2f} ms | "
+          f"{times_s[1] / times_s[0]:.2f} |")  # fmt: skip
 
 
 def tracked(draws: int) -> None:
-    """Print tracked over peak displacement in both beams, by the phase of all echoes at once."""
-    print("\n## Tracked over peak displacement, noise-free, 1 mm gate, 200 nm\n")
-    print(f"| motion | beams | mean of {draws} draws | standard deviation | of the mean |")
+    """Print the ratio of tracked to peak displacement with both kinds of beam, from the phase of the complete echo."""
+    print("\n## Tracked / peak displacement, noise-free, 1 mm gate, 200 nm\n")
+    print(f"| motion | beams | mean of {draws} draws | standard deviation | standard error |")
     print("|---|---|---|---|---|")
     medium = {"shear_modulus_pa": 9e3, "shear_viscosity_pa_s": 2.0}
-    for name, more in (("Gaussian of eq. (12), 0.34 mm", {}), ("medium at 200 Hz, in phase", {"specimen": medium})):
+    for name, sections in (("Gaussian of eq. (12), 0.34 mm", {}), ("medium at 200 Hz, in phase", {"specimen": medium})):
         for label, beams in (("Gaussian", GAUSSIAN), ("aperture", APERTURE)):
-            ratio = [_ratio(settings_of(beams | {"excitation_width_m": GAUSSIAN["excitation_width_m"]}, seed=seed, **more), seed) for seed in range(draws)]  # noqa: E501  # fmt: skip
-            spread = np.std(ratio)
-            print(f"| {name} | {label} | {np.mean(ratio):.4f} | {spread:.4f} | {spread / np.sqrt(draws):.4f} |")
+            beams_of_push = beams | {"excitation_width_m": GAUSSIAN["excitation_width_m"]}
+            ratio = [_ratio(settings_of(beams_of_push, seed=seed, **sections), seed) for seed in range(draws)]
+            sd = np.std(ratio)
+            print(f"| {name} | {label} | {np.mean(ratio):.4f} | {sd:.4f} | {sd / np.sqrt(draws):.4f} |")
 
 
 def _ratio(settings: SimulationSettings, seed: int) -> float:
-    """Return the tracked over the focus' displacement in one draw, by the echoes' correlation."""
+    """Return tracked / peak displacement of one draw, from the correlation of the echoes."""
     field = draw_field(settings.scatterers, settings.beams, np.random.default_rng(seed))
     pulse = echo_pulse(settings, 9e6)
     weight, response, delay_ratio = field.tracking_weight, None, np.ones(1)
@@ -204,17 +212,18 @@ def _ratio(settings: SimulationSettings, seed: int) -> float:
     if settings.specimen is not None:
         shape = _in_phase(settings, field.offset_m)
     delay_s = 2 * field.offset_m[:, 2] / SPEED
-    moved_m = np.array([0.0, 200e-9])
-    delays = EchoDelays.of_motion(delay_s, shape * delay_ratio, moved_m, SPEED, response)
-    made = echoes(delays, weight, pulse, GATE_S, 1e-9)
-    # The lower sideband away: the phase of the correlation of analytic echoes, over that of their own mean frequency.
-    analytic = [_analytic(each) for each in made]
-    turned = np.angle(np.vdot(analytic[1], analytic[0]))
-    step = np.angle(np.vdot(analytic[0][:-1], analytic[0][1:]))
-    return float(turned / (step / 1e-8) * SPEED / 2 / 200e-9)
+    displacement_m = np.array([0.0, 200e-9])
+    delays = EchoDelays.of_motion(delay_s, shape * delay_ratio, displacement_m, SPEED, response)
+    volts = echoes(delays, weight, pulse, GATE_S, 1e-9)
+    # Displacement from the phase between analytic echoes, scaled by the mean frequency of the echo.
+    analytic = [_analytic(echo) for echo in volts]
+    phase = np.angle(np.vdot(analytic[1], analytic[0]))
+    phase_step = np.angle(np.vdot(analytic[0][:-1], analytic[0][1:]))
+    return float(phase / (phase_step / 1e-8) * SPEED / 2 / 200e-9)
 
 
 def _analytic(echo: FloatArray) -> ComplexArray:
+    """Return the analytic signal of a windowed echo."""
     spectrum = np.fft.fft(np.pad(echo * np.hanning(len(echo)), 190))
     spectrum[len(spectrum) // 2 :] = 0
     return np.asarray(np.fft.ifft(spectrum))
@@ -224,7 +233,7 @@ _SHAPES: dict[str, Any] = {}
 
 
 def _in_phase(settings: SimulationSettings, offset_m: FloatArray) -> FloatArray:
-    """Return the medium's displacement at 200 Hz at the scatterers, in phase with the focus' and over it."""
+    """Return the displacement at 200 Hz at the scatterers, in phase with that of the focus and relative to it."""
     from scipy.interpolate import RectBivariateSpline
 
     from sim_backend.motion import field_transfer, force_shape
@@ -240,19 +249,19 @@ def _in_phase(settings: SimulationSettings, offset_m: FloatArray) -> FloatArray:
 
 
 NOISE_M, PEAK_M = 0.7e-9, 800e-9
-PLACES_M = {"1 to 6 mm, five": (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3), "1 mm": (1e-3,), "axis": (0.0,)}
+OFFSETS_M = {"1 to 6 mm, five": (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3), "1 mm": (1e-3,), "axis": (0.0,)}
 
 
 def moduli() -> None:
-    """Print what a fit of moduli makes of the twin's push, by a Gaussian force and by the aperture's own."""
+    """Print moduli fitted to the push of the twin, with a Gaussian force and with the force of the aperture."""
     from hpe_rig.medium import PushForce, aperture_force
 
-    own = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
-    pushes = {"Gaussian": PushForce((0.34e-3,), 3.6e-3), "aperture": own}
-    print("\n| medium | places | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
+    aperture = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
+    pushes = {"Gaussian": PushForce((0.34e-3,), 3.6e-3), "aperture": aperture}
+    print("\n| medium | offsets | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
     for mu1, mu2 in ((7.25e3, 1.0), (9e3, 2.0)):
         settings = settings_of(APERTURE, specimen={"shear_modulus_pa": mu1, "shear_viscosity_pa_s": mu2})
-        for name in PLACES_M:
+        for name in OFFSETS_M:
             for kind, force in pushes.items():
                 print(
                     f"| {mu1 * 1e-3:g} kPa, {mu2:g} Pa s | {name} | {kind} | {fitted(settings, name, force)} |",
@@ -261,16 +270,16 @@ def moduli() -> None:
 
 
 def measured() -> None:
-    """Print what a fit makes of bowls that move unevenly, by the force of an even bowl and by that of a scan of theirs.
+    """Print moduli fitted for bowls with non-uniform velocity, with the force of a uniform bowl and of a scanned beam.
 
-    The scan is one without phase, every 50 um across and 0.25 mm along, 9 mm and 22 mm to each side.
+    The scan has magnitudes only, every 50 um laterally and 0.25 mm axially, to 9 mm and 22 mm on each side.
     """
     from hpe_rig.bench import scanned_push
     from hpe_rig.medium import aperture_force, scanned_force
 
-    even = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
+    uniform = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
     k = wave_number(3e6, SPEED, 0.5)
-    print("\n| surface moves | places | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
+    print("\n| surface velocity | offsets | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
     for shape in ("uniform", "parabolic", "hann"):
         bowl = Transducer(apodisation=shape)
         with TemporaryDirectory() as folder:
@@ -280,13 +289,13 @@ def measured() -> None:
         settings = settings_of(APERTURE, specimen={"shear_modulus_pa": 7.25e3, "shear_viscosity_pa_s": 1.0})
         beams = settings.beams.model_copy(update={"transducer": bowl})
         settings = settings.model_copy(update={"beams": beams})
-        for name in PLACES_M:
-            for kind, force in (("even bowl", even), ("scanned", scanned)):
+        for name in OFFSETS_M:
+            for kind, force in (("uniform bowl", uniform), ("scanned", scanned)):
                 print(f"| {shape} | {name} | {kind} | {fitted(settings, name, force)} |", flush=True)
 
 
 def _scan_push(bowl: Transducer, wave_number_per_m: complex, path: str) -> None:
-    """Write a scan of the bowl's beam, from the axis outwards."""
+    """Write a scan of the beam of the bowl, from the axis outwards."""
     across_m, along_m = np.linspace(0, 9e-3, 181), np.linspace(-22e-3, 22e-3, 177)
     pressure = np.abs(bowl_pressure(bowl, wave_number_per_m, across_m, along_m))
     z, x = np.meshgrid(along_m, across_m, indexing="ij")
@@ -294,38 +303,38 @@ def _scan_push(bowl: Transducer, wave_number_per_m: complex, path: str) -> None:
     np.savetxt(path, table, delimiter=",", header="x_m,y_m,z_m,pressure_pa", comments="")
 
 
-def fitted(settings: SimulationSettings, places: str, force: "PushForce") -> str:
-    """Return errors of mu1 and mu2 with their u, and chi-square, from noise-free motion at ``places`` with weights."""
+def fitted(settings: SimulationSettings, offsets: str, force: "PushForce") -> str:
+    """Return errors of mu1 and mu2 with u, and chi-square, fitted to noise-free motion at ``offsets`` with weights."""
     from hpe_rig.moduli import Push, Vibration, fit_medium
     from sim_backend.motion import field_transfer
 
     assert settings.specimen is not None
     specimen, frequency_hz = settings.specimen, np.arange(100.0, 1001.0, 100.0)
-    places_m = PLACES_M[places]
-    where = np.array([0.0, *places_m])
-    field = field_transfer(specimen, push_intensity(settings), where, np.zeros(1), frequency_hz)
+    offsets_m = OFFSETS_M[offsets]
+    axis_and_offsets_m = np.array([0.0, *offsets_m])
+    field = field_transfer(specimen, push_intensity(settings), axis_and_offsets_m, np.zeros(1), frequency_hz)
     push = Push(force, 100.0, 100e-6)
     motion = field[:, :, 0] * push.spectrum(frequency_hz)[:, None]
     motion *= PEAK_M / abs(motion[0, 0])
-    known = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}
-    seen = [
-        Vibration(f"{at:g}", frequency_hz, each, NOISE_M**2 * np.eye(20), at, **known)
-        for at, each in zip(places_m, motion.T[1:], strict=True)
+    uncertainties = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}
+    vibrations = [
+        Vibration(f"{lateral_m:g}", frequency_hz, phasor_m, NOISE_M**2 * np.eye(20), lateral_m, **uncertainties)
+        for lateral_m, phasor_m in zip(offsets_m, motion.T[1:], strict=True)
     ]
-    return compared(fit_medium(seen, push), specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s)
+    return compared(fit_medium(vibrations, push), specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s)
 
 
 def compared(fit: "Moduli", mu1_pa: float, mu2_pa_s: float) -> str:
-    """Return the errors of a Voigt fit with their u, and chi-square."""
+    """Return errors of a Voigt fit with u, and chi-square."""
     truth = (("shear_modulus_pa", mu1_pa), ("viscosity_pa_s", mu2_pa_s))
-    off = [
+    errors = [
         f"{100 * (fit.values[key] / true - 1):+.1f} ± {100 * fit.uncertainty[key] / true:.1f} %" for key, true in truth
     ]
-    return f"{off[0]} | {off[1]} | {fit.chi_square:.3g} over {fit.freedom}"
+    return f"{errors[0]} | {errors[1]} | {fit.chi_square:.3g} over {fit.freedom}"
 
 
 def records(seeds: Sequence[int]) -> None:
-    """Print what fits make of ``gelatin-moduli``, measured on the twin in the aperture's beams, two media a seed."""
+    """Print moduli fitted to ``gelatin-moduli`` on the twin with the beams of the aperture, two media per seed."""
     from hpe_rig import load_scene, measure
     from hpe_rig.moduli import Source, fit_medium, push_of, vibrations_of
 
@@ -334,36 +343,42 @@ def records(seeds: Sequence[int]) -> None:
     )
     scene = gaussian.with_({"beams.transducer_diameter_m": PAPER.diameter_m})
     pushes = {"aperture": push_of([scene]), "Gaussian": push_of([gaussian])}
-    print("\n| seed | medium | places | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---|---:|---:|---:|")
+    print("\n| seed | medium | offsets | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---|---:|---:|---:|")
     for seed in seeds:
         for mu1, mu2 in ((7.25e3, 1.0), (9e3, 2.0)):
             medium = {"simulation.specimen.shear_modulus_pa": mu1, "simulation.specimen.shear_viscosity_pa_s": mu2}
             with TemporaryDirectory() as folder:
                 run = measure(scene.with_(medium | {"simulation.seed": seed}), path=Path(folder) / "run.h5")
                 vibrations, _ = vibrations_of([Source("", run.scene, run.plan, run.stored)])
-            for places, some in (("1 to 6 mm, five", vibrations), ("1 mm", vibrations[:1])):
+            for offsets, subset in (("1 to 6 mm, five", vibrations), ("1 mm", vibrations[:1])):
                 for kind, push in pushes.items():
-                    found = compared(fit_medium(some, push), mu1, mu2)
-                    print(f"| {seed} | {mu1 * 1e-3:g} kPa, {mu2:g} Pa s | {places} | {kind} | {found} |", flush=True)
+                    errors = compared(fit_medium(subset, push), mu1, mu2)
+                    print(f"| {seed} | {mu1 * 1e-3:g} kPa, {mu2:g} Pa s | {offsets} | {kind} | {errors} |", flush=True)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print the requested tables; default: all except those of --measured and --records."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=400)
-    parser.add_argument("--moduli", action="store_true", help="the table of fitted moduli alone")
-    parser.add_argument("--measured", action="store_true", help="the table of moduli by beams that are no even bowl's")
-    parser.add_argument("--records", type=int, nargs="+", metavar="SEED", help="the table of moduli from records alone")
-    given = parser.parse_args()
-    assert j0(0) == 1
-    if given.records:
-        records(given.records)
-        raise SystemExit
-    if given.measured:
+    parser.add_argument("--moduli", action="store_true", help="only: table of fitted moduli")
+    parser.add_argument("--measured", action="store_true", help="only: moduli for bowls with non-uniform velocity")
+    parser.add_argument(
+        "--records", type=int, nargs="+", metavar="SEED", help="only: moduli from records of these seeds"
+    )
+    arguments = parser.parse_args()
+    if arguments.records:
+        records(arguments.records)
+        return
+    if arguments.measured:
         measured()
-        raise SystemExit
-    if not given.moduli:
+        return
+    if not arguments.moduli:
         radiation()
         push()
         costs()
-        tracked(given.draws)
+        tracked(arguments.draws)
     moduli()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,11 +1,11 @@
-"""Distributions of errors that are not normal: speckle, and speckle under a force of unknown width.
+"""Distributions of errors that are not normal: speckle, and speckle with a force of unknown width.
 
-Usage: python scripts/validation/error_distributions.py [FOLDER]     the figure is written to docs/figures unless FOLDER is given
+Usage: python scripts/validation/error_distributions.py [FOLDER]     default folder of the figure: docs/figures
 
-u is the standard deviation of an error, whatever its distribution: (error / u)^2 is 1 on the mean. The share within u
-then is not that of a normal error. Drawn are the relative error of the tracked amplitude by speckle in the scene
-`table-1`, without and with the Hann window of the paper's chain; the first times the inverse square of a force's width,
-log-normal by 0.3, which a phase's error by speckle is in proportion to in `bovine-muscle`.
+u is the standard deviation of an error of any distribution: the mean of (error / u)^2 is 1, but the fraction within u
+is not that of a normal error. The figure shows the relative error of the tracked amplitude due to speckle in the scene
+`table-1`, without and with the Hann window of the paper's chain. The third error is the first divided by the square of
+a log-normal width (0.3): in `bovine-muscle` the phase error due to speckle has this form.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.prediction import draw_speckle, resting_conditions, tracked_over_peak
 
 DRAWS = 20_000
-WIDTH_SPREAD = 0.3
-"""That of the prior's `BeamWidths`."""
+WIDTH_LOG_SD = 0.3
+"""Standard deviation of the logarithm of the force's width, as in the prior's `BeamWidths`."""
 K_95 = 1.959964
-SHOWN = np.linspace(-4, 4, 65)
+BINS = np.linspace(-4, 4, 65)
 
 
 def speckle(estimator: str) -> FloatArray:
-    """Return the relative error of the tracked amplitude over its standard deviation, (draw,)."""
+    """Return the error of the tracked amplitude relative to its standard deviation, (draw,)."""
     resting = resting_conditions(hpe.load_scene("table-1"))
     assert resting is not None
     ratio = tracked_over_peak(resting, estimator, draw_speckle(resting, np.random.default_rng(1), DRAWS))
@@ -37,26 +37,26 @@ def speckle(estimator: str) -> FloatArray:
 
 
 def with_width(error: FloatArray) -> FloatArray:
-    """Return ``error`` in a force whose width is not known: the steepness of a motion goes with its inverse square."""
-    steep = np.exp(-2 * WIDTH_SPREAD * np.random.default_rng(2).standard_normal(error.size))
-    return np.asarray(error * steep / np.sqrt(np.mean((error * steep) ** 2)))
+    """Return ``error`` for a force of unknown width: the gradient of the motion is proportional to 1 / width²."""
+    gradient = np.exp(-2 * WIDTH_LOG_SD * np.random.default_rng(2).standard_normal(error.size))
+    return np.asarray(error * gradient / np.sqrt(np.mean((error * gradient) ** 2)))
 
 
 def summary(name: str, error: FloatArray) -> str:
-    """Return how often ``error``, over u, lies within u and 1.96 u, its mean square and kurtosis."""
-    held = [100 * float(np.mean(np.abs(error) < k)) for k in (1.0, K_95)]
+    """Return a row with the percentages of ``error`` (in u) within u and 1.96 u, its mean square and kurtosis."""
+    percentages = [100 * float(np.mean(np.abs(error) < k)) for k in (1.0, K_95)]
     square = float(np.mean(error**2))
     kurtosis = float(np.mean(error**4)) / square**2
-    of_u, of_k = (f"{each:.0f} %" for each in held)
-    return f"| {name} | {of_u} | {of_k} | {square:.2f} | {kurtosis:.1f} |"
+    within_u, within_k = (f"{value:.0f} %" for value in percentages)
+    return f"| {name} | {within_u} | {within_k} | {square:.2f} | {kurtosis:.1f} |"
 
 
 def draw(errors: dict[str, FloatArray]) -> Figure:
-    """Return the densities of ``errors``, over u, beside that of a normal error."""
+    """Draw the densities of ``errors`` (in u) and that of a normal error."""
     figure = Figure(figsize=(7.4, 2.5), layout="constrained")
     for axes, (name, error) in zip(figure.subplots(1, len(errors), sharey=True), errors.items(), strict=True):
-        axes.hist(np.clip(error.ravel(), *SHOWN[[0, -1]]), SHOWN, density=True, color="#0072B2", alpha=0.8)
-        axes.plot(SHOWN, np.exp(-(SHOWN**2) / 2) / np.sqrt(2 * np.pi), color="#D55E00", label="normal")
+        axes.hist(np.clip(error.ravel(), *BINS[[0, -1]]), BINS, density=True, color="#0072B2", alpha=0.8)
+        axes.plot(BINS, np.exp(-(BINS**2) / 2) / np.sqrt(2 * np.pi), color="#D55E00", label="normal")
         axes.set(xlabel="error over u", title=name)
         axes.title.set_size(8)
         axes.spines[["top", "right"]].set_visible(False)
@@ -69,13 +69,13 @@ def main() -> None:
     """Print the table and write error-distributions.svg."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = Path(__file__).parents[2] / "docs" / "figures"
-    parser.add_argument("folder", nargs="?", type=Path, default=default, help="where the figure is written")
+    parser.add_argument("folder", nargs="?", type=Path, default=default, help="folder of the figure")
     path = parser.parse_args().folder
-    dark = speckle("coherent")
+    coherent = speckle("coherent")
     errors = {
-        "speckle, table-1": dark,
+        "speckle, table-1": coherent,
         "speckle, gate with Hann window": speckle("cross_spectrum"),
-        "speckle, force of unknown width": with_width(dark),
+        "speckle, force of unknown width": with_width(coherent),
     }
     print("| error | within u | within 1.96 u | NEV | kurtosis |", "|---|---:|---:|---:|---:|", sep="\n")
     print(*(summary(name, error) for name, error in errors.items()), sep="\n")

@@ -1,6 +1,6 @@
 """Error due to the edges of the gate: rigid motion of 1 um, by estimator, gate length and margin.
 
-Echoes are noise-free and from scatterers on the axis. The table has mean and standard deviation over draws of scatterers.
+Noise-free echoes of scatterers on the axis; the table has mean and standard deviation over draws of scatterers.
 """
 
 from __future__ import annotations

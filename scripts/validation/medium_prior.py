@@ -1,14 +1,14 @@
-"""Tables and figure of what the prior of media leaves of noise and aliasing, beside plain least squares.
+"""Noise and aliasing errors of fits with the medium prior, compared with plain least squares: tables and a figure.
 
-Usage: python scripts/validation/medium_prior.py [FOLDER]     the figure is written to docs/figures unless FOLDER is given
-       python scripts/validation/medium_prior.py --constants  what the prior's constants buy, and nothing else
-       python scripts/validation/medium_prior.py --narrow     beams of half the width, a force of half the declared, nothing else
-       python scripts/validation/medium_prior.py --little-noise  shipped scenes without jitter in less and less noise, nothing else
+Usage: python scripts/validation/medium_prior.py [FOLDER]        all tables; default folder of the figure: docs/figures
+       python scripts/validation/medium_prior.py --constants     effect of the constants of the prior
+       python scripts/validation/medium_prior.py --narrow        beams or force of half the width
+       python scripts/validation/medium_prior.py --little-noise  shipped scenes without jitter, noise reduced in steps
 
-Truths are the media's own fields, 1000 harmonics, quadrature apart from the ensemble's. Errors are the largest of ten
-harmonics, of the mean over noise and its negative; gain and u are over those of one sinusoid in the same noise. Then
-coverage over media drawn at random from the ensemble's families, apart from its points, together and family by family,
-and the muscle scene.
+True motions are the fields of the media with 1000 harmonics, by another quadrature than that of the ensemble. Errors
+are the largest of ten harmonics, for the mean over noise and its negative. Gain and u are relative to those of one
+sinusoid in the same noise. Further tables have the coverage over random media of the families of the ensemble, together
+and by family, and the muscle scene.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from hpe_rig.processing import (
 
 BEAMS = BeamWidths((0.34e-3, 0.34e-3, 3.60e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.3e-3)
 NARROW = BeamWidths((0.17e-3, 0.17e-3, 1.80e-3), (0.155e-3, 0.155e-3, 1.68e-3), 0.3e-3)
-"""Those of eq. (12) and Table I."""
+"""Widths of eq. (12) and Table I."""
 RATE_HZ, LENGTH_S = 100.0, 100e-6
 HARMONIC = np.arange(1, 1001)
 WANTED_HZ = RATE_HZ * np.arange(1.0, 11.0)
@@ -63,7 +63,8 @@ TRAINS = {"shifting 3990 Hz": (3990.0, 131e-6), "synchronous 4000 Hz": (4000.0, 
 DRIVEN_HZ = 1 / LENGTH_S
 FAMILIES = ("Voigt", "Zener", "power law", "nearly elastic", "Maxwell")
 DRIVES = (0.01, 1.0, 100.0)
-DRAWN, ALONE = 100, 40
+MEDIA, MEDIA_PER_FAMILY = 100, 40
+"""Random media per row of the coverage tables."""
 JITTER_S = 1e-9
 SEEDS = 8
 CONSTANTS: tuple[Mapping[str, float], ...] = (
@@ -80,10 +81,10 @@ PRIOR, PLAIN = "#0072B2", "#D55E00"
 
 
 def media() -> dict[str, tuple[ComplexArray, float]]:
-    """Return modulus (harmonic,) and how much wider the force is than declared."""
+    """Return modulus (harmonic,) and width of the force relative to the declared one, by name."""
     s = 2j * np.pi * RATE_HZ * HARMONIC
     elastic = np.full(HARMONIC.size, 9e3 + 1e-6j)
-    every: dict[str, tuple[ComplexArray, float]] = {
+    moduli: dict[str, tuple[ComplexArray, float]] = {
         "Voigt 2 kPa, 1 Pa s": (2e3 + s * 1.0, 1.0),
         "Voigt 9 kPa, 2 Pa s": (9e3 + s * 2.0, 1.0),
         "Voigt 30 kPa, 3 Pa s": (30e3 + s * 3.0, 1.0),
@@ -93,51 +94,51 @@ def media() -> dict[str, tuple[ComplexArray, float]]:
         "elastic 9 kPa": (elastic, 1.0),
         "Maxwell 9 kPa, 5 Pa s": (1 / (1 / 9e3 + 1 / (s * 5.0)), 1.0),
     }
-    return every
+    return moduli
 
 
-def harmonics(modulus_pa: ComplexArray, wider: float, longer: float | None = None) -> ComplexArray:
-    """Return A exp(j phase) of the tracked motion (harmonic,)."""
+def harmonics(modulus_pa: ComplexArray, width_scale: float, length_scale: float | None = None) -> ComplexArray:
+    """Return the phasors A exp(j phase) of the tracked motion (harmonic,), with an rms of 0.5 um."""
     x, y, z = BEAMS.force_width_m
-    width_m = wider * x, wider * y, (longer or wider) * z
+    width_m = width_scale * x, width_scale * y, (length_scale or width_scale) * z
     beams = BeamWidths(width_m, BEAMS.tracking_width_m, BEAMS.depth_sd_m)
-    moved = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), beams)[0]
+    transfer = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), beams)[0]
     duty = RATE_HZ * LENGTH_S
-    wave = 1j * moved * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
+    wave = 1j * transfer * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
     return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))
 
 
 def train(rate_hz: float, delay_s: float) -> tuple[FloatArray, BoolArray]:
-    """Return times (pulse,) over 15 burst periods, from a burst's onset, and which pulses no burst disturbs."""
+    """Return times (pulse,) over 15 burst periods, from the onset of a burst, and a mask of undisturbed pulses."""
     time_s = 0.05 + delay_s + np.arange(round(0.15 * rate_hz)) / rate_hz
-    inside = time_s % (1 / RATE_HZ)
-    return time_s, (inside > 105e-6) & (inside < 1 / RATE_HZ - 95e-6)
+    phase_s = time_s % (1 / RATE_HZ)
+    return time_s, (phase_s > 105e-6) & (phase_s < 1 / RATE_HZ - 95e-6)
 
 
 @functools.cache
 def harmonics_at(rate_hz: float, delay_s: float) -> FloatArray:
-    """Return in-phase and quadrature of every harmonic at the pulses of a train, (pulse, 2 * harmonic)."""
+    """Return the columns of all harmonics at the pulses of a train, (pulse, 2 * harmonic)."""
     return harmonic_columns(train(rate_hz, delay_s)[0], RATE_HZ * HARMONIC)
 
 
 def measured(
     rate_hz: float, delay_s: float, wave: ComplexArray, noise_m: float, trials: int = 40, seed: int = 1
 ) -> Motion:
-    """Return trains of ``wave`` (harmonic,) with noise and with its negative."""
+    """Return the motion of ``wave`` (harmonic,) at a pulse train, with noise and with its negative."""
     time_s, valid = train(rate_hz, delay_s)
-    parts = np.stack([wave.real, wave.imag], axis=-1).ravel()
+    state = np.stack([wave.real, wave.imag], axis=-1).ravel()
     noise = noise_m * np.random.default_rng(seed).standard_normal((trials, time_s.size))
-    moved = harmonics_at(rate_hz, delay_s) @ parts + np.concatenate([noise, -noise])
-    return Motion(time_s, moved, np.full(moved.shape, noise_m**2), valid)
+    displacement_m = harmonics_at(rate_hz, delay_s) @ state + np.concatenate([noise, -noise])
+    return Motion(time_s, displacement_m, np.full(displacement_m.shape, noise_m**2), valid)
 
 
 def plain(motion: Motion) -> HarmonicFit:
-    """Return least squares, every harmonic free that the pulses tell apart."""
+    """Fit by least squares, with all driven harmonics that the pulses resolve as free parameters."""
     return least_squares(motion, WANTED_HZ, also_hz=RATE_HZ * np.arange(11.0, DRIVEN_HZ / RATE_HZ + 1))
 
 
 def summary(fit: HarmonicFit, wave: ComplexArray, sinusoid_m: float) -> tuple[float, float, float, float, float]:
-    """Return percent and degrees of the mean's largest error, gain, u over a sinusoid's, and NEV."""
+    """Return the largest error of the mean in percent and degrees, gain and u relative to a sinusoid, and NEV."""
     state = fit.state[..., :20]
     error = state - np.stack([wave[:10].real, wave[:10].imag], axis=-1).ravel()
     ratio = (state.mean(axis=0)[::2] + 1j * state.mean(axis=0)[1::2]) / wave[:10]
@@ -152,30 +153,32 @@ def summary(fit: HarmonicFit, wave: ComplexArray, sinusoid_m: float) -> tuple[fl
 
 
 def rows(trains: Sequence[str] = tuple(TRAINS), noises_m: Sequence[float] = NOISE_M) -> Iterator[str]:
-    """Yield the table: a row for each train, noise and medium."""
+    """Yield the table, one row per train, noise and medium."""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
     yield "| pulses | noise | medium | prior: error | gain | u | NEV | p | plain: error | gain | NEV |"
     yield "|---|---|---|---|---|---|---|---|---|---|---|"
     for name, at in ((name, TRAINS[name]) for name in trains):
         for noise_m in noises_m:
             sinusoid_m = noise_m * float(np.sqrt(2 / train(*at)[1].sum()))
-            for medium, (modulus_pa, wider) in media().items():
-                wave = harmonics(modulus_pa, wider)
+            for medium, (modulus_pa, width_scale) in media().items():
+                wave = harmonics(modulus_pa, width_scale)
                 motion = measured(*at, wave, noise_m)
-                found = medium_fit(motion, WANTED_HZ, prior)
-                off, turn, gain, u, nev = summary(found.fit, wave, sinusoid_m)
-                old = summary(plain(motion), wave, sinusoid_m)
+                prior_fit = medium_fit(motion, WANTED_HZ, prior)
+                percent, degrees, gain, u, nev = summary(prior_fit.fit, wave, sinusoid_m)
+                plain_percent, plain_degrees, plain_gain, _, plain_nev = summary(plain(motion), wave, sinusoid_m)
                 yield (
-                    f"| {name} | {noise_m * 1e9:.3g} nm | {medium} | {off:.2f} %, {turn:.2f} deg | {gain:.2f} "
-                    f"| {u:.2f} | {nev:.2f} | {float(np.median(found.evidence.significance)):.2f} "
-                    f"| {old[0]:.2f} %, {old[1]:.2f} deg | {old[2]:.2f} | {old[4]:.1f} |"
+                    f"| {name} | {noise_m * 1e9:.3g} nm | {medium} | {percent:.2f} %, {degrees:.2f} deg | {gain:.2f} "
+                    f"| {u:.2f} | {nev:.2f} | {float(np.median(prior_fit.evidence.significance)):.2f} "
+                    f"| {plain_percent:.2f} %, {plain_degrees:.2f} deg | {plain_gain:.2f} | {plain_nev:.1f} |"
                 )
 
 
-def drawn(family: str, generator: np.random.Generator, wider: tuple[float, float] | None = None) -> ComplexArray:
-    """Return A exp(j phase) (harmonic,) of a medium of ``family`` and a force, as the ensemble spreads them.
+def random_harmonics(
+    family: str, generator: np.random.Generator, scales: tuple[float, float] | None = None
+) -> ComplexArray:
+    """Return the phasors (harmonic,) of a random medium of ``family``, from the distributions of the ensemble.
 
-    Or of a force so many times as wide and as long as declared.
+    ``scales``: width and length of the force relative to the declared ones; default random.
     """
 
     def log_even(limits: tuple[float, float]) -> float:
@@ -188,106 +191,110 @@ def drawn(family: str, generator: np.random.Generator, wider: tuple[float, float
                 s * log_even(PRIOR_RANGES["viscosity_pa_s"]),
                 modulus_pa * log_even(PRIOR_RANGES["branch_over_modulus"]),
             )
-            found = modulus_pa + loss_pa / (1 + loss_pa / branch_pa)
+            modulus = modulus_pa + loss_pa / (1 + loss_pa / branch_pa)
         case "power law":
-            found = modulus_pa * (s / (2 * np.pi * PRIOR_POWER_MODULUS_HZ)) ** generator.uniform(*PRIOR_RANGES["power"])
+            modulus = modulus_pa * (s / (2 * np.pi * PRIOR_POWER_MODULUS_HZ)) ** generator.uniform(
+                *PRIOR_RANGES["power"]
+            )
         case "Maxwell":
             loss_pa = s * log_even(PRIOR_RANGES["maxwell_viscosity_pa_s"])
-            found = loss_pa / (1 + loss_pa / modulus_pa)
+            modulus = loss_pa / (1 + loss_pa / modulus_pa)
         case _:
-            found = modulus_pa + s * log_even(
+            modulus = modulus_pa + s * log_even(
                 PRIOR_RANGES["viscosity_pa_s"] if family == "Voigt" else PRIOR_RANGES["low_viscosity_pa_s"]
             )
-    wide, deep = wider or np.exp(BEAMS.width_log_sd * generator.standard_normal(2)).tolist()
-    return harmonics(np.asarray(found), wide, deep)
+    width_scale, length_scale = scales or np.exp(BEAMS.width_log_sd * generator.standard_normal(2)).tolist()
+    return harmonics(np.asarray(modulus), width_scale, length_scale)
 
 
 def coverage() -> Iterator[str]:
-    """Yield how often intervals of the quadratures hold the truth, over media drawn at random."""
+    """Yield NEV and coverage of the intervals of the quadratures over random media."""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
-    yield f"| pulses | noise | drive | NEV | within u | within 1.96 u |   of {DRAWN} media each"
+    yield f"| pulses | noise | drive | NEV | within u | within 1.96 u |   of {MEDIA} media each"
     yield "|---|---|---|---|---|---|"
     for name, at in TRAINS.items():
         for noise_m in NOISE_M:
             for drive in DRIVES:
                 generator, ratio = np.random.default_rng(2), []
-                for index in range(DRAWN):
-                    wave = drive * drawn(FAMILIES[index % len(FAMILIES)], generator)
-                    ratio.append(_over_u(prior, at, wave, noise_m, index))
+                for index in range(MEDIA):
+                    wave = drive * random_harmonics(FAMILIES[index % len(FAMILIES)], generator)
+                    ratio.append(_standardised_errors(prior, at, wave, noise_m, index))
                 yield f"| {name} | {noise_m * 1e9:.3g} nm | {drive:g} | {_covered(ratio)} |"
 
 
 def narrow() -> Iterator[str]:
-    """Yield the table for beams of half the width, pulses that stand still, and coverage of a force half as wide."""
+    """Yield the table for narrow beams at the synchronous rate, and coverage for a force of half the width."""
     with mock.patch.object(sys.modules[__name__], "BEAMS", NARROW):
         yield from rows(["synchronous 4000 Hz"], NOISE_M[1:])
     yield ""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
-    yield f"| pulses | noise | drive | NEV | within u | within 1.96 u |   half as wide, {DRAWN} media each"
+    yield f"| pulses | noise | drive | NEV | within u | within 1.96 u |   half as wide, {MEDIA} media each"
     yield "|---|---|---|---|---|---|"
     for name, noise_m, drive in itertools.product(TRAINS, NOISE_M[1:], DRIVES[1:]):
         generator, ratio = np.random.default_rng(2), []
-        for index in range(DRAWN):
-            wave = drive * drawn(FAMILIES[index % len(FAMILIES)], generator, (0.5, 0.5))
-            ratio.append(_over_u(prior, TRAINS[name], wave, noise_m, index))
+        for index in range(MEDIA):
+            wave = drive * random_harmonics(FAMILIES[index % len(FAMILIES)], generator, (0.5, 0.5))
+            ratio.append(_standardised_errors(prior, TRAINS[name], wave, noise_m, index))
         yield f"| {name} | {noise_m * 1e9:.3g} nm | {drive:g} | {_covered(ratio)} |"
 
 
 def families() -> Iterator[str]:
-    """Yield NEV and how often intervals hold the truth for media of each family alone."""
+    """Yield NEV and coverage of the intervals by family of media."""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
-    yield f"| pulses | noise | family | NEV | within u | within 1.96 u |   of {ALONE} media each"
+    yield f"| pulses | noise | family | NEV | within u | within 1.96 u |   of {MEDIA_PER_FAMILY} media each"
     yield "|---|---|---|---|---|---|"
     for name, at in TRAINS.items():
         for noise_m in NOISE_M[1:]:
             for family in FAMILIES:
                 generator, ratio = np.random.default_rng(2), []
-                for index in range(ALONE):
-                    ratio.append(_over_u(prior, at, drawn(family, generator), noise_m, index))
+                for index in range(MEDIA_PER_FAMILY):
+                    ratio.append(_standardised_errors(prior, at, random_harmonics(family, generator), noise_m, index))
                 yield f"| {name} | {noise_m * 1e9:.3g} nm | {family} | {_covered(ratio)} |"
 
 
-def _over_u(prior: MediumPrior, at: tuple[float, float], wave: ComplexArray, noise_m: float, seed: int) -> FloatArray:
-    """Return errors of the quadratures over u (train, state)."""
+def _standardised_errors(
+    prior: MediumPrior, at: tuple[float, float], wave: ComplexArray, noise_m: float, seed: int
+) -> FloatArray:
+    """Return the errors of the quadratures in units of u (train, state)."""
     fit = medium_fit(measured(*at, wave, noise_m, 2, seed), WANTED_HZ, prior).fit
     error = fit.state[..., :20] - np.stack([wave[:10].real, wave[:10].imag], axis=-1).ravel()
     return np.asarray(error / np.sqrt(np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[..., :20]))
 
 
 def _covered(ratio: list[FloatArray]) -> str:
-    held = [100 * np.mean(np.abs(ratio) < k) for k in (1.0, 1.96)]
-    return f"{np.mean(np.square(ratio)):.2f} | {held[0]:.0f} % | {held[1]:.0f} %"
+    percentages = [100 * np.mean(np.abs(ratio) < k) for k in (1.0, 1.96)]
+    return f"{np.mean(np.square(ratio)):.2f} | {percentages[0]:.0f} % | {percentages[1]:.0f} %"
 
 
 def muscle_scene() -> Iterator[str]:
-    """Yield what the shipped muscle scene states, over one sinusoid in the same noise, with and without jitter."""
+    """Yield the stated u of the shipped muscle scene relative to one sinusoid, with and without jitter."""
     yield "| bovine-muscle | noise a pulse | rms | worst | of noise | of aliasing | worst |"
     yield "|---|---|---|---|---|---|---|"
     for jitter_s in (0.0, JITTER_S):
-        for what, change in (
+        for name, change in (
             ("prior", {}),
             ("prior, [medium]", {"medium.shear_modulus_pa": 12e3, "medium.shear_viscosity_pa_s": 5.7}),
             ("least squares", {"processing.harmonic": "least_squares"}),
         ):
             fit = muscle_fit(jitter_s, change)
             sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)
-            whole = quadratures_m2(fit.covariance, fit)
-            aliased = np.zeros_like(whole) if fit.aliasing is None else quadratures_m2(fit.aliasing, fit)
-            worst = np.unravel_index(np.argmax(whole), whole.shape)
-            parts = [np.sqrt(each) / sinusoid_m for each in (whole.mean(), whole[worst])]
-            parts += [np.sqrt(each[worst]) / sinusoid_m for each in (whole - aliased, aliased)]
-            cells = " | ".join(f"{each:.2f}" for each in parts)
-            noise_nm, worst_nm = float(fit.quality.residual_rms_m) * 1e9, float(np.sqrt(whole[worst])) * 1e9
-            yield f"| {what}, {jitter_s * 1e9:g} ns | {noise_nm:.1f} nm | {cells} | {worst_nm:.3g} nm |"
+            variance_m2 = quadratures_m2(fit.covariance, fit)
+            aliasing_m2 = np.zeros_like(variance_m2) if fit.aliasing is None else quadratures_m2(fit.aliasing, fit)
+            worst = np.unravel_index(np.argmax(variance_m2), variance_m2.shape)
+            ratios = [np.sqrt(m2) / sinusoid_m for m2 in (variance_m2.mean(), variance_m2[worst])]
+            ratios += [np.sqrt(m2[worst]) / sinusoid_m for m2 in (variance_m2 - aliasing_m2, aliasing_m2)]
+            cells = " | ".join(f"{ratio:.2f}" for ratio in ratios)
+            noise_nm, worst_nm = float(fit.quality.residual_rms_m) * 1e9, float(np.sqrt(variance_m2[worst])) * 1e9
+            yield f"| {name}, {jitter_s * 1e9:g} ns | {noise_nm:.1f} nm | {cells} | {worst_nm:.3g} nm |"
 
 
 def muscle_fit(jitter_s: float, change: Mapping[str, Any]) -> HarmonicFit:
-    """Return the fit of the shipped muscle scene, measured on the twin, with a ``change`` to its processing."""
+    """Measure the shipped muscle scene on the twin and fit it with a ``change`` of its processing."""
     scene = hpe.load_scene("bovine-muscle").with_({"simulation.instruments.trigger_jitter_s": jitter_s})
     with TemporaryDirectory() as folder:
         run = hpe.measure(scene, path=Path(folder) / "run.h5")
-        other = run.scene.with_(change)
-        return shot_fit(other, run.plan.shots[0], run.stored, "coherent", beam_widths(other, "coherent"))
+        scene = run.scene.with_(change)
+        return shot_fit(scene, run.plan.shots[0], run.stored, "coherent", beam_widths(scene, "coherent"))
 
 
 def quadratures_m2(covariance: FloatArray, fit: HarmonicFit) -> FloatArray:
@@ -296,7 +303,7 @@ def quadratures_m2(covariance: FloatArray, fit: HarmonicFit) -> FloatArray:
 
 
 def constants() -> Iterator[str]:
-    """Yield what the prior's constants buy: the muscle scene's worst quadrature, and errors at the synchronous rate."""
+    """Yield the effect of the prior's constants on the worst quadrature of the muscle scene and on aliasing errors."""
     of_fit, of_prior, of_projection = (
         sys.modules[function.__module__] for function in (medium_fit, medium_prior, project_prior)
     )
@@ -322,82 +329,82 @@ def constants() -> Iterator[str]:
             sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)
             worst = np.sqrt(quadratures_m2(fit.covariance, fit).max()) / sinusoid_m
             prior: MediumPrior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
-            found = [
+            errors = [
                 summary(medium_fit(train, WANTED_HZ, prior).fit, wave, 1.0)[:2]
                 for train, wave in zip(trains, voigt, strict=True)
             ]
-        off, turn = np.max(found, axis=0)
-        name = ", ".join(f"{key} {value:g}" for key, value in changed.items()) or "as it is"
-        yield f"| {name} | {worst:.3f} | {off:.2f} %, {turn:.2f} deg |"
+        percent, degrees = np.max(errors, axis=0)
+        name = ", ".join(f"{key} {value:g}" for key, value in changed.items()) or "unchanged"
+        yield f"| {name} | {worst:.3f} | {percent:.2f} %, {degrees:.2f} deg |"
 
 
 def little_noise() -> Iterator[str]:
-    """Yield NEV, error and u of corrected amplitudes and phases of shipped scenes without trigger jitter."""
-    yield f"| scene | noise over its own | NEV, amplitude | phase | largest | error, rms | u, rms |   of {SEEDS} seeds"
+    """Yield NEV, error and u of corrected amplitudes and phases of shipped scenes without jitter, in reduced noise."""
+    yield f"| scene | relative noise | NEV, amplitude | phase | largest | error, rms | u, rms |   of {SEEDS} seeds"
     yield "|---|---|---|---|---|---|---|"
     for name in ("gelatin-8", "bovine-muscle"):
-        for share in (1.0, 0.1, 0.01, 0.001):
-            found = np.array([row for seed in range(SEEDS) for row in _quiet(name, share, seed)])
+        for noise_scale in (1.0, 0.1, 0.01, 0.001):
+            ratios = np.array([row for seed in range(SEEDS) for row in _reduced_noise_errors(name, noise_scale, seed)])
             (amplitude, phase), (error, u) = (
-                np.mean(found[:, :2] ** 2, axis=0),
-                100 * np.sqrt(np.mean(found[:, 2:] ** 2, 0)),
+                np.mean(ratios[:, :2] ** 2, axis=0),
+                100 * np.sqrt(np.mean(ratios[:, 2:] ** 2, 0)),
             )
-            largest = np.abs(found[:, :2]).max()
+            largest = np.abs(ratios[:, :2]).max()
             nev = f"{amplitude:.2f} | {phase:.2f} | {largest:.1f} u"
-            yield f"| {name} | {share:g} | {nev} | {error:.2f} % | {u:.2f} % |"
+            yield f"| {name} | {noise_scale:g} | {nev} | {error:.2f} % | {u:.2f} % |"
 
 
-def _quiet(name: str, share: float, seed: int) -> Iterator[tuple[float, float, float, float]]:
-    """Yield errors over u of amplitude and phase, then error and u of the amplitude, relative; of each estimate."""
+def _reduced_noise_errors(name: str, noise_scale: float, seed: int) -> Iterator[tuple[float, float, float, float]]:
+    """Yield, per estimate, the errors of amplitude and phase in u, and relative error and u of the amplitude."""
     scene = hpe.load_scene(name)
     twin = scene.simulation or {}
     noise: dict[str, Any] = {"simulation.seed": seed + 1, "acquisition.repeats": 1}
     if "receive_chain" in twin:
         level = twin["receive_chain"]["noise_v_per_sqrt_hz"]
-        noise |= {"simulation.receive_chain.noise_v_per_sqrt_hz": level * share}
+        noise |= {"simulation.receive_chain.noise_v_per_sqrt_hz": level * noise_scale}
         noise |= {"simulation.instruments.trigger_jitter_s": 0.0}
     else:
-        noise |= {"simulation.receiver.snr_db": twin["receiver"]["snr_db"] - 20 * np.log10(share)}
+        noise |= {"simulation.receiver.snr_db": twin["receiver"]["snr_db"] - 20 * np.log10(noise_scale)}
     with TemporaryDirectory() as folder:
         result = hpe.measure(scene.with_(noise), path=Path(folder) / "run.h5").estimate("coherent")
     for item in result.shots[0].estimates:
-        true_m, off, turned = item.true_amplitude_m, item.corrected_amplitude_error, item.corrected_phase_error_rad
+        true_m, error, error_rad = item.true_amplitude_m, item.corrected_amplitude_error, item.corrected_phase_error_rad
         assert true_m is not None
-        assert off is not None
-        assert turned is not None
+        assert error is not None
+        assert error_rad is not None
         stated = item.headline.amplitude_uncertainty_m / true_m
-        yield off / stated, turned / item.headline.phase_uncertainty_rad, off, stated
+        yield error / stated, error_rad / item.headline.phase_uncertainty_rad, error, stated
 
 
 def cost() -> Iterator[str]:
-    """Yield what the prior costs: once a scene, once a timing, once a train."""
+    """Yield the processor time of the prior per scene, of its projection per timing, and of the fit per train."""
 
     def best_ms(call: object) -> float:
         assert callable(call)
-        taken = []
+        times_s = []
         for _ in range(5):
             start = time.process_time()
             call()
-            taken.append(time.process_time() - start)
-        return min(taken) * 1e3
+            times_s.append(time.process_time() - start)
+        return min(times_s) * 1e3
 
-    # another range each time, as ensembles are remembered
+    # Another range each time, because ensembles are cached.
     highest_hz = itertools.count(4e4)
     ensemble_ms = best_ms(lambda: medium_ensemble(BEAMS, RATE_HZ, next(highest_hz)))
     yield f"ensemble {ensemble_ms:.1f} ms, prior {best_ms(lambda: medium_prior.__wrapped__(BEAMS, 100.0, 1e-4)):.1f} ms"
     prior, generator = medium_prior(BEAMS, RATE_HZ, LENGTH_S), np.random.default_rng(0)
     for count in (598, 1593, 4000):
         time_s, valid = 0.05 + np.arange(count) / 3990.0, np.ones(count, dtype=bool)
-        # shifted by a picosecond, so that nothing is kept from before
+        # Shifted by a picosecond each time, because projections are cached.
         shifted = iter([time_s + index * 1e-12 for index in range(1, 6)])
         timing_ms = best_ms(lambda shifted=shifted, valid=valid: project_prior(prior, next(shifted), valid, WANTED_HZ))
         motion = Motion(time_s, generator.standard_normal(count) * 1e-8, np.ones(count), valid)
         fit_ms = best_ms(lambda motion=motion: medium_fit(motion, WANTED_HZ, prior))
-        yield f"{count} pulses: {timing_ms:.1f} ms a timing, {fit_ms:.2f} ms a train"
+        yield f"{count} pulses: {timing_ms:.1f} ms per timing, {fit_ms:.2f} ms per train"
 
 
 def draw() -> Figure:
-    """Return errors over frequency at the synchronous rate, and u over noise where the pulses shift."""
+    """Draw errors over frequency at the synchronous rate, and u over noise at the shifting rate."""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
     figure = Figure(figsize=(8.4, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -416,15 +423,15 @@ def draw() -> Figure:
     wave, noise_m = harmonics(*media()["Voigt 9 kPa, 2 Pa s"]), np.geomspace(2e-9, 2e-6, 13)
     for colour, label in ((PLAIN, "least squares"), (PRIOR, "prior")):
         stated = []
-        for each in noise_m.tolist():
-            motion = measured(*TRAINS["shifting 3990 Hz"], wave, each, 5)
+        for sd_m in noise_m.tolist():
+            motion = measured(*TRAINS["shifting 3990 Hz"], wave, sd_m, 5)
             fit = plain(motion) if colour == PLAIN else medium_fit(motion, WANTED_HZ, prior).fit
-            sinusoid_m = each * float(np.sqrt(2 / motion.valid.sum()))
+            sinusoid_m = sd_m * float(np.sqrt(2 / motion.valid.sum()))
             stated.append(summary(fit, wave, sinusoid_m)[3])
         right.loglog(noise_m * 1e9, stated, "o-", ms=3, color=colour, label=label)
     right.axhline(1.0, color="0.45", lw=0.8)
     right.annotate("one sinusoid in the same noise", (1900, 1.04), fontsize=7, color="0.45", ha="right")
-    right.set(xlabel="noise of a pulse (nm)", ylabel="stated u over a sinusoid's", title="3990 Hz, shifting")
+    right.set(xlabel="noise of a pulse (nm)", ylabel="stated u / u of one sinusoid", title="3990 Hz, shifting")
     right.legend(frameon=False, fontsize=8)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
@@ -433,20 +440,24 @@ def draw() -> Figure:
 
 
 def main() -> None:
-    """Print the table and the cost, and write medium-prior.svg."""
+    """Print the tables and write medium-prior.svg, or print the requested table only."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     default = Path(__file__).parents[2] / "docs" / "figures"
-    parser.add_argument("folder", nargs="?", type=Path, default=default, help="where the figure is written")
-    parser.add_argument("--constants", action="store_true", help="what the prior's constants buy, nothing else")
-    parser.add_argument("--little-noise", action="store_true", help="shipped scenes in little noise, nothing else")
-    parser.add_argument("--narrow", action="store_true", help="beams or force of half the width, nothing else")
-    asked = parser.parse_args()
-    for wanted, table in ((asked.constants, constants), (asked.little_noise, little_noise), (asked.narrow, narrow)):
-        if wanted:
+    parser.add_argument("folder", nargs="?", type=Path, default=default, help="folder of the figure")
+    parser.add_argument("--constants", action="store_true", help="only: effect of the constants of the prior")
+    parser.add_argument("--little-noise", action="store_true", help="only: shipped scenes in reduced noise")
+    parser.add_argument("--narrow", action="store_true", help="only: beams or force of half the width")
+    arguments = parser.parse_args()
+    for requested, table in (
+        (arguments.constants, constants),
+        (arguments.little_noise, little_noise),
+        (arguments.narrow, narrow),
+    ):
+        if requested:
             for line in table():
                 print(line, flush=True)
             return
-    path = asked.folder
+    path = arguments.folder
     for table in (rows(), coverage(), families(), muscle_scene(), cost()):
         for line in table:
             print(line, flush=True)

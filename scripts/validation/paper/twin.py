@@ -20,7 +20,7 @@ from experiments import (
 from matplotlib.figure import Figure
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.bench import read_bench, twin_dose
+from hpe_rig.bench import read_bench, twin_of
 from hpe_rig.plan import disturbed_pulses, make_plan
 from hpe_rig.prediction import detection_floor
 from hpe_rig.result import MARKS
@@ -249,10 +249,11 @@ def dose() -> Experiment:
     rows, within = [], {}
     for name in shipped_scenes():
         scene = load_scene(name)
-        if scene.excitation is None:
+        excitation, twin = scene.excitation, twin_of(scene)
+        if excitation is None or twin is None:
             continue
-        length_s, hz = max(scene.excitation.burst_length_s), np.array(scene.wanted_frequencies_hz[:2])
-        dose_estimate, floor_nm = twin_dose(scene, length_s, hz), detection_floor(scene).detected_m * 1e9
+        length_s, hz = max(excitation.burst_length_s), np.array(scene.wanted_frequencies_hz[:2])
+        dose_estimate, floor_nm = twin.dose(excitation, length_s, hz), detection_floor(scene).detected_m * 1e9
         if dose_estimate is None:
             continue
         moved_nm = dose_estimate.displacement_limit_m[1] * 1e9
