@@ -47,6 +47,7 @@ def timed(compute: Callable[[], Any], repeats: int = 5) -> tuple[Any, float]:
 def on_axis(k: complex, axial_m: FloatArray) -> ComplexArray:
     """Return the pressure on the axis by O'Neil's closed form."""
     focal_m, radius_m = PAPER.focal_length_m, PAPER.diameter_m / 2
+    # Waves from the centre and from the rim of the bowl interfere on the axis.
     centre_m = focal_m + axial_m
     rim_m = np.hypot(centre_m - (focal_m - np.sqrt(focal_m**2 - radius_m**2)), radius_m)
     return np.asarray((np.exp(-1j * k * centre_m) - np.exp(-1j * k * rim_m)) / (1 - centre_m / focal_m))
@@ -56,6 +57,7 @@ def rayleigh(k: complex, lateral_m: float, axial_m: float, nodes: int) -> comple
     """Return the Rayleigh integral by a product rule of ``nodes`` times ``nodes`` points."""
     node, weight = np.polynomial.legendre.leggauss(nodes)
     focal_m, sine = PAPER.focal_length_m, PAPER.half_aperture
+    # Gauss points in the cosine of the polar angle, equidistant points in azimuth.
     edge = np.sqrt(1 - sine**2)
     cosine, weight = edge + (1 - edge) * (node + 1) / 2, weight * (1 - edge) / 2
     angle = (np.arange(nodes) + 0.5) * 2 * np.pi / nodes
@@ -122,6 +124,7 @@ def radiation() -> None:
 def push() -> None:
     """Print the error of the sum of Gaussians that approximates the intensity of the push."""
     settings = SimulationSettings.model_validate({"beams": APERTURE, "specimen": {}})
+    # The fit is cached: its first call is timed.
     uncached = getattr(push_intensity, "__wrapped__", push_intensity)
     shape, fit_s = timed(lambda: uncached(settings), 1)
     k = wave_number(3e6, SPEED, 0.5)
@@ -138,6 +141,7 @@ def push() -> None:
         (f"{len(shape.centre_m)} x {len(shape.lateral_width_m)} Gaussians", approximation),
         ("one Gaussian", gauss),
     ):
+        # Rms over the cross-section: the weight is the radius.
         rms = np.sqrt(((values - intensity) ** 2 * lateral_m).sum() / (intensity**2 * lateral_m).sum())
         print(f"| {name} | {np.abs(values - intensity).max():.3f} | {rms:.3f} |")
     print(f"\nfitted in {fit_s:.2f} s, once per transducer and medium")
@@ -169,6 +173,7 @@ def costs() -> None:
         times_s = []
         for beams in (GAUSSIAN, APERTURE):
             bench = Acoustics(settings_of(beams, **sections))
+            # An untimed call first fills the caches.
             bench.record_volts(tonebursts, pulses, capture)
             times_s.append(timed(lambda b=bench, d=tonebursts: b.record_volts(d, pulses, capture))[1])
         print(f"| {name} | {times_s[0] * 1e3:.0f} ms | {times_s[1] * 1e3:.0f} ms | {times_s[1] / times_s[0]:.2f} |")
@@ -178,6 +183,7 @@ def costs() -> None:
         settings = settings_of(beams)
         pulse = echo_pulse(settings, 9e6)
         rng = np.random.default_rng(1)
+        # An untimed call first fills the caches.
         list(drawn_echoes(settings, displacement_m, pulse, GATE_S, rng, 16))
         times_s.append(
             timed(lambda s=settings, p=pulse, r=rng: list(drawn_echoes(s, displacement_m, p, GATE_S, r, 64)))[1] / 64
@@ -224,6 +230,7 @@ def _ratio(settings: SimulationSettings, seed: int) -> float:
 
 def _analytic(echo: FloatArray) -> ComplexArray:
     """Return the analytic signal of a windowed echo."""
+    # Negative frequencies are removed; the padding refines the correlation.
     spectrum = np.fft.fft(np.pad(echo * np.hanning(len(echo)), 190))
     spectrum[len(spectrum) // 2 :] = 0
     return np.asarray(np.fft.ifft(spectrum))
@@ -241,6 +248,7 @@ def _in_phase(settings: SimulationSettings, offset_m: FloatArray) -> FloatArray:
     key = settings.beams.field
     if key not in _SHAPES:
         assert settings.specimen is not None
+        # The field is smooth: a spline through few points is accurate enough.
         lateral_m, axial_m = np.linspace(0, 0.75e-3, 16), np.linspace(-2.5e-3, 2.5e-3, 21)
         value = field_transfer(settings.specimen, force_shape(settings), lateral_m, axial_m, np.array([200.0]))[0]
         focus = value[0, 10]
@@ -315,6 +323,7 @@ def fitted(settings: SimulationSettings, offsets: str, force: "PushForce") -> st
     field = field_transfer(specimen, push_intensity(settings), axis_and_offsets_m, np.zeros(1), frequency_hz)
     push = Push(force, 100.0, 100e-6)
     motion = field[:, :, 0] * push.spectrum(frequency_hz)[:, None]
+    # The peak displacement on the axis at 100 Hz is 800 nm.
     motion *= PEAK_M / abs(motion[0, 0])
     uncertainties = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}
     vibrations = [

@@ -80,6 +80,7 @@ def at_rest(snr_db: float, estimator: str, trials: int) -> tuple[float, FloatArr
     samples = shot.gate.stop - shot.gate.start + 2 * margin
     gate_s = (np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ
     settings, pulse = SimulationSettings(), hann_pulse(CARRIER_HZ, BANDWIDTH)
+    # Scatterers and noise have independent seeds.
     scatterers, noise = np.random.default_rng([7, 0]), np.random.default_rng([7, 1])
     valid, batches = np.ones(time_s.size, dtype=bool), list[FloatArray]()
     # Without motion all pulses have the same echo; the noise differs.
@@ -120,6 +121,7 @@ def muscle_at_rest(jitter_s: float, harmonic: str, trials: int) -> tuple[float, 
     scene, shot = setup.scene.scene, setup.plan.shots[0]
     floor, pulses = detection_floor(scene, True, shot), select(scene, shot)
     options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))
+    # The floor states the noise of a quadrature; the fit has a known noise gain.
     pulse_m = floor.quadrature_m / noise_gain(scene, shot).max()
     noise = np.random.default_rng(11).standard_normal((trials, pulses.time_s.size)) * pulse_m
     motion = Motion(pulses.time_s, np.where(pulses.used, noise, np.nan), np.full(noise.shape, pulse_m**2), pulses.used)

@@ -38,6 +38,7 @@ def speckle(estimator: str) -> FloatArray:
 
 def with_width(error: FloatArray) -> FloatArray:
     """Return ``error`` for a force of unknown width: the gradient of the motion is proportional to 1 / width²."""
+    # Log-normal widths, seeded independently of the speckle.
     gradient = np.exp(-2 * WIDTH_LOG_SD * np.random.default_rng(2).standard_normal(error.size))
     return np.asarray(error * gradient / np.sqrt(np.mean((error * gradient) ** 2)))
 

@@ -46,6 +46,7 @@ def echoes(gate_m: float, margin: int, draws: int) -> FloatArray:
         reflectivity = generator.standard_normal(count)
         for row, displacement_m in zip(draw, DISPLACEMENT_M, strict=True):
             age_s = time_s[:, None] - delay_s - 2 * displacement_m / SOUND_SPEED
+            # Hann pulse with a bandwidth of 6.5 %.
             pulse = (np.abs(age_s) < LENGTH_S / 2) * np.cos(np.pi * age_s / LENGTH_S) ** 2
             row[:] = (pulse * np.cos(2 * np.pi * CARRIER_HZ * age_s)) @ reflectivity
     return volts

@@ -55,6 +55,7 @@ def spectra(mu1: float, mu2: float, nodes: int) -> ComplexArray:
     harmonic = np.arange(1, HARMONICS + 1)
     omega, duty = 2 * np.pi * BURST_RATE_HZ * harmonic, BURST_RATE_HZ * BURST_LENGTH_S * harmonic
     response = np.stack([field(mu1 + 1j * value * mu2, value, nodes) for value in omega.tolist()], axis=1)
+    # Spectrum of the burst train, one-sided, for a sine with the phase of the onset.
     bursts = 2j * np.sinc(duty) * np.exp(-1j * np.pi * duty)
     return np.asarray(response * bursts * (LARGEST_M / np.abs(response * bursts).max()))
 
@@ -72,6 +73,7 @@ def field(modulus: complex, omega: float, nodes: int) -> ComplexArray:
     near = pole * np.linspace(0, 2.0, 61)
     k, k_weight = panels(np.unique(np.concatenate([near, np.linspace(2 * pole, max(max_k, 3 * pole), 40)])), nodes)
     a = (WIDTH_M[0] ** 2 * (1 - m**2) + WIDTH_M[1] ** 2 * m**2) / 2
+    # The Gaussian force in wave-number space, and the projection of the force on shear waves.
     radial = (k**2 / (k**2 - q2) * k_weight)[:, None] * np.exp(-np.outer(k**2, a)) * (m_weight * (1 - m**2))
     across = np.outer(k, np.sqrt(1 - m**2))
     return np.array([np.sum(radial * j0(across * lateral_m)) for lateral_m in LATERAL_M]) / modulus

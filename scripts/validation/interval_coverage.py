@@ -142,6 +142,7 @@ def measured(folder: Path, name: str, estimators: Sequence[str], seeds: Sequence
     runs = [errors_over_u(name, missing, seed) for seed in seeds]
     for estimator in missing:
         errors = [None if (ratios := run[estimator]) is None else ratios.tolist() for run in runs]
+        # The file is complete or absent: it is renamed after writing.
         part = paths[estimator].with_suffix(".part")
         part.write_text(json.dumps(dict(zip(seeds, errors, strict=True))), encoding="utf-8")
         part.replace(paths[estimator])
@@ -201,6 +202,7 @@ def thinned(scene: Scene) -> Scene:
 def draw_scene(scene: Scene, seed: int) -> Scene:
     """Return ``scene`` with all quantities drawn that the stated uncertainty covers."""
     speed, rng, bowl = scene.acquisition.sound_speed_m_per_s, np.random.default_rng(seed), _bowl(scene)
+    # Relative error of the stated sound speed.
     relative = scene.acquisition.sound_speed_uncertainty * rng.standard_normal()
     values: dict[str, Any] = {
         "simulation.seed": seed + 1,
@@ -296,6 +298,7 @@ def _row(name: str, estimator: str, runs: Sequence[FloatArray | None]) -> Row:
     answered = [run for run in runs if run is not None]
     valid_runs = [run for run in answered if len(run)]
     ratio = np.concatenate(valid_runs) if valid_runs else np.full((1, 2, 2), np.nan)
+    # Fraction of errors within the half width of the 95 % interval.
     within = (np.abs(ratio[..., 1]) < 1).mean(axis=0)
     nev, run_nevs = (ratio[..., 0] ** 2).mean(axis=0), [(run[..., 0] ** 2).mean(axis=0) for run in valid_runs]
     error = np.std(run_nevs, axis=0) / np.sqrt(max(len(run_nevs), 1)) if run_nevs else np.full(2, np.nan)

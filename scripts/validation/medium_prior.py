@@ -104,12 +104,14 @@ def harmonics(modulus_pa: ComplexArray, width_scale: float, length_scale: float 
     beams = BeamWidths(width_m, BEAMS.tracking_width_m, BEAMS.depth_sd_m)
     transfer = tracked_motion(HarmonicMedium(RATE_HZ * HARMONIC, modulus_pa), beams)[0]
     duty = RATE_HZ * LENGTH_S
+    # Spectrum of a rectangular burst at the harmonics of the burst rate.
     wave = 1j * transfer * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
     return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))
 
 
 def train(rate_hz: float, delay_s: float) -> tuple[FloatArray, BoolArray]:
     """Return times (pulse,) over 15 burst periods, from the onset of a burst, and a mask of undisturbed pulses."""
+    # The first 50 ms hold the transient.
     time_s = 0.05 + delay_s + np.arange(round(0.15 * rate_hz)) / rate_hz
     phase_s = time_s % (1 / RATE_HZ)
     return time_s, (phase_s > 105e-6) & (phase_s < 1 / RATE_HZ - 95e-6)
@@ -141,7 +143,9 @@ def summary(fit: HarmonicFit, wave: ComplexArray, sinusoid_m: float) -> tuple[fl
     """Return the largest error of the mean in percent and degrees, gain and u relative to a sinusoid, and NEV."""
     state = fit.state[..., :20]
     error = state - np.stack([wave[:10].real, wave[:10].imag], axis=-1).ravel()
+    # The mean over noise and its negative is free of noise.
     ratio = (state.mean(axis=0)[::2] + 1j * state.mean(axis=0)[1::2]) / wave[:10]
+    # Stated variances of the quadratures of the ten wanted harmonics.
     variance = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[..., :20]
     return (
         float(np.abs(np.abs(ratio) - 1).max() * 100),
@@ -184,6 +188,7 @@ def random_harmonics(
     def log_even(limits: tuple[float, float]) -> float:
         return float(limits[0] * (limits[1] / limits[0]) ** generator.uniform())
 
+    # Moduli are uniform in the logarithm over the range of the prior.
     s, modulus_pa = 2j * np.pi * RATE_HZ * HARMONIC, log_even(PRIOR_RANGES["modulus_pa"])
     match family:
         case "Zener":
@@ -277,6 +282,7 @@ def muscle_scene() -> Iterator[str]:
             ("least squares", {"processing.harmonic": "least_squares"}),
         ):
             fit = muscle_fit(jitter_s, change)
+            # Standard deviation of a quadrature of one sinusoid in the same noise.
             sinusoid_m = float(fit.quality.residual_rms_m) * np.sqrt(2 / fit.quality.pulses)
             variance_m2 = quadratures_m2(fit.covariance, fit)
             aliasing_m2 = np.zeros_like(variance_m2) if fit.aliasing is None else quadratures_m2(fit.aliasing, fit)
@@ -310,6 +316,7 @@ def constants() -> Iterator[str]:
     yield "| changed | worst quadrature | synchronous, Voigt: error |"
     yield "|---|---|---|"
     voigt = [harmonics(*medium) for name, medium in media().items() if name.startswith("Voigt") and medium[1] == 1]
+    # Noise of 23 nm per pulse.
     trains = [measured(*TRAINS["synchronous 4000 Hz"], wave, 23e-9) for wave in voigt]
     for changed in CONSTANTS:
         size = {"members": int(changed["members"])} if "members" in changed else {}
@@ -323,6 +330,7 @@ def constants() -> Iterator[str]:
             ),
             mock.patch.object(of_prior, "medium_ensemble", functools.partial(medium_ensemble, **size)),
         ):
+            # Cached priors and projections hold the old constants.
             for cached in (of_prior.medium_prior, of_projection._projected):
                 cached.cache_clear()
             fit = muscle_fit(0.0, {})
@@ -360,6 +368,7 @@ def _reduced_noise_errors(name: str, noise_scale: float, seed: int) -> Iterator[
     twin = scene.simulation or {}
     noise: dict[str, Any] = {"simulation.seed": seed + 1, "acquisition.repeats": 1}
     if "receive_chain" in twin:
+        # Scenes with a receive chain state their noise in volts, others as SNR.
         level = twin["receive_chain"]["noise_v_per_sqrt_hz"]
         noise |= {"simulation.receive_chain.noise_v_per_sqrt_hz": level * noise_scale}
         noise |= {"simulation.instruments.trigger_jitter_s": 0.0}

@@ -77,6 +77,7 @@ def main() -> None:
         for name in arguments.media:
             path = arguments.folder / f"{name}-{seed}.json"
             if not path.exists():
+                # The file is complete or absent: it is renamed after writing.
                 draft = path.with_suffix(".part")
                 draft.write_text(json.dumps(measured(name, seed)), encoding="utf-8")
                 draft.replace(path)
@@ -130,6 +131,7 @@ def with_reading_errors(
 
     The transducer of the twin is at the nominal offset; the reading of the operator has the error.
     """
+    # Independent normal errors with the stated standard uncertainties.
     scale_m, gain, phase = rng.standard_normal(3) * [
         stage_m,
         vibration.gain_uncertainty,
@@ -164,6 +166,7 @@ def draw_scene(scene: Scene, name: str, seed: int, rng: np.random.Generator) -> 
     assert after is not None
     assert before.settings.specimen is not None
     hz = scene.wanted_frequencies_hz[0]
+    # The drive compensates for the medium, so that the first harmonic has its size in the scene.
     ratio = DRIVE.get(name, 1.0) * before.steady_response_m(hz) / after.steady_response_m(hz)
     force = before.settings.specimen.force_density_n_per_m3 * ratio
     return changed.with_({"simulation.specimen.force_density_n_per_m3": force})
@@ -215,6 +218,7 @@ def rows(name: str, trials: Sequence[Trial]) -> list[str]:
         error = np.array([item.values[key] - truth for item in trials])
         stated, bounds = (np.array([getattr(item, field)[key] for item in trials]) for field in ("stated", "bounds"))
         ratio, sd = np.abs(error / stated), np.std(error, axis=0, ddof=1)
+        # Standard deviation relative to the Cramer-Rao bound.
         relative_sd = sd / np.sqrt(np.mean(bounds**2, axis=0))
         cells = [
             f"{100 * error[:, i].mean() / truth[i]:+.2f} ± {100 * sd[i] / truth[i] / np.sqrt(len(trials)):.2f} | "

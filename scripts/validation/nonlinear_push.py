@@ -96,8 +96,10 @@ def plane_waves() -> Iterator[str]:
     for harmonics in (16, 32, 64, 128):
         cells = []
         for sigma in (0.5, 0.9, 1.5, 3.0):
+            # A sinusoidal source of 1 MPa.
             start = np.zeros((1, harmonics), dtype=np.complex128)
             start[0, 0] = -1e6j
+            # Distance for the normalised distance sigma of the shock formation.
             distance_m = sigma * 1000 * SPEED**3 / (4.0 * 2 * np.pi * FREQUENCY_HZ * 1e6)
             harmonic = np.abs(advance(start, distance_m, FREQUENCY_HZ, LOSSLESS)[0][0, :5]) / 1e6
             cells.append(f"{np.abs(harmonic - np.abs(blackstock(sigma, 5))).max():.1e}")
@@ -177,6 +179,7 @@ def published_axis() -> Iterator[str]:
 
 def _published_beam(accuracy: Accuracy, pressure_scale: float = 1.0) -> Beam:
     bowl = Transducer(diameter_m=82e-3, focal_length_m=150e-3)
+    # Uniform pressure over the spherical cap for 40 W.
     cap_m2 = 2 * np.pi * 0.15 * (0.15 - np.sqrt(0.15**2 - 0.041**2))
     liquid = Layer(np.inf, 1500.0, 1000.0, 3.5, 0.00217, 2.0)
     surface_pa = float(np.sqrt(2 * liquid.impedance * 40 / cap_m2))
@@ -215,6 +218,7 @@ def _first_order(samples: int) -> Iterator[None]:
     def steepen(
         pressure_pa: np.ndarray, step_m: float, frequency_hz: float, layer: Layer
     ) -> tuple[np.ndarray, np.ndarray]:
+        # The waveform in time from its harmonics.
         harmonics = pressure_pa.shape[1]
         spectrum = np.zeros((len(pressure_pa), samples // 2 + 1), dtype=np.complex128)
         spectrum[:, 1 : harmonics + 1] = pressure_pa * (samples / 2)
@@ -224,6 +228,7 @@ def _first_order(samples: int) -> Iterator[None]:
         steps = int(np.ceil(2 * courant * np.abs(wave).max() / 0.9))
         for _ in range(steps):
             square = wave**2
+            # Upwind differences of the Burgers equation in conservative form.
             rise = np.where(wave < 0, square - np.roll(square, 1, axis=1), np.roll(square, -1, axis=1) - square)
             wave = wave + courant / steps * rise
         return np.fft.rfft(wave, axis=1)[:, 1 : harmonics + 1] * (2 / samples), np.zeros(len(wave))
@@ -289,6 +294,7 @@ def water() -> Iterator[str]:
         beams = Beams(transducer=Transducer(diameter_m=diameter_m, focal_length_m=focus_m), focus_depth_m=focus_m)
         settings = SimulationSettings(specimen=SPECIMEN, beams=beams, propagation=Propagation(specimen_depth_m=5e-3))
         width_m = 1.03 / 2.3548 * SPEED / carrier_hz * focus_m / diameter_m
+        # The linear reference: a wave of 1 kPa at the surface.
         weak = water_output(settings, 1e3, carrier_hz)
         for distortion in (0.02, 0.04, 0.07, 0.10, 0.14, 0.20, 0.28, 0.39):
             weak_distortion = focal_distortion(weak.sppa_w_per_m2, carrier_hz, focus_m, diameter_m, width_m, SPEED)
@@ -312,13 +318,14 @@ def drive() -> Iterator[str]:
         return
     surface_pa = push.surface_for(SPECIMEN.force_density_n_per_m3)
     yield f"muscle: the reference drive is {surface_pa * 1e-3:.0f} kPa at the surface"
-    yield "force relative to linear; exponent d ln force / d ln V^2; peaks in MPa; I_sppa in W/cm2; largest force in MN/m3"
+    yield "force relative to linear; d ln force / d ln V^2; peaks in MPa; I_sppa in W/cm2; largest force in MN/m3"
     yield "| V^2 | force | exponent | p+ | p- | I_sppa | largest |"
     yield "|---:|---:|---:|---:|---:|---:|---:|"
     squares = np.array([0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 0.81, 1.0])
     force = push.relative_force(np.sqrt(squares), SPECIMEN.force_density_n_per_m3)
     output = push.at(np.sqrt(squares) * surface_pa)
     columns = output.positive_pa, output.negative_pa, output.sppa_w_per_m2, output.peak_force_n_per_m3
+    # Relative to the weakest drive, which is nearly linear.
     gain = force / squares / (force[0] / squares[0])
     for square, relative_force, gain_at, *values in zip(squares, force, gain, *columns, strict=True):
         exponent = push.exponent(float(relative_force) * SPECIMEN.force_density_n_per_m3)
@@ -335,6 +342,7 @@ def frequencies() -> Iterator[str]:
     """
     layers = path(SPECIMEN, Propagation(), SPEED, 70e-3)
     squares = np.array([0.01, 0.09, 0.25, 0.36, 0.49, 0.64, 0.81, 1.0])
+    # One beam per drive; its force field does not depend on the vibration frequency.
     beams = [nonlinear_beam(BOWL, layers, FREQUENCY_HZ, 283e3 * square**0.5, Accuracy(24)) for square in squares]
     frequencies_hz = 0.0, 100.0, 200.0, 400.0, 1000.0
     force = {
@@ -350,6 +358,7 @@ def frequencies() -> Iterator[str]:
     steepest = [f"{(np.diff(np.log(values)) / np.diff(np.log(squares))).max():.2f}" for values in force.values()]
     yield f"| largest exponent | {' | '.join(steepest)} |"
     fractions = np.array(load_scene("muscle-force").excitation.force_fraction)  # type: ignore[union-attr]
+    # Regression lines through the same numbers of points as in the paper.
     for count in (9, 11, 13):
         top = np.sort(fractions)[-count:]
         offsets = []
@@ -373,11 +382,13 @@ def force_by_displacement(beam: Beam, start_m: float, frequency_hz: float) -> fl
     near = far = np.full(len(z), 0.5 + 0j)
     if omega:
         modulus_pa = SPECIMEN.shear_modulus_pa + 1j * omega * SPECIMEN.shear_viscosity_pa_s
+        # Dimensionless distance of the shear wave.
         x = 1j * omega * np.sqrt(SPECIMEN.density_kg_per_m3 / modulus_pa) * distance_m
         near = np.exp(-x) * (1 + 1 / x + 1 / x**2) - 1 / x**2
         far = 3 / x**2 - np.exp(-x) * (1 + 3 / x + 3 / x**2)
     green = volume_m3 * (near + far * (z / distance_m) ** 2) / distance_m
     lateral_width_m, _, axial_width_m = BEAMS.excitation_width_m
+    # The Gaussian beam of the scene is the reference for the force density.
     gaussian = np.exp(-0.5 * ((lateral_m / lateral_width_m) ** 2 + (z / axial_width_m) ** 2))
     return float(abs((green * force).sum() / (green * gaussian).sum()))
 

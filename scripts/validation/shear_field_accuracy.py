@@ -58,6 +58,7 @@ def table(
     for mu1, mu2, hz in media:
         modulus = mu1 + 2j * np.pi * hz * mu2
         errors = deviations(modulus, hz, force, points_m)
+        # Shear wavelength from the real part of the wave number.
         wave_m = 2 * np.pi / abs((2 * np.pi * hz * np.sqrt(DENSITY / modulus)).real)
         cells = " | ".join(f"{error:.0e}" for error in errors)
         medium = f"{mu1 * 1e-3:g} kPa, {mu2:g} Pa s"
@@ -90,6 +91,7 @@ def exact_field(modulus: complex, frequency_hz: float, force: PushForce, lateral
         return mp.pi / (2 * kappa) * mp.exp((kappa * root) ** 2) * (ahead + behind)
 
     def integrand(k: mp.mpc) -> mp.mpc:
+        # Each Gaussian station has a term with the wave's and one with the static decay.
         across, kappa = [square * mp.exp(-square * k**2 / 2) for square in squares], mp.sqrt(k**2 - q2)
         terms = (
             mp.fdot(weight, across) * (station_term(kappa, b) - station_term(k, b))

@@ -213,6 +213,7 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
         panel.set(xscale="log", yscale="log", xlabel="run time (s)", title=f"{count:.0e} scatterers")
     panels[0].set_ylabel("relative rms error")
     upper.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+    # Run time of the engine over either size, with the other as parameter.
     left, right = lower.subplots(1, 2, sharey=True)
     _draw_times(rows, left, "scatterers", "echoes")
     _draw_times(rows, right, "echoes", "scatterers")

@@ -126,6 +126,7 @@ def faster_than_shipped(rows: Sequence[EndToEnd]) -> list[tuple[EndToEnd, float]
     time_s = {_settings(row): row.time_s for row in rows if row.realisations == repeated}
     precise = [row for row in rows if row.realisations == largest]
     shipped = next(row for row in precise if row.shipped)
+    # The error of the default settings, plus its own Monte Carlo uncertainty.
     max_error = shipped.error * (1 + 1 / math.sqrt(2 * largest))
     relative = [(row, time_s[_settings(row)] / time_s[_settings(shipped)]) for row in precise if row.error <= max_error]
     return [(row, relative_time) for row, relative_time in relative if relative_time < 1 - TIME_TOLERANCE]
@@ -203,6 +204,7 @@ def displacement(nodes: int, degrees: int) -> FloatArray:
     contour = Contour(nodes, 3.5 * ratio**0.3, 3.0 * ratio, 0.65) if ratio <= 1 else Contour(nodes, 5.2, 1.5, 0.5)
     panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], contour, degrees)
     onset_ps = np.arange(BURSTS) * to_ps(1 / BURST_RATE_HZ)
+    # Rectangular force pulses at the onset of each burst.
     force = ForcePulses(onset_ps, onset_ps + to_ps(BURST_LENGTH_S), np.full(BURSTS, FORCE_N_PER_M3))
     pulse_ps = np.round((_pulse_s() + FIRST_PULSE_S) * 1e12).astype(np.int64)
     return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, pulse_ps)
@@ -254,6 +256,7 @@ def _estimate(variant: Variant, volts: FloatArray) -> FloatArray:
 def _averaging_factor(variant: Variant) -> float:
     settings = scene()
     beams, scatterers = settings.beams, settings.scatterers
+    # The pulse length in depth is half the speed of sound over the bandwidth.
     gate = TrackingGate(
         beams.tracking_width_m,
         variant.gate_length_m,
@@ -280,6 +283,7 @@ def _noise_free_amplitudes(variant: Variant, tolerance: float, displacement_m: F
 
 
 def _pulse_s() -> FloatArray:
+    # The window ends at the last burst period.
     count = round((BURSTS / BURST_RATE_HZ - WINDOW_START_S) * PULSE_RATE_HZ)
     return np.asarray(WINDOW_START_S + np.arange(count) / PULSE_RATE_HZ)
 
@@ -313,6 +317,7 @@ def _draw_total(axes: Axes, rows: Sequence[EndToEnd]) -> None:
             [row.time_s for row in estimator_rows], [row.error for row in estimator_rows], size,
             marker=marker, color=colour, alpha=0.7, label=name, linewidths=0.8,
         )  # fmt: skip
+    # The front is a step function of time.
     front = sorted((row.time_s, row.error) for row in rows if row.on_front)
     axes.step(*zip(*front, strict=True), where="post", color="k", lw=1.2, label="Pareto front")
     _star(axes, [(row.time_s, row.error) for row in rows if row.shipped])
@@ -342,6 +347,7 @@ def _draw_numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     _star(axes, [(row.time_s, row.numerical_error) for row in shipped])
     for row in shipped:
         axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {largest}")
+    # Space for the labels at both sides.
     axes.margins(x=0.12)
     axes.set(xlabel=f"processor time of {largest} realisations (s)", ylabel="rms numerical error / amplitude")
     _legend_above(axes, "Part due to tolerance and nodes", 2)

@@ -136,11 +136,14 @@ def case_rows(
     case: MotionCase, parameter: str, value: float, estimators: Sequence[Estimator], draws: int, seed: int
 ) -> Iterator[MotionRow]:
     """Yield a row for every estimator, from the same echoes and noise and with the margins of a record."""
+    # Estimators need echoes beyond the gate, as a record has them.
     case = replace(case, margin=margin_samples(case.sample_rate_hz, case.carrier_hz))
     clean = case.twin_echoes(draws, np.random.default_rng([seed, 0]))
     gated = clean[..., case.margin : -case.margin]
+    # The noise of each draw is relative to the energy of its echoes, as the SNR is defined.
     noise_v = np.sqrt(np.mean(gated**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
     noisy = clean + noise_v * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
+    # Cramer-Rao bound of the amplitude for the known echoes.
     columns = harmonic_columns(case.pulse_time_s, np.array([case.frequency_hz]))
     bound = echo_bound(gated[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
     conditions = conditions_of(case)

@@ -192,6 +192,7 @@ def _trials_of_seed(
 ) -> list[_Trial]:
     seeded, trials = scene.with_({"simulation.seed": seed}), []
     with tempfile.TemporaryDirectory() as folder:
+        # Variants of the estimation share these records.
         shared_run, shared_s = _measure_twice(seeded, bench, Path(folder), "shared")
         for number, variant in enumerate(tried):
             report_progress(f"{label}: {variant.varied} {variant.setting}")
@@ -237,6 +238,7 @@ def _beats(trials: Sequence[_Trial], competitor: Sequence[_Trial]) -> bool:
     error_m, competitor_m = (np.array([np.linalg.norm(t.error_m) for t in group]) for group in (trials, competitor))
     if np.isnan(error_m).any() or np.isnan(competitor_m).any():
         return bool(np.isnan(competitor_m).any() and not np.isnan(error_m).any())
+    # Better in one quantity and not worse in the other.
     faster = time_s < (1 - EQUALITY_TOLERANCE) * competitor_s
     not_slower = time_s <= (1 + EQUALITY_TOLERANCE) * competitor_s
     not_worse = error_m.mean() <= (1 + EQUALITY_TOLERANCE) * competitor_m.mean()

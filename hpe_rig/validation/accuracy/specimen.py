@@ -59,6 +59,7 @@ def _transient_points(case: str, specimen: object) -> Iterator[Point]:
     # Reference: more than twice the nodes and degrees of the default setting.
     exact = by_panels(Contour(72, 5.2, 1.5, 0.5), 48)
     for nodes, degrees in ((6, 6), (10, 10), (16, 14), (24, 20), (32, 24)):
+        # Optimal contours are shorter and lower for fewer nodes.
         contour = Contour(nodes, 3.5 * (nodes / 32) ** 0.3, 3.0 * nodes / 32, 0.65)
         setting = f"{nodes} nodes, {degrees} degrees"
         yield measured(case, "hyperbola, panels of log time", setting, partial(by_panels, contour, degrees), exact)
@@ -132,6 +133,7 @@ def _lumped_points() -> Iterator[Point]:
                 k3 = -(deviation + step_s / 2 * k2) / constants_s
                 k4 = -(deviation + step_s * k3) / constants_s
                 deviation = deviation + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        # Unstable steps overflow: their values are limited, so that an error can be stated.
         values = course[np.round(time_s / step_s).astype(np.int64)]
         return np.nan_to_num(np.clip(values, -MAX_VALUE, MAX_VALUE), nan=MAX_VALUE)
 

@@ -74,6 +74,7 @@ def grouped(rows: Iterable[Row], key: Callable[[Row], Group]) -> dict[Group, lis
 def pareto(times_s: Sequence[float], errors: Sequence[float]) -> list[int]:
     """Return the indices of the Pareto front: no other point is better in both time and error. Sorted by time."""
     front: list[int] = []
+    # In order of time, a point is on the front if its error is below all previous ones.
     for index in sorted(range(len(times_s)), key=lambda k: (times_s[k], errors[k])):
         if not math.isnan(errors[index]) and (not front or errors[index] < errors[front[-1]]):
             front.append(index)

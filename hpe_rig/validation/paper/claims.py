@@ -86,6 +86,7 @@ def hundred(result: StudyResult, reading: str) -> Judgement:
 def map_ratio(result: StudyResult, reading: str) -> Judgement:
     """Judge the normalised displacement at W_x = W_y = 2.19, stated as 0.82."""
     _, x, y, columns = _maps(result, reading)[-1]
+    # The tracked amplitude is the true one plus the bias.
     truth = columns["amplitude_true_m"]
     value, se = at_width_ratio(x, y, 1 + columns["amplitude_bias_m"] / truth, columns["amplitude_bias_se_m"] / truth)
     return number(value, se, 0.82, 0.005)
@@ -133,6 +134,7 @@ def differences_fall(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the largest difference falls from the lowest to the highest W_z without a significant rise."""
     differences = _differences(result, reading)
     (*_, first_low, first_high), (*_, last_low, last_high) = differences[0], differences[-1]
+    # A rise is significant if the bounds of adjacent values do not overlap.
     rises = any(later[2] > earlier[3] for earlier, later in itertools.pairwise(differences))
     falls, overlap = first_low > last_high, last_low <= first_high
     text = "largest " + ", ".join(f"{difference:.2f} at {w_z:g}" for w_z, difference, *_ in differences)
@@ -161,6 +163,7 @@ def phase_over_w_z(result: StudyResult, reading: str) -> Judgement:
     value, se = np.array([jitter for w_z, *jitter in jitters_deg if w_z >= 0.5]).T
     # The change is between two of the values; its standard error is at most that of the two least certain ones.
     change, margin = float(np.ptp(value)), sidak_quantile(len(value)) * float(np.hypot(*np.sort(se)[-2:]))
+    # Ten percent of the mean counts as constant.
     limit = 0.1 * float(value.mean())
     verdict = AGREES if change + margin < limit else DIFFERS if change - margin > limit else INCONCLUSIVE
     return Judgement(text, verdict)

@@ -111,6 +111,7 @@ def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judg
     columns = sorted({int(np.argmin(np.abs(snr_db - db))) for db in TREND_SNR_DB})
     first, last = value[:, columns]
     change, margin = last - first, SIGNIFICANT * np.hypot(*se[:, columns])
+    # Three standard errors of the difference of two independent values.
     stated, opposite = (change < -margin, change > margin) if falls else (change > margin, change < -margin)
     level = ~(stated | opposite) & (np.abs(change) + margin < LEVEL * np.maximum(first, last))
 
@@ -119,6 +120,7 @@ def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judg
     values = zip(snr_db[columns], first, last, names, strict=True)
     text = "; ".join(f"{db:g} dB {start:.3g} to {end:.3g}, {name}" for db, start, end, name in values)
 
+    # Without a significant trend, an opposite or level quantity contradicts the statement.
     otherwise = DIFFERS if opposite.any() or level.all() else INCONCLUSIVE
     verdict = otherwise if not stated.any() else AGREES if stated.all() else IN_PART
     return Judgement(f"{QUANTITIES[quantity]} ({_printed_unit(quantity)}): {text}", verdict)
@@ -133,6 +135,7 @@ def flat(result: StudyResult, reading: str, quantity: str, negligible: float, fr
     snr_db, (first, last), (first_se, last_se) = _first_and_last(result, reading, quantity, from_db)
     change, se = np.abs(last - first), np.hypot(first_se, last_se)
     effect = (change > sidak_quantile(change.size) * se) & (change > negligible)
+    # The noise must not hide an effect twice as large as the negligible one.
     insensitive = bool((SIGNIFICANT * se[snr_db >= HIGH_SNR_DB] > 2 * negligible).any())
 
     largest = int(np.argmax(change))
@@ -149,6 +152,7 @@ def flat(result: StudyResult, reading: str, quantity: str, negligible: float, fr
 def slight(result: StudyResult, reading: str, quantity: str, max_change: float) -> Judgement:
     """Judge a small change: relative change below ``max_change`` at SNRs of 20 dB and more."""
     snr_db, (first, last), (first_se, last_se) = _first_and_last(result, reading, quantity, HIGH_SNR_DB)
+    # Relative change, with the standard error of a ratio.
     change, se = last / first - 1, np.hypot(first_se / first, last_se / last) * np.abs(last / first)
     largest = int(np.argmax(np.abs(change)))
     low, high = bounds_of_largest(np.abs(change), se)

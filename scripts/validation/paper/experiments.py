@@ -115,6 +115,7 @@ def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, FloatArray]:
         result = process(run_file)
     sampled_m = []
     for shot, row_m in zip(setup.plan.shots, true_m, strict=True):
+        # Fit the true motion at the selected pulses with the harmonics of the estimate.
         pulses = select(setup.scene.scene, shot)
         time_s = shot.timeline.sensing_s[pulses.window]
         motion = Motion(time_s, row_m[pulses.window], np.zeros(time_s.size), np.ones(time_s.size, bool))
@@ -126,6 +127,7 @@ def repeated(shots: Sequence[ShotResult]) -> Repeated:
     """Return the statistics of the repeats of one setting."""
     estimates = [shot.estimates for shot in shots]
     amplitude_m = np.array([[item.amplitude_m for item in row] for row in estimates])
+    # Phases are averaged on the unit circle.
     phasor = np.exp(1j * np.array([[item.phase_rad for item in row] for row in estimates]))
     mean_phasor = phasor.mean(axis=0)
     return Repeated(

@@ -60,6 +60,7 @@ class ForceLine:
 
 def figure_15(seed: int = 1) -> Experiment:
     """Measure displacement at 200 Hz against force for three toneburst lengths."""
+    # Both scenes are linear by default.
     propagating = {"simulation.propagation.specimen_depth_m": SPECIMEN_DEPTH_M}
     runs = [by_chain(seeded(name, seed).with_(propagating)) for name in ("muscle-force", "muscle-force-200us")]
     figure, axes = panels(len(CHAINS) + 1)

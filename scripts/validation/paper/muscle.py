@@ -132,6 +132,7 @@ def _figure_16_verdicts(
         f"the limit {RMS_RANGE_16[1]:g} is exceeded by chance once in 40; 1 ns of trigger jitter gives a mean of five "
         f"at the weakest force an uncertainty of {u_deg.max():.0f} degrees",
     )
+    # 20 deviations: 5 forces times 4 frequencies.
     trend = np.corrcoef(np.log(force.repeat(4)), np.log(phases.ravel()))[0, 1]
     yield Verdict(
         f"standard deviation of phase falls as F rises ({chain_name})",
@@ -207,8 +208,10 @@ def _figure_17_verdicts(forces: Mapping[float, Repeated], chain_name: str) -> It
         "the range at 1000 Hz is due to noise on the smallest displacement; the statement is met if it exceeds the "
         f"median of the others, {np.median(range_deg[:9]):.0f} degrees",
     )
+    # Phase over frequency of the strongest force, per 100 Hz.
     slope = np.polyfit(np.arange(1, 11), mean_deg[-1], 1)[0]
     tracking = load_scene("muscle-repeats").tracking
+    # The first velocity is estimated between the first two pulses.
     first_s = tracking.delay_s + 0.5 / tracking.pulse_rate_hz
     yield Verdict(
         f"mean phase has a positive trend with frequency ({chain_name})",
@@ -264,6 +267,7 @@ def figure_18(seed: int = 1) -> Experiment:
 def _figure_18_verdicts(rates: Mapping[float, Repeated], chain_name: str) -> Iterator[Verdict]:
     two, two_half, three, four = rates.values()
     over = np.array([repeats.mean_nm[:4] / four.mean_nm[:4] - 1 for repeats in (two, two_half, three)])
+    # Relative standard error of a difference of two means.
     u = float(np.sqrt(2) * four.error_nm / four.mean_nm[:4].min())
     yield Verdict(
         f"displacement matches well at all pulse rates ({chain_name})",
@@ -398,6 +402,7 @@ def _falls(length_s: list[float], deviation: list[float]) -> bool:
 
 def _slope_u(length_s: list[float]) -> float:
     """Return the standard error of the slope of the logarithm of a deviation over that of the window length."""
+    # Slope of a straight line through equally uncertain points.
     centred = np.log(length_s) - np.mean(np.log(length_s))
     return float(1 / np.sqrt(80 * float(centred @ centred)))
 

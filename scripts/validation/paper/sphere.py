@@ -76,6 +76,7 @@ def fit_sphere(scene: Scene, result: Result) -> SphereFit:
 
     fit = least_squares(residual, np.array([np.log(5e3), np.log(0.5), 1.0]), x_scale="jac")
     slope: FloatArray = np.asarray(fit.jac)
+    # Parameters are logarithms, so their standard errors are relative ones.
     covariance = np.linalg.inv(slope.T @ slope)
     mu1_pa, mu2_pa_s = np.exp(fit.x[:2])
     relative = np.sqrt(np.diag(covariance))

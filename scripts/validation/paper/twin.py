@@ -54,6 +54,7 @@ def figure_1() -> Experiment:
     force = radiation_force(burst, Specimen(), 45e-6)
     frequency_hz = rate_hz * np.arange(1, 201)
     omega = 2 * np.pi * frequency_hz
+    # Fourier transform of a rectangular force pulse from its edges.
     edges = (np.exp(-1j * omega * time_ps[0] * 1e-12) for time_ps in (force.onset_ps, force.end_ps))
     magnitude = np.abs(np.subtract(*edges)) / omega
     magnitude = magnitude / magnitude[0]
@@ -184,6 +185,7 @@ def interference() -> Experiment:
         right.plot(delays_us[shown], np.clip(transmission[shown], 0, 1), mark, ms=3, color=colour, label=name)
     label(left, "delay t_d (us)", "largest change of a gate / echo")
     right.set(xlabel="delay t_d (us)", ylabel="lowest transmission of an echo")
+    # A toneburst blocks echoes at the T/R switch, or leaks into the gate.
     regions = np.where(transmission < 0.5, "blocked", np.where(change > 1e-3, "leaking", "clean"))
     rows = [
         (f"{at:g} us", "free" if ok else "disturbed", f"{x:.1e}", f"{np.clip(y, 0, 1):.2f}", str(region))
@@ -238,6 +240,7 @@ def _gates(delay_s: float) -> tuple[float, float, float]:
     tonebursts = bursts(line.burst_onset_s, line.burst_length_s, 3e6)
     volts = physics.record_volts(tonebursts, pulses, capture)[:, shot.gate]
     resting = physics.record_volts(no_bursts(), pulses, capture)[:, shot.gate]
+    # Change and transmission are relative to the echo at rest.
     energy = np.sum(resting**2, axis=1)
     change = np.sqrt(np.sum((volts - resting) ** 2, axis=1) / energy)
     transmission = np.sum(volts * resting, axis=1) / energy
@@ -269,6 +272,7 @@ def dose() -> Experiment:
         )
     panel.set_yticks(row_index, list(within), fontsize=6)
     label(panel, "displacement at 200 Hz (nm)", "", xscale="log")
+    # Scenes with the paper's trigger jitter.
     jittered = [pair for name, pair in within.items() if not name.startswith(("bovine", "limits", "gelatin-moduli"))]
     allowed = {name: result_and_sampled_truth(name)[0].shots[0].estimates[1].headline for name in LIMITS}
     header = "scene|duty|limit of I_sppa|displacement at 200 Hz|detection floor|intensity of the scene / limit"
