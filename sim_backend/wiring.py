@@ -215,11 +215,11 @@ def propagate(cables: Sequence[Cable], respond: Mapping[str, Respond]) -> dict[s
     """Return the emission of every role of ``respond``, evaluated along the wiring; an open input has no edges."""
     emissions: dict[str, Emission] = {}
     for role in trigger_order(cables, tuple(respond)):
-        arriving = [
-            _delayed(emissions[_role(cable.source)].steps, cable.delay_ps)
-            for cable in cables
-            if cable.target == f"{role}.trigger"
-        ]
+        arriving = []
+        for cable in cables:
+            if cable.target == f"{role}.trigger":
+                steps = emissions[_role(cable.source)].steps
+                arriving.append(replace(steps, time_ps=steps.time_ps + cable.delay_ps))
         emissions[role] = respond[role](joined_steps(arriving))
     return emissions
 
@@ -245,7 +245,3 @@ def driven(
 
 def _role(end: str) -> str:
     return end.partition(".")[0]
-
-
-def _delayed(steps: Steps, delay_ps: int) -> Steps:
-    return replace(steps, time_ps=steps.time_ps + delay_ps)

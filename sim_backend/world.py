@@ -9,11 +9,11 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_backend.arrays import FloatArray, Int64Array
+from sim_backend.arrays import FloatArray
 from sim_backend.digitizer import (
     BOARDS,
     FAR_PS,
@@ -31,7 +31,6 @@ from sim_backend.settings import SimulationSettings
 from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
-    Capture,
     Emission,
     Respond,
     SimulatedClock,
@@ -44,6 +43,9 @@ from sim_backend.wiring import (
     trigger_order,
 )
 
+if TYPE_CHECKING:
+    from sim_backend.receiver import Physics
+
 GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
 PULSER = "tracking_pulser"
 TRANSDUCERS = ("transducer.drive", "tracking_transducer.drive")
@@ -52,16 +54,6 @@ SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
 TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", *TRANSDUCERS)
 MAX_CAPTURES = 16
 """Number of armings in memory, with their emissions; older ones are forgotten."""
-
-
-class Physics(Protocol):
-    """Acoustics: transmitted bursts -> received volts, in blocks of consecutive records."""
-
-    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray: ...
-
-    def focus_displacement_m(
-        self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
-    ) -> FloatArray: ...
 
 
 @dataclass(frozen=True, slots=True)

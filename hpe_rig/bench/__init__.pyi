@@ -41,12 +41,9 @@ from .push_scan import scanned_push as scanned_push
 from .twin import (
     TwinDeclaration as TwinDeclaration,
     simulation_schema as simulation_schema,
-    twin_dose as twin_dose,
     twin_of as twin_of,
-    twin_push as twin_push,
     twin_settings as twin_settings,
     twin_tables as twin_tables,
-    twin_water_output as twin_water_output,
 )
 from .twin_checks import (
     check_declared as check_declared,

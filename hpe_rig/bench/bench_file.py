@@ -324,6 +324,7 @@ class BenchFile(Section):
         """
         if not values:
             return self
+        # No limit protects anything on the twin.
         mistakes = [] if self.simulated else list(_raised_limits(self, values))
         tables = with_values(plain_tables(self), values)
         mistakes += mistakes_of(BenchFile, tables, ("bench",))

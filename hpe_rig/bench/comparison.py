@@ -88,9 +88,9 @@ def _equal(first: Any, second: Any) -> bool:
 def _words_and_unit(key: str) -> tuple[str, str]:
     """Return a key as words and its unit: ``delay_s`` is "delay" in s."""
     table, _, name = key.rpartition(".")
-    for ending in sorted(UNITS, key=len, reverse=True):
+    for ending, unit in UNITS.items():
         if name.endswith(f"_{ending}"):
-            return f"{table} {name.removesuffix(f'_{ending}').replace('_', ' ')}".strip(), UNITS[ending]
+            return f"{table} {name.removesuffix(f'_{ending}').replace('_', ' ')}".strip(), unit
     return f"{table} {name.removesuffix('_on').replace('_', ' ')}".strip(), ""
 
 

@@ -47,6 +47,7 @@ def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tu
 
     Raises ``SettingsError`` if the generators of its file are not tables with headers.
     """
+    # The addresses of the file are replaced, and each generator's is put below the header of its table.
     text = ADDRESSING.sub("", bench.text)
     lines = f'simulated = true\ntransport = "{transport}"'
     text = re.sub(r"^simulated\s*=.*$", lines, text, count=1, flags=re.MULTILINE)

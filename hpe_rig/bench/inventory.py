@@ -114,6 +114,7 @@ def _report(
         problems = str(item), *_address_suggestion(role, address, bench, addresses)
         return InstrumentReport(role, address, problems=problems)
     try:
+        # Only queries, so that the settings of other programs are reported as they were found.
         identity, latency_s = _timed_identity(item, clock_s)
         settings = item.snapshot()
     except InstrumentError as error:
@@ -138,6 +139,7 @@ def _with_self_test(report: InstrumentReport, item: Instrument | Exception) -> I
 
 def _timed_identity(instrument: Instrument, clock_s: Callable[[], float]) -> tuple[Identity, float]:
     """Return the identity and the median round-trip time of asking for it."""
+    # The median is insensitive to the first query, which can include the set-up of a connection.
     durations_s = []
     for _ in range(LATENCY_QUERIES):
         start_s = clock_s()

@@ -107,6 +107,7 @@ def _lock(name: str) -> Iterator[str]:
         why = f"{lock.lock_file} cannot be opened ({error.strerror})"
         raise InstrumentError("bench", f"{name} cannot be locked", why, "remove that file as its owner") from None
     try:
+        # A program that ends normally deletes the second file, so its text names a crashed one.
         crashed = _holder_text(holder)
         with suppress(OSError):
             holder.write_text(_this_program(), encoding="utf-8")

@@ -14,7 +14,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.scene import Scene, settings_schema
+from hpe_rig.scene import Excitation, Scene, settings_schema
 
 if TYPE_CHECKING:
     from sim_backend.motion import Dose
@@ -150,6 +150,7 @@ class TwinDeclaration:
             from sim_backend.acoustics import transmitted_fraction
 
             relative_v *= float(transmitted_fraction(np.array([amplitude_vpp]), self.settings)[0])
+        # Loss relative to the reference pulse, for which ``echo_rms_v`` is stated.
         loss_db = self.settings.loss_to_focus_db(carrier_hz)
         loss_db -= self.settings.loss_to_focus_db(receiver.reference_carrier_hz)
         # ... to the beam at the gate, and to the attenuation relative to the reference carrier.
@@ -191,6 +192,7 @@ class TwinDeclaration:
             return np.zeros(time_ps.shape)
         # Only bursts before the last time matter.
         onset_ps = np.rint(burst_onset_s[burst_onset_s * 1e12 <= time_ps[-1]] * 1e12).astype(np.int64)
+        # Equal tonebursts.
         carrier_hz, amplitude_vpp = (np.full(onset_ps.shape, value) for value in drive)
         length_ps = round(burst_length_s * 1e12)
         bursts = Bursts(onset_ps, onset_ps + length_ps, carrier_hz, burst_length_s * carrier_hz, amplitude_vpp)
@@ -249,6 +251,39 @@ class TwinDeclaration:
         s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
         return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
 
+    def dose(self, excitation: Excitation, burst_length_s: float, frequency_hz: FloatArray) -> Dose | None:
+        """Return the specimen's dose and its largest possible displacement at ``frequency_hz`` (frequency,).
+
+        None without specimen, and for a sphere: the force on its surface is not that on an attenuating medium.
+        """
+        specimen = self.settings.specimen
+        if specimen is None or specimen.sphere is not None:
+            return None
+        from sim_backend.motion import dose, force_shape
+
+        train = excitation.burst_rate_hz, burst_length_s
+        force, speed_m_per_s = force_shape(self.settings), self.sound_speed_m_per_s
+        return dose(specimen, force, *train, frequency_hz, speed_m_per_s, excitation.carrier_hz)
+
+    def push(self, carrier_hz: float) -> Push | None:
+        """Return the push as a function of drive; None with linear propagation."""
+        if self.settings.propagation is None:
+            return None
+        from sim_backend.transducer import push_of
+
+        return push_of(self.settings, carrier_hz)
+
+    def water_output(self, surface_pa: float, carrier_hz: float) -> WaterOutput | None:
+        """Return the output that a hydrophone would measure in water for ``surface_pa`` at the transducer.
+
+        None with linear propagation.
+        """
+        if self.settings.propagation is None:
+            return None
+        from sim_backend.transducer import water_output
+
+        return water_output(self.settings, surface_pa, carrier_hz)
+
     def depth_shift_m(self, bench: BenchFile, trigger_delay_s: float) -> float:
         """Return how much deeper than planned the record is, due to latencies other than in the bench file."""
         simulated, board, pulser = self.settings.instruments, bench.digitizer, bench.generators.tracking_pulser
@@ -301,43 +336,3 @@ def simulation_schema() -> dict[str, Any]:
     from sim_backend.settings import SimulationSettings
 
     return settings_schema(SimulationSettings)
-
-
-def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: FloatArray) -> Dose | None:
-    """Return the simulated specimen's dose and its largest possible displacement at ``frequency_hz`` (frequency,).
-
-    None without specimen, and for a sphere: the force on its surface is not that on an attenuating medium.
-    """
-    from sim_backend.motion import dose, force_shape
-
-    twin = twin_of(scene)
-    if twin is None or twin.settings.specimen is None or scene.excitation is None:
-        return None
-    if twin.settings.specimen.sphere is not None:
-        return None
-    train = scene.excitation.burst_rate_hz, burst_length_s
-    force, speed_m_per_s = force_shape(twin.settings), twin.sound_speed_m_per_s
-    return dose(twin.settings.specimen, force, *train, frequency_hz, speed_m_per_s, scene.excitation.carrier_hz)
-
-
-def twin_push(scene: Scene) -> Push | None:
-    """Return the simulated push as a function of drive; None without tonebursts or with linear propagation."""
-    twin = twin_of(scene)
-    if twin is None or twin.settings.propagation is None or scene.excitation is None:
-        return None
-    from sim_backend.transducer import push_of
-
-    return push_of(twin.settings, scene.excitation.carrier_hz)
-
-
-def twin_water_output(scene: Scene, surface_pa: float) -> WaterOutput | None:
-    """Return the output that a hydrophone would measure in water for ``surface_pa`` at the transducer.
-
-    None without tonebursts or with linear propagation.
-    """
-    twin = twin_of(scene)
-    if twin is None or twin.settings.propagation is None or scene.excitation is None:
-        return None
-    from sim_backend.transducer import water_output
-
-    return water_output(twin.settings, surface_pa, scene.excitation.carrier_hz)

@@ -52,6 +52,7 @@ def _force_mistakes(scene: Scene) -> Iterator[Mistake]:
 
     if settings.propagation.harmonics >= SLOW_HARMONICS:
         _warn_slow(settings.propagation.harmonics)
+    # Computed here, so that the failure of a scene is reported before its measurement; the result is cached.
     try:
         push = push_of(settings, scene.excitation.carrier_hz)
     except ValueError as error:

@@ -62,5 +62,6 @@ def effective_rate_hz(pulse_rate_hz: float, burst_rate_hz: float, bursts: int) -
     It equals the pulse rate if every period is sampled at the same times. If the pulses shift from burst to burst, it
     is higher, and harmonics up to half of it can be resolved.
     """
+    # In lowest terms m / n: over n burst periods the m pulses sample m different phases of the period.
     ratio = Fraction(pulse_rate_hz / burst_rate_hz).limit_denominator(max(1, bursts))
     return float(ratio.numerator) * burst_rate_hz

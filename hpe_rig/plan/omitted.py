@@ -22,7 +22,7 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
     omitted: list[Omission] = []
     if scene.excitation is None:
         omitted.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
-    if scene.excitation is not None and (reason := _reason_without_prior(scene)):
+    if scene.excitation is not None and (reason := reason_without_prior(scene)):
         effect = "only the pulses separate the tonebursts' other harmonics from the wanted ones"
         if scene.without_prior is None:
             effect += " in the tracked motion; the peak is corrected by the prior"
@@ -38,7 +38,7 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
     return [*omitted, Omission("the twin", f"the bench is real{ignored}")]
 
 
-def _reason_without_prior(scene: Scene) -> str | None:
+def reason_without_prior(scene: Scene) -> str | None:
     """Return why the other harmonics are fitted without the prior of media; None if the prior applies."""
     processing = scene.processing
     if properties_of(processing.estimator).velocity_chain:

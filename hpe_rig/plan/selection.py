@@ -61,6 +61,7 @@ def driven_frequencies_hz(scene: Scene) -> FloatArray:
     if scene.excitation is None:
         return np.zeros(0)
     rate_hz = scene.excitation.burst_rate_hz
+    # Beyond the first zero of the tonebursts' spectrum the force is small, beyond the other limit the motion.
     count = math.floor(min(MAX_DRIVEN_HZ, burst_bandwidth_hz(scene.excitation)) / rate_hz)
     return rate_hz * np.arange(1.0, count + 1)
 

@@ -190,6 +190,7 @@ def _joined(plans: Sequence[Plan]) -> Plan:
     """Return one plan with the shots of all plans; their omissions are equal."""
     shots = (shot for plan in plans for shot in plan.shots)
     numbered = tuple(replace(shot, index=index) for index, shot in enumerate(shots))
+    # The longest period suits all shots.
     return replace(plans[0], shots=numbered, shot_period_s=max(plan.shot_period_s for plan in plans))
 
 
@@ -312,6 +313,7 @@ def _toneburst(scene: Scene, bench: BenchFile, length_s: float | None, force: fl
         return None
     # The force is proportional to the intensity, hence to the square of the drive.
     amplitude_vpp = bench.limits.full_drive_vpp * math.sqrt(force)
+    # A generator counts whole cycles; a check of the plan refuses other lengths.
     cycles = max(1, round(length_s * excitation.carrier_hz))
     return Toneburst(excitation.carrier_hz, cycles, amplitude_vpp, 0.0, generator.load_ohm)
 
@@ -327,6 +329,7 @@ def _reference_offset_s(scene: Scene) -> tuple[float, float] | None:
 
 def _offset_s(scene: Scene, depth_m: float, length_m: float) -> tuple[float, float]:
     """Return start and end of a gate's echoes after the onset of their pulse."""
+    # Echo time 2 z / c at depth z.
     half_s, centre_s = (metres / scene.acquisition.sound_speed_m_per_s for metres in (length_m, 2 * depth_m))
     return centre_s - half_s, centre_s + half_s
 

@@ -56,6 +56,7 @@ def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: 
     for row, (_, onset_s, (low_s, high_s), colour) in enumerate(rows):
         visible_s = onset_s[(onset_s + high_s >= start_s) & (onset_s + low_s <= start_s + span_s)]
         starts = (visible_s + low_s - start_s) * factor
+        # A toneburst or pulse is often narrower than a pixel.
         width = max((high_s - low_s) * factor, span_s * factor * MIN_WIDTH)
         axes.broken_barh([(float(edge), width) for edge in starts], (row - 0.3, 0.6), color=colour, lw=0)
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows])

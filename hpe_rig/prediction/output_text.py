@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hpe_rig.bench import BenchFile, DriveCalibration, TwinDeclaration, twin_dose, twin_of, twin_push, twin_water_output
+from hpe_rig.bench import BenchFile, DriveCalibration, TwinDeclaration, twin_of
 from hpe_rig.plan import drive_output
 from hpe_rig.scene import Excitation, Scene
 
@@ -59,10 +59,10 @@ def dose_text(scene: Scene) -> Iterator[str]:
     excitation, twin = scene.excitation, twin_of(scene)
     if excitation is None or twin is None:
         return
-    yield from _push_text(scene, twin, excitation)
+    yield from _push_text(twin, excitation)
     frequency_hz, intensity_w_per_m2 = np.array(scene.wanted_frequencies_hz[:LISTED_FREQUENCIES]), None
     for length_s in excitation.burst_length_s:
-        dose = twin_dose(scene, length_s, frequency_hz)
+        dose = twin.dose(excitation, length_s, frequency_hz)
         if dose is None:
             continue
         intensity_w_per_m2 = dose.intensity_w_per_m2
@@ -78,9 +78,9 @@ def dose_text(scene: Scene) -> Iterator[str]:
         yield from _linearity_text(twin, excitation, intensity_w_per_m2)
 
 
-def _push_text(scene: Scene, twin: TwinDeclaration, excitation: Excitation) -> Iterator[str]:
+def _push_text(twin: TwinDeclaration, excitation: Excitation) -> Iterator[str]:
     """Yield pressures, output and heating of the tonebursts at full drive if they propagate nonlinearly."""
-    push, specimen = twin_push(scene), twin.settings.specimen
+    push, specimen = twin.push(excitation.carrier_hz), twin.settings.specimen
     if push is None or specimen is None:
         return
     force = specimen.force_density_n_per_m3
@@ -95,7 +95,7 @@ def _push_text(scene: Scene, twin: TwinDeclaration, excitation: Excitation) -> I
         f"{heat_w_per_mm3:.2g} W/mm3; the force is proportional to the drive to the power "
         f"{2 * push.exponent(force):.2g}"
     )
-    water = twin_water_output(scene, surface_pa)
+    water = twin.water_output(surface_pa, excitation.carrier_hz)
     if water is None:
         return
     drive = DriveCalibration(
@@ -136,7 +136,8 @@ def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
     drive = None if bench.calibration is None else bench.calibration.toneburst
     if not bench.simulated or bench.calibration is None or drive is None or scene.excitation is None:
         return
-    dose = twin_dose(scene, scene.excitation.burst_length_s[0], np.zeros(1))
+    twin = twin_of(scene)
+    dose = None if twin is None else twin.dose(scene.excitation, scene.excitation.burst_length_s[0], np.zeros(1))
     if dose is None:
         return
     drive_vpp = dose.reference_drive_vpp
@@ -188,6 +189,7 @@ def extrapolation_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
 def _push_diameter_m(scene: Scene, simulated: bool) -> float | None:
     """Return the diameter of the aperture that pushes; None if it is unknown."""
     beams, twin = scene.beams, twin_of(scene) if simulated else None
+    # With two transducers the declared aperture is the one that tracks.
     if beams is not None and beams.transducer_diameter_m is not None and beams.push_focus_depth_m is None:
         return beams.transducer_diameter_m
     return None if twin is None else twin.settings.beams.transducer.diameter_m

@@ -64,6 +64,7 @@ def settings_at_points(
     if combine == "product" and math.prod(counts) > max_points:
         what = f"its axes have {math.prod(counts)} points, a run at most {max_points}"
         raise SettingsError(source, [Mistake("sweep", what, "fewer values, or several runs")])
+    # Points as one index for each axis.
     ranges = [range(count) for count in counts]
     indices = zip(*ranges, strict=True) if combine == "zip" else itertools.product(*ranges)
     return [

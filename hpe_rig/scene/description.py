@@ -78,6 +78,7 @@ def settings_schema(model: type[BaseModel]) -> dict[str, Any]:
     for described_model in {model, *_models_under(model)}:
         keys = tables[described_model.__name__]["properties"]
         for name, text in _key_docstrings(described_model).items():
+            # A description that the schema already has takes precedence.
             keys[name] = dict(sorted({"description": text, **keys[name]}.items()))
     return schema
 

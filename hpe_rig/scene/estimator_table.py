@@ -112,6 +112,7 @@ def checked_estimator(name: str, stored: bool = False) -> str:
     """
     if stored:
         name = REPLACED_ESTIMATORS.get(name, name)
+    # The table first, because listing entry points of other packages is slow.
     if name in BUILT_IN_ESTIMATORS or name in estimator_names():
         return name
     if name in REPLACED_ESTIMATORS:

@@ -62,6 +62,7 @@ def parse_scene(
     mistakes = scene_mistakes(tables, stored)
     if simulation_check is not None:
         mistakes += simulation_check(tables)
+    # Axes are resolved on a valid scene only.
     if not mistakes:
         scene = Scene.model_validate(tables, context=STORED if stored else None)
         mistakes = axes_replaced_by_lists(scene) if scene.sweep.axes else []

@@ -104,6 +104,7 @@ class Scene(Section):
             return self.processing.frequencies_hz
         if self.excitation is None:
             return ()
+        # The slowest pulse rate of a sweep limits the harmonics, so that all rates estimate equal frequencies.
         rate_hz, slowest_hz = self.excitation.burst_rate_hz, min(self.pulse_rates_hz)
         return tuple(n * rate_hz for n in range(1, HIGHEST_DEFAULT_HARMONIC + 1) if n * rate_hz < slowest_hz / 2)
 
@@ -266,9 +267,11 @@ def _points(tables_json: str, specimen: str | None) -> tuple[ScenePoint, ...]:
     tables = json.loads(tables_json)
     scene = Scene.model_validate(tables, context=STORED)
     axes = _resolved_axes(scene)
+    # A point has no axes; its lists, such as pulse rates, remain.
     tables["sweep"] = {name: values for name, values in tables["sweep"].items() if name not in ("axes", "combine")}
     points, mistakes = list[ScenePoint](), dict[str, Mistake]()
     for values in settings_at_points(axes, scene.sweep.combine, MAX_POINTS, "the sweep"):
+        # Keys of the bench file are applied to the bench of the point, without their prefix.
         scene_values = {path_of(name): value for name, value in values.items() if not name.startswith(BENCH_PREFIX)}
         bench = {path_of(name)[1:]: value for name, value in values.items() if name.startswith(BENCH_PREFIX)}
         try:

@@ -55,6 +55,7 @@ def engineering(value: float, unit: str, digits: int = 4) -> str:
         return f"{value:g} {unit}"
     # The prefix follows from the rounded number: 999999.6 is 1 M.
     rounded = float(f"{value:.{digits}g}")
+    # Without prefix a number from 1000 on needs five digits: 12345 Hz must not become 1.234e+04 Hz.
     if _WITHOUT_PREFIX[0] <= abs(rounded) < _WITHOUT_PREFIX[1]:
         return f"{value:.{max(digits, 5)}g} {unit}" if abs(rounded) >= 1000 else f"{value:.{digits}g} {unit}"
     power = min(max(3 * math.floor(math.log10(abs(rounded)) / 3), -15), 12)

@@ -51,6 +51,7 @@ def likely_value(scene_type: type[Section], key: str, value: Number) -> str:
     low, high = _shipped_range(scene_type).get(_without_index(key), (0.0, 0.0))
     if value <= 0 or not high or low / SUSPICIOUS_FACTOR <= value <= high * SUSPICIOUS_FACTOR:
         return ""
+    # Powers of ten towards the usual range, the smallest correction first.
     for power in (-3, -6, -9) if value > high else (3, 6, 9):
         if low / USUAL_FACTOR <= value * 10.0**power <= high * USUAL_FACTOR:
             return f"{value:g}e{power}" if "e" not in f"{value:g}" else f"{value * 10.0**power:g}"

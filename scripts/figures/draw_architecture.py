@@ -27,14 +27,14 @@ NOT_DRAWN = ("hpe_rig.startup", "hpe_rig.arrays", "sim_backend.arrays")
 class Panel(NamedTuple):
     """A top-level package in the picture.
 
-    ``left`` is the left edge of the first column; ``boxes`` maps a package to (column, row, purpose). Packages in
+    ``left_edge`` is that of the first column; ``boxes`` maps a package to (column, row, purpose). Packages in
     ``shared`` may be imported by all others of the panel, so no arrows lead to them.
     """
 
     title: str
     colour: str
     background: str
-    left: float
+    left_edge: float
     shared: tuple[str, ...]
     boxes: dict[str, tuple[int, float, str]]
 
@@ -82,7 +82,7 @@ PANELS = {
             "digitizer": (1, 7, "volts to codes"),
             "generator": (2, 7, "registers to bursts"),
             "receiver": (0, 5, "front end, noise"),
-            "motion": (1, 5, "force to displacement"),
+            "motion": (1, 4, "force to displacement"),
             "echoes": (0, 3, "echo synthesis"),
             "transducer": (1, 2, "field of the aperture"),
             "settings": (0, 1, "[simulation]"),
@@ -95,7 +95,7 @@ PANELS = {
 def box_centre(panel: str, package: str) -> tuple[float, float]:
     """Return the centre of a package's box."""
     column, row, _ = PANELS[panel].boxes[package]
-    return PANELS[panel].left + BOX_WIDTH / 2 + column * (BOX_WIDTH + GUTTER), row
+    return PANELS[panel].left_edge + BOX_WIDTH / 2 + column * (BOX_WIDTH + GUTTER), row
 
 
 def imported_modules(node: ast.AST, deferred: bool = False) -> Iterator[tuple[str, bool]]:
@@ -159,11 +159,13 @@ def all_imports(panel: str, package: str) -> set[str]:
 def drawn_imports(panel: str, package: str) -> list[str]:
     """Return the direct imports of ``package`` that are not implied by its other imports."""
     direct = direct_imports(panel, package)
-    return [target for target in direct if not any(target in all_imports(panel, via) for via in direct if via != target)]
+    return [
+        target for target in direct if not any(target in all_imports(panel, via) for via in direct if via != target)
+    ]
 
 
-def draw_rounded(axes: Axes, left: float, bottom: float, width: float, height: float, **style: object) -> None:
-    axes.add_patch(FancyBboxPatch((left, bottom), width, height, "round,pad=0,rounding_size=0.1", **style))
+def draw_rounded(axes: Axes, corner: tuple[float, float], width: float, height: float, **style: object) -> None:
+    axes.add_patch(FancyBboxPatch(corner, width, height, "round,pad=0,rounding_size=0.1", **style))
 
 
 def draw_arrow(axes: Axes, points: list[tuple[float, float]], colour: str, linestyle: object = "-") -> None:
@@ -179,7 +181,10 @@ def arrow_path(panel: str, package: str, target: str) -> list[tuple[float, float
     blocked = any(to_y < centre_y < y and centre_x in (x, to_x) for centre_x, centre_y in centres)
     side = (to_x > x) - (to_x < x)
     if not blocked or not side:
-        return [(x + side * 0.3 * BOX_WIDTH, y - BOX_HEIGHT / 2), (to_x - side * 0.3 * BOX_WIDTH, to_y + BOX_HEIGHT / 2)]
+        return [
+            (x + side * 0.3 * BOX_WIDTH, y - BOX_HEIGHT / 2),
+            (to_x - side * 0.3 * BOX_WIDTH, to_y + BOX_HEIGHT / 2),
+        ]
     lane = x + side * (BOX_WIDTH + GUTTER) / 2
     return [(x + side * BOX_WIDTH / 2, y), (lane, y), (lane, to_y), (to_x - side * BOX_WIDTH / 2, to_y)]
 
@@ -188,20 +193,20 @@ def draw_panel(axes: Axes, name: str) -> tuple[float, float]:
     """Draw a top-level package with its boxes and arrows; return the left and right edge of its background."""
     panel = PANELS[name]
     columns, rows, _ = zip(*panel.boxes.values(), strict=True)
-    left, right = panel.left - 0.25, panel.left + max(columns) * (BOX_WIDTH + GUTTER) + BOX_WIDTH + 0.25
-    bottom, top = min(rows) - 0.6, max(rows) + 1.0
-    draw_rounded(axes, left, bottom, right - left, top - bottom, fc=panel.background, ec="none", zorder=0)
-    axes.text(left + 0.25, top - 0.32, panel.title, fontsize=11, color=panel.colour, weight="bold", va="center")
+    x_min, x_max = panel.left_edge - 0.25, panel.left_edge + max(columns) * (BOX_WIDTH + GUTTER) + BOX_WIDTH + 0.25
+    y_min, y_max = min(rows) - 0.6, max(rows) + 1.0
+    draw_rounded(axes, (x_min, y_min), x_max - x_min, y_max - y_min, fc=panel.background, ec="none", zorder=0)
+    axes.text(x_min + 0.25, y_max - 0.32, panel.title, fontsize=11, color=panel.colour, weight="bold", va="center")
     for package, (_, _, purpose) in panel.boxes.items():
         x, y = box_centre(name, package)
         fill = "white" if package not in panel.shared else panel.background
         style = {"fc": fill, "ec": panel.colour, "lw": 1.2, "zorder": 3, "ls": "-"}
-        draw_rounded(axes, x - BOX_WIDTH / 2, y - BOX_HEIGHT / 2, BOX_WIDTH, BOX_HEIGHT, **style)
+        draw_rounded(axes, (x - BOX_WIDTH / 2, y - BOX_HEIGHT / 2), BOX_WIDTH, BOX_HEIGHT, **style)
         axes.text(x, y + 0.13, package, ha="center", va="center", weight="bold", fontsize=10, zorder=4)
         axes.text(x, y - 0.17, purpose, ha="center", va="center", fontsize=8, color=INK, zorder=4)
         for target in drawn_imports(name, package):
             draw_arrow(axes, arrow_path(name, package, target), INK)
-    return left, right
+    return x_min, x_max
 
 
 def draw_imports_between_panels(axes: Axes, panel: str, edge: float, side: int) -> None:
@@ -209,7 +214,11 @@ def draw_imports_between_panels(axes: Axes, panel: str, edge: float, side: int) 
     interfaces = {f"{panel}.{package}" for package in PANELS["drivers"].shared}
     for package in PANELS["hpe_rig"].boxes:
         pairs = (pair for pair in package_imports().items() if pair[0][0] == f"hpe_rig.{package}")
-        deferred = [late for (_, target), late in pairs if target.startswith(f"{panel}.") and target not in interfaces]
+        deferred = [
+            is_deferred
+            for (_, target), is_deferred in pairs
+            if target.startswith(f"{panel}.") and target not in interfaces
+        ]
         if deferred:
             x, y = box_centre("hpe_rig", package)
             linestyle = (0, (4, 2)) if all(deferred) else "-"

@@ -5,6 +5,6 @@ from .front_end import (
     pulse_strength as pulse_strength,
     toneburst_echo_strength as toneburst_echo_strength,
 )
-from .reception import with_reception as with_reception
+from .reception import Physics as Physics, with_reception as with_reception
 from .record_noise import NoiseSource as NoiseSource, RecordNoise as RecordNoise
 from .streams import RecordStream as RecordStream

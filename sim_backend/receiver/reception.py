@@ -26,7 +26,7 @@ _PULSER_SALT, _TONEBURST_SALT = 1, 2
 
 
 class Physics(Protocol):
-    """Acoustics from transmitted bursts to received volts."""
+    """Acoustics: transmitted bursts -> received volts, in blocks of consecutive records."""
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray: ...
 

@@ -303,16 +303,16 @@ def test_no_module_imports_itself_through_others() -> None:
 @pytest.mark.parametrize(
     "statement",
     [
-        "from hpe_rig.plan import make_plan",
-        "def late() -> None:\n    from hpe_rig.plan import make_plan",
-        "if TYPE_CHECKING:\n    from hpe_rig.plan import make_plan",
+        "from hpe_rig.plan import select",
+        "def late() -> None:\n    from hpe_rig.plan import select",
+        "if TYPE_CHECKING:\n    from hpe_rig.plan import select",
     ],
 )
 def test_an_import_circle_is_detected(tree: Path, statement: str) -> None:
-    path = tree / "hpe_rig" / "plan" / "selection.py"
+    path = tree / "hpe_rig" / "plan" / "shots.py"
     path.write_text(f"{path.read_text(encoding='utf-8')}\n\n{statement}\n", encoding="utf-8")
     (circle,) = import_circles(tree)
-    assert {"hpe_rig.plan.selection", "hpe_rig.plan.shots"} <= set(circle)
+    assert {"hpe_rig.plan.omitted", "hpe_rig.plan.shots"} <= set(circle)
 
 
 def unlisted_modules(root: Path) -> list[str]:
@@ -340,7 +340,7 @@ def test_the_docstring_of_a_package_lists_its_modules() -> None:
 def test_an_unlisted_or_missing_module_is_detected(tree: Path) -> None:
     (tree / "hpe_rig" / "store" / "writer.py").rename(tree / "hpe_rig" / "store" / "scribe.py")
     (tree / "sim_backend" / "wiring.py").rename(tree / "sim_backend" / "cables.py")
-    assert unlisted_modules(tree) == [
+    assert sorted(set(unlisted_modules(tree)) - set(unlisted_modules(ROOT))) == [
         "hpe_rig/store does not list scribe",
         "hpe_rig/store lists writer.py",
         "sim_backend does not list cables",

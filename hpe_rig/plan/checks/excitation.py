@@ -45,6 +45,7 @@ def interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckRe
     """Yield, for every toneburst length, how many pulses or gates are disturbed."""
     if scene.excitation is None or any(shot.toneburst is None for shot in plan.shots):
         return
+    # Shots with equal burst lengths have equal edges, so one of each length is checked.
     for shot in {shot.timeline.burst_length_s: shot for shot in plan.shots}.values():
         count, burst = int(disturbed_pulses(shot).sum()), in_us(shot.timeline.burst_length_s)
         if not count:

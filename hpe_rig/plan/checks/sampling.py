@@ -10,6 +10,7 @@ import numpy as np
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.check_result import CheckResult, is_whole, pass_or_refuse
 from hpe_rig.plan.interference import effective_rate_hz
+from hpe_rig.plan.omitted import reason_without_prior
 from hpe_rig.plan.selection import (
     MAX_CONDITION,
     Selection,
@@ -19,7 +20,7 @@ from hpe_rig.plan.selection import (
     window_pulse_count,
 )
 from hpe_rig.plan.shots import Plan
-from hpe_rig.scene import Scene, properties_of
+from hpe_rig.scene import Scene
 
 MAX_DRIVEN, MAX_VALUES = 5000, 50_000_000
 """Harmonics of a fit, and values of its matrix: 0.4 GB, and the fit needs about four copies."""
@@ -109,12 +110,14 @@ def fit_size(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult
 
 
 def fit_condition(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield a conflict if the pulses in the window cannot separate the wanted frequencies and the background.
-
-    A fit with a prior of media does not need them to.
-    """
+    """Yield a conflict if the pulses in the window cannot separate the wanted frequencies and the background."""
     frequencies_hz, order = scene.wanted_frequencies_hz, scene.processing.background_order
-    if not frequencies_hz or window_pulse_count(scene) > MAX_PULSES_FOR_CONDITION or _has_prior(scene):
+    # With a prior of media the fit is determined by the prior too.
+    if (
+        not frequencies_hz
+        or window_pulse_count(scene) > MAX_PULSES_FOR_CONDITION
+        or reason_without_prior(scene) is None
+    ):
         return
     selection = select(scene, plan.shots[0])
     used, unknowns = int(selection.used.sum()), 2 * len(frequencies_hz) + order + 1
@@ -126,17 +129,6 @@ def fit_condition(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckR
     elif not (condition := _condition(selection, order)) <= MAX_CONDITION:
         text += f", which {used} pulses do not separate (condition {condition:.3g}, limit {MAX_CONDITION:g})"
         yield CheckResult("fit", "refused", text, remedy)
-
-
-def _has_prior(scene: Scene) -> bool:
-    """Return whether the fit of displacements has a prior of media for the harmonics."""
-    processing = scene.processing
-    return not (
-        properties_of(processing.estimator).velocity_chain
-        or processing.harmonic == "least_squares"
-        or processing.process_noise
-        or scene.without_prior is not None
-    )
 
 
 def _condition(selection: Selection, order: int) -> float:

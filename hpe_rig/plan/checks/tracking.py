@@ -57,6 +57,7 @@ def _echo_level(bench: BenchFile, shot: Shot, twin: TwinDeclaration, focus_offse
     """Yield whether the echo, ``focus_offset_m`` from the focus, is above the digitizer's step and the noise."""
     pulser, range_v = shot.tracking_pulser, shot.capture.input_range_v
     echo_v = twin.echo_v(pulser.amplitude_vpp, pulser.cycles, pulser.carrier_hz, focus_offset_m)
+    # One code of the digitizer at this range.
     step_v = 2 * range_v / 2**bench.digitizer.board_model.code_bits
     if echo_v < FEW_STEPS * step_v:
         text = f"the twin's echo of {echo_v * 1e6:.3g} uV rms is {echo_v / step_v:.2g} steps of the digitizer, "

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpe_rig.bench import twin_dose
+from hpe_rig.bench import twin_of
 from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
 from hpe_rig.prediction.output_text import calibration_text, extrapolation_text
@@ -72,7 +72,8 @@ def test_every_scene_with_a_specimen_prints_its_dose(name):
     doses = lines[1 : 1 + len(lengths)]
     assert [line.partition(":")[0] for line in lines[1 + len(lengths) :]] in ([], ["push"])
     for line, length_s in zip(doses, lengths, strict=True):
-        moved = twin_dose(scene(name), length_s, np.array([200.0])).displacement_limit_m[0]
+        dose = twin_of(scene(name)).dose(scene(name).excitation, length_s, np.array([200.0]))
+        moved = dose.displacement_limit_m[0]
         assert f"{moved * 1e9:.3g} nm at 200 Hz" in line
         # The bench of the paper cannot have stayed below the limit: its floor is far above what moves there. A gate on
         # something that stands still takes the jitter away.
