@@ -1,10 +1,11 @@
-"""Screenshots of pages and figures at three widths, light and dark, and what a browser can say of them.
+"""Take screenshots of pages and figures in headless Chromium, and report faults of their layout.
 
-Without PAGE every page and figure that the program writes is made in FOLDER, those of `MADE` by their commands, and the
-live pages of `SERVED` are served; small studies, some minutes together. PAGE is a file, .html or .svg, or an address.
-Each is opened in headless Chromium, all folded parts open, at 390, 800 and 1200 px. Printed for each: whether
-it is wider than the window, which lines of text overlap or leave the picture that they are in, which numbers are broken
-over lines, and which texts have a contrast below 3:1. FOLDER gets the PNGs.
+Without PAGE, every page and figure that the program writes is made in FOLDER, and the live pages are served. This takes
+some minutes, with small studies. PAGE is a file, .html or .svg, or an address.
+
+Each page is opened at widths of 390, 800 and 1200 px, in light and dark mode, with all folded parts open. Reported are:
+pages wider than the window, overlapping text, text outside its picture, numbers broken over lines, and contrast below
+3:1. FOLDER receives the PNG files.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-MADE = {
+PAGES = {
     "bovine-muscle.html": ("run bovine-muscle --report --overwrite",),
     "gelatin-moduli.html": ("run gelatin-moduli --yes --report --overwrite",),
     "moduli.svg": ("moduli gelatin-moduli.h5 --figure moduli.svg",),
@@ -33,15 +34,15 @@ MADE = {
     "studies/reproduction.html": ("study reproduction --points 5 --scatterers 2 --noise 1 --workers 1 --report",),
     "accuracy.html": ("accuracy --largest 1000 --most-echoes 100 --longest-s 0.2 --draws 3",),
 }
-"""What makes each page, one after another in one folder."""
-SERVED = {
+"""Commands that make each page or figure, in this order in one folder."""
+LIVE_PAGES = {
     "live": "run slow.toml --overwrite --live",
     "align": "align bovine-muscle",
     "queue": "queue slow.toml other.toml --output queue --live",
 }
-"""Commands that serve a page until they are stopped."""
-LOOKED_AT_AFTER_MS = 6000
-"""How long a live page runs before it is looked at."""
+"""Commands that serve a page until they are stopped, by the name of the screenshot."""
+LIVE_PAGE_DELAY_MS = 6000
+"""Time that a live page runs before its screenshot."""
 SCAN = """title = "Nine lines"
 [tracking]
 [acquisition]
@@ -50,47 +51,47 @@ gate_length_m = 1e-3
 [processing]
 frequencies_hz = [200.0]
 """
-ALONE = """<!DOCTYPE html><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+FIGURE_PAGE = """<!DOCTYPE html><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <style>:root { color-scheme: light dark } body { margin: 0 } div { overflow-x: auto }</style>
 """
 WIDTHS_PX = (390, 800, 1200)
 SCHEMES = ("light", "dark")
-MOST = 6
-"""Faults of a page that are printed."""
+MAX_FAULTS = 6
+"""Faults printed per page."""
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"]
 FAULTS = """() => {
-  const seen = [...document.querySelectorAll("svg text, h1, h2, h3, p, li, dt, dd, summary, button, figcaption")]
+  const texts = [...document.querySelectorAll("svg text, h1, h2, h3, p, li, dt, dd, summary, button, figcaption")]
     .filter(e => e.textContent.trim() && !e.querySelector("p, li, summary, h2"));
-  const boxes = seen
+  const boxes = texts
     .map(e => ({ text: e.textContent.trim().slice(0, 40), box: e.getBoundingClientRect(), svg: e.closest("svg") }))
     .filter(e => e.box.width > 0 && e.box.height > 0);
-  const found = [];
-  boxes.forEach((one, i) => boxes.slice(i + 1).forEach(other => {
-    if (one.svg !== other.svg) return;
-    const across = Math.min(one.box.right, other.box.right) - Math.max(one.box.left, other.box.left);
-    const down = Math.min(one.box.bottom, other.box.bottom) - Math.max(one.box.top, other.box.top);
-    if (across > 1.5 && down > 3) found.push(`overlap: "${one.text}" and "${other.text}"`);
+  const faults = [];
+  boxes.forEach((a, i) => boxes.slice(i + 1).forEach(b => {
+    if (a.svg !== b.svg) return;
+    const width = Math.min(a.box.right, b.box.right) - Math.max(a.box.left, b.box.left);
+    const height = Math.min(a.box.bottom, b.box.bottom) - Math.max(a.box.top, b.box.top);
+    if (width > 1.5 && height > 3) faults.push(`overlap: "${a.text}" and "${b.text}"`);
   }));
   for (const { text, box, svg } of boxes) if (svg) {
     const frame = svg.getBoundingClientRect();
-    const beyond = [frame.left - box.left, box.right - frame.right, frame.top - box.top, box.bottom - frame.bottom];
-    if (Math.max(...beyond) > 2) found.push(`outside its picture: "${text}"`);
+    const excess = [frame.left - box.left, box.right - frame.right, frame.top - box.top, box.bottom - frame.bottom];
+    if (Math.max(...excess) > 2) faults.push(`outside its picture: "${text}"`);
   }
   for (const e of document.querySelectorAll("td, th")) {
     const text = e.textContent.trim(), words = document.createRange();
     if (!/^[-+−–]?[\\d.,]+(e[-+]\\d+)?( ?[%\\wµ°]{1,4})?$/.test(text) || !e.getBoundingClientRect().width) continue;
     words.selectNodeContents(e);
     const lines = new Set([...words.getClientRects()].map(r => Math.round(r.top / 8)));
-    if (lines.size > 1) found.push(`broken number: "${text}"`);
+    if (lines.size > 1) faults.push(`broken number: "${text}"`);
   }
-  return found;
+  return faults;
 }"""
-"""Lines of text that overlap, those that leave their picture, and numbers that go over two lines."""
+"""JavaScript: overlapping texts, texts outside their picture, and numbers broken over two lines."""
 CONTRASTS = """() => {
   const rgb = text => (text.match(/[\\d.]+/g) || []).map(Number);
   const linear = v => (v /= 255) <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4;
-  const light = ([r, g, b]) => .2126 * linear(r) + .7152 * linear(g) + .0722 * linear(b);
-  const behind = e => {
+  const luminance = ([r, g, b]) => .2126 * linear(r) + .7152 * linear(g) + .0722 * linear(b);
+  const background = e => {
     for (; e; e = e.parentElement) {
       const colour = rgb(getComputedStyle(e).backgroundColor);
       if (colour.length && colour[3] !== 0) return colour;
@@ -101,66 +102,70 @@ CONTRASTS = """() => {
   for (const e of document.querySelectorAll("svg text, p, li, td, th, dt, dd, summary, button, h1, h2, h3, a")) {
     if (!e.textContent.trim() || !e.getBoundingClientRect().width) continue;
     const style = getComputedStyle(e), ink = rgb(e.closest("svg") ? style.fill : style.color);
-    const [a, b] = [light(ink), light(behind(e))].sort((x, y) => y - x), ratio = (a + .05) / (b + .05);
+    const [a, b] = [luminance(ink), luminance(background(e))].sort((x, y) => y - x), ratio = (a + .05) / (b + .05);
     if (ratio < 3) low.add(`contrast ${ratio.toFixed(1)}: "${e.textContent.trim().slice(0, 40)}"`);
   }
   return [...low];
 }"""
-"""Texts of a contrast below 3:1 to what is behind them."""
+"""JavaScript: texts with a contrast ratio below 3:1, as WCAG 2 defines it."""
 
 
 def main() -> None:
-    """Look at every page that is named, or at all that the program has, and print what was found."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Check the named pages, or all pages of the program, and print their faults."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("page", nargs="*")
-    given = parser.parse_args()
-    folder, named = given.folder.resolve(), given.page
+    options = parser.parse_args()
+    folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     with browser() as chromium:
-        for page in named or made(folder):
-            for line in looked_at(chromium, page, folder):
+        for page in options.page or make_pages(folder):
+            for line in check_page(chromium, page, folder):
                 print(line, flush=True)
-        for key, command in {} if named else SERVED.items():
-            with served(command, folder) as address:
-                for line in looked_at(chromium, address, folder, key):
+        for name, command in {} if options.page else LIVE_PAGES.items():
+            with serving(command, folder) as address:
+                for line in check_page(chromium, address, folder, name):
                     print(line, flush=True)
 
 
-def made(folder: Path) -> Iterator[str]:
-    """Make and yield every page of `MADE`; one whose commands fail is said to be missing."""
-    _scan(folder)
-    for name, commands in MADE.items():
+def make_pages(folder: Path) -> Iterator[str]:
+    """Make and yield every page of ``PAGES``; print the commands that fail."""
+    write_inputs(folder)
+    for name, commands in PAGES.items():
         for command in commands:
-            done = subprocess.run(_words(command), cwd=folder, capture_output=True, text=True)
+            done = subprocess.run(_arguments(command), cwd=folder, capture_output=True, text=True)
             if done.returncode:
                 print(f"{name}: {command} ended with {done.returncode}: {done.stderr[-300:]}")
         if (folder / name).exists():
             yield os.fspath(folder / name)
 
 
-def _words(command: str) -> list[str]:
+def _arguments(command: str) -> list[str]:
     return [sys.executable, "-m", "hpe_rig", *shlex.split(command)]
 
 
-def _scan(folder: Path) -> None:
-    """Write what needs input: echoes of nine lines whose motion lessens to both sides, their scene, and slow scenes."""
+def write_inputs(folder: Path) -> None:
+    """Write the input files of the commands: echoes of nine lines with their scene, and two slow scenes.
+
+    The motion of the lines is largest at the middle one.
+    """
     import numpy as np
 
     from hpe_rig.scene import shipped_scenes
 
     pulse_s, fast_s = np.arange(80) / 4e3, np.arange(1024) / 50e6
-    beside_m = (np.arange(9) - 4) * 0.5e-3
-    amplitude_m = 1e-6 * np.exp(-((beside_m / 1e-3) ** 2))
+    lateral_m = (np.arange(9) - 4) * 0.5e-3
+    amplitude_m = 1e-6 * np.exp(-((lateral_m / 1e-3) ** 2))
     motion_m = amplitude_m[:, None] * np.sin(2 * np.pi * 200.0 * pulse_s + 0.5)
-    drawn = np.random.default_rng(1)
-    strength, at_s = drawn.standard_normal((9, 300)), drawn.uniform(0, fast_s[-1], (9, 300))
+    rng = np.random.default_rng(1)
+    strength, delay_s = rng.standard_normal((9, 300)), rng.uniform(0, fast_s[-1], (9, 300))
     rf = np.zeros((9, 80, 1024))
     for line, pulse in np.ndindex(9, 80):
-        apart_s = fast_s - at_s[line, :, None] - 2 * motion_m[line, pulse] / 1540.0
-        echo = np.exp(-((apart_s / 0.2e-6) ** 2)) * np.cos(2 * np.pi * 5e6 * apart_s)
+        # Each scatterer returns a Gaussian pulse, delayed by twice the displacement over the sound speed.
+        age_s = fast_s - delay_s[line, :, None] - 2 * motion_m[line, pulse] / 1540.0
+        echo = np.exp(-((age_s / 0.2e-6) ** 2)) * np.cos(2 * np.pi * 5e6 * age_s)
         rf[line, pulse] = strength[line] @ echo
-    rf += 0.02 * drawn.standard_normal(rf.shape)
+    rf += 0.02 * rng.standard_normal(rf.shape)
     np.savez(folder / "scan.npz", rf=rf, fs=50e6, fc=5e6, prf=4e3, c=1540.0)
     (folder / "scan.toml").write_text(SCAN, encoding="utf-8")
     slow = shipped_scenes()["bovine-muscle"].replace("[acquisition]", "[acquisition]\nrepeats = 60")
@@ -170,10 +175,10 @@ def _scan(folder: Path) -> None:
 
 
 @contextmanager
-def served(command: str, folder: Path) -> Iterator[str]:
-    """Run a command and yield the address of the page that it serves; end it after."""
-    run = subprocess.Popen(
-        _words(command),
+def serving(command: str, folder: Path) -> Iterator[str]:
+    """Run a command, yield the address of the page that it serves, and stop it at the end."""
+    process = subprocess.Popen(
+        _arguments(command),
         cwd=folder,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
@@ -181,13 +186,13 @@ def served(command: str, folder: Path) -> Iterator[str]:
         text=True,
     )
     try:
-        for said in run.stdout or ():
-            if found := re.search(r"http://127\.0\.0\.1:\d+/\S+/", said):
-                yield found.group()
+        for line in process.stdout or ():
+            if address := re.search(r"http://127\.0\.0\.1:\d+/\S+/", line):
+                yield address.group()
                 break
     finally:
-        run.terminate()
-        run.communicate(timeout=60)
+        process.terminate()
+        process.communicate(timeout=60)
 
 
 @contextmanager
@@ -201,38 +206,41 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
-def looked_at(chromium: Any, name: str, folder: Path, key: str = "") -> Iterator[str]:
-    """Yield a line a width and scheme of one page: what is wrong with it; write its screenshot."""
-    live = name.startswith("http")
-    address, key = (name, key or "live") if live else (_as_page(Path(name), folder).as_uri(), Path(name).stem)
+def check_page(chromium: Any, page_or_address: str, folder: Path, name: str = "live") -> Iterator[str]:
+    """Write screenshots of one page, and yield its faults, a line for each width and colour scheme."""
+    live = page_or_address.startswith("http")
+    address = page_or_address
+    if not live:
+        file = Path(page_or_address)
+        address, name = _as_page(file, folder).as_uri(), file.stem
     for width_px in WIDTHS_PX:
         for scheme in SCHEMES:
             page = chromium.new_page(viewport={"width": width_px, "height": 900}, color_scheme=scheme)
             page.goto(address)
             if live:
-                page.wait_for_timeout(LOOKED_AT_AFTER_MS)
+                page.wait_for_timeout(LIVE_PAGE_DELAY_MS)
             faults = faults_of(page, width_px)
-            page.screenshot(path=folder / f"{key}-{width_px}-{scheme}.png", full_page=True)
+            page.screenshot(path=folder / f"{name}-{width_px}-{scheme}.png", full_page=True)
             page.close()
-            yield f"{key}, {width_px} px, {scheme}: {'; '.join(faults[:MOST]) or 'nothing wrong'}"
+            yield f"{name}, {width_px} px, {scheme}: {'; '.join(faults[:MAX_FAULTS]) or 'nothing wrong'}"
 
 
 def _as_page(file: Path, folder: Path) -> Path:
-    """Return ``file`` where it is a page; of a figure a page that holds it alone, in its own size."""
+    """Return ``file``, or for a figure a page that contains it in its own size."""
     if file.suffix != ".svg":
         return file.resolve()
-    drawn = file.read_text(encoding="utf-8")
+    figure = file.read_text(encoding="utf-8")
     page = folder.resolve() / f"{file.name}.html"
-    page.write_text(f"{ALONE}<div>{drawn[drawn.index('<svg') :]}</div>", encoding="utf-8")
+    page.write_text(f"{FIGURE_PAGE}<div>{figure[figure.index('<svg') :]}</div>", encoding="utf-8")
     return page
 
 
 def faults_of(page: Any, width_px: int) -> list[str]:
-    """Return what a browser finds wrong with ``page``, every folded part of it open."""
-    for part in page.locator("details").all():
-        part.evaluate("part => part.open = true")
-    wide = page.evaluate("document.documentElement.scrollWidth")
-    faults = [f"{wide} px wide"] if wide > width_px else []
+    """Open all folded parts of ``page`` and return the faults of its layout."""
+    for details in page.locator("details").all():
+        details.evaluate("details => details.open = true")
+    page_px = page.evaluate("document.documentElement.scrollWidth")
+    faults = [f"{page_px} px wide"] if page_px > width_px else []
     return [*faults, *page.evaluate(FAULTS), *page.evaluate(CONTRASTS)]
 
 
