@@ -17,7 +17,7 @@ Modules, from the typed command to its output::
     bench.py        state of a bench, and its comparison with another
     listing.py      runs of a folder; extensions of other packages
     stored.py       damage, comparisons, moduli and maps
-    study.py        workers, progress and closing tables of a study
+    study.py        workers and progress of a study
     tables.py       a result as one sentence and tables
     terminal.py     width of the terminal; progress; logging
     console.py      exit codes, error messages, printed results

@@ -15,8 +15,8 @@ studies = typer.Typer()
 
 
 @dataclass(frozen=True, slots=True)
-class EffortOptions:
-    """Sizes and draws of the accuracy studies; None: the default of ``hpe_rig.validation.Effort``."""
+class AccuracyOptions:
+    """Sizes and draws of the accuracy studies (None: the default of ``hpe_rig.validation.Effort``), or a scene."""
 
     largest: Annotated[
         int | None, typer.Option(help="Largest number of scatterers. Default: 100000, with --full 1000000.")
@@ -33,12 +33,6 @@ class EffortOptions:
             min=2, help="Draws per case in motion; ten times as many end to end. Default: 10, with --full 100."
         ),
     ] = None
-
-
-@dataclass(frozen=True, slots=True)
-class OwnSceneOptions:
-    """Accuracy study on a scene."""
-
     scene: Annotated[
         str | None,
         typer.Option(
@@ -53,8 +47,7 @@ class OwnSceneOptions:
 @studies.command()
 @guarded
 def accuracy(
-    effort: EffortOptions,
-    own_scene: OwnSceneOptions,
+    options: AccuracyOptions,
     part: Annotated[
         str | None,
         typer.Argument(
@@ -76,13 +69,14 @@ def accuracy(
     from hpe_rig.cli.terminal import progress_reporter
     from hpe_rig.validation import FULL, Effort, write_accuracy, write_accuracy_report, write_own_scene
 
-    if own_scene.scene is not None:
+    if options.scene is not None:
         _refuse_part(part)
-        scene, bench, seeds, quick = own_scene.scene, own_scene.bench, own_scene.seeds, own_scene.quick
+        scene, bench, seeds, quick = options.scene, options.bench, options.seeds, options.quick
         write_own_scene(scene, bench, seeds, quick, output, figure, typer.echo, announce)
         return
     # Options that are not given keep the default of the effort.
-    stated = {name: value for name, value in asdict(effort).items() if value is not None}
+    sizes = {name: getattr(options, name) for name in ("largest", "most_echoes", "longest_s", "draws")}
+    stated = {name: value for name, value in sizes.items() if value is not None}
     efforts = replace(FULL if full else Effort(), **stated)
     if part is None:
         with progress_reporter("accuracy") as report:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from hpe_rig.measurement.sequencer import Observer, Progress, ShotDone, Step, ac
 from hpe_rig.measurement.setup import Setup, as_path
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.result import Stages
-from hpe_rig.scene import Scene
 from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_to_replace
 
 
@@ -53,42 +53,31 @@ def record_run(
             with timer("take over"):
                 recorder.copy_shots(earlier, options.predecessor.shots)
         watched = _timed(_checking_file(observer, recorder), timer)
-        for segment in _segments(setup, options.predecessor.shots):
-            _record(segment, setup.plan, recorder, watched, move=move, timer=timer, store_times=stages is not None)
+        record = partial(_record, setup, move=move, timer=timer, store_times=stages is not None)
+        for bench_file, segment in _segments(setup, options.predecessor.shots):
+            record(bench_file, segment, recorder, watched)
     return path
 
 
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """Shots acquired on one opened bench; ``scenes``: those of the sweep's points from ``first_point`` on."""
-
-    scenes: tuple[Scene, ...]
-    bench: BenchFile
-    plan: Plan
-    first_point: int
-
-
-def _segments(setup: Setup, first_shot: int) -> Iterator[_Segment]:
+def _segments(setup: Setup, first_shot: int) -> Iterator[tuple[BenchFile, Plan]]:
     """Split the shots from ``first_shot`` on where a sweep changes the bench file or the settings of the twin.
 
     A run without such a sweep is one segment: its bench is opened once.
     """
-    base, points = setup.bench.bench, setup.scene.scene.points
-    settings = [(base.with_(point.bench), twin_tables(point.scene) if base.simulated else None) for point in points]
-    start = setup.plan.shots[first_shot].point
-    while start < len(points):
-        end = start
-        while end < len(points) and settings[end] == settings[start]:
-            end += 1
-        shots = tuple(shot for shot in setup.plan.shots[first_shot:] if start <= shot.point < end)
-        scenes = tuple(point.scene for point in points[start:end])
-        yield _Segment(scenes, settings[start][0], replace(setup.plan, shots=shots), start)
-        start = end
+    base = setup.bench.bench
+    settings = [
+        (base.with_(point.bench), twin_tables(point.scene) if base.simulated else None)
+        for point in setup.scene.scene.points
+    ]
+    shots_by_settings = itertools.groupby(setup.plan.shots[first_shot:], key=lambda shot: settings[shot.point])
+    for (bench_file, _), shots in shots_by_settings:
+        yield bench_file, replace(setup.plan, shots=tuple(shots))
 
 
 def _record(
-    segment: _Segment,
-    plan: Plan,
+    setup: Setup,
+    bench_file: BenchFile,
+    segment: Plan,
     recorder: RunRecorder,
     observer: Observer,
     *,
@@ -96,17 +85,18 @@ def _record(
     timer: Stages,
     store_times: bool,
 ) -> None:
-    """Acquire and write the shots of ``segment``; ``plan`` is that of the whole run."""
+    """Acquire and write the shots of ``segment`` on the bench of ``bench_file``."""
+    points, first = setup.scene.scene.points, segment.shots[0]
     with ExitStack() as stack:
         with timer("open bench"):
-            opening = open_bench(segment.scenes[0], segment.bench, plan.roles, segment.plan.shots[0].index)
+            opening = open_bench(points[first.point].scene, bench_file, setup.plan.roles, first.index)
             bench = stack.enter_context(opening)
-        # Roles and lateral offsets are those of the whole run: a segment may have a single offset.
-        events = acquire(segment.plan, bench, observer, choose_mover(plan, bench, move))
+        # Lateral offsets are those of the whole run: a segment may have a single one.
+        events = acquire(segment, bench, observer, choose_mover(setup.plan, bench, move))
         with timer("configure"), closing(events):
             for event in events:
                 with timer("store"):
-                    recorder.write(event, segment.scenes[event.shot.point - segment.first_point], bench, timer)
+                    recorder.write(event, points[event.shot.point].scene, bench, timer)
                 # The stored times include those of the shots so far, also if the run is stopped.
                 if store_times and isinstance(event, ShotDone):
                     recorder.write_run_time(timer)

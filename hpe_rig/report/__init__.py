@@ -3,14 +3,13 @@
     page_writer.py     writer of every HTML page: templates page.html, macros.html, sections.html, report.html
     views.py           one shot for pictures: echoes, displacement, fit
     residual_tests.py  tests of the residual of the fit
-    prediction.py      errors predicted for the estimates
     sweep.py           curves over the varied quantity, means over repeats, straight lines
     figures.py         pictures of one shot and of a sweep
     depth_profile.py   pictures over depth, from gates of the same records
     moduli.py          moduli of the medium
     provenance.py      attributes, settings read back, fingerprint of the file
     badges.py          verdicts of the checks for the first screen
-    page_tables.py     tables with formatted cells
+    page_tables.py     tables with formatted cells, also of the predicted errors
     page.py            run file -> page: `write_report`
     comparison.py      two runs side by side, with the significance of each difference
 

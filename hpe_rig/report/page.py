@@ -17,7 +17,6 @@ from hpe_rig.report.depth_profile import profile_pictures
 from hpe_rig.report.moduli import moduli_summary
 from hpe_rig.report.page_tables import text_table
 from hpe_rig.report.page_writer import PageTable, render_template
-from hpe_rig.report.prediction import predictions
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.sweep import Sweep, make_sweep
 from hpe_rig.report.views import MotionView, echo_view, motion_view, tracked_motion
@@ -155,14 +154,13 @@ def render(
 def _tables(run: Run, result: Result, shot: ShotResult, sweep: Sweep | None) -> dict[str, PageTable | None]:
     """Return the tables of the page by name; None for an empty one."""
     scene, has_truth = _scene_at(run, shot), _has_truth(result)
-    predicted = list(predictions(scene, run.plan.shots[shot.shot], shot, result.estimator))
     attributes = report_provenance.attributes(run.path, [f"version_{name}" for name in result.versions])
     return {
         "means": page_tables.means_table(result.means) if result.means else None,
         "sweep": page_tables.sweep_table(sweep) if sweep else None,
         "estimates": page_tables.estimates_table(shot, has_truth),
         "budget": page_tables.budget_table(shot),
-        "prediction": page_tables.prediction_table(predicted) if predicted else None,
+        "prediction": page_tables.prediction_table(scene, run.plan.shots[shot.shot], shot, result.estimator),
         "run_times": page_tables.run_times_table(result),
         "shots": page_tables.shots_table(result, has_truth) if sweep else None,
         "versions": page_tables.versions_table(result, attributes),

@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
+from hpe_rig.plan import Shot
+from hpe_rig.prediction import conditions_of, predict
 from hpe_rig.report.page_writer import PageTable
-from hpe_rig.report.prediction import Prediction
 from hpe_rig.report.sweep import Sweep
 from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult
+from hpe_rig.scene import Estimator, Scene
 
 MAX_ROWS = 1000
 """Rows of the table of all shots; the result file holds the others."""
@@ -124,21 +127,39 @@ def budget_table(shot: ShotResult) -> PageTable:
     )
 
 
-def prediction_table(predictions: Sequence[Prediction]) -> PageTable:
-    """Return predicted errors and the uncertainty of the fit by frequency."""
-    rows = [
-        {
-            "f (Hz)": f"{item.estimate.frequency_hz:g}",
-            "predicted bias (nm)": nm(item.bias_m, 3),
-            "predicted speckle sd (nm)": nm(item.speckle_m, 2),
-            "predicted noise of a quadrature (nm)": nm(item.noise_m, 3),
-            "u of the fit (nm)": nm(item.estimate.amplitude_uncertainty_m, 2),
-            "predicted phase sd (°)": deg(item.phase_rad, ".2g"),
-            "u of the fit (°)": deg(item.estimate.phase_uncertainty_rad, ".2g"),
+def prediction_table(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estimator) -> PageTable | None:
+    """Return predicted errors and the uncertainty of the fit by frequency.
+
+    The prediction is for the amplitudes of ``shot`` and the pulses of ``planned``. None without [beams] or without a
+    stated noise level.
+    """
+    rows = list(_prediction_cells(scene, planned, shot, estimator))
+    return text_table("prediction", "Predicted errors, and the uncertainty of the fit.", rows) if rows else None
+
+
+def _prediction_cells(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estimator) -> Iterator[Cells]:
+    """Yield the prediction of each estimate: noise by the error model, bias and speckle as in the budget."""
+    for estimate in shot.estimates:
+        # The noise of the phase is not defined without an amplitude.
+        if not estimate.amplitude_m > 0:
+            continue
+        conditions = conditions_of(scene, planned, estimate.frequency_hz, estimator)
+        if conditions is None:
+            return
+        (error,) = predict(replace(conditions, amplitude_m=estimate.amplitude_m), (estimator,)).expected
+        # The components are those of the peak amplitude; the factor converts them to the tracked one.
+        factor = estimate.averaging_factor or 1.0
+        by_source = {component.source: component.amplitude_m * factor for component in estimate.components}
+        speckle_m = math.hypot(by_source.get("speckle", 0.0), by_source.get("carrier", 0.0))
+        yield {
+            "f (Hz)": f"{estimate.frequency_hz:g}",
+            "predicted bias (nm)": nm(estimate.amplitude_m * (1 - 1 / factor), 3),
+            "predicted speckle sd (nm)": nm(speckle_m, 2),
+            "predicted noise of a quadrature (nm)": nm(error.quadrature_m, 3),
+            "u of the fit (nm)": nm(estimate.amplitude_uncertainty_m, 2),
+            "predicted phase sd (°)": deg(error.phase_jitter_rad, ".2g"),
+            "u of the fit (°)": deg(estimate.phase_uncertainty_rad, ".2g"),
         }
-        for item in predictions
-    ]
-    return text_table("prediction", "Predicted errors, and the uncertainty of the fit.", rows)
 
 
 def run_times_table(result: Result) -> PageTable:

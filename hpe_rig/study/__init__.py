@@ -11,6 +11,7 @@
     executor.py        processes of this machine, or a dask cluster
     run.py             `run_study`: compute the cases that are not completed
     series.py          views, curves and maps of the rows
+    tables.py          closing tables for the terminal
     curve_figures.py   figures over one axis
     map_figures.py     maps over two axes
     report.py          the page

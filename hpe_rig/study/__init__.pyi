@@ -7,17 +7,15 @@ from .executor import (
 from .map_figures import PAPER_WIDTH_RATIO as PAPER_WIDTH_RATIO, lateral_average as lateral_average
 from .measured_case import one_shot as one_shot
 from .report import write_study_report as write_study_report
-from .results import SUMMARY_FILE as SUMMARY_FILE, StudyResult as StudyResult
+from .results import StudyResult as StudyResult
 from .run import run_study as run_study
 from .series import (
     Curve as Curve,
     View as View,
     curves as curves,
-    error_figures as error_figures,
     maps as maps,
     paper_view as paper_view,
-    refused_text as refused_text,
-    spans as spans,
     with_error as with_error,
 )
 from .statistics import Errors as Errors, errors as errors
+from .tables import error_table as error_table, run_time_table as run_time_table

@@ -62,7 +62,7 @@ def test_another_run_into_the_same_file_is_refused_and_the_first_goes_on(setup: 
             with pytest.raises(StoreError) as raised:
                 record_run(setup, path, options=WriteOptions(overwrite=overwrite))
             refused.append(str(raised.value))
-        with pytest.raises(StoreError, match="being written by a run that goes on"):
+        with pytest.raises(StoreError, match="being written by a run"):
             prepare_resumption(path)
 
     during(setup, path, another)
@@ -219,5 +219,5 @@ def test_a_folder_in_the_requests_place_is_a_message(setup: Setup, tmp_path: Pat
     scene = str(tmp_path / "table-1.toml")
     done = CliRunner().invoke(app, ["run", scene, "--output", str(tmp_path / "run.h5")])
     assert done.exit_code == 2, done.output
-    assert "run.h5.stop stands where" in done.output
+    assert "run.h5.stop has the name of" in done.output
     assert not (tmp_path / "run.h5").exists()
