@@ -8,7 +8,6 @@ from .ensemble import (
     PRIOR_POWER_MODULUS_HZ as PRIOR_POWER_MODULUS_HZ,
     PRIOR_RANGES as PRIOR_RANGES,
     Ensemble as Ensemble,
-    KnownMedium as KnownMedium,
     RigidSphere as RigidSphere,
     medium_ensemble as medium_ensemble,
 )

@@ -55,16 +55,10 @@ PRIOR_RANGES = {
 """Ranges of the members' parameters."""
 PRIOR_POWER_MODULUS_HZ = 200.0
 """Frequency where a power-law member has a modulus in that range; the law states its own at ``POWER_REFERENCE_HZ``."""
-
-
-@dataclass(frozen=True, slots=True)
-class KnownMedium:
-    """Voigt medium known in advance, with standard deviations of the logarithms of its two parameters."""
-
-    shear_modulus_pa: float
-    shear_viscosity_pa_s: float
-    modulus_log_sd: float = 0.3
-    viscosity_log_sd: float = 0.5
+VoigtParameters = tuple[float, float]
+"""Shear modulus (Pa) and viscosity (Pa s) of a Voigt medium."""
+KNOWN_MEDIUM_LOG_SD = (0.3, 0.5)
+"""Standard deviations of the logarithms of the parameters of a medium known in advance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +125,7 @@ class _Range:
 
     lowest_hz: float
     highest_hz: float
-    known_medium: KnownMedium | None
+    known_medium: VoigtParameters | None
     density_kg_per_m3: float
     members: int
 
@@ -155,6 +149,7 @@ class _Range:
         """Return each member's factors (member,) on the declared force widths across and along."""
         from scipy.special import ndtri
 
+        # The first three coordinates of the sequence vary the medium.
         across, along = np.exp(width_log_sd * ndtri(_even_sequence(self.members, 5)[:, 3:5])).T
         return across, along
 
@@ -163,7 +158,7 @@ def medium_ensemble(
     pushed: BeamWidths | RigidSphere,
     lowest_hz: float,
     highest_hz: float,
-    known_medium: KnownMedium | None = None,
+    known_medium: VoigtParameters | None = None,
     density_kg_per_m3: float = 1000.0,
     members: int = MEMBERS,
 ) -> Ensemble:
@@ -309,14 +304,13 @@ def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> Complex
     return LAWS[name].modulus(s, np.stack(parameters, axis=-1))[0]
 
 
-def _known_modulus(known_medium: KnownMedium, s: ComplexArray, members: int) -> ComplexArray:
+def _known_modulus(known_medium: VoigtParameters, s: ComplexArray, members: int) -> ComplexArray:
     from scipy.special import ndtri
 
     deviates = ndtri(_even_sequence(members, 5)[:, :2])
-    factors = np.exp(deviates * [known_medium.modulus_log_sd, known_medium.viscosity_log_sd])
-    return np.asarray(
-        known_medium.shear_modulus_pa * factors[:, :1] + s * (known_medium.shear_viscosity_pa_s * factors[:, 1:])
-    )
+    factors = np.exp(deviates * KNOWN_MEDIUM_LOG_SD)
+    modulus_pa, viscosity_pa_s = known_medium
+    return np.asarray(modulus_pa * factors[:, :1] + s * (viscosity_pa_s * factors[:, 1:]))
 
 
 def _log_uniform(quantile: FloatArray, parameter: str) -> FloatArray:

@@ -32,11 +32,6 @@ POWER_REFERENCE_HZ = 100.0
 """Frequency where a power-law medium has its modulus."""
 SMALL_VISCOSITY_PA_S = 0.05
 """Viscosity below which its coordinate is linear."""
-STIFFNESS_PA = (100.0, 2e6)
-BRANCH_PA = (100.0, 1e9)
-"""At the upper limit the branch is rigid, so that Zener includes Voigt: within 2 Pa at 1 kHz and 5.7 Pa s."""
-VISCOSITY_PA_S = (0.0, 500.0)
-POWER = (0.0, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,15 +130,11 @@ def _identity(value: FloatArray | float) -> FloatArray:
     return np.asarray(value, dtype=np.float64)
 
 
-def _stiffness(name: str, starts: tuple[float, ...]) -> Parameter:
-    return Parameter.logarithmic(name, STIFFNESS_PA, starts)
-
-
 def _viscosity(starts: tuple[float, ...]) -> Parameter:
     small = SMALL_VISCOSITY_PA_S
     return Parameter(
         "viscosity_pa_s",
-        VISCOSITY_PA_S,
+        (0.0, 500.0),
         starts,
         to_coordinate=lambda value: np.asarray(np.arcsinh(np.asarray(value) / small)),
         to_value=lambda coordinate: np.asarray(small * np.sinh(coordinate)),
@@ -184,10 +175,10 @@ def _power_law(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, Compl
 
 
 # Starting values span soft tissue and phantoms: neighbours lie within one basin of attraction of the fit.
-_STIFFNESS_STARTS_PA = (0.7e3, 2e3, 6e3, 18e3, 60e3, 250e3)
-_SHEAR_MODULUS = _stiffness("shear_modulus_pa", _STIFFNESS_STARTS_PA)
-_BRANCH_MODULUS = Parameter.logarithmic("branch_modulus_pa", BRANCH_PA, (2e3, 15e3, 100e3, 1e6))
-_POWER = Parameter.linear("power", POWER, (0.02, 0.15, 0.3, 0.5))
+_SHEAR_MODULUS = Parameter.logarithmic("shear_modulus_pa", (100.0, 2e6), (0.7e3, 2e3, 6e3, 18e3, 60e3, 250e3))
+# At its upper limit the branch is rigid, so that Zener includes Voigt: within 2 Pa at 1 kHz and 5.7 Pa s.
+_BRANCH_MODULUS = Parameter.logarithmic("branch_modulus_pa", (100.0, 1e9), (2e3, 15e3, 100e3, 1e6))
+_POWER = Parameter.linear("power", (0.0, 0.95), (0.02, 0.15, 0.3, 0.5))
 LAWS: dict[MediumLaw, Law] = {
     law.name: law
     for law in (

@@ -95,12 +95,6 @@ class PushForce:
             weights = weights + deviations.get(name, 0.0) * np.array(change)
         return replace(self, weights=_rows(weights))
 
-    def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
-        """Return the force relative to that at the focus, (axial, lateral)."""
-        along = np.exp(-0.5 * ((axial_m[:, None] - np.array(self.centre_m)) / self.along_m) ** 2)
-        across = np.exp(-0.5 * (lateral_m / np.array(self.across_m)[:, None]) ** 2)
-        return np.asarray(along @ np.array(self.weights) @ across)
-
 
 @lru_cache(maxsize=16)
 def aperture_force(

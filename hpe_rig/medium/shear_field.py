@@ -94,6 +94,7 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
     kernels = [prefactor[:, None] * total for total in sums]
     value, by_kappa2, by_axial, by_length, by_width, *by_unsure = kernels
     k2 = path.k[:, None] ** 2
+    # By the modulus: kappa^2 = k^2 - q^2 and q^2 = rho w^2 / G. By A: the waves contain exp(-A k^2 / 2).
     return ShearMotion(
         value=value @ path.waves,
         by_modulus=(path.q2 / medium.modulus_pa)[:, None] * by_kappa2 @ path.waves,

@@ -203,7 +203,9 @@ class Problem:
         )
         # Spectrum of the bursts, their onset, the common amplitude, gain and phase of each vibration.
         gain = np.array([g + 1j * phase for g, phase in zip(of_group("gain"), of_group("phase"), strict=True)])
-        scale = self.unit_m / self._unit_field * np.exp(unknown[count] + gain)
+        # A typical displacement per body force: under a static force in 10 kPa.
+        unit_field = 0.5 * push.force.across_m[0] ** 2 / 10e3
+        scale = self.unit_m / unit_field * np.exp(unknown[count] + gain)
         onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
         # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
         lead_s = travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
@@ -255,11 +257,6 @@ class Problem:
     def first_at_position(self) -> tuple[int, ...]:
         """For every vibration, the index of the first one at the same position."""
         return _first_at_position(self.vibrations)
-
-    @cached_property
-    def _unit_field(self) -> float:
-        """A typical displacement per body force: under a static force in 10 kPa."""
-        return 0.5 * self.push.force.across_m[0] ** 2 / 10e3
 
 
 def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, ...]:

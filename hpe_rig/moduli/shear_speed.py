@@ -68,8 +68,8 @@ def voigt_speed(
 ) -> FloatArray:
     """Return the shear wave speed in a Voigt medium, in the shape of ``frequency_hz``."""
     omega = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-    modulus_pa = np.hypot(elasticity_pa, omega * viscosity_pa_s)
-    return np.asarray(np.sqrt(2 * modulus_pa**2 / (density_kg_per_m3 * (elasticity_pa + modulus_pa))))
+    magnitude_pa = np.hypot(elasticity_pa, omega * viscosity_pa_s)  # |G|
+    return np.asarray(np.sqrt(2 * magnitude_pa**2 / (density_kg_per_m3 * (elasticity_pa + magnitude_pa))))
 
 
 def fit_voigt(

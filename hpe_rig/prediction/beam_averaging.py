@@ -131,6 +131,7 @@ def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     assert scene.excitation is not None  # noqa: S101 (callers check)
     lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
     if beams.lateral_offset_m:
+        # Off the axis the first nodes are the harmonics themselves, so that the range is fixed.
         return medium_ensemble(beams, lowest_hz, highest_hz)
     return medium_ensemble(beams, min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max())))
 
@@ -153,14 +154,16 @@ def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArr
     return [ratio / reference for ratio, reference in zip(shaped, gaussian, strict=True)]
 
 
-def _times(averaging: Averaging, correction: complex) -> Averaging:
+def _times(averaging: Averaging, correction: complex, **errors: float) -> Averaging:
+    """Return ``averaging`` with ratio and rule multiplied by ``correction``, and with these ``errors`` (its fields)."""
     size, angle = abs(correction), cmath.phase(correction)
     rule = replace(
         averaging.rule,
         geometry_factor=averaging.rule.geometry_factor * size,
         geometry_phase_rad=averaging.rule.geometry_phase_rad + angle,
     )
-    return replace(averaging, factor=averaging.factor * size, phase_rad=averaging.phase_rad + angle, rule=rule)
+    factor, phase_rad = averaging.factor * size, averaging.phase_rad + angle
+    return replace(averaging, factor=factor, phase_rad=phase_rad, rule=rule, **errors)
 
 
 def _with_scene_offsets(scene: Scene, averaging: Averaging) -> Averaging:
@@ -173,9 +176,7 @@ def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
         return averaging
     focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m
     obliquity = obliquity_factor(scene.beams.transducer_diameter_m, focus_m)
-    factor = averaging.factor * obliquity
-    rule = replace(averaging.rule, geometry_factor=obliquity)
-    return replace(averaging, factor=factor, rule=rule, shape_relative=SHAPE_RELATIVE)
+    return _times(averaging, obliquity, shape_relative=SHAPE_RELATIVE)
 
 
 def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
@@ -193,8 +194,7 @@ def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
         focus_m, relative_uncertainty = scene.acquisition.gate_depth_m, 0.0
     width_m = scene.beams.excitation_width_m[2]
     factor, spread = axial_offset_factor(gate_m - focus_m, gate_m * relative_uncertainty, width_m)
-    rule = replace(averaging.rule, geometry_factor=averaging.rule.geometry_factor * factor)
-    return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, rule=rule)
+    return _times(averaging, factor, offset_relative=spread)
 
 
 def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:

@@ -78,7 +78,7 @@ def conditions_of(
 
 
 def _fit_gain(scene: Scene, shot: Shot, frequency_hz: float, pulses: int, estimator: str | None) -> float:
-    """Return the noise of a quadrature over that of a single sinusoid fitted to all used pulses; 1 for windows."""
+    """Return the noise of a quadrature over that of one sinusoid fitted to all used pulses; 1 without such a fit."""
     if not spec_of(estimator or scene.processing.estimator).fits_all_at_once:
         return 1.0
     # A plan with conflicts may have no fit.

@@ -103,7 +103,7 @@ def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumP
     pulses = select(scene, shot)
     projected = project_prior(prior, pulses.time_s, pulses.used, pulses.wanted_hz, scene.processing.background_order)
     unit_m = math.sqrt(float(np.mean(np.sum(projected.wanted_members[:, :2] ** 2, axis=1))))
-    noise_m = pulse_noise_m(scene, spec)
+    noise_m = math.hypot(echo_noise_m(scene, spec), trigger_noise_m(scene))
     # The evidence does not distinguish scales below the noise of the fit.
     min_amplitude_m = noise_m * math.sqrt(2 / len(projected.left_vectors))
     amplitude_m = max(expected_amplitude_m(scene, float(pulses.wanted_hz[0]), shot), min_amplitude_m)
@@ -111,11 +111,6 @@ def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumP
     # Wiener gain of each singular direction.
     gain = scale2 * projected.value / (noise_m**2 + scale2 * projected.value**2)
     return np.asarray((projected.wanted_rows * gain) @ projected.left_vectors.T)
-
-
-def pulse_noise_m(scene: Scene, spec: EstimatorSpec, simulated: bool = True) -> float:
-    """Return the noise of one pulse's displacement, m, from echo noise and the twin's trigger jitter."""
-    return math.hypot(echo_noise_m(scene, spec), trigger_noise_m(scene, simulated))
 
 
 def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:

@@ -52,23 +52,24 @@ def peak_statistics(
     power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)
     scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
     clean, displaced = matmul(speckle.resting, matrix), matmul(speckle.displaced, matrix)
-    weakness = np.square(scale[:, 0] / np.abs(clean).max(axis=-1), dtype=np.float64)
-    groups = np.array_split(np.argsort(-weakness), GROUPS)
+    # Noise in a bin over the power of the peak: v is proportional to it.
+    relative_noise = np.square(scale[:, 0] / np.abs(clean).max(axis=-1), dtype=np.float64)
+    groups = np.array_split(np.argsort(-relative_noise), GROUPS)
     first, second, pulse, step = _two_steps(clean, scale, matrix, generator)
     ratios = [_values_at(displaced / clean, peak).real for peak in (first, second)]
     # The weakest echoes have nearly all of w: average over more noise.
     weakest = np.concatenate(groups[: GROUPS // 8])
     more = [_two_steps(clean[weakest], scale[weakest], matrix, generator)[2:] for _ in range(EXTRA_NOISE_DRAWS)]
-    for values, number in ((pulse, 0), (step, 1)):
-        values[weakest] = np.mean([values[weakest], *(variances[number] for variances in more)], axis=0)
+    for values, redrawn in zip((pulse, step), zip(*more, strict=True), strict=True):
+        values[weakest] = np.mean([values[weakest], *redrawn], axis=0)
     # A step of the motion read at the two peaks differs as well.
     motion_step = 2 * np.square(conditions.amplitude_m / conditions.metres_per_radian * conditions.half_step)
     step += float(np.mean((ratios[0] - ratios[1]) ** 2)) / 2 * motion_step
-    # v is proportional to the weakness of the echo.
-    linear_form = float(np.square(hann(INSTANTS)).sum() * weakness.mean())
+    # Mean v: its linear form, plus the mean excess of the draws.
+    linear_form = float(np.square(hann(INSTANTS)).sum() * relative_noise.mean())
     mean_pulse = max(linear_form + float(pulse.mean()), 0.0)
     variances = [
-        (mean_pulse * float(weakness[group].mean() / weakness.mean()), max(float(step[group].mean()), 0.0))
+        (mean_pulse * float(relative_noise[group].mean() / relative_noise.mean()), max(float(step[group].mean()), 0.0))
         for group in groups
     ]
     return (ratios[0] + ratios[1]) / 2, variances

@@ -155,6 +155,7 @@ def _draw_block(
 def _scattering(
     blocks: Iterable[_Block], conditions: Conditions, depth_m: float, displacement: Displacement | None
 ) -> Scattering:
+    """Return the draws of all ``blocks``; the default ``displacement`` is the Gaussian of ``conditions``."""
     displacement = displacement or functools.partial(_gaussian, conditions.excitation_width_m)
     echo, displaced = zip(*((block.echo, block.displaced(displacement)) for block in blocks), strict=True)
     cells = echo[0].shape[1]

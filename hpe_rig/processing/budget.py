@@ -82,7 +82,7 @@ def estimates_of(
 
 
 def _stated(estimate: Estimate, reference: PhaseReference) -> Estimate:
-    """Return ``estimate`` with its phases from the stated time zero."""
+    """Return ``estimate`` with its phases, measured and true, relative to the time zero of ``reference``."""
     frequency_hz, true_rad = estimate.frequency_hz, estimate.true_phase_rad
     return replace(
         estimate,

@@ -39,6 +39,7 @@ def true_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], 
 
 
 def _specimen_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return the harmonics (frequency, 2) of a specimen's motion from a dense fit."""
     # Imported here because they load SciPy, which the measurement does not need before its first shot is complete.
     from hpe_rig.processing.harmonics.harmonic_fit import least_squares
     from hpe_rig.processing.motion.displacement import Motion
@@ -76,8 +77,9 @@ def _further_frequencies_hz(scene: Scene, length_s: float) -> FloatArray:
     """Return the driven frequencies to fit too (frequency,): none if they are orthogonal to the wanted ones."""
     if scene.excitation is None:
         return np.zeros(0)
-    number = np.array(scene.wanted_frequencies_hz) / scene.excitation.burst_rate_hz
-    orthogonal = length_s * scene.excitation.burst_rate_hz >= 1 and np.allclose(number, np.rint(number), 1e-9, 1e-9)
+    # Harmonics of the bursts are orthogonal over whole burst periods.
+    harmonic = np.array(scene.wanted_frequencies_hz) / scene.excitation.burst_rate_hz
+    orthogonal = length_s * scene.excitation.burst_rate_hz >= 1 and np.allclose(harmonic, np.rint(harmonic), 1e-9, 1e-9)
     return np.zeros(0) if orthogonal else driven_frequencies_hz(scene)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.medium import BeamWidths, KnownMedium, RigidSphere
+from hpe_rig.medium import BeamWidths, RigidSphere
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.budget import with_second_order_speckle
 from hpe_rig.processing.estimators import Harmonic, Options, fit_motion, spec_of
@@ -81,7 +81,7 @@ def available_prior(scene: Scene, shot: Shot, beams: BeamWidths | None) -> Mediu
         return None
     if medium is None:
         return medium_prior(pushed, excitation.burst_rate_hz, length_s)
-    known_medium = KnownMedium(medium.shear_modulus_pa, medium.shear_viscosity_pa_s)
+    known_medium = medium.shear_modulus_pa, medium.shear_viscosity_pa_s
     return medium_prior(pushed, excitation.burst_rate_hz, length_s, known_medium, medium.density_kg_per_m3)
 
 

@@ -75,11 +75,14 @@ def drift_between_halves(
 def _change(
     motion: Motion, columns: FloatArray, basis: FloatArray, mean_state: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the result of ``drift_between_halves`` from a step of the states of ``columns`` (valid pulse, state).
+    """Return the relative change of each amplitude between the halves, and which changes are suspicious.
 
-    ``basis`` (valid pulse, column): Q. ``mean_state`` (..., state): the states over all pulses.
+    A step y of the wanted states is fitted together with all columns of the model. ``columns`` (valid pulse, state): of
+    the wanted states. ``basis`` (valid pulse, column): Q, orthonormal, of all columns. ``mean_state`` (..., state): the
+    wanted states over all pulses.
     """
     valid = motion.valid
+    # G: minus the columns in the first half, plus the columns in the second.
     sign = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
     step, residual = sign * columns.T, motion.displacement_m[..., valid]
     # (1 - QQ') G and (1 - QQ') d, row by row in place: no second copy of a long train.
@@ -88,7 +91,7 @@ def _change(
             rows[row] -= (rows[row] @ basis) @ basis.T
     products = step @ step.T
     smallest, *_, largest = np.linalg.eigvalsh(products)
-    degrees = len(basis) - basis.shape[1] - len(step)
+    degrees = len(basis) - basis.shape[1] - len(step)  # pulses - states of the model - states of the step
     if degrees < 1 or not smallest * MAX_CONDITION**2 > largest:
         raise ValueError("half the pulses cannot resolve the frequencies: use a longer window")
     covariance = np.linalg.inv(products)

@@ -131,7 +131,7 @@ def difference_noise_moments(
 
     With D the difference of neighbours, L the running sum (D L = 1), Q the columns and h the shrinkage, the covariance
     of the differences is A = D (1 - Q g Q') D', g = h (2 - h), for white noise. Degrees of freedom of a sum of squares:
-    (tr A)² / tr A² (Satterthwaite, 1946), times the factor of ``_random_walk_factor``.
+    (tr A)² / tr A² (Satterthwaite, 1946), times a factor for the random walk, 1 without a walk.
     """
     differences = np.diff(columns, axis=0)  # D Q
     sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]  # L'Q
@@ -147,18 +147,12 @@ def difference_noise_moments(
     second_difference_energy = 2 * (energy - np.einsum("ij,ij->j", differences[1:], differences[:-1]))
     square = 6 * count - 2 - 2 * removed @ second_difference_energy
     square = square + np.einsum("...i,ij,...j->...", removed, inner**2, removed)
-    degrees = white**2 / np.maximum(square, np.finfo(np.float64).tiny) * _random_walk_factor(step_noise_ratio)
+    degrees = white**2 / np.maximum(square, np.finfo(np.float64).tiny)
+    # With a walk of ratio r, differences have the variance 2 + r and the covariance -1 between neighbours: (tr A)² /
+    # tr A² per difference is (2 + r)² / ((2 + r)² + 2), over 2 / 3 without a walk.
+    step_square = (2 + step_noise_ratio) ** 2
+    degrees = degrees * np.asarray(1.5 * step_square / (step_square + 2))
     return np.asarray(white + step_noise_ratio * steps), np.asarray(degrees)
-
-
-def _random_walk_factor(step_noise_ratio: FloatArray) -> FloatArray:
-    """Return the factor on the degrees of freedom of differences from a random walk, 1 without a walk.
-
-    Differences have the variance 2 + r and the covariance -1 between neighbours: (tr A)² / tr A² = (2 + r)² / ((2 + r)²
-    + 2).
-    """
-    square = (2 + step_noise_ratio) ** 2
-    return np.asarray(1.5 * square / (square + 2))
 
 
 def step_covariance(

@@ -113,6 +113,7 @@ def _step_noise(
     energy, degrees = difference_noise_moments(columns, all_shrinkage, step_noise_ratio)
     pulse_m2, step_noise_m2 = step_covariance(residual, step_noise_ratio, weights @ projected.left_vectors.T, energy)
     # Differences between pulses do not contain slow drift such as creep: a residual far above the step noise counts.
+    # A random walk of n steps, minus its mean, has n / 6 times the variance of a step.
     explained_m2 = pulse_m2 * (1 + step_noise_ratio * len(projected.left_vectors) / 6)
     drifts = evidence.variance_m2 > DRIFT_VARIANCE_RATIO * explained_m2
     model_error_m2 = (evidence.total_m2 - evidence.variance_m2)[..., None, None] * white

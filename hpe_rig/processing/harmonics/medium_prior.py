@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
-from hpe_rig.medium import BeamWidths, KnownMedium, RigidSphere, medium_ensemble
+from hpe_rig.medium import BeamWidths, RigidSphere, medium_ensemble
 from hpe_rig.processing.harmonics.model import harmonic_columns
 
 HIGHEST_HZ = 4e4
@@ -79,7 +79,10 @@ class MediumPrior:
         first, repeats = self.distinct_instants(time_s)
         powers = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
         motion, wanted_powers = powers @ self.spectrum, powers[:, list(harmonic_indices)]
-        return np.hstack([motion.imag, motion.real])[repeats], _real_pairs(1j * np.conj(wanted_powers))[repeats]
+        # Real and imaginary parts, interleaved: j conj(exp(jwt)) = sin + j cos.
+        wanted = 1j * np.conj(wanted_powers)
+        wanted_pairs = np.stack([wanted.real, wanted.imag], axis=-1).reshape(len(wanted), -1)
+        return np.hstack([motion.imag, motion.real])[repeats], wanted_pairs[repeats]
 
     def distinct_instants(self, time_s: FloatArray) -> tuple[IndexArray, IndexArray]:
         """Return one pulse for each distinct instant of the burst period, and the instant's index of every pulse."""
@@ -122,12 +125,13 @@ def medium_prior(
     pushed: BeamWidths | RigidSphere,
     burst_rate_hz: float,
     burst_length_s: float,
-    known_medium: KnownMedium | None = None,
+    known_medium: tuple[float, float] | None = None,
     density_kg_per_m3: float = 1000.0,
 ) -> MediumPrior:
     """Return the prior of the motion under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
 
-    Times count from the onset of a burst at the focus. A ``known_medium`` narrows the ensemble to Voigt media near it.
+    Times count from the onset of a burst at the focus. A ``known_medium``, shear modulus (Pa) and viscosity (Pa s),
+    narrows the ensemble to Voigt media near it.
     """
     lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
     ensemble = medium_ensemble(pushed, lowest_hz, highest_hz, known_medium, density_kg_per_m3)
@@ -170,8 +174,3 @@ def _powers(phasor: ComplexArray, count: int) -> ComplexArray:
     low = np.cumprod(np.broadcast_to(phasor[:, None], (phasor.size, size)), axis=1)
     high = np.cumprod(np.broadcast_to(low[:, -1:], (phasor.size, size)), axis=1) / low[:, -1:]
     return np.asarray((high[:, :, None] * low[:, None, :]).reshape(phasor.size, -1)[:, :count])
-
-
-def _real_pairs(values: ComplexArray) -> FloatArray:
-    """Return real and imaginary parts of ``values`` (..., column), interleaved, (..., 2 * column)."""
-    return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)

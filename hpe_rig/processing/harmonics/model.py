@@ -95,12 +95,9 @@ def background_columns(time_s: FloatArray, order: int) -> FloatArray:
     """Return the Legendre polynomials 0 to ``order`` over the train (pulse, order + 1); no column for order -1."""
     if order <= 0:
         return np.ones((time_s.size, order + 1))
-    return np.asarray(np.polynomial.legendre.legvander(scaled_time(time_s), order))
-
-
-def scaled_time(time_s: FloatArray) -> FloatArray:
-    """Return times scaled to -1 at the first pulse and 1 at the last."""
-    return np.asarray((time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1)
+    # Scaled to -1 at the first pulse and 1 at the last.
+    scaled = (time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1
+    return np.asarray(np.polynomial.legendre.legvander(scaled, order))
 
 
 def linear_model(

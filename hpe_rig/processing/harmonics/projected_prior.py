@@ -122,4 +122,5 @@ def hidden_variance_factor(pulses: int, instants: float, rank: int) -> float:
     like an error of m times the variance in every pulse. The residual contains only the part left after ``rank``
     directions are fitted to the instants, spread over all its degrees of freedom.
     """
+    # The full error m minus its part in the residual, m (instants - rank) / (pulses - rank).
     return pulses / instants * (pulses - instants) / (pulses - min(rank, instants))

@@ -84,6 +84,7 @@ def _noise_v2(scatter_v2: float, code_v: float, constant_fraction: FloatArray) -
     low, high = 0.0, scatter_v2
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
+        # Scatter of the echoes: noise and rounding, minus the part of the rounding error in the mean echo.
         predicted_v2 = middle + code_v**2 / 12 - float(constant_fraction @ _harmonics_v2(code_v, middle))
         low, high = (middle, high) if predicted_v2 < scatter_v2 else (low, middle)
     return low

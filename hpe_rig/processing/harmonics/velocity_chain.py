@@ -1,7 +1,7 @@
 """Slow-time chain of the paper: velocity -> D = v/w -> band-pass -> Hann window -> Kalman filter -> times 2.
 
 Each frequency is processed on its own. Every step is linear in the velocities, so the chain's response to a unit
-sinusoid, a 2-by-2 matrix, gives the factor on amplitude and phase; its inverse removes that factor. For unfitted cycles
+sinusoid, a 2-by-2 matrix, gives the factor on amplitude and phase; its inverse removes that factor. For whole cycles
 the factor is the mean of the Hann window, 1/2, and its inverse is the paper's "times 2"; for other lengths the inverse
 is exact too.
 
@@ -123,7 +123,9 @@ def _one_frequency(
     columns = harmonic_columns(velocity.time_s, np.array([f]))
     solver = np.linalg.pinv(columns[valid])
     response = solver @ (passed(columns.T) * window)[:, valid].T
-    correction = _velocity_to_displacement(f, interval_s) @ np.linalg.inv(response) / (2 * np.pi * f)
+    # From (in-phase, quadrature) of v/w to those of D: -90 degrees, over the gain of the difference.
+    to_displacement = np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
+    correction = to_displacement @ np.linalg.inv(response) / (2 * np.pi * f)
     windowed = (passed(filled) * window)[..., valid]
     state = filter_constant(columns[valid], windowed, PRIOR).state @ correction.T
     # The same chain transposed, from the state back to the velocities; the band-pass is its own transpose.
@@ -142,15 +144,10 @@ def _half_width_hz(every_hz: FloatArray, f: float) -> float:
     return float(np.min(distance_hz[distance_hz > 1e-9 * f])) / 2
 
 
-def _velocity_to_displacement(f: float, interval_s: float) -> FloatArray:
-    """Return the matrix from (in-phase, quadrature) of v/w to those of D: -90 degrees, over the difference gain."""
-    return np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
-
-
 def _fill_columns(model: LinearModel, valid: BoolArray, background: slice) -> FloatArray:
-    """Return the columns (interval, state) that ``_filled`` adds, times the fitted states.
+    """Return the matrix (interval, state) from fitted states to the velocities that ``_filled`` adds.
 
-    At missing velocities: the unfitted model except the ``background``. At valid ones: minus the background.
+    Rows of missing velocities: the model without ``background``. Rows of valid ones: minus the background.
     """
     columns = np.where(valid[:, None], 0.0, model.every_pulse)
     columns[:, background] = np.where(valid[:, None], -model.every_pulse[:, background], 0.0)
@@ -206,8 +203,8 @@ def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, inte
     """
     kq = np.diff(over_pulses)[:, valid] / interval_s
     # tr K K - 2 tr q'K K q + tr (q'K q)²
-    unfitted = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
-    trace = unfitted - 2 * np.sum(kq**2) + np.sum((kq @ q) ** 2)
+    noise_trace = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
+    trace = noise_trace - 2 * np.sum(kq**2) + np.sum((kq @ q) ** 2)
     return max(float(trace), np.finfo(np.float64).tiny)
 
 

@@ -279,8 +279,10 @@ class _Pixels:
         variance = residual / np.float32(pulses - states)
         with np.errstate(invalid="ignore", divide="ignore"):
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
-            # Relative variance of that factor: echo frequency and sound speed.
-            relative = variance * self._frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
+            # Relative variance of that factor: echo frequency, in proportion to the phase variance, and sound speed.
+            phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
+            frequency_noise = np.float32(2 * STRIDE / self.time_s.size / phase_per_sample**2)
+            relative = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
         noise_m2 = variance * metres_per_radian**2
         results = [*self._estimates(state, noise_m2, metres_per_radian, relative), np.sqrt(noise_m2), power]
         bad = np.zeros(len(data), np.uint8)
@@ -293,16 +295,13 @@ class _Pixels:
                 values[bad > 0] = np.nan
         return [values.reshape(*shape, *values.shape[1:]) for values in results], bad.reshape(shape)
 
-    @property
-    def _frequency_noise(self) -> np.float32:
-        """Relative variance of the echo frequency over the phase variance of a pulse."""
-        phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
-        return np.float32(2 * STRIDE / self.time_s.size / phase_per_sample**2)
-
     def _estimates(
         self, state: SingleArray, noise_m2: SingleArray, metres_per_radian: SingleArray, relative: SingleArray
     ) -> list[SingleArray]:
-        """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each with u, from ``state`` in rad."""
+        """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each followed by its standard uncertainty.
+
+        From ``state`` (pixel, state), rad. ``relative`` (pixel,): relative variance of ``metres_per_radian``.
+        """
         covariance = (self.model.root @ self.model.root.T).astype(np.float32)
         # The states are in-phase and quadrature of each frequency, constant and slope.
         slope = covariance.shape[0] - 1

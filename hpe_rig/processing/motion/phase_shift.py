@@ -124,6 +124,7 @@ def _motion_of_phase(
     step_noise_ratio: FloatArray | None = None,
 ) -> Motion:
     """Return the motion of phases (..., valid pulse) with their variance, at a frequency (..., 1) of the train."""
+    # A phase of pi is a quarter wavelength of displacement.
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
     return Motion(
         echoes.pulse_time_s,
@@ -309,7 +310,7 @@ def compare_with_others(
 
     @functools.lru_cache(maxsize=1)
     def aligned(index: int) -> ComplexArray:
-        """Return one chunk of aligned echoes; a long train is aligned twice instead of being held."""
+        """Return one chunk of aligned echoes. Only the last one is cached: aligning twice needs less memory."""
         release_pages(spectrum)
         return advanced(spectrum[..., chunks[index], :], delay_s[..., chunks[index]], band.frequency_hz)
 

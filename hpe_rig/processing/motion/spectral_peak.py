@@ -176,6 +176,7 @@ def _transform(
     a constant into the band, where it would count as an echo.
     """
     samples, rate_hz = window.size, echoes.sample_rate_hz
+    # Bins of the spectrum without padding and window, for the energy.
     plain_hz = band_frequencies_hz(echoes, samples)
     if fft_is_faster(samples, frequency_hz.size, bins):
 
@@ -188,6 +189,7 @@ def _transform(
     even, odd = to_real.shape[0], to_imag.shape[0]
 
     def by_basis(volts: Volts) -> tuple[FloatArray, FloatArray]:
+        # Coefficients: of the even basis, of the odd basis, and the spectrum at ``plain_hz``.
         coefficients = volts.astype(np.float64, copy=False) @ basis
         spectra = np.empty((*coefficients.shape[:-1], 2 * frequency_hz.size))
         np.matmul(coefficients[..., :even], to_real, out=spectra[..., : frequency_hz.size])

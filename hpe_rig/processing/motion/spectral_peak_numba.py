@@ -57,6 +57,7 @@ def peak_steps(
             before, after = spectra[train, k - 1], spectra[train, k]
             energy[train, k] = _energies(after, power[k % 2])
             i = _largest(power[1 - k % 2], power[k % 2])
+            # Phase of (a - j b) (c + j d), the cross-spectrum at its peak.
             a, b, c, d = before[i], before[bins + i], after[i], after[bins + i]
             step[train, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)
             peak[train, k - 1] = i
@@ -81,6 +82,7 @@ def noisy_peak_steps(
                 if k > 0:
                     before = spectra[1 - k % 2]
                     i = _largest(power[1 - k % 2], power[k % 2])
+                    # Phase of (a - j b) (c + j d), the cross-spectrum at its peak.
                     a, b, c, d = before[i], before[bins + i], noisy[i], noisy[bins + i]
                     step[draw, realisation, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)
                     peak[draw, realisation, k - 1] = i

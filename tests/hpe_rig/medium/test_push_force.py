@@ -19,6 +19,13 @@ MUSCLE = HarmonicMedium.voigt(9e3, 2.0, FREQUENCY_HZ)
 OFFSETS_M = np.array([0.0, 1e-3, 3.5e-3])
 
 
+def relative_force(force: PushForce, lateral_m: np.ndarray, axial_m: np.ndarray) -> np.ndarray:
+    """Return the force relative to that at the focus, (axial, lateral)."""
+    along = np.exp(-0.5 * ((axial_m[:, None] - np.array(force.centre_m)) / force.along_m) ** 2)
+    across = np.exp(-0.5 * (lateral_m / np.array(force.across_m)[:, None]) ** 2)
+    return along @ np.array(force.weights) @ across
+
+
 @pytest.fixture(scope="module")
 def force() -> PushForce:
     return aperture_force(45e-3, 70e-3, 3e6, 1540.0)
@@ -45,7 +52,7 @@ def test_the_sum_of_gaussians_equals_the_intensity_within_the_force(force: PushF
     pressure = twins_pressure(Transducer(), K, LATERAL_M, near_m)
     intensity = np.abs(pressure / pressure[12, 0]) ** 2
     # The sum has no rings of the diffraction pattern.
-    assert np.abs(force.at(LATERAL_M, near_m) - intensity).max() < 0.03
+    assert np.abs(relative_force(force, LATERAL_M, near_m) - intensity).max() < 0.03
 
 
 @pytest.mark.parametrize(
@@ -90,8 +97,8 @@ def test_a_bowl_wider_than_its_sphere_is_refused() -> None:
 @pytest.mark.parametrize(("diameter_m", "frequency_hz"), [(5e-3, 3e6), (100e-3, 8e6), (45e-3, 1e6)])
 def test_any_aperture_has_a_force_of_1_at_its_focus_that_fades(diameter_m: float, frequency_hz: float) -> None:
     force = aperture_force(diameter_m, 70e-3, frequency_hz, 1540.0)
-    assert force.at(np.zeros(1), np.zeros(1))[0, 0] == pytest.approx(1.0, abs=0.05)
-    assert abs(force.at(np.zeros(1), np.array([-60e-3, 60e-3]))).max() < 0.02
+    assert relative_force(force, np.zeros(1), np.zeros(1))[0, 0] == pytest.approx(1.0, abs=0.05)
+    assert abs(relative_force(force, np.zeros(1), np.array([-60e-3, 60e-3]))).max() < 0.02
 
 
 def test_a_scan_of_the_bowl_gives_the_bowls_force_and_motion(force: PushForce) -> None:
@@ -111,7 +118,7 @@ def test_a_specimen_attenuates_a_scan() -> None:
     )
     # One beam is attenuated along the paths of its waves, the other along the axis.
     points = np.linspace(0, 1e-3, 5), np.linspace(-8e-3, 8e-3, 9)
-    assert np.abs(dry.at(*points) - wet.at(*points)).max() < 0.01
+    assert np.abs(relative_force(dry, *points) - relative_force(wet, *points)).max() < 0.01
 
 
 def test_a_scan_without_a_beam_is_refused() -> None:

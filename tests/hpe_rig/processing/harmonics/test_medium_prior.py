@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from hpe_rig.medium import (
     BeamWidths,
     HarmonicMedium,
-    KnownMedium,
     PushForce,
     TrackedRegion,
     aperture_force,
@@ -396,7 +395,7 @@ def test_the_evidence_detects_a_medium_with_a_wall() -> None:
 
 def test_a_known_medium_narrows_the_aliasing_of_synchronous_pulses() -> None:
     wave, peak = harmonics(IN_RANGE["9 kPa"])
-    known = medium_prior(BEAMS, RATE_HZ, LENGTH_S, KnownMedium(9e3, 2.0))
+    known = medium_prior(BEAMS, RATE_HZ, LENGTH_S, (9e3, 2.0))
     motion = noisy(AT_4000, wave, 7.7e-9, 5)
     open_fit, narrow = (medium_fit(motion, WANTED_HZ, prior) for prior in (PRIOR, known))
     ratio = np.trace(narrow.aliasing_m2.mean(axis=0)) / np.trace(open_fit.aliasing_m2.mean(axis=0))
