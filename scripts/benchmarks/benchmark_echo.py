@@ -217,25 +217,6 @@ def displacement_errors_nm() -> dict[str, float]:
     return {name: displacement_error_m(simulator) * 1e9 for name, simulator in simulators.items()}
 
 
-def scaling() -> list[tuple[str, int, float]]:
-    """Return times against scatterers (101 echoes) and against echoes (Table I's scatterers), tolerance 1e-8."""
-    rows = []
-    for count in (1_000, 10_000, 100_000, 1_000_000):
-        position_m = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3)) * np.array([1e-3, 1e-3, 5e-3])
-        shape = np.exp(-np.square(position_m[:, :1].T) / 5e-8)
-        motion = EchoDelays(np.sort(2 * position_m[:, 2] / SOUND_SPEED), shape, MOTION.amplitude_s)
-        rows.append(("scatterers", count, _synthesis_time_s(motion, np.exp(-np.square(position_m[:, 1]) / 1e-8), 3)))
-    for count in (10, 100, 1_000, 10_000):
-        amplitude_s = 2e-6 / SOUND_SPEED * np.sin(np.arange(count))[:, None]
-        motion = EchoDelays(MOTION.rest_s, MOTION.shape, amplitude_s)
-        rows.append(("echoes", count, _synthesis_time_s(motion, WEIGHT, 5)))
-    return rows
-
-
-def _synthesis_time_s(motion: EchoDelays, weight: np.ndarray, calls: int) -> float:
-    return statistics.median(processor_times_s(lambda: synthesise(motion, weight, PULSE, GATE_S, 1e-8), calls))
-
-
 def main() -> None:
     """Run all contenders and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
@@ -250,9 +231,6 @@ def main() -> None:
     errors_nm = displacement_errors_nm()
     for name, error_nm in errors_nm.items():
         print(f"rms displacement error, one scatterer at 70 mm moving 100 nm, {name}: {error_nm:.2e} nm")
-    sizes = scaling()
-    for kind, count, time_s in sizes:
-        print(f"{count:>8} {kind}: {time_s * 1e3:9.2f} ms")
     if options.output:
         numbers = {
             "time_s": {name: timing.median_s for name, timing in table.items()},
@@ -261,7 +239,6 @@ def main() -> None:
             "missing": MISSING_PEERS,
             "draw_s": draws_s,
             "moved_nm": errors_nm,
-            "scaling": sizes,
         }
         options.output.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
 

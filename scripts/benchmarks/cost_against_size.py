@@ -2,7 +2,7 @@
 
 * scatterers, echoes: a rigid gate of 130 samples, with different motion in every echo (100 echoes, 1000 scatterers);
 * realisations: new scatterers, 100 echoes, noise at 20 dB and an estimate, a thousand realisations in memory at a time;
-* pulses: a whole measurement (`many_pulses.py`).
+* pulses: a measurement of `table-1` with a longer train, from import to the stored result.
 
 Rows of the last two are fresh processes with their peak memory. Calls below a second: the fastest of three.
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -28,6 +29,13 @@ SIZES = {
 }
 CHUNK = 1000
 """Realisations in memory at a time."""
+STAGES = ("plan", "collect", "store", "truth", "process")
+COLUMNS = {
+    "scatterers": ("method", "processor, s"),
+    "echoes": ("method", "processor, s"),
+    "realisations": ("echoes and noise, s", "coherent, s", "cross_spectrum, s", "peak, MB"),
+    "pulses": (*(f"{stage}, s" for stage in STAGES), "all, s", "processor, s", "peak, MB"),
+}
 
 
 def main() -> None:
@@ -38,26 +46,29 @@ def main() -> None:
     options = parser.parse_args()
     if unknown := set(options.sizes) - SIZES.keys():
         parser.error(f"no such size: {', '.join(unknown)}; there are {', '.join(SIZES)}")
+    rows = {
+        "scatterers": lambda count: synthesis_cells(count, 100),
+        "echoes": lambda count: synthesis_cells(1000, count),
+        "realisations": realisation_cells,
+        "pulses": pulse_cells,
+    }
     if options.in_process:
-        print(realisations_row(options.in_process), flush=True)
+        print_row(options.in_process, rows[options.sizes[0]](options.in_process))
         return
     for name in options.sizes:
-        counts = SIZES[name]
-        if name == "pulses":
-            subprocess.run([sys.executable, Path(__file__).with_name("many_pulses.py"), *map(str, counts)], check=True)
-        elif name == "realisations":
-            print("\n| realisations | echoes and noise, s | coherent, s | cross_spectrum, s | peak, MB |")
-            print("|---" * 5 + "|")
-            for count in counts:
-                subprocess.run([sys.executable, __file__, "--in-process", str(int(count))], check=True)
-        else:
-            print(f"\n| {name} | method | processor, s |\n|---|---|---|")
-            for count in map(int, counts):
-                scatterers, echoes = (count, 100) if name == "scatterers" else (1000, count)
-                print(f"| {count} | {synthesis_cells(scatterers, echoes)} |", flush=True)
+        print(f"\n| {name} | {' | '.join(COLUMNS[name])} |\n" + "|---" * (1 + len(COLUMNS[name])) + "|", flush=True)
+        for count in map(int, SIZES[name]):
+            if name in ("realisations", "pulses"):
+                subprocess.run([sys.executable, __file__, name, "--in-process", str(count)], check=True)
+            else:
+                print_row(count, rows[name](count))
 
 
-def synthesis_cells(scatterers: int, echoes: int) -> str:
+def print_row(count: int, cells: list[str]) -> None:
+    print(f"| {count} | {' | '.join(cells)} |", flush=True)
+
+
+def synthesis_cells(scatterers: int, echoes: int) -> list[str]:
     """Return the method and the processor time of one synthesis."""
     from sim_backend.echoes import EchoDelays, hann_pulse, synthesise
 
@@ -72,11 +83,11 @@ def synthesis_cells(scatterers: int, echoes: int) -> str:
     times_s: list[float] = []
     while len(times_s) < 3 and sum(times_s) < 3:
         times_s += processor_times_s(lambda: synthesise(delays, weight, pulse, gate_s, 1e-8), 1)
-    return f"{method} | {min(times_s):.2g}"
+    return [method, f"{min(times_s):.2g}"]
 
 
-def realisations_row(count: int) -> str:
-    """Simulate and estimate ``count`` realisations in this process; return their row of the table."""
+def realisation_cells(count: int) -> list[str]:
+    """Simulate and estimate ``count`` realisations in this process; return times and peak memory."""
     from hpe_rig.processing import estimate
     from hpe_rig.validation import MotionCase
 
@@ -95,8 +106,25 @@ def realisations_row(count: int) -> str:
             start_s = time.process_time()
             estimate(case.gate(volts), [case.frequency_hz], name)
             times_s[name] += time.process_time() - start_s
-    _, peak_mb = resource_usage()
-    return f"| {count} | " + " | ".join(f"{time_s:.2g}" for time_s in times_s.values()) + f" | {peak_mb:.0f} |"
+    return [*(f"{time_s:.2g}" for time_s in times_s.values()), f"{resource_usage()[1]:.0f}"]
+
+
+def pulse_cells(pulses: int) -> list[str]:
+    """Measure and process a scene of ``pulses`` pulses in this process; return times by stage and peak memory."""
+    start_s = time.perf_counter()
+    import hpe_rig as hpe
+    from hpe_rig.measurement import prepare, record_run
+    from hpe_rig.result import Stages
+    from hpe_rig.runs import process
+
+    stages = Stages()
+    with tempfile.TemporaryDirectory() as folder:
+        setup = prepare(hpe.load_scene("table-1").with_({"tracking.pulse_count": pulses}), stages=stages)
+        process(record_run(setup, Path(folder) / "run.h5", stages=stages), stages=stages)
+    all_s = time.perf_counter() - start_s
+    processor_s, peak_mb = resource_usage()
+    times_s = [*(stages.run_time_s.get(name, 0.0) for name in STAGES), all_s, processor_s]
+    return [*(f"{time_s:.3g}" for time_s in times_s), f"{peak_mb:.0f}"]
 
 
 if __name__ == "__main__":

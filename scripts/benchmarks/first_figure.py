@@ -1,7 +1,4 @@
-"""Time the steps from `git clone` to the first report page for two versions, alternately.
-
-Each round clones the repository, checks out the version, makes a virtual environment, installs and measures.
-"""
+"""Time the commands from `git clone` to the first report page, in a fresh folder and virtual environment."""
 
 from __future__ import annotations
 
@@ -13,56 +10,43 @@ import tempfile
 import time
 from pathlib import Path
 
-COMMANDS_BEFORE = ("hpe-rig run bovine-muscle", "hpe-rig report bovine-muscle.h5")
-COMMANDS_AFTER = ("hpe-rig run bovine-muscle --report",)
-"""Commands typed after the installation in versions without and with the option `--report`."""
-INSTALLATION_COMMANDS = 5
-"""Clone, enter the folder, make the environment, activate it, install."""
-
 
 def main() -> None:
-    """Time both versions alternately and print the ratio of the sums and the numbers of commands."""
+    """Print the time of every command and their sum, alternating between versions."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("repository", help="address or folder for `git clone`")
-    parser.add_argument("before", help="commit without the option --report")
-    parser.add_argument("after", help="commit with it")
-    parser.add_argument("rounds", nargs="?", type=int, default=2)
+    parser.add_argument("commits", nargs="*", default=["HEAD"], help="versions to time")
+    parser.add_argument("--rounds", type=int, default=1)
     options = parser.parse_args()
-    before_s = after_s = 0.0
     for _ in range(options.rounds):
-        before_s += time_to_page_s(options.repository, options.before, COMMANDS_BEFORE)
-        after_s += time_to_page_s(options.repository, options.after, COMMANDS_AFTER)
-    counts = [INSTALLATION_COMMANDS + len(commands) for commands in (COMMANDS_BEFORE, COMMANDS_AFTER)]
-    print(f"after over before: {after_s / before_s:.2f}; commands typed: {counts[0]} and {counts[1]}")
+        for commit in options.commits:
+            print_times(options.repository, commit)
 
 
-def time_to_page_s(repository: str, commit: str, measurement_commands: tuple[str, ...]) -> float:
-    """Return the seconds from the clone to the page, and print the seconds of every command."""
+def print_times(repository: str, commit: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         clone = Path(folder) / "hpe_rig"
+        # Activating the environment puts its programs first.
         programs = clone / ".venv" / ("Scripts" if os.name == "nt" else "bin")
         environment = {**os.environ, "PATH": os.pathsep.join((str(programs), os.environ["PATH"]))}
         environment.pop("PYTHONPATH", None)
-        commands = [
-            (f"git clone -q {repository} hpe_rig", folder),
-            (f"git checkout -q {commit}", clone),
-            (f"{sys.executable} -m venv .venv", clone),
-            ("python -m pip install -q .", clone),
-            *((command, clone) for command in measurement_commands),
-        ]
-        steps, total_s = [], 0.0
-        for command, working_folder in commands:
+        clone.mkdir()
+        commands = (
+            f"git clone -q {repository} .",
+            f"git checkout -q {commit}",
+            f"{sys.executable} -m venv .venv",
+            "python -m pip install -q .",
+            "hpe-rig run bovine-muscle --report",
+        )
+        times_s = {}
+        for command in commands:
             start_s = time.monotonic()
-            subprocess.run(
-                command, shell=True, cwd=working_folder, env=environment, check=True, stdout=subprocess.DEVNULL
-            )
-            step_s = time.monotonic() - start_s
-            total_s += step_s
-            steps.append(f"{' '.join(command.split()[:2])} {step_s:.1f} s")
+            subprocess.run(command, shell=True, cwd=clone, env=environment, check=True, stdout=subprocess.DEVNULL)
+            times_s[" ".join(command.split()[:2])] = time.monotonic() - start_s
         if not (clone / "bovine-muscle.html").exists():
             raise FileNotFoundError("the commands wrote no page")
-        print(f"{commit}: {total_s:.1f} s ({', '.join(steps)})", flush=True)
-        return total_s
+    steps = ", ".join(f"{name} {time_s:.1f} s" for name, time_s in times_s.items())
+    print(f"{commit}: {sum(times_s.values()):.1f} s ({steps})", flush=True)
 
 
 if __name__ == "__main__":
