@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,6 @@ from hpe_rig.result import Headline, ShotResult
 FORCE = "force F / F_0"
 PROPORTIONAL = (FORCE, "excitation.force_fraction")
 """Axes over which the motion is proportional and a straight line is fitted."""
-
-Value = Callable[[ShotResult], float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,43 +67,31 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True)
 class _Setting:
-    """A setting that may differ between shots: the axis that it makes, and its text in the name of a curve."""
+    """A setting that may differ between shots: label of its axis, attribute, scale, and text in the name of a curve."""
 
     label: str
-    value: Value
-    text: Callable[[ShotResult], str]
+    attribute: str
+    scale: float
+    form: str
+
+    def value(self, shot: ShotResult) -> float | None:
+        value: float | None = getattr(shot, self.attribute)
+        return None if value is None else value * self.scale
+
+    def text(self, shot: ShotResult) -> str:
+        value = self.value(shot)
+        return "" if value is None else self.form.format(value)
 
     def varies(self, shots: Sequence[ShotResult]) -> bool:
         return len({self.value(shot) for shot in shots}) > 1
 
 
-def _scaled(value: float | None, factor: float) -> float | None:
-    return None if value is None else value * factor
-
-
-def _burst_text(shot: ShotResult) -> str:
-    return "" if shot.burst_length_s is None else f"T_b = {shot.burst_length_s * 1e6:g} us"
-
-
-LATERAL = _Setting(
-    "lateral offset (mm)",
-    lambda shot: shot.lateral_offset_m * 1e3,
-    lambda shot: f"x = {shot.lateral_offset_m * 1e3:g} mm",
-)
-AXIAL = _Setting(
-    "axial offset (mm)", lambda shot: shot.axial_offset_m * 1e3, lambda shot: f"z = {shot.axial_offset_m * 1e3:g} mm"
-)
-FORCE_FRACTION = _Setting(FORCE, lambda shot: shot.force_fraction, lambda shot: f"F = {shot.force_fraction or 0:g} F_0")
-PULSE_RATE = _Setting(
-    "pulse rate f_prf (Hz)", lambda shot: shot.pulse_rate_hz, lambda shot: f"f_prf = {shot.pulse_rate_hz or 0:g} Hz"
-)
-WINDOW = _Setting(
-    "window T_s (ms)",
-    lambda shot: _scaled(shot.window_length_s, 1e3),
-    lambda shot: f"T_s = {(shot.window_length_s or 0) * 1e3:g} ms",
-)
-BURST_LENGTH = _Setting("burst length T_b (us)", lambda shot: (shot.burst_length_s or 0.0) * 1e6, _burst_text)
-REPEAT = _Setting("repeat", lambda shot: float(shot.repeat + 1), lambda shot: "")
+LATERAL = _Setting("lateral offset (mm)", "lateral_offset_m", 1e3, "x = {:g} mm")
+AXIAL = _Setting("axial offset (mm)", "axial_offset_m", 1e3, "z = {:g} mm")
+FORCE_FRACTION = _Setting(FORCE, "force_fraction", 1.0, "F = {:g} F_0")
+PULSE_RATE = _Setting("pulse rate f_prf (Hz)", "pulse_rate_hz", 1.0, "f_prf = {:g} Hz")
+WINDOW = _Setting("window T_s (ms)", "window_length_s", 1e3, "T_s = {:g} ms")
+BURST_LENGTH = _Setting("burst length T_b (us)", "burst_length_s", 1e6, "T_b = {:g} us")
 
 AXES: tuple[tuple[_Setting, tuple[_Setting, ...]], ...] = (
     (LATERAL, (PULSE_RATE, WINDOW)),
@@ -132,10 +118,12 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
             return _sweep(name, shots, [shot.swept[name] for shot in shots], groups)
     for axis, grouping in AXES:
         if axis.varies(shots):
-            groups = [_joined(_burst_text(shot), _texts(shot, grouping, shots)) for shot in shots]
+            groups = [_joined(BURST_LENGTH.text(shot), _texts(shot, grouping, shots)) for shot in shots]
             return _sweep(axis.label, shots, [axis.value(shot) for shot in shots], groups)
-    axis = BURST_LENGTH if BURST_LENGTH.varies(shots) else REPEAT
-    return _sweep(axis.label, shots, [axis.value(shot) for shot in shots], [""] * len(shots))
+    # Nothing else varies: one curve over the burst lengths, or over the repeats.
+    if BURST_LENGTH.varies(shots):
+        return _sweep(BURST_LENGTH.label, shots, [BURST_LENGTH.value(shot) for shot in shots], [""] * len(shots))
+    return _sweep("repeat", shots, [shot.repeat + 1.0 for shot in shots], [""] * len(shots))
 
 
 def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
@@ -198,23 +186,19 @@ def _curve(frequency_hz: float, group: str, headlines: Sequence[Headline], x: Fl
     # One point for each value of x: the mean over its repeats.
     values = np.unique(x)
     masks = [x == value for value in values]
-    amplitudes = [_mean_and_sd(amplitude[mask]) for mask in masks]
+    amplitudes = [amplitude[mask] for mask in masks]
     phases = [_circular_mean_and_sd(phase[mask]) for mask in masks]
     return SweepCurve(
         frequency_hz=frequency_hz,
         group=group,
         x=values,
-        amplitude_m=np.array([mean for mean, _ in amplitudes]),
-        amplitude_sd_m=np.array([sd for _, sd in amplitudes]),
+        amplitude_m=np.array([repeats.mean() for repeats in amplitudes]),
+        amplitude_sd_m=np.array([repeats.std(ddof=1) if repeats.size > 1 else math.nan for repeats in amplitudes]),
         phase_rad=np.array([mean for mean, _ in phases]),
         phase_sd_rad=np.array([sd for _, sd in phases]),
         repeats=max(int(mask.sum()) for mask in masks),
         line=fit_line(x, amplitude) if linear else None,
     )
-
-
-def _mean_and_sd(values: FloatArray) -> tuple[float, float]:
-    return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else math.nan
 
 
 def _circular_mean_and_sd(phase: FloatArray) -> tuple[float, float]:

@@ -127,11 +127,10 @@ def motion_view(scene: Scene, shot: Shot, motion: Motion, estimates: Sequence[Es
     # The harmonics of the result stay; other driven harmonics and the background are fitted to the remainder.
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     other_driven_hz, rate_hz = selection.driven_hz, shot.tracking_train.rate_hz
-    fitted_m, matrix = fitted_motion(
-        motion, estimates, phase_reference_of(scene, shot), other_driven_hz, scene.processing.background_order
-    )
+    reference, order = phase_reference_of(scene, shot), scene.processing.background_order
+    fitted_m, matrix = fitted_motion(motion, estimates, reference, other_driven_hz, order)
     return MotionView(
-        time_s=motion.time_s[valid],
+        time_s=motion.time_s[valid] - reference.delay_s,
         displacement_m=motion.displacement_m[valid],
         fitted_m=fitted_m,
         noise_m2=motion.variance_m2[valid],
