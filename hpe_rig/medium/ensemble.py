@@ -305,6 +305,7 @@ def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> Complex
 
 
 def _known_modulus(known_medium: VoigtParameters, s: ComplexArray, members: int) -> ComplexArray:
+    """Return the complex modulus (member, frequency) of Voigt media near ``known_medium`` at ``s`` (frequency,)."""
     from scipy.special import ndtri
 
     deviates = ndtri(_even_sequence(members, 5)[:, :2])

@@ -196,6 +196,7 @@ def _second_minimum(
 
 
 def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], float] | None) -> Moduli:
+    """Return the result at the ``best`` minimum; ``second`` from ``_second_minimum``."""
     count, law, vibrations = problem.free - 1, problem.law, problem.vibrations
     coordinates, jacobian = best.unknown[:count], problem.jacobian(best.unknown)
     coordinate_covariance = problem.coordinate_covariance(jacobian)

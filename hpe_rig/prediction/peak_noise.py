@@ -78,7 +78,11 @@ def peak_statistics(
 def _two_steps(
     clean: ComplexArray, scale: FloatArray, matrix: ComplexArray, generator: np.random.Generator
 ) -> tuple[Int64Array, Int64Array, FloatArray, FloatArray]:
-    """Return both peaks (draw, 1), and estimates (draw,) of v beyond its linear form and of w, one for each draw."""
+    """Return both peaks (draw, 1), and estimates (draw,) of a pulse's variance v beyond its linear form and of w.
+
+    Each draw has three noisy pulses, hence two steps. w is the part of a step that the next step does not return.
+    ``scale`` (draw, 1): noise of a sample. ``matrix``: from samples to the bins of ``clean`` (draw, bin).
+    """
     shape = (len(clean), 3, clean.shape[1])
     noise = _band_noise(matrix, math.prod(shape[:2]), generator).reshape(shape)
     noisy = noise * scale[:, None] + clean[:, None]

@@ -153,6 +153,7 @@ def band_frequencies_hz(echoes: EchoGate, bins: int) -> FloatArray:
 
 
 def _grid(sample_rate_hz: float, carrier_hz: float, bins: int) -> FloatArray:
+    """Return the frequencies of a ``bins``-point FFT in the transmitted band, maybe none."""
     grid_hz = np.arange(bins // 2) * sample_rate_hz / bins
     low, high = (edge * carrier_hz for edge in BAND)
     return grid_hz[(grid_hz >= low) & (grid_hz <= high)]

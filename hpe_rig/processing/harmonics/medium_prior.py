@@ -67,6 +67,7 @@ class MediumPrior:
     def states(self, harmonic_indices: Sequence[int]) -> FloatArray:
         """Return S (2 * harmonic, direction): in-phase and quadrature of the harmonics (counted from 0)."""
         rows = self.spectrum[list(harmonic_indices)]
+        # A direction holds the real parts of all nodes, then the imaginary parts: Re and Im of (spectrum times node).
         pairs = np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real])
         return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from hpe_rig.processing import (
     ESTIMATORS,
     EchoGate,
-    Estimator,
     Options,
     coherent,
     estimate,
@@ -26,6 +25,7 @@ from hpe_rig.processing.motion import correlation
 from hpe_rig.processing.motion.correlation import cross_correlation
 from hpe_rig.processing.motion.gate_tracking import add_gate_motion, track_gate
 from hpe_rig.processing.motion.phase_shift import kasai
+from hpe_rig.scene import Estimator
 
 if TYPE_CHECKING:
     from conftest import TableOne

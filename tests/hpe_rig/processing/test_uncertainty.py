@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from hpe_rig.prediction.bounds import echo_bound
 from hpe_rig.processing import (
     ESTIMATORS,
-    Estimator,
     estimate,
 )
 from hpe_rig.processing.harmonics.model import harmonic_columns
+from hpe_rig.scene import Estimator
 from hpe_rig.validation.accuracy.motion import MotionCase
 
 if TYPE_CHECKING:

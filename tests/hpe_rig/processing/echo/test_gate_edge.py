@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from hpe_rig.processing import (
     ESTIMATORS,
     EchoGate,
-    Estimator,
     coherent,
     estimate,
     least_squares,
 )
 from hpe_rig.processing.echo.spectrum import band_spectrum
 from hpe_rig.processing.motion.phase_shift import are_correlated, kasai, pulse_steps
+from hpe_rig.scene import Estimator
 
 if TYPE_CHECKING:
     from conftest import TableOne

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from hpe_rig.processing import (
     EchoGate,
-    Estimator,
     Motion,
     coherent,
     estimate,
@@ -24,6 +23,7 @@ from hpe_rig.processing.motion.correlation import cross_correlation
 from hpe_rig.processing.motion.displacement import Velocity
 from hpe_rig.processing.motion.phase_shift import coherent_phase
 from hpe_rig.processing.motion.spectral_peak import cross_spectrum as cross_spectrum_motion
+from hpe_rig.scene import Estimator
 
 if TYPE_CHECKING:
     from conftest import TableOne
