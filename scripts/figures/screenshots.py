@@ -217,6 +217,7 @@ def check_page(chromium: Any, page_or_address: str, folder: Path, name: str = "l
         for scheme in SCHEMES:
             page = chromium.new_page(viewport={"width": width_px, "height": 900}, color_scheme=scheme)
             page.goto(address)
+            # A live page shows its first shots after a few seconds.
             if live:
                 page.wait_for_timeout(LIVE_PAGE_DELAY_MS)
             faults = faults_of(page, width_px)

@@ -1,5 +1,5 @@
-/* Faults of a disk, for scripts/robustness/integrity.py: preloaded, it lets the n-th write, sync or truncation of a file below one
-   folder fail, once or from then on, or never return. Built with: cc -shared -fPIC -O1 -o disk_faults.so disk_faults.c -ldl */
+/* Preloaded library for scripts/robustness/integrity.py. The n-th write, sync or truncation of a file below one folder
+   fails, once or permanently, or never returns. Built with: cc -shared -fPIC -O1 -o disk_faults.so disk_faults.c -ldl */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>

@@ -104,6 +104,7 @@ def outcome_of(path: Path, expected: dict[str, Any]) -> str:
         return "refused with a message"
     if result == expected:
         return "same result"
+    # A result may differ if it names the damage.
     warnings = [*result["warnings"], *(warning for shot in result["shots"] for warning in shot["warnings"])]
     if any("checksum" in text or "cut short" in text or "damaged" in text for text in warnings):
         return "result without the damaged records, with a message"
@@ -228,6 +229,7 @@ def one_fault(faulty: FaultyDisk, reference: Path, arm: Callable[[], None]) -> s
         print(NO_FAULT)
 
     code, output = faulty.run(child)
+    # The timeout of ``in_child`` ends a hanging process by SIGKILL.
     if code < 0:
         return "HANG" if code == -signal.SIGKILL else f"CRASH by signal {-code}"
     if code == 0 and output.endswith(f"{NO_FAULT}\n"):
@@ -297,6 +299,7 @@ def in_child(child: Callable[[], None], output: Path) -> int:
     """Run ``child`` in a copy of this process that exits as any program does; return its exit code."""
     pid = os.fork()
     if pid == 0:
+        # File descriptors 1 and 2 also catch what libraries print.
         file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(file, 1)
         os.dup2(file, 2)
@@ -314,6 +317,7 @@ def in_child(child: Callable[[], None], output: Path) -> int:
 
 def run_with_faulty_disk(arguments: list[str]) -> int:
     """Run this script again with the library that injects the faults, and return its exit code."""
+    # The dynamic linker must load the library before the C library, hence a new process.
     source = Path(__file__).with_name("disk_faults.c")
     with tempfile.TemporaryDirectory() as name:
         library = Path(name) / "disk_faults.so"

@@ -195,6 +195,7 @@ def draw_mutants(tree: Path, packages: Sequence[str], count: int, seed: int) -> 
         sources = {str(file.relative_to(tree)): file.read_text("utf-8") for file in files}
         mutants = [mutant for name, source in sources.items() for mutant in mutants_of(package, name, source)]
         queues.append(generator.sample(mutants, min(len(mutants), count)))
+    # One of each package, then the second of each, and so on.
     alternating = [mutant for number in range(count) for queue in queues for mutant in queue[number : number + 1]]
     return alternating[:count]
 
@@ -209,6 +210,7 @@ def earlier_mutants(rows: Sequence[Sequence[str]], earlier_tree: Path, tree: Pat
         file, line, column = position.split(":")
         if file not in by_position:
             before, now = ((root / file).read_text("utf-8") for root in (earlier_tree, tree))
+            # Line numbers of the earlier tree, for lines that both trees have.
             blocks = SequenceMatcher(None, before.splitlines(), now.splitlines(), autojunk=False).get_matching_blocks()
             earlier_lines = {b + n + 1: a + n + 1 for a, b, size in blocks for n in range(size)}
             by_position[file] = {

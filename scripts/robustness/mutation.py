@@ -342,6 +342,7 @@ def prepare_tree(folder: Path, packages: Iterable[str]) -> RecordedTests:
     if not recording.exists():
         shutil.rmtree(tree, ignore_errors=True)
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache"))
+        # The index of a repository of the copy restores mutated files.
         for command in ("init", "-q"), ("add", "-A"):
             subprocess.run(["git", *command], cwd=tree, check=True)
     # A killed run may have left a fault in the copy.

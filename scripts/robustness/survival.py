@@ -157,12 +157,14 @@ def full(sizes: int) -> None:
         complete_path = record_run(setup, folder / "complete.h5")
         complete, expected = read_run(complete_path), result_table(complete_path)
         refused, partial_files, records = 0, 0, 0
+        # A full disk stops the run somewhere between its first and last record.
         for size in np.random.default_rng(3).uniform(0.01, 0.99, sizes) * complete_path.stat().st_size:
             path = measure_onto_full_disk(setup, folder, int(size))
             if path is None:
                 refused += 1
                 continue
             stored = read_run(path)
+            # The twin repeats its records, so every stored record has a reference.
             for shot in range(len(complete.records)):
                 record, reference = stored.records[shot], complete.records[shot]
                 np.testing.assert_array_equal(record.codes[record.valid], reference.codes[record.valid])
