@@ -1,4 +1,4 @@
-"""Fig. 18: the shipped scene names the delay t_d of every pulse rate that the page beside the paper takes."""
+"""Fig. 18: the shipped scene has the delays t_d of the comparison with the paper."""
 
 import re
 import tomllib
@@ -8,9 +8,9 @@ from muscle import ADJUSTED_S
 from hpe_rig.scene import Scene, shipped_scenes
 
 
-def test_the_scene_of_fig_18_names_the_delays_of_the_page() -> None:
+def test_the_scene_of_fig_18_has_the_delays_of_the_comparison() -> None:
     text = shipped_scenes()["muscle-pulse-rate"]
     without = text.replace("\npulse_rate_hz = [2000.0", "\n# [2000.0")
     scene = Scene.model_validate(tomllib.loads(re.sub(r'^# (?="tracking|combine)', "", without, flags=re.MULTILINE)))
     tracked = [point.scene.tracking for point in scene.points]
-    assert {each.pulse_rate_hz: each.delay_s for each in tracked} == ADJUSTED_S
+    assert {settings.pulse_rate_hz: settings.delay_s for settings in tracked} == ADJUSTED_S

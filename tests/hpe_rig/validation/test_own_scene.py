@@ -35,16 +35,16 @@ def tiny() -> Scene:
 @pytest.fixture(scope="module")
 def rows(tiny: Scene) -> list[SceneRow]:
     messages: list[str] = []
-    chosen = [
+    variants_of_scene = [
         Variant(UNCHANGED, "coherent", {}),
         Variant("estimator", "cross_spectrum", {"processing.estimator": "cross_spectrum"}),
         Variant("gate", "half", {"acquisition.gate_length_m": 0.5e-3}),
         Variant("echo tolerance", "coarse", {"simulation.scatterers.echo_tolerance": 0.1}, True),
         Variant("estimator", "none such", {"processing.frequencies_hz": [200.0, 201.0]}),
     ]
-    found = scene_rows(one_shot(tiny), None, chosen, 3, report_progress=messages.append)
-    assert len(messages) == 3 * len(chosen)
-    return found
+    scene_table = scene_rows(one_shot(tiny), None, variants_of_scene, 3, report_progress=messages.append)
+    assert len(messages) == 3 * len(variants_of_scene)
+    return scene_table
 
 
 def test_the_errors_of_a_variant_are_those_of_its_runs(rows: list[SceneRow], tiny: Scene, tmp_path: Path) -> None:
@@ -56,9 +56,9 @@ def test_the_errors_of_a_variant_are_those_of_its_runs(rows: list[SceneRow], tin
         (estimate,) = run.estimate("cross_spectrum").shots[0].estimates
         assert estimate.corrected_amplitude_m is not None
         errors.append(estimate.corrected_amplitude_m / 1000e-9 - 1)
-    own = rows[1]
-    assert own.bias == pytest.approx(abs(sum(errors)) / 3, rel=1e-9)
-    assert own.error == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 3), rel=1e-9)
+    row = rows[1]
+    assert row.bias == pytest.approx(abs(sum(errors)) / 3, rel=1e-9)
+    assert row.error == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 3), rel=1e-9)
 
 
 def test_every_variant_changes_the_error_and_a_failing_fit_is_reported(rows: list[SceneRow]) -> None:
@@ -71,12 +71,14 @@ def test_every_variant_changes_the_error_and_a_failing_fit_is_reported(rows: lis
 
 
 def test_the_text_states_the_benefit_of_a_setting_that_is_beaten(rows: list[SceneRow]) -> None:
-    own = replace(rows[0], on_front=False, error=0.02, time_s=1.0)
+    unchanged = replace(rows[0], on_front=False, error=0.02, time_s=1.0)
     faster = replace(rows[2], on_front=True, beats_own=True, error=0.005, time_s=0.5)
-    text = scene_text([own, faster])
+    text = scene_text([unchanged, faster])
     assert "gate half beats the scene's settings: rms error 0.5 instead of 2 %, 0.5 instead of 1 s" in text
     assert "resolution in depth" in text
-    assert "lie on the Pareto front" in scene_text([replace(own, on_front=True), replace(faster, beats_own=False)])
+    assert "lie on the Pareto front" in scene_text(
+        [replace(unchanged, on_front=True), replace(faster, beats_own=False)]
+    )
 
 
 def trials(errors_m: list[float], times_s: list[float]) -> list[_Trial]:
@@ -87,23 +89,23 @@ def trials(errors_m: list[float], times_s: list[float]) -> list[_Trial]:
 
 
 def test_a_variant_beats_another_only_by_a_significant_difference() -> None:
-    own = trials([1.0, -2.0, 3.0, -1.5], [1.0, 1.01, 0.99, 1.0])
+    unchanged = trials([1.0, -2.0, 3.0, -1.5], [1.0, 1.01, 0.99, 1.0])
     halves = trials([0.5, -1.0, 1.5, -0.75], [1.0, 1.0, 1.0, 1.0])
-    assert _beats(halves, own)
-    assert not _beats(own, halves)
-    # As true, but faster; then slower and truer: neither beats the other.
-    assert _beats(trials([1.0, -2.0, 3.0, -1.5], [0.5] * 4), own)
-    dear = trials([0.5, -1.0, 1.5, -0.75], [2.0] * 4)
-    assert not _beats(dear, own)
-    assert not _beats(own, dear)
-    # A mean that chance makes smaller, and a gain of 1 %, are none.
-    assert not _beats(trials([0.5, -2.2, 2.5, -1.8], [1.0] * 4), own)
-    assert not _beats(trials([1.0, -2.0, 3.0, -1.5], [0.99, 1.0, 0.98, 0.99]), own)
-    assert not _beats(own, own)
-    # Giving up is worse than anything.
-    gave_up = trials([math.nan] * 4, [0.1] * 4)
-    assert _beats(own, gave_up)
-    assert not _beats(gave_up, own)
+    assert _beats(halves, unchanged)
+    assert not _beats(unchanged, halves)
+    # Equal errors in less time; then smaller errors in more time: neither beats the other.
+    assert _beats(trials([1.0, -2.0, 3.0, -1.5], [0.5] * 4), unchanged)
+    slower = trials([0.5, -1.0, 1.5, -0.75], [2.0] * 4)
+    assert not _beats(slower, unchanged)
+    assert not _beats(unchanged, slower)
+    # An insignificantly smaller mean error, and a gain of 1 % in time, do not count.
+    assert not _beats(trials([0.5, -2.2, 2.5, -1.8], [1.0] * 4), unchanged)
+    assert not _beats(trials([1.0, -2.0, 3.0, -1.5], [0.99, 1.0, 0.98, 0.99]), unchanged)
+    assert not _beats(unchanged, unchanged)
+    # A variant without an estimate is beaten by all others.
+    failed = trials([math.nan] * 4, [0.1] * 4)
+    assert _beats(unchanged, failed)
+    assert not _beats(failed, unchanged)
 
 
 def test_variants_that_are_invalid_for_the_scene_are_not_tried() -> None:
@@ -148,7 +150,7 @@ def test_the_command_writes_the_table_and_reports_its_progress(tmp_path: Path) -
     assert any(row["on_front"] == "True" for row in read)
 
 
-def test_invalid_file_names_are_refused_before_anything_is_measured() -> None:
+def test_invalid_file_names_are_refused_before_the_first_measurement() -> None:
     words = ["accuracy", "--scene", "table-1", "--output", "mine.foo", "--figure", "nowhere/mine.svg"]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 2

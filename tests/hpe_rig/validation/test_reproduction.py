@@ -1,4 +1,4 @@
-"""Statements of the paper are judged by numbers and their errors: agreement, miss and silence each come out as such."""
+"""Verdicts on statements of the paper: agreement, difference, inconclusive and missing studies."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COLUMNS = [
 
 
 def result(axes: dict[str, list[float]], values: Values, readings: tuple[str, ...] = ("physical",)) -> StudyResult:
-    """Return a study of prescribed values; what ``values`` leaves out is 0 with a standard error of 1 nm or mrad."""
+    """Return a study of prescribed values; missing values are 0 with a standard error of 1 nm or mrad."""
     definition = Definition.model_validate(
         {
             "title": "prescribed",
@@ -48,7 +48,7 @@ def result(axes: dict[str, list[float]], values: Values, readings: tuple[str, ..
 
 
 def curves(jitter_nm: Callable[[float, float], float]) -> StudyResult:
-    """Return two curves over SNR, parameter 0 and 1, whose displacement jitter is given with an error of 1 nm."""
+    """Return two curves over SNR, parameter 0 and 1, of displacement jitter with a standard error of 1 nm."""
     return result(
         {"P": [0.0, 1.0], "SNR": SNR_DB}, lambda at: {"amplitude_jitter_m": jitter_nm(at["P"], at["SNR"]) * 1e-9}
     )
@@ -84,7 +84,7 @@ def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
     assert with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
 
 
-def test_a_limit_for_the_largest_of_many_knows_how_far_chance_lifts_it() -> None:
+def test_a_limit_for_the_largest_of_many_values_allows_for_selection() -> None:
     one = np.ones(1)
     assert judgement.below(1.9 * one, one, 5.0, "").verdict == AGREES
     assert judgement.below(4.9 * one, one, 5.0, "").verdict == INCONCLUSIVE
@@ -97,7 +97,7 @@ def test_a_limit_for_the_largest_of_many_knows_how_far_chance_lifts_it() -> None
     assert np.mean(draws > judgement.sidak_quantile(121)) == pytest.approx(rare, abs=3 * np.sqrt(rare / 20_000))
 
 
-def test_no_effect_is_inconclusive_where_chance_alone_would_hide_one() -> None:
+def test_no_effect_is_inconclusive_if_noise_could_hide_one() -> None:
     assert judgement.flat("amplitude_jitter", 1.0)(curves(lambda p, snr: 100.0), "physical").verdict == INCONCLUSIVE
 
 
@@ -118,7 +118,7 @@ def test_a_map_is_read_between_its_points_linearly_in_the_logarithms() -> None:
     assert claim_judges.at_width_ratio(x, x, values) == pytest.approx([5 * np.log(2.19) + 1], rel=1e-12)
 
 
-def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:
+def test_differences_from_the_lateral_theory_are_judged_by_w_z() -> None:
     w = np.geomspace(0.1, 10, 11).tolist()
 
     def values(at: dict[str, float]) -> dict[str, float]:
@@ -133,7 +133,7 @@ def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:
     assert last(study, "physical").finding == "largest 0.100 at W_z = 1, true value between 0.096 and 0.104"
 
 
-def test_every_reading_is_judged_by_its_own_rows_and_what_was_not_run_says_so() -> None:
+def test_every_reading_is_judged_by_its_rows_and_missing_studies_are_named() -> None:
     study = result(
         {"SNR": SNR_DB}, lambda at: {"amplitude_bias_m": -185e-9, "amplitude_jitter_m": 34e-9}, ("physical",)
     )
@@ -144,7 +144,7 @@ def test_every_reading_is_judged_by_its_own_rows_and_what_was_not_run_says_so() 
     assert not any(row["why"] for row in rows.values() if row["verdict, physical"] == AGREES)
 
 
-def test_a_miss_is_shown_with_its_reason() -> None:
+def test_a_difference_is_shown_with_its_reason() -> None:
     study = result({"SNR": SNR_DB}, lambda at: {"amplitude_bias_m": -110e-9, "amplitude_jitter_m": 80e-9})
     row = reproduction.rows({"fig-4": study})[0]
     assert row["verdict, physical"] == DIFFERS
@@ -152,5 +152,5 @@ def test_a_miss_is_shown_with_its_reason() -> None:
     assert row["why"].startswith("physical: scatterers at different depths")
 
 
-def test_every_statement_asks_for_a_study_that_is_shipped() -> None:
+def test_the_study_of_every_statement_is_shipped() -> None:
     assert {claim.study for claim in reproduction.CLAIMS} <= set(shipped_studies())
