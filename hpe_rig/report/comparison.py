@@ -176,9 +176,9 @@ def _points(result: Result) -> Points:
     for shot in result.shots:
         if (setting := _setting(shot)) not in repeated:
             for estimate in shot.estimates:
-                independent = [part for part in estimate.budget if part.source in INDEPENDENT_SOURCES]
-                noise_m = math.hypot(*(part.amplitude_m for part in independent))
-                noise_rad = math.hypot(*(part.phase_rad for part in independent))
+                independent = [item for item in estimate.budget if item.source in INDEPENDENT_SOURCES]
+                noise_m = math.hypot(*(item.amplitude_m for item in independent))
+                noise_rad = math.hypot(*(item.phase_rad for item in independent))
                 point = _Point(f"{shot.shot + 1}", estimate.headline, noise_m, noise_rad)
                 points.setdefault(setting, {}).setdefault(estimate.frequency_hz, point)
     return points

@@ -330,8 +330,8 @@ def _scene_at(run: Run, shot: ShotResult) -> Scene:
     point = scene_of_shot(run.scene, run.plan.shots[shot.shot])
     rates = [
         rate
-        for place in point.places
-        for rate in place.rates
+        for offset_scene in point.places
+        for rate in offset_scene.rates
         if settings == (rate.tracking.pulse_rate_hz, rate.tracking.lateral_offset_m, rate.tracking.axial_offset_m)
     ]
     windows = [window for rate in rates for window in rate.windows]

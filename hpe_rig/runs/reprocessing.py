@@ -80,9 +80,10 @@ def _with_gates_of(varied: Plan, plan: Plan, scene: Scene, source: str) -> Plan:
     """Return ``plan`` with the gates of the plan ``varied``; raise ``SettingsError`` if they leave the records."""
     shots = tuple(
         replace(
-            shot, timeline=replace(shot.timeline, **{name: getattr(other.timeline, name) for name in PROCESSING_TIMES})
+            shot,
+            timeline=replace(shot.timeline, **{name: getattr(varied_shot.timeline, name) for name in PROCESSING_TIMES}),
         )
-        for shot, other in zip(plan.shots, varied.shots, strict=True)
+        for shot, varied_shot in zip(plan.shots, varied.shots, strict=True)
     )
     outside = [shot for shot in shots if shot.gate.start < 0 or shot.gate.stop > shot.capture.record_samples]
     if outside:

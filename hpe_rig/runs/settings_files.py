@@ -23,10 +23,10 @@ from hpe_rig.scene import (
 SIMULATION = "Settings of the twin, used on the simulated bench alone. Without them the default muscle is simulated."
 
 
-def json_schema(of: str, others: Mapping[str, Callable[[], dict[str, Any]]] | None = None) -> dict[str, Any]:
+def json_schema(of: str, additional: Mapping[str, Callable[[], dict[str, Any]]] | None = None) -> dict[str, Any]:
     """Return the JSON schema of a settings file or of an output of --json.
 
-    ``others`` are additional schemas by name. Raises ``SettingsError`` for an unknown name.
+    ``additional``: further schemas by name. Raises ``SettingsError`` for an unknown name.
     """
     # Imported here: pages and editors ask for one schema at a time.
     from hpe_rig.measurement import QueueList
@@ -42,7 +42,7 @@ def json_schema(of: str, others: Mapping[str, Callable[[], dict[str, Any]]] | No
         "list": listing_schema,
         "verify": verification_schema,
         "moduli": moduli_schema,
-        **(others or {}),
+        **(additional or {}),
     }
     if of not in schemas:
         raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
