@@ -186,11 +186,12 @@ class World:
         """
         captured = self._capture(capture_index)
         # The pulse reaches the focus one flight time after its onset.
+        flight_ps = to_ps(self._settings.beams.tracked_from_m / self._settings.sound_speed_m_per_s)
         onset_ps = pulse_onsets_ps(captured)
         fired = onset_ps >= 0
         displacement_m = np.full(onset_ps.size, np.nan)
         displacement_m[fired] = self._acoustics().focus_displacement_m(
-            captured.tonebursts, onset_ps[fired] + self._flight_ps(), captured.origin_ps, index=captured.arming.index
+            captured.tonebursts, onset_ps[fired] + flight_ps, captured.origin_ps, index=captured.arming.index
         )
         return displacement_m
 
@@ -207,9 +208,6 @@ class World:
         if not -len(captures) <= index < len(captures):
             raise IndexError(f"capture {index} of {len(captures)}: arm the digitizer before asking for the truth")
         return captures[index]
-
-    def _flight_ps(self) -> int:
-        return to_ps(self._settings.beams.tracked_from_m / self._settings.sound_speed_m_per_s)
 
     # Interface of the digitizer's library (`state.Recorder`)
 
@@ -258,14 +256,11 @@ class World:
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
             return self._evaluated[1]
         # Endless emissions are evaluated up to the next whole second, others to their end.
-        horizon_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S if self._is_endless() else FAR_PS
+        is_endless = self.board.times_out or any(generator.endless for generator in self._generators.values())
+        horizon_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S if is_endless else FAR_PS
         evaluation = self._propagate(horizon_ps)
         self._evaluated = (version, evaluation)
         return evaluation
-
-    def _is_endless(self) -> bool:
-        board = self.board
-        return any(generator.endless for generator in self._generators.values()) or board.times_out
 
     def _propagate(self, until_ps: int) -> Evaluation:
         triggers: list[AcceptedTriggers] = []

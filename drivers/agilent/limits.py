@@ -35,7 +35,9 @@ def _beyond_model(task: GeneratorTask, model: GeneratorModel) -> list[str]:
             widest_s = model.width_s[1] / 2
             return [*_outside("width_s", task.width_s, (model.width_s[0], widest_s)), *_level(task)]
         case PulseTrain():
-            return [*_pulse_timing(task, model), *_burst(task.count, "count", task.delay_s, model), *_level(task)]
+            rate = _outside("rate_hz", task.rate_hz, model.pulse_rate_hz)
+            width = [] if rate else _width(task.width_s, model.shortest_period_s(task.rate_hz), model)
+            return [*rate, *width, *_burst(task.count, "count", task.delay_s, model), *_level(task)]
         case Toneburst():
             where = f" for counted bursts of a {model.name}"
             return [
@@ -57,11 +59,6 @@ def _beyond_wiring(task: GeneratorTask, max_vpp: float) -> list[str]:
     return [f"{name} = {swing_v:.10g} is above max_vpp = {max_vpp:.10g}, the limit of the bench file at this output"]
 
 
-def _pulse_timing(train: PulseTrain, model: GeneratorModel) -> list[str]:
-    rate = _outside("rate_hz", train.rate_hz, model.pulse_rate_hz)
-    return rate or _width(train.width_s, model.shortest_period_s(train.rate_hz), model)
-
-
 def _width(width_s: float, period_s: float, model: GeneratorModel) -> list[str]:
     # The gap between two pulses holds both edges, and is at least as wide as the narrowest pulse.
     gap_s = max(EDGES_IN_PERIOD * model.edge_s, model.width_s[0])
@@ -74,8 +71,7 @@ def _burst(count: int, name: str, delay_s: float, model: GeneratorModel) -> list
 
 
 def _level(pulse: TriggerPulse | PulseTrain) -> list[str]:
-    where = f" into {pulse.load_ohm:g} ohm"
-    return _into_load("high_v", pulse.high_v, pulse.load_ohm, OPEN_CIRCUIT_PEAK_V, where)
+    return _into_load("high_v", pulse.high_v, pulse.load_ohm, OPEN_CIRCUIT_PEAK_V, f" into {pulse.load_ohm:g} ohm")
 
 
 def _amplitude(sine: Toneburst | ContinuousSine) -> list[str]:

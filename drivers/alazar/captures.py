@@ -22,7 +22,7 @@ from drivers.alazar.board import AlazarBoard
 from drivers.alazar.limits import BUFFER_TARGET_BYTES, pre_trigger_samples, records_per_buffer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.alazar.return_codes import RECORD_TOO_HIGH, WAIT_TIMEOUT
-from drivers.alazar.samples import BufferLayout, RawRecords, Words, buffer_bytes, native, unpacked, word_dtype
+from drivers.alazar.samples import RawRecords, Words, buffer_bytes, native, unpacked, word_dtype
 from drivers.interfaces import Capture, Clock, DeadlineError, InstrumentError
 
 POLL_S: Final = 0.01
@@ -190,7 +190,7 @@ class DualPortCapture:
         """Yield the records of each buffer once it is full; raise ``DeadlineError`` at the deadline."""
         # A copy of the ring: ``abort`` may empty ``_buffers`` while this iterator is suspended.
         ring, model = tuple(self._buffers), self._board.model
-        layout = BufferLayout(len(self._job.channels), self._settings.record_samples, self._npt, model)
+        channels, record_samples = len(self._job.channels), self._settings.record_samples
         samples_per_count = 1 if self._npt else self._board.samples_per_timestamp()
         for index in range(self._buffer_count):
             buffer = ring[index % len(ring)]
@@ -200,7 +200,7 @@ class DualPortCapture:
             # of a capture are not posted: no records are left to fill them.
             if index + len(ring) < self._buffer_count:
                 self._post(buffer)
-            words, counts = unpacked(data, layout)
+            words, counts = unpacked(data, channels, record_samples, self._npt, model)
             yield RawRecords(index * self.records_per_block, words, counts * samples_per_count)
 
     def abort(self) -> None:

@@ -77,7 +77,8 @@ class AlazarDigitizer:
         self._disarm()
         self._settings = self._capture = None
         self._program(capture)
-        procedure = self._new_capture(mode, capture)
+        job = CaptureJob(self._board, self._clock, capture, tuple(_input_ranges_v(capture)), self._allocate)
+        procedure = SinglePortCapture(job) if mode == "single_port" else DualPortCapture(job, npt=mode == "npt")
         procedure.prepare()
         self._settings, self._capture = capture, procedure
 
@@ -184,10 +185,6 @@ class AlazarDigitizer:
             what = f"acquisition mode {mode} needs dual-port memory"
             raise InstrumentError(self.role, what, "this board has none", 'acquisition_mode = "single_port"')
         return mode
-
-    def _new_capture(self, mode: Mode, settings: Capture) -> SinglePortCapture | DualPortCapture:
-        job = CaptureJob(self._board, self._clock, settings, tuple(_input_ranges_v(settings)), self._allocate)
-        return SinglePortCapture(job) if mode == "single_port" else DualPortCapture(job, npt=mode == "npt")
 
     def _program(self, settings: Capture) -> None:
         board, lib, model = self._board, self._board.library, self._model

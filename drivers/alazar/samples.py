@@ -33,16 +33,6 @@ class RawRecords:
     trigger_samples: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class BufferLayout:
-    """Layout of one AutoDMA buffer."""
-
-    channels: int
-    record_samples: int
-    npt: bool
-    model: BoardModel
-
-
 def word_dtype(model: BoardModel) -> np.dtype[Any]:
     """Return the type of one sample in the board's memory and buffers."""
     return np.dtype(f"<u{model.sample_bytes}")
@@ -63,15 +53,17 @@ def buffer_bytes(record_samples: int, records: int, headers: bool, model: BoardM
     return (model.sample_bytes * record_samples + (HEADER_BYTES if headers else 0)) * records
 
 
-def unpacked(data: NDArray[np.uint8], layout: BufferLayout) -> tuple[Words, NDArray[np.float64]]:
+def unpacked(
+    data: NDArray[np.uint8], channels: int, record_samples: int, npt: bool, model: BoardModel
+) -> tuple[Words, NDArray[np.float64]]:
     """Return words (channel, record, sample) and trigger counts (record,) of one AutoDMA buffer; NPT counts are NaN.
 
     The order in the buffer is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
-    if layout.npt:
-        words = native(data.view(word_dtype(layout.model)).reshape(layout.channels, -1, layout.record_samples))
+    if npt:
+        words = native(data.view(word_dtype(model)).reshape(channels, -1, record_samples))
         return words, np.full(words.shape[1], np.nan)
-    records = data.view(header_record_dtype(layout.record_samples, layout.model)).reshape(-1, layout.channels)
+    records = data.view(header_record_dtype(record_samples, model)).reshape(-1, channels)
     words = native(np.ascontiguousarray(records["words"].swapaxes(0, 1)))
     return words, timestamp_counts(records["header"][:, 0]).astype(np.float64)
 

@@ -31,11 +31,10 @@ BUS_PACKAGES: Final = {
 class NoVisaError(ConnectionError):
     """This computer has no driver for this kind of address; ``remedy`` says which one to install."""
 
-    def __init__(self, address: str, detail: str) -> None:
+    def __init__(self, address: str) -> None:
         bus = next((name for name in BUS_PACKAGES if address.upper().startswith(name)), "")
         super().__init__(f"cannot open {address!r}: no VISA driver for {bus or 'this kind of address'} is installed")
         self.remedy = f"install NI-VISA or Keysight IO Libraries{BUS_PACKAGES.get(bus, '')}"
-        self.detail = detail
 
 
 @final
@@ -125,7 +124,7 @@ def _message_resource(address: str, backend: str) -> MessageBasedResource:
         resource = _resource_manager(backend).open_resource(address, open_timeout=OPEN_TIMEOUT_MS)
     except ValueError as error:
         if "Please install" in str(error):
-            raise NoVisaError(address, str(error)) from error
+            raise NoVisaError(address) from error
         raise
     if isinstance(resource, pyvisa.resources.MessageBasedResource):
         return resource

@@ -101,11 +101,9 @@ def _flat(tables: Any, path: Sequence[str] = ()) -> Iterator[tuple[str, Any]]:
             yield from _flat(value, (*path, key))
     elif isinstance(tables, list | tuple):
         for value in tables:
-            yield from _flat(value, (*path, _entry_name(value)))
+            # A cable is named by its ends, so that cables match in any order.
+            is_cable = isinstance(value, Mapping) and "source" in value
+            name = f"{value['source']} to {value['target']}" if is_cable else "entry"
+            yield from _flat(value, (*path, name))
     else:
         yield ".".join(path), tables
-
-
-def _entry_name(value: Any) -> str:
-    """Return the name of a list's entry: a cable is named by its ends, so that cables match in any order."""
-    return f"{value['source']} to {value['target']}" if isinstance(value, Mapping) and "source" in value else "entry"

@@ -58,6 +58,6 @@ def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tu
     # An inline table would not have got its address.
     parsed = {role: item.address for role, item in parse_bench(bench.name, text).bench.generators.by_role.items()}
     if parsed != {role: address for role, (address, _) in addresses.items()}:
-        what = "the generators do not stand in tables of their own"
+        what = "the generators have no separate tables"
         raise SettingsError(f"bench {bench.name}", [Mistake("generators", what, "write [generators.master] and so on")])
     return HEAD.format(transport=transport) + text

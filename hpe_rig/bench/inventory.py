@@ -75,7 +75,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
     """
     for name in resources(bench):
         if holder := holder_of(name):
-            announce(f"{name} is in use by {holder}: it is switched off all the same")
+            announce(f"{name} is in use by {holder}: it is switched off anyway")
     errors: dict[str, str] = {}
     proven: dict[str, str] = {}
     try:
@@ -111,18 +111,18 @@ def _report(
 ) -> InstrumentReport:
     address = _address(role, bench)
     if isinstance(item, Exception):
-        problems = str(item), *_address_suggestion(role, address, bench, addresses)
-        return InstrumentReport(role, address, problems=problems)
+        suggestions = _address_suggestion(role, address, bench, addresses)
+        return InstrumentReport(role, address, problems=(str(item), *suggestions))
     try:
         # Only queries, so that the settings of other programs are reported as they were found.
         identity, latency_s = _timed_identity(item, clock_s)
         settings = item.snapshot()
     except InstrumentError as error:
         return InstrumentReport(role, address, problems=(str(error),))
-    problems = tuple(
-        _digitizer_problems(bench.digitizer, settings) if role == "digitizer" else _output_problems(settings)
-    )
-    return InstrumentReport(role, address, identity, latency_s, settings, problems=problems)
+    problems = list(_digitizer_problems(bench.digitizer, settings)) if role == "digitizer" else []
+    if settings.get("output_on"):
+        problems.append("its output was on; it is off now. Try: find the program that left it on")
+    return InstrumentReport(role, address, identity, latency_s, settings, problems=tuple(problems))
 
 
 def _with_self_test(report: InstrumentReport, item: Instrument | Exception) -> InstrumentReport:
@@ -165,12 +165,7 @@ def _address_suggestion(role: str, address: str, bench: BenchFile, addresses: Se
     elif close:
         yield f"generators.{role}.address: did you mean {' or '.join(close)}?"
     elif addresses:
-        yield f"generators.{role}.address: found are {', '.join(addresses)}"
-
-
-def _output_problems(settings: Settings) -> Iterator[str]:
-    if settings.get("output_on"):
-        yield "its output was on; it is off now. Try: find the program that left it on"
+        yield f"generators.{role}.address: the addresses in use are {', '.join(addresses)}"
 
 
 def _digitizer_problems(board: DigitizerBoard, settings: Settings) -> Iterator[str]:

@@ -31,9 +31,7 @@ class BenchInUseError(InstrumentError):
 
     def __init__(self, resource: str, holder: str) -> None:
         why = "two programs on one bench would measure each other's settings"
-        remedy = (
-            "wait until it has ended or end it; in an emergency hpe-rig bench BENCH --off switches off all the same"
-        )
+        remedy = "wait until it has ended or end it; in an emergency hpe-rig bench BENCH --off switches off anyway"
         super().__init__("bench", f"{resource} is in use by {holder}", why, remedy)
         self.resource = resource
         self.holder = holder

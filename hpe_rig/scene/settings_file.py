@@ -79,9 +79,9 @@ def _not_toml(text: str, error: str) -> Mistake:
     where = f"line {number}, {shortened(line)!r}"
     # The parser's message comes first, then the usual mistakes in the line that it names.
     if "overwrite" in error:
-        return Mistake("", f"{where}: this key stands a second time in its table", "keep one of the two")
+        return Mistake("", f"{where}: this key occurs twice in its table", "keep one of the two")
     if "twice" in error:
-        return Mistake("", f"{where}: this table stands a second time", "put its keys under the first one")
+        return Mistake("", f"{where}: this table occurs twice", "put its keys under the first one")
     if re.search(r"=\s*-?\d+,\d", line):
         return Mistake("", f"{where}: a comma in a number", "a decimal point")
     # A backslash before the closing quote makes that quote part of the string, which then has no end.

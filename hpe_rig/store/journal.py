@@ -163,7 +163,7 @@ class Journal:
         return os.path.samestat(self._identity, self.path.stat())
 
     def close(self) -> None:
-        """Close the file, which releases its lock; a disk that does not respond keeps the lock until the program ends."""
+        """Close the file and release its lock; a disk that does not respond keeps both until the program ends."""
         if not self._stuck:
             self._do(self._file.close)
             self._view.close()

@@ -81,7 +81,7 @@ def listing_schema() -> dict[str, Any]:
 
 
 def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[str]]:
-    """Return the runs in ``folder`` (with ``below``, also in its subfolders) by date, and why other files are unreadable.
+    """Return the runs in ``folder`` by date (with ``below`` also in its subfolders), and why files are unreadable.
 
     Result files and files of other programs are skipped. Raises ``StoreError`` if ``folder`` is not a folder.
     """

@@ -44,10 +44,11 @@ class GatedRecords(Protocol):
 class ShotRecords:
     """The records of one shot on the plan's axes.
 
-    ``codes`` int16 (pulse, sample), ``MISSING`` for missing records. ``trigger_time_s`` float64 (pulse,), NaN for missing
-    records and for capture modes without times. ``code_limits``: the digitizer's lowest and highest code; a sample with
-    one of them is clipped. ``margin``: numbers of samples before and after the gate. ``damaged`` (pulse,): True for
-    missing records that fail their checksums; None for records that were not read from a file.
+    codes: int16 (pulse, sample), ``MISSING`` for missing records.
+    trigger_time_s: float64 (pulse,), NaN for missing records and for capture modes without times.
+    code_limits: the digitizer's lowest and highest code; a sample with one of them is clipped.
+    margin: numbers of samples before and after the gate.
+    damaged: (pulse,), True for missing records that fail their checksums; None for records not read from a file.
     """
 
     codes: Int16Array
@@ -98,9 +99,9 @@ def pulse_indices(block: RecordBlock, previous: LastRecord | None, shot: Shot) -
     """Return the tracking pulse of each record of ``block``, (record,), -1 if none fits, and the latest such record.
 
     The index follows from the board's trigger times relative to the previous block's last record. So a lost trigger
-    shifts no later record, and a board with a clock error of up to 100 ppm loses none in blocks of up to 2000. The first
-    record is assumed to belong to the first pulse, because no time reveals triggers lost before it. Records without a
-    time are counted from the latest record with a known pulse, or from the first record if there is none.
+    shifts no later record, and a board with a clock error of up to 100 ppm loses none in blocks of up to 2000. The
+    first record is assumed to belong to the first pulse, because no time reveals triggers lost before it. Records
+    without a time are counted from the latest record with a known pulse, or from the first record if there is none.
     """
     record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
     timed = np.isfinite(block.trigger_time_s)

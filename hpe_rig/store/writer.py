@@ -1,7 +1,7 @@
 """Writer of a run file: records go to disk as they arrive, in whole chunks, while other programs may read.
 
-The order of writing makes the file safe to read at any time, also after a crash: first a chunk of echoes, then the marks
-of its records in ``recorded``, then the checksums of both. So every mark with a matching checksum is valid.
+The order of writing makes the file safe to read at any time, also after a crash: first a chunk of echoes, then the
+marks of its records in ``recorded``, then the checksums of both. So every mark with a matching checksum is valid.
 """
 
 from __future__ import annotations

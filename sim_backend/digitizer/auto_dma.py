@@ -53,21 +53,15 @@ class Transfer:
         board = settings.board
         if len(self.channels) not in (1, 2, board.channels) or max(self.channels) >= board.channels:
             return Code.NOT_SUPPORT_THIS_CHANNEL
-        if not self._is_record_size(settings):
+        multiple = board.npt_multiple if self.npt else board.record_multiple
+        if self.record_samples != settings.record_samples or self.record_samples % multiple:
             return Code.INVALID_SIZE
         if offset != -settings.pre_samples or (self.npt and offset):
             return Code.INVALID_OFFSET
-        if not self._is_record_count():
+        per_buffer, count = self.records_per_buffer, self.record_count
+        if per_buffer < 1 or count < 1 or (count != codes.ENDLESS_RECORDS and count % per_buffer):
             return Code.INVALID_RECORDS_PER_BUFFER
         return Code.SUCCESS if self.buffer_bytes < board.max_buffer_bytes else Code.INVALID_SIZE
-
-    def _is_record_size(self, settings: BoardSettings) -> bool:
-        multiple = settings.board.npt_multiple if self.npt else settings.board.record_multiple
-        return self.record_samples == settings.record_samples and self.record_samples % multiple == 0
-
-    def _is_record_count(self) -> bool:
-        per_buffer, count = self.records_per_buffer, self.record_count
-        return per_buffer >= 1 and count >= 1 and (count == codes.ENDLESS_RECORDS or count % per_buffer == 0)
 
 
 @dataclass(slots=True)

@@ -38,7 +38,7 @@ def _apply(function: str) -> Write:
     return write
 
 
-def _reply(state: Registers, arguments: tuple[str, ...]) -> str:
+def _present_waveform(state: Registers, arguments: tuple[str, ...]) -> str:
     values = ",".join(setting.answer(state, ()) for setting in (FREQUENCY, AMPLITUDE, OFFSET))
     return f'"{state.function} {values}"'
 
@@ -50,4 +50,4 @@ def apply_forms(functions: str) -> Mapping[str, SettingCommand]:
         f"[SOURce<n>:]APPLy:{function}": SettingCommand(_apply(short_form(function)), None, accepts)
         for function in functions.split()
     }
-    return {**forms, "[SOURce<n>:]APPLy": SettingCommand(None, _reply)}
+    return {**forms, "[SOURce<n>:]APPLy": SettingCommand(None, _present_waveform)}

@@ -102,11 +102,6 @@ class Generator33250A:
         """Whether the output goes on without further triggers."""
         return is_endless(self.registers)
 
-    @property
-    def software_triggers_ps(self) -> tuple[int, ...]:
-        """Times of triggers by command, since ``forget_past``."""
-        return tuple(self._software_ps)
-
     def emission(self, arriving: Steps, until_ps: int) -> Emission:
         """Return past output and, without further commands, future output; ``arriving`` is the voltage at Trig In."""
         return respond(self._history, self._software_ps, arriving, self._latency_ps, until_ps)

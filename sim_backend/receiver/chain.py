@@ -13,7 +13,7 @@ import numpy as np
 
 from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled
-from sim_backend.settings import BandFilter, ReceiveChain
+from sim_backend.settings import ReceiveChain
 
 _RECORDS_PER_CHUNK = 64
 TRAIL = 24
@@ -22,7 +22,8 @@ TRAIL = 24
 
 def lead_s(chain: ReceiveChain) -> float:
     """Return how much earlier than its output the chain's input must begin, for ``chain.tail_tolerance``."""
-    return ringing_s(_bands(chain), chain.tail_tolerance)
+    bands = [band for band in (chain.notch, chain.band_pass, chain.second_band_pass) if band is not None]
+    return ringing_s(bands, chain.tail_tolerance)
 
 
 def fast_length(samples: int) -> int:
@@ -90,7 +91,3 @@ def _filtered(volts: FloatArray, response: ComplexArray | None) -> FloatArray:
 
 def _product(first: ComplexArray | None, second: ComplexArray) -> ComplexArray:
     return second if first is None else first * second
-
-
-def _bands(chain: ReceiveChain) -> list[BandFilter]:
-    return [band for band in (chain.notch, chain.band_pass, chain.second_band_pass) if band is not None]

@@ -84,7 +84,7 @@ def switch_gain(bursts: Bursts, capture: Capture, recovery_s: float) -> FloatArr
     """
     open_ps = bursts.end_ps + to_ps(_RECOVERY_TIMES * recovery_s)
     length_ps = capture.samples * capture.sample_period_ps
-    # The last burst before the end of each record, and whether the switch has not recovered from it at the begin.
+    # The last burst before the end of each record; affected are records that start before the switch has recovered.
     last = np.searchsorted(bursts.onset_ps, capture.first_sample_ps + length_ps, side="left") - 1
     affected = last >= 0
     affected[affected] &= open_ps[last[affected]] > capture.first_sample_ps[affected]

@@ -22,8 +22,8 @@ ANSWERS = {
     "hpe-rig run bovine-muscle --output no-folder/run.h5": "the folder no-folder does not exist. Try: make it",
 }
 CAUSES = {
-    "a key is given twice": "line 6, 'burst_count = 30': this key stands a second time",
-    "a table is given twice": "line 9, '[tracking]': this table stands a second time",
+    "a key is given twice": "line 6, 'burst_count = 30': this key occurs twice",
+    "a table is given twice": "line 9, '[tracking]': this table occurs twice",
     "saved as UTF-16, as Windows' Notepad can": "saved as UTF-16",
     "the file is empty": "it is empty",
     "a key is misspelt": "did you mean burst_count?",

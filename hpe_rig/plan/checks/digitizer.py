@@ -79,7 +79,7 @@ def background(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     needed = _allowed_record_samples(longest, bench.digitizer.board_model)
     remedy = f"acquisition.record_samples = {needed}, or a shorter processing.window_length_s"
     yield pass_or_refuse("gate follows", farthest_m <= margin_m, f"{margin_text}, {motion_text}", remedy)
-    text = f"the background stands {abs(motion_m[0]) * 1e3:.3g} mm off the focus at the first pulse"
+    text = f"the background is {abs(motion_m[0]) * 1e3:.3g} mm off the focus at the first pulse"
     remedy = "another simulation.background phase_rad or processing.window_start_s: the gate begins at the focus"
     yield pass_or_refuse("gate at focus", abs(motion_m[0]) < acquisition.gate_length_m / 2, text, remedy)
 

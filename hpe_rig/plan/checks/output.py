@@ -19,7 +19,7 @@ def generators(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
         for role in GENERATOR_ROLES
         for text in _refused_tasks(role, bench, plan)
     ]
-    yield from refused or [CheckResult("generators", "passed", "every generator can do what it is asked for")]
+    yield from refused or [CheckResult("generators", "passed", "every generator can perform its task")]
 
 
 _KEYS = {

@@ -124,7 +124,7 @@ def fit_condition(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckR
     text = f"{len(frequencies_hz)} frequencies and processing.background_order = {order} are {unknowns} unknowns"
     remedy = "a lower background_order, a longer processing window, or fewer processing.frequencies_hz"
     if used <= unknowns:
-        text += f", the processing window holds {used} pulses of use"
+        text += f", the processing window holds {used} usable pulses"
         yield CheckResult("fit", "refused", text, remedy)
     elif not (condition := _condition(selection, order)) <= MAX_CONDITION:
         text += f", which {used} pulses do not separate (condition {condition:.3g}, limit {MAX_CONDITION:g})"

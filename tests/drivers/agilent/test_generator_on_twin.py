@@ -147,7 +147,7 @@ def test_the_master_fires_on_the_twin_and_the_error_queue_stays_empty(line) -> N
     master.fire()
     master.verify()
     master.make_safe()
-    assert len(line.instrument.software_triggers_ps) == 1
+    assert len(line.instrument._software_ps) == 1
 
 
 def test_a_clipped_amplitude_is_an_error(line, monkeypatch: pytest.MonkeyPatch) -> None:
