@@ -325,7 +325,7 @@ def fitted(settings: SimulationSettings, offsets: str, force: "PushForce") -> st
     motion = field[:, :, 0] * push.spectrum(frequency_hz)[:, None]
     # The peak displacement on the axis at 100 Hz is 800 nm.
     motion *= PEAK_M / abs(motion[0, 0])
-    uncertainties = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}
+    uncertainties = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "stage_uncertainty_m": 20e-6}
     vibrations = [
         Vibration(f"{lateral_m:g}", frequency_hz, phasor_m, NOISE_M**2 * np.eye(20), lateral_m, **uncertainties)
         for lateral_m, phasor_m in zip(offsets_m, motion.T[1:], strict=True)
