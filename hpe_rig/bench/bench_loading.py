@@ -162,6 +162,7 @@ def with_transducers(scene: Scene, bench: BenchFile) -> Scene:
         what = "the bench has one transducer that pushes and tracks"
         remedy = "no beams.push_focus_depth_m, or a bench file with [transducers]"
         raise SettingsError("the scene", [Mistake("beams.push_focus_depth_m", what, remedy)])
+    # Values that scene and bench file both state must be equal; the bench file adds the others.
     scene_beams = {} if beams is None else beams.model_dump(exclude_none=True)
     bench_beams = bench.transducers.beams
     differences = [

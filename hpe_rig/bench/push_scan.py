@@ -40,6 +40,7 @@ def scanned_push(path: str, frequency_hz: float, sound_speed_m_per_s: float) -> 
 def _intensity(scan: Scan, wave_number_per_m: float) -> Intensity:
     from sim_backend.transducer import round_field
 
+    # Intensity is proportional to the square of the pressure amplitude.
     return lambda lateral_m, axial_m: np.abs(round_field(scan, wave_number_per_m, lateral_m, axial_m)) ** 2
 
 

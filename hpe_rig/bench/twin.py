@@ -323,6 +323,7 @@ def twin_settings(scene: Scene) -> SimulationSettings:
 def twin_tables(scene: Scene) -> dict[str, Any]:
     """Return the tables of the twin's settings that a scene declares."""
     simulation = scene.simulation or {}
+    # [simulation] takes precedence over the scene's sound speed and beams.
     beams = {} if scene.beams is None else scene.beams.model_dump(exclude=_APPLICATION_BEAM_KEYS, exclude_none=True)
     if "push_focus_depth_m" in beams:
         # The twin's focus_depth_m is the distance from the pushing transducer.

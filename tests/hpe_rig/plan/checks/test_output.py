@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
@@ -24,13 +23,15 @@ MUSCLE = shipped_scenes()["bovine-muscle"]
 
 
 def test_a_bench_file_names_the_models_that_have_a_driver_and_no_others() -> None:
-    generators = Generator.model_fields["model"].annotation
-    assert set(get_args(generators)) == {model.name for model in GENERATOR_MODELS}
-    for model in BOARD_MODELS:
-        assert not mistakes_of(DigitizerBoard, {"model": model.name})
-    (mistake,) = mistakes_of(DigitizerBoard, {"model": "ATS461"})
-    assert all(model.name in mistake.remedy for model in BOARD_MODELS)
-    assert "did you mean 'ATS460'?" in mistake.remedy
+    for section, models, unknown, close in (
+        (Generator, GENERATOR_MODELS, "33251A", "33250A"),
+        (DigitizerBoard, BOARD_MODELS, "ATS461", "ATS460"),
+    ):
+        for model in models:
+            assert not mistakes_of(section, {"model": model.name})
+        (mistake,) = mistakes_of(section, {"model": unknown})
+        assert all(model.name in mistake.remedy for model in models)
+        assert f"did you mean {close!r}?" in mistake.remedy
 
 
 @pytest.mark.parametrize(
