@@ -29,7 +29,7 @@ from hpe_rig.result import (
     headline_sentence,
     main_shot,
     shot_warnings,
-    spectra,
+    spectrum_pictures,
 )
 from hpe_rig.runs import Run, estimate_points, open_run, points_over
 from hpe_rig.scene import Axis, Scene
@@ -261,7 +261,7 @@ def _display(
     echoes = echo_view(scene, shot, records, first_sample=samples.start)
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
-    pictures += spectra(result, shot_result)
+    pictures += spectrum_pictures(result, shot_result)
     try:
         tracked = tracked_motion(scene, shot, records, samples.start)
         motion = motion_view(scene, shot, tracked, shot_result.estimates)

@@ -27,7 +27,7 @@ from .sentence import (
     lead_frequency_hz as lead_frequency_hz,
     scale_of as scale_of,
 )
-from .spectra import main_shot as main_shot, spectra as spectra
+from .spectra import main_shot as main_shot, spectrum_pictures as spectrum_pictures
 from .svg import (
     MARKS as MARKS,
     PALETTE as PALETTE,

@@ -11,7 +11,7 @@ from hpe_rig.result.print_symbols import symbols
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData, shot_warnings
 from hpe_rig.result.sentence import headline_sentence
-from hpe_rig.result.spectra import main_shot, repeats_of, spectra
+from hpe_rig.result.spectra import main_shot, repeats_of, spectrum_pictures
 from hpe_rig.result.svg import image
 from hpe_rig.result.values import Headline
 
@@ -51,7 +51,7 @@ def _spectra(result: ResultData) -> str:
     if not shot.estimates:
         return ""
     caption = f"shot {shot.shot + 1}" + (" and the other repeats of its setting" if repeats_of(result, shot) else "")
-    return "".join([*(image(spectrum) for spectrum in spectra(result, shot)), f"<p>{caption}; bars: 2 u</p>"])
+    return "".join([*(image(spectrum) for spectrum in spectrum_pictures(result, shot)), f"<p>{caption}; bars: 2 u</p>"])
 
 
 def _table(caption: str, rows: Sequence[tuple[float, Headline | RepeatMean]]) -> str:

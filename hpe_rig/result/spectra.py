@@ -30,7 +30,7 @@ def repeats_of(result: ResultData, shot: ShotResult) -> list[tuple[Estimate, ...
     return [item.estimates for item in same_window if item.shot in numbers]
 
 
-def spectra(result: ResultData, shot: ShotResult) -> tuple[Picture, ...]:
+def spectrum_pictures(result: ResultData, shot: ShotResult) -> tuple[Picture, ...]:
     """Return amplitude and phase of ``shot`` over frequency, with the other repeats of its setting as small marks.
 
     Empty without an estimate.
