@@ -1,4 +1,4 @@
-"""Settings of the whole suite: one thread of linear algebra per process, repeatable examples, output of a fixed width."""
+"""Settings of the whole suite: one thread of linear algebra per process, repeatable examples, unlimited width."""
 
 import os
 

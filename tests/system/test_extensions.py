@@ -72,7 +72,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
             "simulation.specimen.parameters": law,
         })
         seen = {"lines": extension_lines()[0], "check": str(hpe.check(scene))}
-        seen["variants"] = [str(item) for item in variants(hpe.load_scene("table-1")) if item.values.get("processing.estimator")]
+        table_1 = variants(hpe.load_scene("table-1"))
+        seen["variants"] = [str(item) for item in table_1 if item.values.get("processing.estimator")]
         tried = [item for item in variants(scene) if item.varied == UNCHANGED or item.setting == "coherent"]
         seen["rows"] = [(row.setting, row.error) for row in scene_rows(one_shot(scene), None, tried, 2)]
         measured = hpe.measure(scene, path="run.h5")

@@ -159,7 +159,7 @@ def test_a_run_that_names_the_removed_estimator_joint_is_read_as_coherent(copied
         text = bytes(file["scene"][()]).decode().replace("[processing]", '[processing]\nestimator = "joint"')
         del file["scene"]
         file["scene"] = np.bytes_(text.encode())
-    with pytest.raises(SettingsError, match="joint.* was removed, use coherent"):
+    with pytest.raises(SettingsError, match=r"joint.* was removed, use coherent"):
         parse_scene("new", text)
     run = open_run(path)
     assert run.estimate().as_dict()["estimator"] == "coherent"
