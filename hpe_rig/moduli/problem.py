@@ -201,11 +201,9 @@ class Problem:
             TrackedRegion(lateral_m, axial_m, area_m2, vibrations[0].tracking_m2[1]),
             self.quick,
         )
-        # Spectrum of the bursts, their onset, the common amplitude, gain and phase of each vibration.
+        # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gain and phase of each.
         gain = np.array([g + 1j * phase for g, phase in zip(of_group("gain"), of_group("phase"), strict=True)])
-        # A typical displacement per body force: under a static force in 10 kPa.
-        unit_field = 0.5 * push.force.across_m[0] ** 2 / 10e3
-        scale = self.unit_m / unit_field * np.exp(unknown[count] + gain)
+        scale = self.unit_m / (0.5 * push.force.across_m[0] ** 2 / 10e3) * np.exp(unknown[count] + gain)
         onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
         # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
         lead_s = travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
