@@ -201,7 +201,7 @@ class Problem:
             TrackedRegion(lateral_m, axial_m, area_m2, vibrations[0].tracking_m2[1]),
             self.quick,
         )
-        # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gain and phase of each.
+        # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gains and phases.
         gain = np.array([g + 1j * phase for g, phase in zip(of_group("gain"), of_group("phase"), strict=True)])
         scale = self.unit_m / (0.5 * push.force.across_m[0] ** 2 / 10e3) * np.exp(unknown[count] + gain)
         onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
