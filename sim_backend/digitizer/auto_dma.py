@@ -58,10 +58,13 @@ class Transfer:
             return Code.INVALID_SIZE
         if offset != -settings.pre_samples or (self.npt and offset):
             return Code.INVALID_OFFSET
-        per_buffer, count = self.records_per_buffer, self.record_count
-        if per_buffer < 1 or count < 1 or (count != codes.ENDLESS_RECORDS and count % per_buffer):
+        if not self._is_record_count_valid():
             return Code.INVALID_RECORDS_PER_BUFFER
         return Code.SUCCESS if self.buffer_bytes < board.max_buffer_bytes else Code.INVALID_SIZE
+
+    def _is_record_count_valid(self) -> bool:
+        per_buffer, count = self.records_per_buffer, self.record_count
+        return per_buffer >= 1 and count >= 1 and (count == codes.ENDLESS_RECORDS or count % per_buffer == 0)
 
 
 @dataclass(slots=True)
