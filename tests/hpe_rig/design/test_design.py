@@ -267,7 +267,7 @@ def test_what_the_model_lacks_is_named_at_once() -> None:
     assert [mistake.path for mistake in caught.value.mistakes] == ["beams", "processing.expected_snr_db"]
 
 
-@pytest.mark.parametrize("gate_m", [1e-3, 3e-3])
+@pytest.mark.parametrize("gate_m", [pytest.param(1e-3, marks=pytest.mark.slow), 3e-3])
 def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: float) -> None:
     setup = prepare_text("gate", NO_SPECKLE.replace("gate_length_m = 1.0e-3", f"gate_length_m = {gate_m}"))
     problem = _problem(setup, "pulse_count", "jitter")
