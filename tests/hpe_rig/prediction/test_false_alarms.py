@@ -36,7 +36,7 @@ def within(trials: int) -> float:
     return 3 * float(np.sqrt(FALSE_ALARMS * (1 - FALSE_ALARMS) / trials))
 
 
-@pytest.mark.parametrize("snr_db", [10.0, 40.0])
+@pytest.mark.parametrize("snr_db", [10.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_one_in_twenty_without_motion_exceeds_the_floor(detection: ModuleType, snr_db: float) -> None:
     assert share_above_the_floor(detection, snr_db, "coherent", 600) == pytest.approx(FALSE_ALARMS, abs=within(600))
 
