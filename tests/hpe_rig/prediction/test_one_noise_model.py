@@ -18,7 +18,7 @@ from hpe_rig.runs import check, measure
 from hpe_rig.scene import load_scene, shipped_scenes
 from hpe_rig.study import one_shot
 
-FAST = {"bovine-muscle", "table-1"}
+FAST = {"table-1"}
 NAMES = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in shipped_scenes()]
 
 
@@ -71,7 +71,13 @@ def test_the_stated_uncertainty_is_the_predicted_noise(tmp_path: Path) -> None:
     assert first.amplitude_uncertainty_m == pytest.approx(found.error_m(0), rel=0.25)
 
 
-@pytest.mark.parametrize("name", ["bovine-muscle", "bovine-muscle-synchronous", "muscle-force"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bovine-muscle",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("bovine-muscle-synchronous", "muscle-force")),
+    ],
+)
 def test_an_estimator_that_aliasing_biases_is_not_recommended(name: str) -> None:
     setup = prepare(name, refuse=False)
     found = forecast_of(setup.scene.scene, setup.plan.shots[0])
