@@ -66,7 +66,7 @@ def _one_cycle(wide: TableOne, samples: int) -> TableOne:
     return replace(wide, pulses=20, samples=samples)
 
 
-@pytest.mark.parametrize(("samples", "limit"), [(130, 2e-4), (65, 5e-4)])
+@pytest.mark.parametrize(("samples", "limit"), [(130, 2e-4), pytest.param(65, 5e-4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("estimator", OVER_THE_GATE)
 def test_the_gates_edges_do_not_bias_a_rigid_motion(
     wide: TableOne, estimator: Estimator, samples: int, limit: float
@@ -114,8 +114,16 @@ def test_the_gates_edges_do_not_bias_kasai_divided_by_the_mean_frequency(wide: T
     assert np.sqrt(np.mean(errors**2)) < 2e-4
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("margin", [0, 67])
+@pytest.mark.parametrize(
+    ("margin", "estimator"),
+    [
+        *((0, name) for name in ESTIMATORS),
+        *(
+            pytest.param(67, name, marks=pytest.mark.slow) if name in OVER_THE_GATE else (67, name)
+            for name in ESTIMATORS
+        ),
+    ],
+)
 def test_white_noise_alone_is_not_significant_motion(wide: TableOne, estimator: Estimator, margin: int) -> None:
     trials, table = 600, replace(wide, margin=margin)
     try:
@@ -142,7 +150,7 @@ def test_echoes_above_their_noise_are_not_refused(
     assert np.isfinite(fit.amplitude_m).all()
 
 
-@pytest.mark.parametrize("pulses", [2, 5, 30, 300])
+@pytest.mark.parametrize("pulses", [2, 5, 30, pytest.param(300, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("independent", [3, 12])
 def test_trains_of_noise_pass_for_echoes_once_in_a_thousand(pulses: int, independent: int) -> None:
     generator = np.random.default_rng(46)
