@@ -70,7 +70,7 @@ def test_least_squares_and_the_papers_chain_state_their_aliasing(prior: MediumPr
     assert aliasing.shape == (60, 10)
 
 
-@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+@pytest.mark.parametrize("estimator", ["coherent", pytest.param("cross_spectrum", marks=pytest.mark.slow)])
 def test_the_expected_aliasing_is_corrected(prior: MediumPrior, estimator: str) -> None:
     each, true = fits(prior, estimator)
     aliasing_corrected = [fit.aliasing_corrected for fit in each if fit.aliasing_corrected is not None]
