@@ -309,7 +309,13 @@ def _many(train: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tupl
 
 @pytest.mark.parametrize(
     ("train", "noise_m"),
-    [(SHIFTING, 770e-9), (SHIFTING, 77e-9), (SHIFTING, 7.7e-9), (AT_4000, 77e-9), (AT_4000, 7.7e-9)],
+    [
+        pytest.param(SHIFTING, 770e-9, marks=pytest.mark.slow),
+        (SHIFTING, 77e-9),
+        pytest.param(SHIFTING, 7.7e-9, marks=pytest.mark.slow),
+        pytest.param(AT_4000, 77e-9, marks=pytest.mark.slow),
+        (AT_4000, 7.7e-9),
+    ],
 )
 def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float) -> None:
     over_u, significance = _many(train, noise_m, 120)
