@@ -36,7 +36,9 @@ def _noisy(echo: FloatArray, draws: int, snr_db: float, seed: int = 24) -> Float
     return noisy
 
 
-@pytest.mark.parametrize("snr_db", [0.0, 20.0, 60.0])
+@pytest.mark.parametrize(
+    "snr_db", [pytest.param(0.0, marks=pytest.mark.slow), 20.0, pytest.param(60.0, marks=pytest.mark.slow)]
+)
 def test_jitter_is_within_five_percent_of_the_bound_of_the_same_echoes(
     wide: TableOne, wide_draws: FloatArray, snr_db: float
 ) -> None:
@@ -51,8 +53,11 @@ def test_jitter_is_within_five_percent_of_the_bound_of_the_same_echoes(
     assert np.sqrt(np.mean(ratios)) < 1.05
 
 
-@pytest.mark.parametrize("estimator", ["coherent", *PAIRWISE, "cross_correlation"])
-@pytest.mark.parametrize("snr_db", [5.0, 30.0])
+# The other estimators are tested without margins.
+@pytest.mark.parametrize(
+    "estimator", ["coherent", *(pytest.param(name, marks=pytest.mark.slow) for name in PAIRWISE), "cross_correlation"]
+)
+@pytest.mark.parametrize("snr_db", [5.0, pytest.param(30.0, marks=pytest.mark.slow)])
 def test_stated_uncertainties_are_true_with_margins(
     wide: TableOne, wide_draws: FloatArray, estimator: Estimator, snr_db: float
 ) -> None:
@@ -67,7 +72,7 @@ def test_stated_uncertainties_are_true_with_margins(
 
 
 @pytest.mark.parametrize("estimator", [*PAIRWISE, "cross_correlation"])
-@pytest.mark.parametrize("snr_db", [5.0, 30.0])
+@pytest.mark.parametrize("snr_db", [5.0, pytest.param(30.0, marks=pytest.mark.slow)])
 def test_stated_uncertainties_are_true(
     table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator, snr_db: float
 ) -> None:
