@@ -167,7 +167,7 @@ def iq_pairs_reversed(path: Path) -> dict[str, Any]:
 FORMATS = [npy, npz, matlab_5, matlab_73, hdf5, csv, raw_float32, raw_int16, alazar_headers, alazar_npt]
 
 
-@pytest.mark.parametrize("write", [*FORMATS, iq, iq_pairs_reversed])
+@pytest.mark.parametrize("write", [*FORMATS, pytest.param(iq, marks=pytest.mark.slow), iq_pairs_reversed])
 def test_every_format_gives_the_true_motion_of_its_echoes(
     write: Callable[[Path], dict[str, Any]], scene: Path, tmp_path: Path
 ) -> None:
