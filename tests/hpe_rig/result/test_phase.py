@@ -46,8 +46,19 @@ def test_what_a_motion_makes_wrong_of_itself_is_no_sign_that_there_is_none() -> 
     assert phase_variance_rad2(0.0, 0.0, 0.0) <= PHASE_VARIANCE_LIMIT
 
 
-@pytest.mark.parametrize("across", [1.0, 0.3, 0.03])
-@pytest.mark.parametrize("amplitude", [0.1, 0.5, 1.0, 1.7, 3.0, 7.0, 40.0])
+@pytest.mark.parametrize(
+    "across", [pytest.param(1.0, marks=pytest.mark.slow), 0.3, pytest.param(0.03, marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize(
+    "amplitude",
+    [
+        0.1,
+        *(pytest.param(each, marks=pytest.mark.slow) for each in (0.5, 1.0)),
+        1.7,
+        *(pytest.param(each, marks=pytest.mark.slow) for each in (3.0, 7.0)),
+        40.0,
+    ],
+)
 def test_a_phase_whose_amplitude_is_known_is_as_uncertain_as_noise_of_any_shape_leaves_it(
     amplitude: float, across: float
 ) -> None:
