@@ -75,7 +75,9 @@ def test_only_complete_shots_of_equal_settings_are_repeats() -> None:
     assert mean.shots == (0, 1)
 
 
-@pytest.mark.parametrize("amplitude", [0.0, 1.0, 6.0])
+@pytest.mark.parametrize(
+    "amplitude", [0.0, pytest.param(1.0, marks=pytest.mark.slow), pytest.param(6.0, marks=pytest.mark.slow)]
+)
 def test_the_phase_of_the_mean_of_weak_repeats_is_as_uncertain_as_stated(amplitude: float) -> None:
     generator, trials = np.random.default_rng(9), 2000
     ratio = []
@@ -104,7 +106,7 @@ def test_the_phase_interval_of_a_mean_that_may_be_noise_is_at_most_the_circle() 
     assert 2.7 < mean.interval_95_rad <= math.pi
 
 
-@pytest.mark.parametrize("freedom", [3, 12])
+@pytest.mark.parametrize("freedom", [3, pytest.param(12, marks=pytest.mark.slow)])
 def test_repeats_of_few_pulses_pool_their_noise(freedom: int) -> None:
     """Each u has ``freedom`` degrees of freedom; of 3000 means 95 % lie within the interval, known to 1.2 %."""
     random, within = np.random.default_rng(freedom), []
