@@ -18,6 +18,9 @@ from hpe_rig.scene import (
     with_values,
 )
 
+FAST = {"bovine-muscle-aperture", "muscle-force"}
+"""The other scenes are marked slow."""
+
 
 def test_short_names_are_found_where_they_are_unambiguous() -> None:
     keys = number_keys(tomllib.loads(scene_text("bovine-muscle")[1]))
@@ -47,7 +50,10 @@ def test_a_scenes_text_keeps_its_comments() -> None:
     assert tomllib.loads(new)["simulation"]["scatterers"]["per_cell"] == 12.0
 
 
-@pytest.mark.parametrize("name", shipped_scenes())
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in shipped_scenes()],
+)
 def test_every_number_of_a_scene_can_be_changed_and_no_line_but_its_own_differs(name: str) -> None:
     text = shipped_scenes()[name]
     tables = tomllib.loads(text)
