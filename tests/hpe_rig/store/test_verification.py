@@ -129,12 +129,21 @@ def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:
     ("name", "place", "words"),
     [
         ("records/recorded", (0, 3), "record 1 to 123 fail"),
-        ("records/trigger_time_s", (2, 399), "shot 3: record 370 to 400 fail"),
+        pytest.param("records/trigger_time_s", (2, 399), "shot 3: record 370 to 400 fail", marks=pytest.mark.slow),
         ("checksum/records/echo", (0, 1), "record 124 to 246 fail"),
-        ("records/shot_complete", (1,), "shot 2: /records/shot_complete fails its checksum"),
+        pytest.param(
+            "records/shot_complete", (1,), "shot 2: /records/shot_complete fails its checksum", marks=pytest.mark.slow
+        ),
         ("records/clipped", (1,), "shot 2: /records/clipped fails its checksum"),
-        ("truth/displacement_m", (2, 5), "shot 3: /truth/displacement_m fails its checksum"),
-        ("true_harmonics/in_phase_m", (0, 0), "shot 1: /true_harmonics/in_phase_m fails its checksum"),
+        pytest.param(
+            "truth/displacement_m", (2, 5), "shot 3: /truth/displacement_m fails its checksum", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "true_harmonics/in_phase_m",
+            (0, 0),
+            "shot 1: /true_harmonics/in_phase_m fails its checksum",
+            marks=pytest.mark.slow,
+        ),
         ("records/burst_length_s", (1,), "/records/burst_length_s fails its checksum"),
     ],
 )
@@ -162,7 +171,7 @@ def test_damaged_settings_are_left_out_and_a_damaged_scene_is_refused(path: Path
         read_run(path)
 
 
-@pytest.mark.parametrize("harm", ["echo", "cut"])
+@pytest.mark.parametrize("harm", ["echo", pytest.param("cut", marks=pytest.mark.slow)])
 def test_a_damaged_shot_is_measured_again_when_the_run_goes_on(setup: Setup, path: Path, harm: str) -> None:
     whole = process(path)
     if harm == "echo":
@@ -175,7 +184,7 @@ def test_a_damaged_shot_is_measured_again_when_the_run_goes_on(setup: Setup, pat
     assert process(resume(rest)).shots == whole.shots
 
 
-@pytest.mark.parametrize("compress", [False, True], ids=["plain", "compressed"])
+@pytest.mark.parametrize("compress", [pytest.param(False, marks=pytest.mark.slow), True], ids=["plain", "compressed"])
 def test_a_file_that_is_cut_short_says_so_and_its_end_counts_as_missing(
     setup: Setup, tmp_path: Path, compress: bool
 ) -> None:
