@@ -42,7 +42,9 @@ def test_overlapping_positions_share_scatterers() -> None:
     assert not {tuple(row) for row in on_axis} & {tuple(row) for row in offsets_of(3e-3)}
 
 
-@pytest.mark.parametrize("lateral_offset_m", [1e-3, 4e-3, -4e-3])
+@pytest.mark.parametrize(
+    "lateral_offset_m", [pytest.param(1e-3, marks=pytest.mark.slow), pytest.param(4e-3, marks=pytest.mark.slow), -4e-3]
+)
 def test_the_true_motion_is_that_of_the_medium_at_the_offset(lateral_offset_m: float) -> None:
     """In the steady state of a train, point over focus at the push rate is the ratio of the transfer functions.
 
