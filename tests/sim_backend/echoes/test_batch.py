@@ -139,9 +139,9 @@ def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
     "scatterers",
     [
         Scatterers(),
-        Scatterers(axial_delay="none"),
+        pytest.param(Scatterers(axial_delay="none"), marks=pytest.mark.slow),
         # Without delays reflectivity of zero mean tells by the power: it makes the sum incoherent.
-        Scatterers(axial_delay="none", reflectivity="normal"),
+        pytest.param(Scatterers(axial_delay="none", reflectivity="normal"), marks=pytest.mark.slow),
         Scatterers(axial_delay="none", reflectivity="sign"),
     ],
 )
