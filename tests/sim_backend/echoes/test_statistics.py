@@ -39,7 +39,9 @@ def test_few_scatterers_do_not_make_fully_developed_speckle():
     assert envelope.mean() / envelope.std() < 1.6
 
 
-@pytest.mark.parametrize("displacement_m", [1e-6, 1e-5, 2e-5])
+@pytest.mark.parametrize(
+    "displacement_m", [pytest.param(1e-6, marks=pytest.mark.slow), 1e-5, pytest.param(2e-5, marks=pytest.mark.slow)]
+)
 def test_correlation_of_echoes_is_the_kummer_function_of_the_closed_form(displacement_m):
     """rho exp(j psi) = M(a, a + 1, j theta), a = p W^2, p = 2, theta = 4 pi f u0 / c, for axially uniform motion."""
     ratio, draws = 2.19, 1000
