@@ -22,6 +22,9 @@ from sim_backend.wiring import PS_PER_S, SimulatedClock, no_steps
 EXAMPLES = runpy.run_path(str(Path(__file__).with_name("command_examples.py")))["EXAMPLES"]
 NO_ERROR = '+0,"No error"'
 FORMS = [(name, form) for name, model in MODELS.items() for form in tree_of(model)]
+FIRST = {form: name for name, form in reversed(FORMS)}
+EVERY_FORM = [pytest.param(name, form, marks=() if FIRST[form] == name else pytest.mark.slow) for name, form in FORMS]
+"""Every form by the first model that has it; by the other models it is marked slow."""
 NODE = re.compile(r"(\[?):?([A-Za-z]+)(<n>)?:?\]?")
 
 
@@ -69,7 +72,7 @@ def test_every_form_has_an_example_and_every_example_a_form() -> None:
     assert {form for _, form in FORMS} == set(EXAMPLES)
 
 
-@pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
+@pytest.mark.parametrize(("name", "form"), EVERY_FORM, ids=lambda value: value)
 def test_the_example_of_every_command_holds_on_every_model(name: str, form: str) -> None:
     generator, example = twin(name), EXAMPLES[form]
     for message in example.message.splitlines():
@@ -83,7 +86,7 @@ def test_the_example_of_every_command_holds_on_every_model(name: str, form: str)
     assert (errors(generator) or [0])[0] == (0 if "NONSENSE" in example.message else example.error)
 
 
-@pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
+@pytest.mark.parametrize(("name", "form"), EVERY_FORM, ids=lambda value: value)
 def test_every_spelling_of_a_form_has_the_same_effect(name: str, form: str) -> None:
     entry = tree_of(MODELS[name])[form]
     queried = isinstance(entry, SettingCommand) and entry.query is not None
@@ -96,7 +99,7 @@ def test_every_spelling_of_a_form_has_the_same_effect(name: str, form: str) -> N
     assert '-113,"Undefined header"' not in replies or entry.command is None
 
 
-@pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
+@pytest.mark.parametrize(("name", "form"), EVERY_FORM, ids=lambda value: value)
 def test_sending_a_settings_reply_back_changes_nothing(name: str, form: str) -> None:
     entry = tree_of(MODELS[name])[form]
     if not isinstance(entry, SettingCommand) or None in (entry.query, entry.command):
@@ -114,7 +117,7 @@ def is_number(name: str, form: str) -> bool:
     return isinstance(entry, SettingCommand) and entry.query is not None and "MIN" in entry.accepts
 
 
-NUMBERS = [pair for pair in FORMS if is_number(*pair)]
+NUMBERS = [each for each in EVERY_FORM if is_number(*each.values)]
 
 
 @pytest.mark.parametrize(("name", "form"), NUMBERS, ids=lambda value: value)
@@ -427,7 +430,7 @@ def fuzz(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
         generator.emission(no_steps(), PS_PER_S // 1000)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.sampled_from(list(MODELS)), MESSAGES)
 def test_the_instrument_works_after_any_message(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
     fuzz(name, messages)
