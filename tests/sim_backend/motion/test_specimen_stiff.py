@@ -65,7 +65,14 @@ def test_every_corner_of_moduli_and_frequencies_equals_mpmath(modulus_pa, viscos
 
 @pytest.mark.parametrize(
     ("modulus_pa", "viscosity_pa_s", "frequency_hz"),
-    [(1.0, 0.0, 1e6), (1.0, 0.0, 200.0), (1.0, 1e4, 1e-3), (4e3, 1.0, 3e4), (1e9, 0.0, 1e6), (1e9, 1e4, 1e6)],
+    [
+        (1.0, 0.0, 1e6),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((1.0, 0.0, 200.0), (1.0, 1e4, 1e-3), (4e3, 1.0, 3e4), (1e9, 0.0, 1e6))
+        ),
+        (1e9, 1e4, 1e6),
+    ],
 )
 def test_voigt_response_equals_mpmath_from_soft_to_hard(modulus_pa, viscosity_pa_s, frequency_hz):
     specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
@@ -78,10 +85,10 @@ def test_voigt_response_equals_mpmath_from_soft_to_hard(modulus_pa, viscosity_pa
     "medium",
     [
         {"medium": "maxwell", "shear_viscosity_pa_s": 1e-3},
-        {"medium": "maxwell", "shear_viscosity_pa_s": 1e4},
-        {"medium": "zener", "branch_modulus_pa": 1e6},
+        pytest.param({"medium": "maxwell", "shear_viscosity_pa_s": 1e4}, marks=pytest.mark.slow),
+        pytest.param({"medium": "zener", "branch_modulus_pa": 1e6}, marks=pytest.mark.slow),
         {"medium": "zener", "shear_viscosity_pa_s": 1e4, "branch_modulus_pa": 1.0},
-        {"medium": "power_law", "power": 0.0},
+        pytest.param({"medium": "power_law", "power": 0.0}, marks=pytest.mark.slow),
         {"medium": "power_law", "power": 0.9},
     ],
 )
@@ -93,7 +100,10 @@ def test_other_media_equal_mpmath(medium):
         assert abs(ours - expected) < 1e-10 * abs(expected)
 
 
-@pytest.mark.parametrize("width_m", [(1e-5, 1e-5, 1e-2), (1.8e-3, 1.8e-3, 0.17e-3), (1e-3, 1e-3, 1e-3)])
+@pytest.mark.parametrize(
+    "width_m",
+    [pytest.param((1e-5, 1e-5, 1e-2), marks=pytest.mark.slow), (1.8e-3, 1.8e-3, 0.17e-3), (1e-3, 1e-3, 1e-3)],
+)
 def test_needles_discs_and_balls_of_force_equal_mpmath(width_m):
     for specimen in (Specimen(), Specimen(shear_viscosity_pa_s=0.0)):
         ours = frequency_response(specimen, width_m, np.array([300.0]))[0]
