@@ -26,6 +26,14 @@ BOARDS = {
     "ATS9870": (8, 1.0),
 }
 MODES = ("single_port", "traditional", "npt")
+FAST = {
+    ("ATS460", "single_port"),
+    ("ATS9350", "traditional"),
+    ("ATS9440", "npt"),
+    ("ATS9462", "npt"),
+    ("ATS9870", "npt"),
+}
+"""Each board and each way to capture once; the other pairs are marked slow."""
 
 
 def bench_of(folder: Path, model: str, *lines: str) -> Path:
@@ -55,8 +63,14 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     return measured(prepare("bovine-muscle"), tmp_path_factory.mktemp("reference") / "run.h5")
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("model", BOARDS)
+@pytest.mark.parametrize(
+    ("model", "mode"),
+    [
+        pytest.param(model, mode, marks=() if (model, mode) in FAST else pytest.mark.slow)
+        for model in BOARDS
+        for mode in MODES
+    ],
+)
 def test_the_main_job_on_every_board_and_in_every_way_to_capture(
     reference: SimpleNamespace, tmp_path: Path, model: str, mode: str
 ) -> None:
