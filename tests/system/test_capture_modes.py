@@ -36,7 +36,9 @@ def echoes(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     return run.records[0].codes
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    "mode", [pytest.param(mode, marks=pytest.mark.slow if mode == "traditional" else ()) for mode in MODES]
+)
 def test_every_way_to_capture_gives_the_same_echoes_with_a_second_channel(
     tmp_path: Path, echoes: np.ndarray, mode: str
 ) -> None:
