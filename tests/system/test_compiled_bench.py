@@ -124,9 +124,14 @@ EDITS = {
     "ATS9440": (('model = "ATS460"', 'model = "ATS9440"'),),
     "ATS9870": (('model = "ATS460"', 'model = "ATS9870"'),),
 }
+FAST = {"shipped", "npt"}
+"""The other benches are marked slow."""
 
 
-@pytest.mark.parametrize("edits", EDITS.values(), ids=EDITS)
+@pytest.mark.parametrize(
+    "edits",
+    [pytest.param(edits, id=name, marks=() if name in FAST else pytest.mark.slow) for name, edits in EDITS.items()],
+)
 def test_the_main_job_on_a_bench_behind_wires_gives_the_simulated_runs_numbers(
     tmp_path: Path, library_path: Path, edits: tuple[tuple[str, str], ...]
 ) -> None:
