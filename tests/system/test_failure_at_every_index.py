@@ -305,7 +305,7 @@ def faults_of(tap: Tap, error: BaseException | None, path: Path, whole: StoredRu
         yield "records in the file differ from those of a run without faults"
 
 
-@pytest.mark.parametrize("memory", ["dual port", "single port"])
+@pytest.mark.parametrize("memory", ["dual port", pytest.param("single port", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["sample", "every"])
 def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
     prepared: Prepare, tmp_path: Path, tapped: Callable[[Tap], None], memory: str, every: bool
