@@ -338,7 +338,8 @@ def test_prepare_accepts_a_bench_file(tmp_path: Path) -> None:
     )
 
 
-def test_a_rigid_motion_at_60_db_is_found_within_its_uncertainty(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("seeds", "limit"), [(2, 6.91), pytest.param(8, 3.27, marks=pytest.mark.slow)])
+def test_a_rigid_motion_at_60_db_is_found_within_its_uncertainty(tmp_path: Path, seeds: int, limit: float) -> None:
     """All scatterers move by 1000 nm, no beam is declared to correct for: what is left is noise and the gate's edge."""
     tables = tomllib.loads(shipped_scenes()["table-1"])
     del tables["beams"]
@@ -346,7 +347,7 @@ def test_a_rigid_motion_at_60_db_is_found_within_its_uncertainty(tmp_path: Path)
     tables["acquisition"]["sound_speed_uncertainty"] = 0.0
     rigid = Scene.model_validate(tables)
     deviations: dict[str, list[float]] = {}
-    for seed in range(1, 9):
+    for seed in range(1, seeds + 1):
         run = hpe.measure(rigid.with_({"simulation.seed": seed}), path=tmp_path / f"{seed}.h5")
         for estimator in ("coherent", "cross_correlation", "loupas", "cross_spectrum"):
             found = run.estimate(estimator).shots[0].estimates[0].headline
@@ -354,5 +355,5 @@ def test_a_rigid_motion_at_60_db_is_found_within_its_uncertainty(tmp_path: Path)
             assert found.amplitude_uncertainty_m < most_m, estimator
             deviations.setdefault(estimator, []).append((found.amplitude_m - 1e-6) / found.amplitude_uncertainty_m)
     for estimator, each in deviations.items():
-        # Of chi-square over 8 degrees of freedom, 0.1 % lie above 3.27 of each.
-        assert np.mean(np.square(each)) < 3.27, estimator
+        # Of chi-square with a degree of freedom for each seed, 0.1 % lie above the limit of each.
+        assert np.mean(np.square(each)) < limit, estimator
