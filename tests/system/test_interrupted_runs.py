@@ -265,7 +265,9 @@ def judged(rig: Rig, said: str, code: int) -> list[str]:
 QUIET = {"", "hpe-rig: interrupted", "hpe-rig: ended by SIGTERM", "hpe-rig: ended by SIGHUP"}
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize(
+    "number", [*SIGNALS[:2], *(pytest.param(each, marks=pytest.mark.slow) for each in SIGNALS[2:])]
+)
 @pytest.mark.parametrize("runs", [1, pytest.param(60, marks=pytest.mark.slow)])
 def test_a_signal_at_any_time_leaves_all_outputs_of_another_process_off(
     rig: Rig, undisturbed_s: float, number: signal.Signals, runs: int
