@@ -176,7 +176,9 @@ def test_a_run_is_resumed_whose_settings_a_younger_rule_would_refuse(copied: Pat
     assert read_run(resume(prepare_resumption(path))).shot_complete.all()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "aborted" else pytest.mark.slow) for name in NAMES]
+)
 def test_a_report_is_written_of_an_old_run_file(copied: Path, name: str) -> None:
     title = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))["title"]
     page = write_report(copied / f"{name}.h5", None, None, None)
