@@ -166,7 +166,9 @@ def test_a_consumer_that_stops_early_leaves_outputs_off(prepared: Prepare) -> No
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a console's Ctrl-C cannot be sent to one process on Windows")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+)
 def test_a_signal_in_the_middle_of_a_run_ends_with_its_code_and_a_readable_file(
     tmp_path: Path, number: signal.Signals, code: int
 ) -> None:
