@@ -56,7 +56,7 @@ def whole(undisturbed: Path) -> Result:
     return process(undisturbed)
 
 
-@pytest.mark.parametrize("shot", range(SHOTS))
+@pytest.mark.parametrize("shot", [pytest.param(0, marks=pytest.mark.slow), 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_stopped_while_records_arrive_keeps_every_complete_shot(
     prepared: Prepare, whole: Result, tmp_path: Path, shot: int
 ) -> None:
@@ -78,7 +78,7 @@ def test_a_run_stopped_while_records_arrive_keeps_every_complete_shot(
     assert f"{shot} of {SHOTS} shots are complete" in page
 
 
-@pytest.mark.parametrize("shot", range(1, SHOTS))
+@pytest.mark.parametrize("shot", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_stopped_before_a_shots_first_record_is_processed_and_printed(
     prepared: Prepare, tmp_path: Path, shot: int
 ) -> None:
