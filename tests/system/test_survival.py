@@ -140,7 +140,10 @@ def kill_at_random(setup: Setup, whole_path: Path, tmp_path: Path, kills: int, s
 
 
 @pytest.mark.parametrize("kills", [2, pytest.param(200, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("scene", "edits"), [("table-1", ONE_LONG_SHOT), ("bovine-muscle-synchronous", SWEEP)])
+@pytest.mark.parametrize(
+    ("scene", "edits"),
+    [pytest.param("table-1", ONE_LONG_SHOT, marks=pytest.mark.slow), ("bovine-muscle-synchronous", SWEEP)],
+)
 def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_same_table(
     prepared: Prepare,
     left_alone: Callable[[Setup], Path],
@@ -154,7 +157,7 @@ def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_s
 
 
 @pytest.mark.parametrize("kills", [2, pytest.param(400, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("compress", [False, True], ids=["plain", "compressed"])
+@pytest.mark.parametrize("compress", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["plain", "compressed"])
 def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
     prepared: Prepare, tmp_path: Path, kills: int, compress: bool
 ) -> None:
