@@ -111,7 +111,9 @@ def test_a_change_in_a_long_shot_ends_it_before_its_last_record(
     assert 0 < read_run(tmp_path / "run.h5").records[0].valid.sum() < 800
 
 
-@pytest.mark.parametrize("role", FOREIGN)
+@pytest.mark.parametrize(
+    "role", [pytest.param(role, marks=() if role == "master" else pytest.mark.slow) for role in FOREIGN]
+)
 def test_a_run_that_goes_on_marks_the_shot_and_programs_the_next_one_anew(
     prepared: Prepare, tmp_path: Path, worlds: list[World], undisturbed: StoredRun, role: str
 ) -> None:
