@@ -26,7 +26,12 @@ from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.store import read_run
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
-OVER = [pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS]
+FAST = {"socket", "prologix"}
+"""Without and with an interface of its own; the other transports are marked slow."""
+OVER = [
+    pytest.param(name, marks=[*[needs_pty] * (name == "serial"), *[pytest.mark.slow] * (name not in FAST)])
+    for name in TRANSPORTS
+]
 SIMULATED = read_bench().text
 
 
