@@ -18,7 +18,7 @@ from hpe_rig.measurement import prepare, provenance_now, record_run
 from hpe_rig.report.page import render
 from hpe_rig.runs import json_schema
 from hpe_rig.scene import SettingsError, parse_scene, shipped_scenes
-from hpe_rig.store import WriteOptions, chosen, list_runs, read_run, verify
+from hpe_rig.store import WriteOptions, list_runs, matching_runs, read_run, verify
 
 NOTES = '\n[notes]\noperator = "A. B."\n"sample id" = 7\ntemperature_c = 21.5\nday = 2026-03-05\n'
 
@@ -123,9 +123,9 @@ def test_runs_are_listed_and_found_by_note_and_date(run: hpe.Run) -> None:
     assert "cut.h5" in unreadable[0]
     assert entry.lead is not None
     assert entry.lead.amplitude_m == run.estimate().shots[0].estimates[0].headline.amplitude_m
-    assert chosen(entries, ["operator: a. b.", "TABLE"]) == entries
-    assert chosen(entries, ["somebody"]) == []
-    assert chosen(entries, [], since=entry.date + timedelta(seconds=1)) == []
+    assert matching_runs(entries, ["operator: a. b.", "TABLE"]) == entries
+    assert matching_runs(entries, ["somebody"]) == []
+    assert matching_runs(entries, [], since=entry.date + timedelta(seconds=1)) == []
     done = CliRunner().invoke(app, ["list", str(folder), "--find", "sample id: 7", "--json"])
     (row,) = json.loads(done.stdout)
     validator = jsonschema.Draft202012Validator(json_schema("list"))
