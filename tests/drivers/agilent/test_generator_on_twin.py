@@ -13,6 +13,7 @@ from drivers.agilent.limits import load_divider, mistakes
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.transports.emulator import TRANSPORTS
 from sim_backend.wiring import SimulatedClock
 
 PULSE = TriggerPulse(width_s=10e-6, high_v=4.0, load_ohm=math.inf)
@@ -22,17 +23,22 @@ BURST = Toneburst(carrier_hz=3.0e6, cycles=600, amplitude_vpp=0.5, delay_s=1e-3,
 loads_ohm = st.one_of(st.just(math.inf), st.floats(1.0, 10_000.0))
 delays_s = st.floats(0.0, 85.0)
 counts = st.integers(1, 1_000_000)
-# Each example takes some tens of messages; with six connections that is enough of them.
 # The 33250A's manual: 1 uHz or 9 digits, 0.1 mV or 4 digits; rounded, by half of that at most.
 FREQUENCY = {"rel": 0.5e-8, "abs": 0.5e-6 * (1 + 1e-9)}
 LEVEL = {"rel": 0.5e-3, "abs": 0.5e-4 * (1 + 1e-9)}
 few = settings(max_examples=25, deadline=None)
+"""Each example takes some tens of messages; with six connections that is enough of them."""
+one_line = pytest.mark.parametrize(
+    "line", ["in process", *(pytest.param(name, marks=pytest.mark.slow) for name in TRANSPORTS)], indirect=True
+)
+"""Over the other transports the random trains are marked slow."""
 
 
 def twin() -> Generator33250A:
     return Generator33250A(SimulatedClock(), 100e-9)
 
 
+@one_line
 @few
 @given(st.floats(1e-2, 1e6), st.floats(0.01, 0.9), counts, delays_s, st.floats(0.01, 1.0), loads_ohm)
 def test_every_train_that_the_limits_allow_reads_back_within_the_resolution(
@@ -53,6 +59,7 @@ def test_every_train_that_the_limits_allow_reads_back_within_the_resolution(
     assert (read["burst_on"], read["output_on"]) == (True, False)
 
 
+@one_line
 @few
 @given(st.floats(1e-6, 25e6), counts, delays_s, st.floats(0.01, 1.0), loads_ohm)
 def test_every_toneburst_that_the_limits_allow_reads_back_within_the_resolution(
@@ -74,6 +81,7 @@ trains = st.builds(
 )
 
 
+@one_line
 @few
 @given(st.lists(trains, min_size=2, max_size=4))
 def test_the_state_after_a_sweep_is_that_of_its_last_step_alone(line, sweep: list[PulseTrain]) -> None:
@@ -96,6 +104,7 @@ impossible = st.one_of(
 )
 
 
+@one_line
 @few
 @given(impossible)
 def test_every_impossible_train_is_refused_with_the_output_off_and_the_setting_unsent(line, train: PulseTrain) -> None:
@@ -108,6 +117,7 @@ def test_every_impossible_train_is_refused_with_the_output_off_and_the_setting_u
         generator.enable_output()
 
 
+@one_line
 @few
 @given(impossible)
 def test_the_read_back_reports_every_impossible_train_that_is_sent(line, train: PulseTrain) -> None:
