@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -76,7 +77,13 @@ def test_a_disk_that_fails_at_any_operation_ends_in_a_message_and_an_intact_file
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows neither moves nor removes an open file")
-def test_a_file_lost_under_its_run_ends_the_run_with_a_message(counts_of: Callable[..., Counts]) -> None:
+@pytest.mark.parametrize("changes", [2, pytest.param(7, marks=pytest.mark.slow)])
+def test_a_file_lost_under_its_run_ends_the_run_with_a_message(
+    changes: int, counts_of: Callable[..., Counts], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(SCRIPT.parent)
+    script = importlib.import_module("integrity")
+    monkeypatch.setattr(script, "FILE_CHANGES", dict(islice(script.FILE_CHANGES.items(), changes)))
     for counts in counts_of("lost").values():
-        assert sum(counts.values()) == 14
+        assert sum(counts.values()) == 2 * changes
         assert all("noticed" in outcome for outcome in counts)
