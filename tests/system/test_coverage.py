@@ -99,6 +99,7 @@ def test_the_first_harmonic_in_a_drawn_medium_is_as_large_as_in_the_scene(covera
     assert amplitudes_m[1:] == pytest.approx(amplitudes_m[:1] * 2)
 
 
+@pytest.mark.slow
 def test_intervals_of_the_prescribed_motion_hold_the_truth(coverage: ModuleType) -> None:
     check(coverage, "table-1", ["coherent", "cross_spectrum"], seeds=14, deviations=3.0)
 
