@@ -529,6 +529,7 @@ def test_an_alignment_without_records_says_so() -> None:
     assert "no record" in state["why"]
 
 
+@pytest.mark.slow
 def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom pathlib import Path\nfrom hpe_rig.measurement import record_run, prepare\n"
