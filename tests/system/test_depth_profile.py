@@ -118,7 +118,12 @@ def test_a_stored_run_gives_the_profile_that_its_scene_did_not_ask_for(run: hpe.
     assert "gate_profile_step_m" in refused.output
 
 
-def test_the_report_draws_amplitude_phase_and_motion_over_depth(run: hpe.Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_the_report_draws_amplitude_phase_and_motion_over_depth(run: hpe.Run, tmp_path: Path, small: bool) -> None:
+    if small:
+        # One offset, of which no moduli are fitted, and fewer depths.
+        one_offset = {"sweep.lateral_offset_m": [1e-3], "processing.gate_profile_step_m": 1e-3}
+        run = hpe.measure(run.scene.with_(one_offset), path=tmp_path / "small.h5")
     page = write_report(run.path, output=tmp_path / "page.html").read_text(encoding="utf-8")
     for words in ("Amplitude over depth", "Phase over depth", "Motion over depth and burst period"):
         assert words in page
