@@ -1,10 +1,11 @@
 """Beam averaging: the ratio of the displacement that a beam tracks to the peak displacement at the focus.
 
-    u_tracked / u_peak = prod_i 1 / sqrt(1 + S_i^2 / E_i^2)      Gaussian motion of sigmas E_i, eqs. (8) and (12)
+    u_tracked / u_peak = prod_i 1 / sqrt(1 + S_i^2 / E_i^2)      Gaussian motion of sigmas E_i
 
-Echoes are weighted by their energy: S_i = T_i / sqrt(2) across, T_i the sigmas of the tracking beam; along the axis S_i
-is the standard deviation of echo depth in the gate. A shear wave is broader than the force that drives it, so its
-displacement loses less than the Gaussian of eq. (12), and the tracked displacement lags the peak.
+These are eqs. (8) and (12) of the paper. Echoes are weighted by their energy: S_i = T_i / sqrt(2) across, T_i the
+sigmas of the tracking beam; along the axis S_i is the standard deviation of echo depth in the gate. A shear wave is
+broader than the force that drives it, so its displacement loses less than the Gaussian motion of eq. (12), and the
+tracked displacement lags the peak.
 
     BeamWidths, beam_averaging_factor             Gaussian motion: dense scatterers; few of them in a short gate
     tracked_motion, off_axis_motion               shear field of a medium, on the axis and off it
@@ -52,13 +53,16 @@ class BeamWidths:
         return self.tracking_width_m[0] ** 2 / 2
 
     def gaussian_averaging(self, width_scale: float = 1.0) -> float:
-        """Return tracked over peak displacement of a Gaussian motion in dense scatterers, eq. (12).
+        """Return tracked over peak displacement of a Gaussian motion among many scatterers, eq. (12) of the paper.
 
-        The widths of the motion are those of the force times ``width_scale``.
+        The sigmas E of the motion are those of the force times ``width_scale``.
         """
-        sigmas_m = [width / np.sqrt(2) for width in self.tracking_width_m[:2]] + [self.depth_sd_m]
-        widths_m = [width * width_scale for width in self.force_width_m]
-        return float(np.prod([1 / np.hypot(1, s / e) for s, e in zip(sigmas_m, widths_m, strict=True)]))
+        # Sigmas S of the echo energy. The energy is the beam's amplitude squared, hence T / sqrt(2) across;
+        # ``depth_sd_m`` is a standard deviation of the energy already.
+        echo_sigmas_m = [width / np.sqrt(2) for width in self.tracking_width_m[:2]] + [self.depth_sd_m]
+        motion_sigmas_m = [width * width_scale for width in self.force_width_m]
+        axes = zip(echo_sigmas_m, motion_sigmas_m, strict=True)
+        return float(np.prod([1 / np.hypot(1, echo_m / motion_m) for echo_m, motion_m in axes]))
 
     def gaussian_steepness(self) -> float:
         """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area."""
@@ -89,8 +93,8 @@ changes."""
 def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
     """Return the motion (frequency,) under the Gaussian force of ``beams``, at the lateral offset of ``beams``.
 
-    Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a force that is wider by as much, at
-    equal density in wave-number space.
+    Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a wider force: T^2 / 2 is added to
+    the force's variance, and its spectrum over wave numbers keeps its height.
     """
     if beams.lateral_offset_m:
         tracked, peak, steepness = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
@@ -109,7 +113,10 @@ def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
 def _tracked_and_peak(
     shear_k2: bytes, across_m2: tuple[float, float], along_m2: tuple[float, float]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return tracked and peak motion times the modulus, and their derivatives by A, each (2, frequency).
+    """Return tracked and peak motion times the modulus, and their derivatives by ``across_m2``, each (2, frequency).
+
+    ``shear_k2``: the bytes of a complex array (frequency,), because arrays are not hashable. ``across_m2`` and
+    ``along_m2``: squared widths of the force for the tracked and for the peak motion.
 
     Cached: the prediction of a scene needs the motion of all harmonics several times.
     """
@@ -152,10 +159,11 @@ def _tracked_ratio(
     force: PushForce,
     beams: BeamWidths,
 ) -> tuple[complex, ...]:
+    """Return the ratio of ``tracked_ratio``; its arguments and result are tuples so that they can be cached."""
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
     medium, offset_m = HarmonicMedium(np.array(frequency_hz), np.array(modulus_pa), density), beams.lateral_offset_m
-    beam = TrackedRegion(np.array([offset_m]), 0.0, beams.tracking_area_m2, beams.depth_sd_m**2)
+    beam = TrackedRegion(lateral_m=np.array([offset_m]), across_m2=beams.tracking_area_m2, along_m2=beams.depth_sd_m**2)
     tracked, peak = (
         shear_motion(medium, force, region).value[:, 0] for region in (beam, TrackedRegion(np.array([offset_m])))
     )
@@ -165,9 +173,10 @@ def _tracked_ratio(
 def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_per_m3: float = np.inf) -> float:
     """Return the expected tracked over peak displacement of a Gaussian motion, for coaxial beams focused mid-gate.
 
-    ``force_width_m`` and the gate's tracking widths are the sigmas E and T of eqs. (12) and (8). Each scatterer has the
-    energy of its echo as weight: factors 1/sqrt(1 + T^2 / 2 E^2) across, a quadrature over depth. Two corrections of
-    leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their density is finite.
+    ``force_width_m`` and the gate's tracking widths are the sigmas E and T of eqs. (12) and (8) of the paper. Each
+    scatterer has the energy of its echo as weight: factors 1/sqrt(1 + T^2 / 2 E^2) across, a quadrature over depth. Two
+    corrections of leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their
+    density is finite.
     """
     depth_m, echo = gate.echoes()
     # Number of independent speckles: squared trace of the energy matrix over the trace of its square.

@@ -111,7 +111,7 @@ class Ensemble:
     def driven_spectrum(self, harmonics: int, burst_rate_hz: float, burst_length_s: float) -> ComplexArray:
         """Return the matrix (harmonic, node) from responses at the nodes to A exp(j phase) of harmonics 1, 2, ...
 
-        The force is a train of rectangular tonebursts (paper eq. 18).
+        The force is a train of rectangular tonebursts, eq. (18) of the paper.
         """
         harmonic, duty = np.arange(1.0, harmonics + 1), burst_rate_hz * burst_length_s
         # A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient of exp(jwt).
@@ -120,8 +120,11 @@ class Ensemble:
 
 
 @dataclass(frozen=True, slots=True)
-class _Range:
-    """Extent of an ensemble: harmonics between two frequencies, medium, density and number of members."""
+class _EnsembleSpec:
+    """Specification of an ensemble: range of harmonics, medium, density and number of members.
+
+    ``known_medium`` is None for an ensemble of all ``FAMILIES``.
+    """
 
     lowest_hz: float
     highest_hz: float
@@ -130,6 +133,7 @@ class _Range:
     members: int
 
     def nodes(self, per_e_fold: float) -> FloatArray:
+        """Return the nodes (node,) over the range of harmonics, Hz: ``per_e_fold`` for each factor e, at least 8."""
         count = max(8, round(float(per_e_fold * np.log(self.highest_hz / self.lowest_hz))))
         return _nodes(self.lowest_hz, self.highest_hz, count)
 
@@ -141,7 +145,7 @@ class _Range:
             else _known_modulus(self.known_medium, s, self.members)
         )
 
-    def voigt(self) -> BoolArray:
+    def are_voigt(self) -> BoolArray:
         """Return which members (member,) are Voigt media."""
         return np.ones(self.members, bool) if self.known_medium else np.arange(self.members) % len(FAMILIES) == 0
 
@@ -167,32 +171,46 @@ def medium_ensemble(
     ``pushed``: the medium itself in beams of these widths, or a sphere in it that is tracked as a whole. A
     low-discrepancy sequence fills the parameter ranges evenly, so there is no random seed.
     """
-    extent = _Range(lowest_hz, highest_hz, known_medium, density_kg_per_m3, members)
+    spec = _EnsembleSpec(
+        lowest_hz=lowest_hz,
+        highest_hz=highest_hz,
+        known_medium=known_medium,
+        density_kg_per_m3=density_kg_per_m3,
+        members=members,
+    )
     if isinstance(pushed, RigidSphere):
-        return _sphere_ensemble(pushed, extent)
+        return _sphere_ensemble(pushed, spec)
     # Cache keys are normalised, so that equal ensembles are computed once.
     if pushed.lateral_offset_m:
         offsets_m = pushed.offsets_of_joint_fit_m or (pushed.lateral_offset_m,)
         beams = replace(pushed, lateral_offset_m=0.0, offsets_of_joint_fit_m=offsets_m)
-        ensembles = _off_axis_ensembles(beams, replace(extent, members=OFF_AXIS_MEMBERS))
+        ensembles = _off_axis_ensembles(beams, replace(spec, members=OFF_AXIS_MEMBERS))
         return ensembles[offsets_m.index(pushed.lateral_offset_m)]
-    return _on_axis_ensemble(replace(pushed, offsets_of_joint_fit_m=()), extent)
+    return _on_axis_ensemble(replace(pushed, offsets_of_joint_fit_m=()), spec)
 
 
-def _sphere_ensemble(sphere: RigidSphere, extent: _Range) -> Ensemble:
-    node_hz = extent.nodes(SPHERE_NODES_PER_E_FOLD)
+def _sphere_ensemble(sphere: RigidSphere, spec: _EnsembleSpec) -> Ensemble:
+    """Return the ensemble of media around ``sphere``; its tracked displacement is its peak displacement."""
+    node_hz = spec.nodes(SPHERE_NODES_PER_E_FOLD)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
-    response = sphere.response(extent.modulus(s), extent.density_kg_per_m3, s)
-    return Ensemble(node_hz, response, response, np.zeros_like(response), extent.voigt())
+    response = sphere.response(spec.modulus(s), spec.density_kg_per_m3, s)
+    return Ensemble(
+        node_hz=node_hz,
+        tracked=response,
+        peak=response,
+        steepness=np.zeros_like(response),
+        voigt=spec.are_voigt(),
+    )
 
 
 @functools.lru_cache(maxsize=32)
-def _on_axis_ensemble(beams: BeamWidths, extent: _Range) -> Ensemble:
-    node_hz = extent.nodes(NODES_PER_E_FOLD)
+def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
+    """Return the ensemble of media tracked on the axis of the force, from the closed form of ``focal_displacement``."""
+    node_hz = spec.nodes(NODES_PER_E_FOLD)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
-    modulus_pa = extent.modulus(s)
-    shear_k2 = -extent.density_kg_per_m3 * s**2 / modulus_pa
-    width_factor, length_factor = extent.width_factors(beams.width_log_sd)
+    modulus_pa = spec.modulus(s)
+    shear_k2 = -spec.density_kg_per_m3 * s**2 / modulus_pa
+    width_factor, length_factor = spec.width_factors(beams.width_log_sd)
     across_m2 = (beams.force_width_m[0] * width_factor) ** 2
     along_m2 = (beams.force_width_m[2] * length_factor) ** 2
     # Averaging over a tracking beam equals a force that is wider by its energy's variance.
@@ -202,41 +220,45 @@ def _on_axis_ensemble(beams: BeamWidths, extent: _Range) -> Ensemble:
     # A force of another shape changes tracked and peak motion alike: their ratio remains that of the Gaussian.
     shape = 1.0 if beams.force is None else _shape_ratio(beams, shear_k2, width_factor)
     tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape / modulus_pa)
-    ensemble = Ensemble(node_hz, tracked, peak, steepness, extent.voigt())
+    ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness, voigt=spec.are_voigt())
     for array in (node_hz, tracked, peak, steepness, ensemble.voigt):
         array.flags.writeable = False
     return ensemble
 
 
 def _shape_ratio(beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatArray) -> ComplexArray:
-    """Return the motion under ``beams.force`` over the motion under the Gaussian, (member, node).
+    """Return the motion under ``beams.force`` over the motion under the Gaussian, (member, frequency).
 
-    Both, times the modulus, are functions of q^2 only: of |q| times the force's width, and of the angle of q^2, which
-    is the medium's loss. A force ``width_factor`` (member,) times as wide acts like waves shorter by the same factor.
-    The ratio is a product of Chebyshev series in ln |q| and in the loss angle.
+    ``shear_k2`` (member, frequency): squared wave number q^2 = rho w^2 / G of shear waves. ``width_factor`` (member,):
+    width of the member's force over that in ``beams``. The ratio depends on two numbers: |q| times the force's width,
+    and the loss angle of the modulus, -arg q^2. A wider force therefore has the ratio of a proportionally larger |q|.
+    The ratio is computed at Chebyshev nodes in ln |q| and in the loss angle, and interpolated between them.
     """
-    wave, angle = np.sqrt(np.abs(shear_k2)), np.clip(-np.angle(shear_k2), 0.0, np.pi / 2)
-    lowest = float(wave.min())
-    highest = min(float(wave.max()), MAX_RELATIVE_WAVE_NUMBER / beams.force_width_m[0])
-    node = _nodes(lowest, highest, SHAPE_NODES)
-    loss = np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
-    ratio = _shape_ratio_at_nodes(replace(beams, offsets_of_joint_fit_m=()), tuple(node.tolist()), tuple(loss.tolist()))
-    # Chebyshev coefficients (wave, loss) of the ratio.
-    by_wave = np.linalg.solve(chebvander(_log_position(node, lowest, highest), SHAPE_NODES - 1), ratio)
-    coefficients = np.linalg.solve(chebvander(4 * loss / np.pi - 1, LOSS_NODES - 1), by_wave.T).T
-    position = _log_position(np.clip(wave * width_factor[:, None], lowest, highest), lowest, highest)
-    of_wave, of_loss = chebvander(position, SHAPE_NODES - 1), chebvander(4 * angle / np.pi - 1, LOSS_NODES - 1)
-    return np.asarray(np.sum(of_wave @ coefficients * of_loss, axis=-1))
+    wave_number, loss_rad = np.sqrt(np.abs(shear_k2)), np.clip(-np.angle(shear_k2), 0.0, np.pi / 2)
+    lowest = float(wave_number.min())
+    highest = min(float(wave_number.max()), MAX_RELATIVE_WAVE_NUMBER / beams.force_width_m[0])
+    wave_nodes = _nodes(lowest, highest, SHAPE_NODES)
+    loss_nodes = np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
+    ratio = _shape_ratio_at_nodes(beams, tuple(wave_nodes.tolist()), tuple(loss_nodes.tolist()))
+    # Chebyshev coefficients (wave, loss) of the ratio, from its values at the nodes.
+    wave_basis = chebvander(_log_position(wave_nodes, lowest, highest), SHAPE_NODES - 1)
+    loss_basis = chebvander(4 * loss_nodes / np.pi - 1, LOSS_NODES - 1)
+    coefficients = np.linalg.solve(loss_basis, np.linalg.solve(wave_basis, ratio).T).T
+    # The two series at each member's relative wave number and loss angle.
+    position = _log_position(np.clip(wave_number * width_factor[:, None], lowest, highest), lowest, highest)
+    wave_series = chebvander(position, SHAPE_NODES - 1)
+    loss_series = chebvander(4 * loss_rad / np.pi - 1, LOSS_NODES - 1)
+    return np.asarray(np.sum(wave_series @ coefficients * loss_series, axis=-1))
 
 
 @functools.lru_cache(maxsize=8)
 def _shape_ratio_at_nodes(
     beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]
 ) -> ComplexArray:
-    """Return the ratio of ``_shape_ratio`` at wave numbers of these sizes and moduli of these angles, (wave, loss)."""
+    """Return the ratio of ``_shape_ratio`` at wave numbers |q| and loss angles of the modulus, (wave, loss)."""
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
-    region = TrackedRegion(np.zeros(1), 0.0, beams.tracking_area_m2, beams.depth_sd_m**2)
+    region = TrackedRegion(lateral_m=np.zeros(1), across_m2=beams.tracking_area_m2, along_m2=beams.depth_sd_m**2)
     wave, loss = np.meshgrid(wave_per_m, loss_rad, indexing="ij")
     # Any density and frequency that give these wave numbers: 1 Hz and 1000 kg/m^3.
     modulus_pa = np.asarray(1000.0 * (2 * np.pi / wave) ** 2 * np.exp(1j * loss), np.complex128).ravel()
@@ -250,26 +272,37 @@ def _shape_ratio_at_nodes(
 
 
 @functools.lru_cache(maxsize=8)
-def _off_axis_ensembles(beams: BeamWidths, extent: _Range) -> tuple[Ensemble, ...]:
-    """Return the ensembles at every one of ``beams.offsets_of_joint_fit_m``."""
-    node_hz, exact_nodes = _off_axis_nodes(extent.lowest_hz, extent.highest_hz)
+def _off_axis_ensembles(beams: BeamWidths, spec: _EnsembleSpec) -> tuple[Ensemble, ...]:
+    """Return one ensemble of media for each lateral offset in ``beams.offsets_of_joint_fit_m``."""
+    node_hz, exact_nodes = _off_axis_nodes(spec.lowest_hz, spec.highest_hz)
     offsets_m = np.array(beams.offsets_of_joint_fit_m)
-    modulus_pa = extent.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))
-    width_factor, length_factor = extent.width_factors(beams.width_log_sd)
-    values = np.empty((offsets_m.size, 3, extent.members, node_hz.size), np.complex128)
-    x, _, z = beams.force_width_m
-    for member, (across_m, along_m) in enumerate(zip(x * width_factor, z * length_factor, strict=True)):
-        medium = HarmonicMedium(node_hz, modulus_pa[member], extent.density_kg_per_m3)
+    modulus_pa = spec.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))
+    width_factor, length_factor = spec.width_factors(beams.width_log_sd)
+    # Axes (offset, quantity, member, node); the quantities are those of ``TrackedMotion``.
+    motions = np.empty((offsets_m.size, 3, spec.members, node_hz.size), np.complex128)
+    # The force is round, so that one width holds across both axes.
+    width_m, _, length_m = beams.force_width_m
+    member_widths = zip(width_m * width_factor, length_m * length_factor, strict=True)
+    for member, (across_m, along_m) in enumerate(member_widths):
+        medium = HarmonicMedium(node_hz, modulus_pa[member], spec.density_kg_per_m3)
         motion = off_axis_motion(medium, replace(beams, force_width_m=(across_m, across_m, along_m)), offsets_m)
-        values[:, :, member] = np.moveaxis(np.stack(motion), -1, 0)
-    values.flags.writeable = False
+        motions[:, :, member] = np.moveaxis(np.stack(motion), -1, 0)
+    motions.flags.writeable = False
     return tuple(
-        Ensemble(node_hz, tracked, peak, steepness, extent.voigt(), exact_nodes) for tracked, peak, steepness in values
+        Ensemble(
+            node_hz=node_hz,
+            tracked=tracked,
+            peak=peak,
+            steepness=steepness,
+            voigt=spec.are_voigt(),
+            exact_nodes=exact_nodes,
+        )
+        for tracked, peak, steepness in motions
     )
 
 
 def _off_axis_nodes(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
-    """Return the nodes (node,) off the axis, and the number of first ones that are single harmonics."""
+    """Return the nodes (node,) of an off-axis ensemble, Hz, and the number of leading ones that are harmonics."""
     harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
     exact = int(np.sum(harmonic_hz <= TRAVELLED_WAVE_MAX_HZ))
     if harmonic_hz.size - exact <= SMOOTH_NODES:
@@ -301,6 +334,7 @@ def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
 
 
 def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> ComplexArray:
+    """Return the complex modulus (member, frequency) of a law with ``parameters``, each (member,)."""
     return LAWS[name].modulus(s, np.stack(parameters, axis=-1))[0]
 
 
@@ -315,6 +349,7 @@ def _known_modulus(known_medium: VoigtParameters, s: ComplexArray, members: int)
 
 
 def _log_uniform(quantile: FloatArray, parameter: str) -> FloatArray:
+    """Return values of ``parameter`` at ``quantile`` of a log-uniform distribution over its ``PRIOR_RANGES``."""
     low, high = PRIOR_RANGES[parameter]
     return np.asarray(low * (high / low) ** quantile)
 

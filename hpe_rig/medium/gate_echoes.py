@@ -4,8 +4,8 @@ A scatterer at depth z from the focus contributes at the instant t of the gate (
 
     e(t, z) = w(t) h(t - z) exp(-z^2 / 2 T_z^2)
 
-w is the estimator's window over the gate, h the Hann pulse, eq. (9), T_z the sigma of the tracking beam along its axis.
-Derivations: docs/explanation/prediction.md.
+w is the estimator's window over the gate, h the Hann pulse, eq. (9) of the paper, T_z the sigma of the tracking beam
+along its axis. Derivations: docs/explanation/prediction.md.
 """
 
 from __future__ import annotations
@@ -79,9 +79,11 @@ class TrackingGate:
         return float(np.sqrt(np.sum(integrand * t[:, 0] ** 2) * log_step) / wave_number_per_m)
 
     def _depths(self, count: int) -> FloatArray:
+        """Return ``count`` depths (depth,), m, over all scatterers that echo into the gate."""
         return midpoints(self.gate_length_m + self.pulse_length_m, count)
 
     def _envelopes(self, depth_m: FloatArray, pulse: Callable[[FloatArray, float], FloatArray]) -> FloatArray:
+        """Return the echo (instant, depth) of scatterers at ``depth_m``, by the window, ``pulse`` and tracking beam."""
         envelope = pulse(midpoints(self.gate_length_m, INSTANTS)[:, None] - depth_m, self.pulse_length_m)
         window = np.sin(np.pi * (np.arange(INSTANTS) + 0.5) / INSTANTS) ** 2 if self.hann_window else np.ones(INSTANTS)
         beam = np.exp(-(depth_m**2) / (2 * self.tracking_width_m[2] ** 2))
@@ -111,7 +113,7 @@ def midpoints(length_m: float, count: int) -> FloatArray:
 
 
 def _pulse(offset_m: FloatArray, pulse_length_m: float) -> FloatArray:
-    """Return the Hann pulse's envelope, eq. (9), at a distance from its centre."""
+    """Return the Hann pulse's envelope, eq. (9) of the paper, at a distance from its centre."""
     inside = np.abs(offset_m) < pulse_length_m / 2
     return np.where(inside, np.cos(np.pi * offset_m / pulse_length_m) ** 2, 0.0)
 

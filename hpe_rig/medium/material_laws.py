@@ -49,12 +49,19 @@ class Parameter:
     @classmethod
     def logarithmic(cls, name: str, limits: tuple[float, float], starts: tuple[float, ...]) -> Parameter:
         """Return a parameter with the coordinate ln(value), for example a stiffness."""
-        return cls(name, limits, starts, np.log, np.exp, np.asarray)
+        return cls(name=name, limits=limits, starts=starts, to_coordinate=np.log, to_value=np.exp, slope=np.asarray)
 
     @classmethod
     def linear(cls, name: str, limits: tuple[float, float], starts: tuple[float, ...]) -> Parameter:
         """Return a parameter that is its own coordinate, for example an exponent."""
-        return cls(name, limits, starts, _identity, _identity, lambda value: np.ones_like(_identity(value)))
+        return cls(
+            name=name,
+            limits=limits,
+            starts=starts,
+            to_coordinate=_identity,
+            to_value=_identity,
+            slope=lambda value: np.ones_like(_identity(value)),
+        )
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -131,11 +138,12 @@ def _identity(value: FloatArray | float) -> FloatArray:
 
 
 def _viscosity(starts: tuple[float, ...]) -> Parameter:
+    """Return a viscosity with the coordinate arcsinh(value / SMALL_VISCOSITY_PA_S): logarithmic, but finite at zero."""
     small = SMALL_VISCOSITY_PA_S
     return Parameter(
-        "viscosity_pa_s",
-        (0.0, 500.0),
-        starts,
+        name="viscosity_pa_s",
+        limits=(0.0, 500.0),
+        starts=starts,
         to_coordinate=lambda value: np.asarray(np.arcsinh(np.asarray(value) / small)),
         to_value=lambda coordinate: np.asarray(small * np.sinh(coordinate)),
         slope=lambda value: np.asarray(np.hypot(value, small)),
@@ -143,6 +151,7 @@ def _viscosity(starts: tuple[float, ...]) -> Parameter:
 
 
 def _voigt(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return G = mu1 + s mu2 and its derivatives by (mu1, mu2), in the shapes that ``Law`` states."""
     mu1, mu2 = (values[..., i, None] for i in range(2))
     modulus = mu1 + s * mu2
     return modulus, np.stack(np.broadcast_arrays(np.ones_like(modulus), s + 0 * modulus), axis=-1)
@@ -157,17 +166,20 @@ def _spring_and_dashpot(
 
 
 def _zener(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return the modulus of a spring parallel to a spring and dashpot in series, and its derivatives."""
     mu1, spring, dashpot = (values[..., i, None] for i in range(3))
     branch, by_spring, by_dashpot = _spring_and_dashpot(s, spring, dashpot)
     return mu1 + branch, np.stack([np.ones_like(branch), by_spring, by_dashpot], axis=-1)
 
 
 def _maxwell(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return the modulus of a spring and a dashpot in series, and its derivatives by both."""
     branch, by_spring, by_dashpot = _spring_and_dashpot(s, values[..., 0, None], values[..., 1, None])
     return branch, np.stack([by_spring, by_dashpot], axis=-1)
 
 
 def _power_law(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return G = mu (s / 2 pi POWER_REFERENCE_HZ)^p and its derivatives by (mu, p)."""
     relative_s = s / (2 * np.pi * POWER_REFERENCE_HZ)
     powers = relative_s ** values[..., 1, None]
     modulus = values[..., 0, None] * powers
@@ -215,6 +227,7 @@ def _with_shape_check(modulus: Modulus, parameters: int, source: str) -> Modulus
     """Return ``modulus`` with errors that name its package: on an exception and on wrong shapes."""
 
     def checked(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the result of ``modulus``; raise ``ExtensionError`` if it fails."""
         try:
             value, slopes = modulus(s, values)
         except Exception as error:

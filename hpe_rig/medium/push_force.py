@@ -201,7 +201,13 @@ def _fitted_force(
     # exp(-2 alpha z) relative to the focus, to first order in the error of alpha.
     lossier = -2 * loss_uncertainty_np_per_m * centre_m[:, None] * ending_at(REACH)
     unsure = ("reach", _rows(longer)), ("loss", _rows(lossier))
-    return PushForce(tuple(across_m.tolist()), step_m, tuple(centre_m.tolist()), _rows(ending_at(REACH)), unsure)
+    return PushForce(
+        across_m=tuple(across_m.tolist()),
+        along_m=step_m,
+        centre_m=tuple(centre_m.tolist()),
+        weights=_rows(ending_at(REACH)),
+        unsure=unsure,
+    )
 
 
 def _fitted_weights(

@@ -151,6 +151,7 @@ class _Waves:
         lateral_m: FloatArray,
         quality: tuple[int, float],
     ) -> _Waves:
+        """Return the integrand at ``lateral_m`` (point,); ``quality`` is ``FULL`` or ``QUICK``."""
         q2 = medium.shear_k2
         max_distance_m = float(np.max(np.abs(lateral_m), initial=0.0))
         k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, max_distance_m, quality)
@@ -159,7 +160,7 @@ class _Waves:
         slopes = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
         omega = 2 * np.pi * medium.frequency_hz
         denominator = np.sqrt(2 * np.pi) * medium.density_kg_per_m3 * omega**2
-        return cls(k, spectrum * jv(0, kr), slopes, q2, denominator)
+        return cls(k=k, waves=spectrum * jv(0, kr), lateral_slopes=slopes, q2=q2, denominator=denominator)
 
     @property
     def kappa(self) -> ComplexArray:
@@ -232,7 +233,7 @@ def _axial_integral(kappa: ComplexArray, half_m2: float, axial_m: float) -> _Axi
     # kz^2 / (kz^2 + kappa^2) = 1 - kappa^2 / (kz^2 + kappa^2)
     by_half = kappa**2 * value - np.sqrt(np.pi / half_m2) * gaussian
     by_axial = (np.pi / 2) * (term_plus - term_minus)
-    return _AxialIntegral(value, by_kappa / (2 * kappa), by_half, by_axial)
+    return _AxialIntegral(value=value, by_kappa2=by_kappa / (2 * kappa), by_half=by_half, by_axial=by_axial)
 
 
 def _damped_erfcx(x: ComplexArray, b: float) -> ComplexArray:
@@ -262,6 +263,7 @@ def _path(
 def _cached_path(
     lowest: float, highest: float, across_m2: float, max_distance_m: float, quality: tuple[int, float]
 ) -> tuple[ComplexArray, ComplexArray]:
+    """Return the path of ``_path`` for poles from ``lowest`` to ``highest``, as Gauss-Legendre panels."""
     panel_nodes, end_exponent = quality
     end = np.sqrt(2 * end_exponent / across_m2)
     clearance = min(MAX_BESSEL_EXPONENT / max_distance_m, CLEARANCE / np.sqrt(across_m2))

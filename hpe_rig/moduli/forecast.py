@@ -81,7 +81,13 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
     if sum(2 * one.frequency_hz.size for one in vibrations) <= len(values) + 1:
         raise ValueError("too few harmonics are expected to exceed the noise")
     u1, u2 = np.sqrt(np.diag(bound(vibrations, push, "voigt", values))).tolist()
-    return ModuliForecast(values, (u1, u2), len({one.position for one in vibrations}), medium_source, len(vibrations))
+    return ModuliForecast(
+        values=values,
+        uncertainty=(u1, u2),
+        places=len({one.position for one in vibrations}),
+        medium_source=medium_source,
+        gates=len(vibrations),
+    )
 
 
 def moduli_text(scene: Scene, plan: Plan, simulated: bool = True) -> Iterator[str]:
@@ -108,13 +114,14 @@ def _voigt_medium(scene: Scene, frequency_hz: FloatArray, simulated: bool) -> tu
 
 
 def _on_axis(scene: Scene) -> Scene:
+    """Return ``scene`` without a lateral offset."""
     return scene.model_copy(update={"tracking": scene.tracking.model_copy(update={"lateral_offset_m": 0.0})})
 
 
 def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> tuple[FloatArray, float]:
-    """Return the noise of a quadrature (frequency,) at one offset from all usable shots.
+    """Return the noise of a quadrature (frequency,), m, and the correlation of that noise between two depths.
 
-    And its correlation between two depths: trigger jitter is common to both.
+    The noise is that of all usable shots at one lateral offset. Trigger jitter is common to all depths.
     """
     shots = [shot for shot in plan.shots if has_strongest_push(shot, plan)]
     # The floor is that of the worst frequency; other frequencies have less noise by their gain.

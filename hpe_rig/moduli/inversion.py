@@ -240,6 +240,7 @@ def _log_evidence(law: Law, chi_square: float, covariance: FloatArray) -> float:
 
 
 def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
+    """Return the kind of ``nuisance`` and the gate or lateral offset that it belongs to."""
     if nuisance.vibration == COMMON:
         return nuisance.kind
     one = vibrations[nuisance.vibration]

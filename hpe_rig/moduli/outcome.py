@@ -96,6 +96,7 @@ class ModuliResult:
 
 
 def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
+    """Return one fit as ``moduli_schema`` describes it."""
     names = "law", "values", "uncertainty", "chi_square", "freedom", "significance"
     return {
         **{name: getattr(fit, name) for name in names},
@@ -205,6 +206,7 @@ def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> 
 
 
 def _lines(result: ModuliResult) -> Iterator[str]:
+    """Yield the text of a result: data, every law with its fit, plane wave, and omitted vibrations."""
     yield result.title
     yield _data_line(result)
     yield ""
@@ -226,6 +228,7 @@ def _lines(result: ModuliResult) -> Iterator[str]:
 
 
 def _data_line(result: ModuliResult) -> str:
+    """Return the number of lateral offsets, gates and fitted numbers in words."""
     numbers = sum(2 * one.frequency_hz.size for one in result.vibrations)
     source, gates = "SIMULATED, " if result.simulated else "", len(result.vibrations)
     # Several gates over depth belong to one lateral offset.
@@ -235,6 +238,7 @@ def _data_line(result: ModuliResult) -> str:
 
 
 def _fit_lines(fit: Moduli) -> Iterator[str]:
+    """Yield the parameters of one law, its second minimum, warnings, and the most important data."""
     for name, value in fit.values.items():
         relative = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
         yield f"{_name(name)} {_with_uncertainty(fit, name)}{relative}"

@@ -71,7 +71,14 @@ class Problem:
         # Whitened data have unit variance: chi-square is their sum of squares.
         whitening = tuple(np.linalg.inv(np.linalg.cholesky(_data_covariance_m2(one, push))) for one in vibrations)
         unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
-        return Problem(tuple(vibrations), push, law, whitening, _nuisances(vibrations, push), unit_m)
+        return Problem(
+            vibrations=tuple(vibrations),
+            push=push,
+            law=law,
+            whitening=whitening,
+            nuisances=_nuisances(vibrations, push),
+            unit_m=unit_m,
+        )
 
     def with_quick_field(self) -> Problem:
         """Return the problem with the quick field if its error is hidden by the noise, else ``self``."""
@@ -198,7 +205,9 @@ class Problem:
         field = shear_motion(
             HarmonicMedium(frequency_hz, modulus_pa, push.density_kg_per_m3),
             force.scaled(width_factor, length_factor),
-            TrackedRegion(lateral_m, axial_m, area_m2, vibrations[0].tracking_m2[1]),
+            TrackedRegion(
+                lateral_m=lateral_m, axial_m=axial_m, across_m2=area_m2, along_m2=vibrations[0].tracking_m2[1]
+            ),
             self.quick,
         )
         # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gains and phases.

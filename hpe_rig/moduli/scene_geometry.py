@@ -47,6 +47,7 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
 
 
 def _push_mistakes(scene: Scene) -> Iterator[Mistake]:
+    """Yield the reasons why the moduli cannot be fitted to a run of ``scene``."""
     beams = scene.beams
     if scene.excitation is None:
         yield Mistake("excitation", "nothing pushes, so no motion depends on the medium", "a run with tonebursts")
@@ -66,14 +67,15 @@ def _push_mistakes(scene: Scene) -> Iterator[Mistake]:
 
 
 def _stated_push(scene: Scene, width_uncertainty: float) -> Push:
+    """Return the push that ``scene`` states, with relative ``width_uncertainty`` across and along."""
     excitation = scene.excitation
     assert excitation is not None  # noqa: S101 (the caller selects scenes with tonebursts)
     return Push(
-        push_force(scene),
-        excitation.burst_rate_hz,
-        excitation.burst_length_s[0],
-        scene.medium.density_kg_per_m3 if scene.medium else 1000.0,
-        (width_uncertainty, width_uncertainty),
+        force=push_force(scene),
+        burst_rate_hz=excitation.burst_rate_hz,
+        burst_length_s=excitation.burst_length_s[0],
+        density_kg_per_m3=scene.medium.density_kg_per_m3 if scene.medium else 1000.0,
+        width_uncertainty=(width_uncertainty, width_uncertainty),
     )
 
 

@@ -42,8 +42,12 @@ class Push:
         return APERTURE_SHAPE if self.force.unsure else 0.0
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the amplitude of sin(wt + phase) of a unit force that is on during every burst, (frequency,)."""
-        # The spectrum of a rectangular burst: sinc, delayed by half of its length.
+        """Return S (frequency,): A exp(j phase) of a force that is 1 during every burst and 0 between bursts.
+
+        A and phase are those of A sin(wt + phase), with t from the onset of a burst.
+        """
+        # The Fourier coefficient c of exp(jwt) is a sinc, delayed by half of the burst length. A real force is
+        # 2 Re[c exp(jwt)]; the sine convention A sin(wt + phase) then has A exp(j phase) = 2j c.
         phase_cycles = frequency_hz * self.burst_length_s
         duty = self.burst_rate_hz * self.burst_length_s
         return np.asarray(2j * duty * np.sinc(phase_cycles) * np.exp(-1j * np.pi * phase_cycles))

@@ -1,6 +1,6 @@
 """Prediction of a measurement from its scene: expected amplitude, noise, bias, aliasing and detection floor.
 
-    scene_physics.py    medium, push, beams and tracking gate that a scene states; force spectrum, eq. (18)
+    scene_physics.py    medium, push, beams and tracking gate that a scene states; force spectrum, eq. (18) of the paper
     conditions.py       expected amplitude and SNR; quantities that bias and jitter depend on
     speckle.py          random draws of scatterers and their echoes
     peak_noise.py       noise of an estimator that reads the peak of a cross-spectrum

@@ -4,7 +4,7 @@
 
 The ratio is that of the shear field in the declared medium, else its mean over the ensemble of media. Few speckles and
 scatterers change the loss in proportion to that of a Gaussian motion. Corrections follow for a force that is not
-Gaussian, oblique waves, and a gate off the focus. Without tonebursts the motion is the Gaussian of eq. (12).
+Gaussian, oblique waves, and a gate off the focus. Without tonebursts the motion is Gaussian, eq. (12) of the paper.
 """
 
 from __future__ import annotations
@@ -107,6 +107,7 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
+    """Return the statistics of the ratio over the ensemble of the medium prior."""
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
@@ -139,8 +140,8 @@ def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> list[complex]:
     """Return the tracked over peak motion under the declared aperture's force, relative to the Gaussian force.
 
-    In the declared medium, else in a typical one. The paper's aperture has 1.005 at 100 Hz and less above, and 0.1 deg
-    of lag at all frequencies, nearly independent of the medium.
+    The medium is the declared one, else a typical one. The paper's aperture has 1.005 at 100 Hz and less above,
+    and 0.1 deg of lag at all frequencies, nearly independent of the medium.
     """
     # The ensemble keeps the Gaussian's ratio; the correction is that of one medium.
     force = push_force(scene)
@@ -172,6 +173,7 @@ def _with_scene_offsets(scene: Scene, averaging: Averaging) -> Averaging:
 
 
 def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
+    """Return ``averaging`` for the oblique waves of the declared aperture; unchanged if no aperture is declared."""
     if scene.beams is None or scene.beams.transducer_diameter_m is None:
         return averaging
     focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m

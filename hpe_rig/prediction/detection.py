@@ -96,13 +96,18 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
         errors = predict(at_rest, (spec.name,)).expected[0]
         noise_m, relative_variances = errors.quadrature_m, errors.relative_variances
     trigger_jitter_m = trigger_noise_m(scene, simulated) * float(gain[worst])
-    return Floor(noise_m, trigger_jitter_m, float(larger[worst]), relative_variances)
+    return Floor(
+        noise_m=noise_m,
+        trigger_jitter_m=trigger_jitter_m,
+        larger_quadrature=float(larger[worst]),
+        relative_variances=relative_variances,
+    )
 
 
 def _gain_and_larger_quadrature(scene: Scene, shot: Shot | None) -> tuple[FloatArray, FloatArray]:
     """Return noise gain and relative noise of the larger quadrature, each (frequency,).
 
-    Those of a single fitted sinusoid if no plan or no fit is known.
+    They are those of a single fitted sinusoid if no plan or no fit is known.
     """
     if shot is not None:
         # A plan with conflicts may have no fit.

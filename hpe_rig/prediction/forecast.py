@@ -138,6 +138,7 @@ def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, dr
 
 
 def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErrors:
+    """Return the errors of one estimator from ``draws`` of speckle, more if it reads the phase at a peak."""
     # Only the fields that speckle depends on remain, so that estimators share their draws.
     echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf, trigger_jitter_s=0.0)
     speckle = seeded_speckle(

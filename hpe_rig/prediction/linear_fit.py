@@ -93,7 +93,12 @@ def fit_noise_free(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m
         states = fit_weights(scene, shot, spec)[0] @ displacement_m[pulses.used]
         return np.asarray(states @ np.array([1, 1j]))
     # The pulses' variance scales the uncertainty only; its value does not matter.
-    motion = Motion(pulses.time_s, displacement_m, np.full(displacement_m.size, 1e-18), pulses.used)
+    motion = Motion(
+        time_s=pulses.time_s,
+        displacement_m=displacement_m,
+        variance_m2=np.full(displacement_m.size, 1e-18),
+        valid=pulses.used,
+    )
     fit = fit_motion(motion, pulses.wanted_hz, spec.name, pulses.driven_hz, options_of(scene.processing))
     return np.asarray(fit.amplitude_m * np.exp(1j * fit.phase_rad))
 
@@ -162,6 +167,7 @@ def fitted_over_true_by_estimator(
 def _over_true(
     scene: Scene, shot: Shot, estimator: str, true_m: ComplexArray, displacement_m: FloatArray
 ) -> ComplexArray | None:
+    """Return the fitted over the true phasors ``true_m`` (frequency,) by one estimator; None without a fit."""
     # A plan with conflicts may have no fit.
     with suppress(ValueError):
         return np.asarray(fit_noise_free(scene, shot, spec_of(estimator), displacement_m) / true_m)
@@ -169,7 +175,10 @@ def _over_true(
 
 
 def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexArray, FloatArray] | None:
-    """Return A exp(j phase) of the wanted harmonics (frequency,) and the displacement at every pulse (pulse,)."""
+    """Return A exp(j phase) of the wanted harmonics (frequency,), m, and the displacement at every pulse (pulse,), m.
+
+    None if no medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
+    """
     if scene.excitation is None or shot.toneburst is None or not scene.wanted_frequencies_hz:
         return None
     rate_hz, length_s = scene.excitation.burst_rate_hz, shot.toneburst.cycles / shot.toneburst.carrier_hz
@@ -186,19 +195,24 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
         return None
     # The sinusoid A sin(w t + phase) has A exp(j phase) = j times the coefficient of exp(j w t).
     phasor_m = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
-    states_m = np.stack([phasor_m.real, phasor_m.imag], axis=-1).ravel()
+    quadratures_m = np.stack([phasor_m.real, phasor_m.imag], axis=-1).ravel()
     time_s = select(scene, shot).time_s
     if not time_s.size:
         # A plan with conflicts may have no pulse in its window.
         return None
-    displacement_m = _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), states_m.tobytes())
+    displacement_m = _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), quadratures_m.tobytes())
     return np.asarray(phasor_m[wanted_index - 1]), displacement_m
 
 
 @lru_cache(maxsize=4)
-def _displacement_m(time_s: bytes, frequency_hz: bytes, states_m: bytes) -> FloatArray:
-    """Return the displacement (pulse,); cached, because the forecast of every estimator needs the same motion."""
-    columns = harmonic_columns(np.frombuffer(time_s), np.frombuffer(frequency_hz))
-    displacement_m = np.asarray(columns @ np.frombuffer(states_m))
+def _displacement_m(time_bytes: bytes, frequency_bytes: bytes, quadrature_bytes: bytes) -> FloatArray:
+    """Return the displacement (pulse,), m, of a sum of harmonics at the pulses' times.
+
+    The arguments are the bytes of float arrays, because arrays cannot be cache keys: times (pulse,), s; frequencies
+    (frequency,), Hz; and A cos(phase), A sin(phase) of each harmonic (2 * frequency,), m. Cached, because the forecast
+    of every estimator needs the same motion.
+    """
+    columns = harmonic_columns(np.frombuffer(time_bytes), np.frombuffer(frequency_bytes))
+    displacement_m = np.asarray(columns @ np.frombuffer(quadrature_bytes))
     displacement_m.setflags(write=False)
     return displacement_m

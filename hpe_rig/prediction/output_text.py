@@ -44,7 +44,7 @@ def focal_distortion(
 ) -> float:
     """Return the local distortion parameter of IEC 61949, z p 2 pi f beta / (rho c^3 sqrt(F_a)), in water.
 
-    For an aperture of ``diameter_m`` with the intensity sigma ``width_m`` at the focus. F_a is 0.69 times the area of
+    The aperture has ``diameter_m``, its intensity at the focus the sigma ``width_m``. F_a is 0.69 times the area of
     the source over that of the -6 dB beam, p the pressure of a linear wave of that intensity.
     """
     pressure_pa = np.sqrt(2 * WATER_DENSITY_KG_PER_M3 * sound_speed_m_per_s * intensity_w_per_m2)

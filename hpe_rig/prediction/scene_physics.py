@@ -28,7 +28,7 @@ def force_spectrum(
     """Return the complex Fourier coefficients F_n of the force pulse train, time from a burst's onset.
 
     ``harmonic`` is n and may be negative; the result has the unit of ``amplitude``. The sinusoid at n f_r has the peak
-    2 |F_n|. Source: paper eq. (18).
+    2 |F_n|. Source: eq. (18) of the paper.
     """
     duty = burst_rate_hz * burst_length_s
     n = np.asarray(harmonic)
@@ -81,7 +81,12 @@ def tracking_gate(scene: Scene, estimator: str | None = None) -> TrackingGate:
     """
     assert scene.beams is not None  # noqa: S101 (callers check)
     windowed = estimator is not None and spec_of(estimator).gate_window == "hann"
-    return TrackingGate(scene.beams.tracking_width_m, scene.acquisition.gate_length_m, pulse_length_m(scene), windowed)
+    return TrackingGate(
+        tracking_width_m=scene.beams.tracking_width_m,
+        gate_length_m=scene.acquisition.gate_length_m,
+        pulse_length_m=pulse_length_m(scene),
+        hann_window=windowed,
+    )
 
 
 def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[float, ...] = ()) -> BeamWidths | None:
@@ -94,9 +99,9 @@ def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[floa
     # A force that is not Gaussian is modelled on its axis only.
     lateral_m, force = abs(scene.tracking.lateral_offset_m), push_force(scene)
     return BeamWidths(
-        scene.beams.excitation_width_m,
-        scene.beams.tracking_width_m,
-        tracking_gate(scene, estimator).depth_sd_m(),
+        force_width_m=scene.beams.excitation_width_m,
+        tracking_width_m=scene.beams.tracking_width_m,
+        depth_sd_m=tracking_gate(scene, estimator).depth_sd_m(),
         lateral_offset_m=lateral_m,
         offsets_of_joint_fit_m=offsets_of_joint_fit_m,
         force=None if lateral_m or force.is_gaussian else force,
@@ -108,7 +113,7 @@ def focal_motion(
 ) -> tuple[ComplexArray, ComplexArray] | None:
     """Return tracked and peak displacement (frequency,) in the scene's medium up to a factor; None if it is unknown.
 
-    On the axis, under a Gaussian force, with an unwindowed gate.
+    The motion is that on the axis under a Gaussian force, averaged over a gate without window.
     """
     medium = medium_of(scene, frequency_hz, simulated)
     if scene.beams is None or medium is None:

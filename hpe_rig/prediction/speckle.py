@@ -105,7 +105,7 @@ def draw_scattering(
 ) -> Scattering:
     """Return ``draws`` draws of scatterers in ``cells`` cells within ``depth_m`` around the focus.
 
-    The default ``displacement`` is the Gaussian of eq. (12). The echo depends on tracking beam and density only: the
+    The default ``displacement`` is the Gaussian of the paper. The echo depends on tracking beam and density only: the
     same draws serve any gate and pulse within ``depth_m``. A draw has at most ``MAX_SCATTERERS``, because predictions
     do not depend on the echo's strength.
     """
@@ -133,12 +133,14 @@ class _Block:
 
 @functools.lru_cache(maxsize=100)
 def _seeded_block(echoes: Conditions, number: int, draws: int) -> _Block:
+    """Draw the block with the index ``number``, which is also its seed."""
     return _draw_block(echoes, np.random.default_rng([0, number]), draws, *_cells(echoes))
 
 
 def _draw_block(
     conditions: Conditions, generator: np.random.Generator, draws: int, depth_m: float, cells: int
 ) -> _Block:
+    """Draw scatterers for ``draws`` echoes in a box ``depth_m`` deep, and sum them into ``cells`` over its depth."""
     count = generator.poisson(_mean_scatterers(conditions, depth_m), draws)
     # Positions are uniform in the box and phases uniform over a turn: fully random interference.
     unit_position, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
@@ -149,7 +151,9 @@ def _draw_block(
     # Cells are numbered over all draws of the block.
     cell += cells * np.repeat(np.arange(draws), count)
     components = strength * np.cos(angle), strength * np.sin(angle)
-    return _Block(position_m, components, cell, _sum_into_cells(cell, components, (draws, cells)))
+    return _Block(
+        position_m=position_m, components=components, cell=cell, echo=_sum_into_cells(cell, components, (draws, cells))
+    )
 
 
 def _scattering(

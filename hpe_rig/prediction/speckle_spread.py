@@ -61,7 +61,10 @@ def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
     ratio_estimator = REFERENCE_ESTIMATOR if spec.by_carrier else estimator
     ratio = tracked_over_peak(resting, ratio_estimator, seeded_speckle(resting, SPECKLE_DRAWS))
     gate = TrackingGate(
-        resting.tracking_width_m, resting.gate_length_m, resting.pulse_length_m, spec.gate_window == "hann"
+        tracking_width_m=resting.tracking_width_m,
+        gate_length_m=resting.gate_length_m,
+        pulse_length_m=resting.pulse_length_m,
+        hann_window=spec.gate_window == "hann",
     )
     carrier = gate.carrier_spread(1 / resting.metres_per_radian) if spec.by_carrier else 0.0
     return float(ratio.std() / ratio.mean()), carrier

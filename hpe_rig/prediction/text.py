@@ -45,7 +45,7 @@ def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[
 
 
 def averaging_text(scene: Scene) -> Iterator[str]:
-    """Yield the tracked fraction of the peak, in the known medium or ensemble and for the Gaussian of eq. (12)."""
+    """Yield the tracked fraction of the peak, in the known medium or ensemble, and for a Gaussian motion."""
     estimator = scene.processing.estimator
     averagings = [averaging for averaging in predicted_averaging(scene, estimator) if averaging is not None]
     if not averagings or scene.beams is None:
@@ -97,6 +97,7 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
 
 
 def _estimator_line(prediction: Prediction, index: int) -> str:
+    """Return the row of one estimator in the table of ``prediction_text``."""
     errors, aliasing = prediction.expected[index], "-"
     if prediction.aliasing:
         aliasing = f"{abs(prediction.aliasing[index]) * prediction.conditions.amplitude_m * 1e9:.3g} nm"
@@ -106,6 +107,7 @@ def _estimator_line(prediction: Prediction, index: int) -> str:
 
 
 def _target_line(prediction: Prediction, target_m: float, depth_m: float, estimator: str) -> str:
+    """Return whether the noise reaches ``target_m``, and the settings that each reach it; ``depth_m`` of the gate."""
     cycles, pulse_rate_hz, snr_db = remedies(prediction, target_m, estimator)
     errors = prediction.errors_of(estimator)
     is_reached = errors.noise_jitter_m <= target_m

@@ -2,7 +2,7 @@
 
     echo/              codes -> volts -> spectra in the band, over the gate
     motion/            displacement u_k of each pulse: coherent, kasai, loupas, cross_correlation, cross_spectrum
-    harmonics/         D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t), eq. (1): amplitude and phase
+    harmonics/         D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t), eq. (1) of the paper
     maps/              motion of many lines and depths, one pixel per gate
     compilation.py     optional compilation of loops by Numba
     estimators.py      estimators by name: echoes -> displacement -> harmonics

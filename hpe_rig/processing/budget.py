@@ -72,17 +72,18 @@ def estimates_of(
     """Return the estimates of one ``fit`` with their budgets.
 
     ``averaging`` (frequency,): predicted ratio of tracked to peak displacement, None if unknown. ``true_m`` (frequency,
-    2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown. ``reference``: of the stated phases, None
-    for the physical time zero of ``fit`` and ``true_m``.
+    2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown. Phases in ``fit`` and ``true_m`` count from
+    the physical time zero. Those of the estimates count from the event of ``reference``, or from the physical time zero
+    if ``reference`` is None.
     """
     count = fit.frequency_hz.size
     averagings = averaging if averaging is not None else (None,) * count
     estimates = (_estimate(fit, index, sources or ErrorSources(), averagings[index], true_m) for index in range(count))
-    return tuple(estimate if reference is None else _stated(estimate, reference) for estimate in estimates)
+    return tuple(estimate if reference is None else _with_phases_from(reference, estimate) for estimate in estimates)
 
 
-def _stated(estimate: Estimate, reference: PhaseReference) -> Estimate:
-    """Return ``estimate`` with its phases, measured and true, relative to the time zero of ``reference``."""
+def _with_phases_from(reference: PhaseReference, estimate: Estimate) -> Estimate:
+    """Return ``estimate`` with its measured and true phases relative to the time zero of ``reference``."""
     frequency_hz, true_rad = estimate.frequency_hz, estimate.true_phase_rad
     return replace(
         estimate,
@@ -94,6 +95,7 @@ def _stated(estimate: Estimate, reference: PhaseReference) -> Estimate:
 def _estimate(
     fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging | None, true_m: FloatArray | None
 ) -> Estimate:
+    """Return the estimate of frequency ``index`` of ``fit``; its phases count from the physical time zero."""
     # Only the headline, corrected to the peak, is corrected for the expected aliasing.
     best = fit if averaging is None or fit.aliasing_corrected is None else fit.aliasing_corrected
     tracked_m, best_m = float(fit.amplitude_m[index]), float(best.amplitude_m[index])
@@ -159,7 +161,12 @@ def _noise_components(
     return (
         _tracked("noise", random * (1 - jitter_share), averaging, noise_nu),
         _tracked("trigger jitter", random * jitter_share, averaging, jitter_nu),
-        Component(RECTIFIED, math.sqrt(fit.rician_bias_m2[index]) / averaging.factor, 0.0, nu),
+        Component(
+            source=RECTIFIED,
+            amplitude_m=math.sqrt(fit.rician_bias_m2[index]) / averaging.factor,
+            phase_rad=0.0,
+            degrees_of_freedom=nu,
+        ),
     )
 
 
@@ -168,7 +175,9 @@ def _tracked(
 ) -> Component:
     """Return the component of a ``variance`` (2,) of tracked amplitude and phase."""
     u_m, u_rad = np.sqrt(variance).tolist()
-    return Component(source, u_m / averaging.factor, u_rad, degrees_of_freedom)
+    return Component(
+        source=source, amplitude_m=u_m / averaging.factor, phase_rad=u_rad, degrees_of_freedom=degrees_of_freedom
+    )
 
 
 def with_second_order_speckle(averaging: Averaging) -> Averaging:

@@ -50,9 +50,12 @@ def _specimen_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArr
     displacement_m = motion_m(time_s)
     displacement_m = displacement_m - _creep_m(scene, time_s, displacement_m)
     motion = Motion(
-        time_s - shot.timeline.time_zero_s, displacement_m, np.zeros(time_s.size), np.ones(time_s.size, bool)
+        time_s=time_s - shot.timeline.time_zero_s,
+        displacement_m=displacement_m,
+        variance_m2=np.zeros(time_s.size),
+        valid=np.ones(time_s.size, bool),
     )
-    also_hz = _further_frequencies_hz(scene, length_s)
+    also_hz = _disturbing_frequencies_hz(scene, length_s)
     fit = least_squares(motion, list(scene.wanted_frequencies_hz), also_hz=also_hz)
     return np.stack([fit.amplitude_m * np.cos(fit.phase_rad), fit.amplitude_m * np.sin(fit.phase_rad)], axis=-1)
 
@@ -73,13 +76,18 @@ def _creep_m(scene: Scene, time_s: FloatArray, displacement_m: FloatArray) -> Fl
     return total_m * np.arange(time_s.size) / ((periods - 1) * samples)
 
 
-def _further_frequencies_hz(scene: Scene, length_s: float) -> FloatArray:
-    """Return the driven frequencies to fit too (frequency,): none if they are orthogonal to the wanted ones."""
+def _disturbing_frequencies_hz(scene: Scene, length_s: float) -> FloatArray:
+    """Return the driven frequencies (frequency,) that must be fitted together with the wanted ones.
+
+    ``length_s``: length of the processing window. Empty if no other driven frequency can disturb the wanted ones.
+    """
     if scene.excitation is None:
         return np.zeros(0)
-    # Harmonics of the bursts are orthogonal over whole burst periods.
+    # Harmonics of the burst rate are orthogonal over whole burst periods. A window of at least one period is sampled
+    # over whole periods (_sample_times_s).
+    whole_periods = length_s * scene.excitation.burst_rate_hz >= 1
     harmonic = np.array(scene.wanted_frequencies_hz) / scene.excitation.burst_rate_hz
-    orthogonal = length_s * scene.excitation.burst_rate_hz >= 1 and np.allclose(harmonic, np.rint(harmonic), 1e-9, 1e-9)
+    orthogonal = whole_periods and np.allclose(harmonic, np.rint(harmonic), rtol=1e-9, atol=1e-9)
     return np.zeros(0) if orthogonal else driven_frequencies_hz(scene)
 
 

@@ -27,8 +27,8 @@ def fitted_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the fitted displacement of the valid pulses, and the matrix (pulse, state) of all fitted columns.
 
-    Background and ``also_hz`` are fitted to ``motion`` minus the harmonics of ``estimates``. ``reference``: of the
-    estimates' phases. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
+    Background and ``also_hz`` are fitted to ``motion`` minus the harmonics of ``estimates``, with phases that count
+    from the event of ``reference``. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
     """
     columns = [
         [item.frequency_hz, item.amplitude_m, reference.physical_rad(item.phase_rad, item.frequency_hz)]

@@ -36,7 +36,12 @@ class HarmonicFitter:
     @classmethod
     def of(cls, selection: Selection, estimator: str, options: Options) -> HarmonicFitter:
         """Return the fit of the wanted and further driven frequencies of ``selection``."""
-        return cls(tuple(selection.wanted_hz.tolist()), estimator, tuple(selection.driven_hz.tolist()), options)
+        return cls(
+            wanted_hz=tuple(selection.wanted_hz.tolist()),
+            estimator=estimator,
+            driven_hz=tuple(selection.driven_hz.tolist()),
+            options=options,
+        )
 
     def __call__(self, motion: Motion) -> HarmonicFit:
         """Return amplitude and phase of ``motion`` at the wanted frequencies."""
@@ -60,7 +65,12 @@ def options_of(processing: Processing, prior: MediumPrior | None = None) -> Opti
     """Return the options of the fit that the scene chooses; least squares if it asks for a prior and there is none."""
     default: Harmonic = "least_squares" if prior is None else "medium_prior"
     harmonic = default if processing.harmonic in (None, "medium_prior") else processing.harmonic
-    return Options(processing.background_order, harmonic, processing.process_noise, prior)
+    return Options(
+        background_order=processing.background_order,
+        harmonic=harmonic,
+        process_noise=processing.process_noise,
+        prior=prior,
+    )
 
 
 def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> MediumPrior | None:
@@ -88,8 +98,8 @@ def available_prior(scene: Scene, shot: Shot, beams: BeamWidths | None) -> Mediu
 def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[FloatArray, LinearModel]:
     """Return the times (pulse,) of the pulses that the fit of ``shot`` uses, and the model fitted to them.
 
-    As planned, with no record missing. ``with_driven``: include the further driven frequencies, as estimators do that
-    fit them too. Raises ``ValueError`` if the pulses do not resolve the wanted frequencies.
+    The pulses are those of the plan, with no record missing. ``with_driven``: fit the further driven frequencies as
+    well. Raises ``ValueError`` if the pulses do not resolve the wanted frequencies.
     """
     selection = select(scene, shot)
     model = linear_model(

@@ -94,7 +94,14 @@ def window_motion(
     measured = shot_motion(scene, shot, echoes, motion)
     measured_coherent = measured if motion is coherent else _coherent_or_none(scene, shot, echoes)
     if reference is None:
-        return WindowMotion(echoes, measured, None, measured_coherent, measured, measured_coherent)
+        return WindowMotion(
+            echoes=echoes,
+            measured=measured,
+            reference=None,
+            measured_coherent=measured_coherent,
+            tracked=measured,
+            coherent=measured_coherent,
+        )
     return WindowMotion(
         echoes=echoes,
         measured=measured,
@@ -106,6 +113,7 @@ def window_motion(
 
 
 def _coherent_or_none(scene: Scene, shot: Shot, echoes: EchoGate) -> Motion | None:
+    """Return the displacement by the estimator "coherent"; None if the echoes carry none."""
     try:
         return shot_motion(scene, shot, echoes, coherent)
     except ValueError:

@@ -81,10 +81,13 @@ def estimate_run(
 ) -> Estimates:
     """Return the estimates of every shot that has records.
 
-    ``averaging`` (frequency,): predicted beam averaging. With ``beams`` the fit uses a prior of media, if scene and
-    estimator allow it; the averaging of a scene without declared medium then follows from the motion. A shot that
-    cannot be estimated is listed in ``failures`` and does not affect the others.
+    ``averaging`` (frequency,): predicted beam averaging. With ``beams`` the fit uses the medium prior
+    (``hpe_rig.medium.ensemble``), if scene and estimator allow it. If the scene declares no medium, that fit also
+    yields a posterior over media, and its beam averaging replaces the predicted one. A shot that cannot be
+    estimated is listed in ``failures`` and does not affect the others.
     """
+    # Every window of every shot is tested: division by their number keeps the probability of a false warning in the
+    # whole run at FALSE_ALARM_PROBABILITY (Bonferroni).
     settings = _RunSettings(
         spec=spec_of(estimator),
         averaging=averaging,

@@ -257,7 +257,7 @@ def field_transfer(
 
 
 def _gaussians(force: Force) -> GaussianSum:
-    """Return the force as a sum of Gaussians. Raises ``ValueError`` for one of unequal lateral widths."""
+    """Return ``force`` as a sum of Gaussians; raise ``ValueError`` for a Gaussian with unequal lateral widths."""
     if isinstance(force, GaussianSum):
         return force
     if not math.isclose(force[0], force[1], rel_tol=1e-12):
@@ -265,7 +265,9 @@ def _gaussians(force: Force) -> GaussianSum:
             f"the field around the focus needs a round beam, its widths are {force[0]:g} m and {force[1]:g} m. "
             'Try: simulation.specimen.field = "gaussian", or equal excitation widths.'
         )
-    return GaussianSum((force[0],), force[2], (0.0,), ((1.0,),))
+    # One Gaussian at the focus, with the weight 1.
+    width_m, _, length_m = force
+    return GaussianSum(lateral_width_m=(width_m,), axial_width_m=length_m, centre_m=(0.0,), amplitude=((1.0,),))
 
 
 def _length_scales_m(force: GaussianSum) -> tuple[float, float]:

@@ -87,18 +87,20 @@ class Band:
 
 
 def band_of(echoes: EchoGate) -> Band:
-    """Return the band of a gate, with as much of its margins as is useful.
+    """Return the band of a gate, with margins of at most ``margin_samples``.
 
     Raises ``ValueError`` for a gate too short to resolve two frequencies of the band.
     """
-    full_margin = margin_samples(echoes.sample_rate_hz, echoes.carrier_hz)
-    before, after = (min(margin, full_margin) for margin in echoes.margin)
+    # The frequencies of the gate without margins are not used: this call raises the ValueError.
     band_frequencies_hz(echoes, echoes.gate_samples)
+    max_margin = margin_samples(echoes.sample_rate_hz, echoes.carrier_hz)
+    before, after = (min(margin, max_margin) for margin in echoes.margin)
     return _band(before, echoes.gate_samples, after, echoes.sample_rate_hz, echoes.carrier_hz)
 
 
 @functools.lru_cache(maxsize=32)
 def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz: float) -> Band:
+    """Return the band of ``gate`` samples with margins of ``before`` and ``after`` samples."""
     from scipy.fft import next_fast_len
 
     samples = before + gate + after
@@ -125,7 +127,16 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
     margin_root = directions[:, significant] * np.sqrt(energy[significant])
 
     fft_phasor = np.exp(2j * np.pi * centre / sample_rate_hz * frequency_hz) / np.sqrt(bins)
-    return Band((before, after), taper, frequency_hz, analysis, fft_phasor, constant_spectrum, margin_root, noise)
+    return Band(
+        margin=(before, after),
+        taper=taper,
+        frequency_hz=frequency_hz,
+        analysis=analysis,
+        fft_phasor=fft_phasor,
+        constant_spectrum=constant_spectrum,
+        margin_root=margin_root,
+        noise=noise,
+    )
 
 
 def _tapered(samples: int, before: int, after: int) -> FloatArray:
@@ -153,7 +164,7 @@ def band_frequencies_hz(echoes: EchoGate, bins: int) -> FloatArray:
 
 
 def _grid(sample_rate_hz: float, carrier_hz: float, bins: int) -> FloatArray:
-    """Return the frequencies of a ``bins``-point FFT in the transmitted band, maybe none."""
+    """Return the frequencies (bin,) of a ``bins``-point FFT in the transmitted band, Hz; empty if there are none."""
     grid_hz = np.arange(bins // 2) * sample_rate_hz / bins
     low, high = (edge * carrier_hz for edge in BAND)
     return grid_hz[(grid_hz >= low) & (grid_hz <= high)]

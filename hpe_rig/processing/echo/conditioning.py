@@ -63,7 +63,7 @@ def code_statistics(codes: Int16Array) -> GateStatistics:
     # Sums of integers below 2^24 are exact in single precision; sums of squares are accurate to 1e-6.
     mean = (single @ np.ones(single.shape[1], np.float32)).astype(np.float64) / single.shape[1]
     mean_square = np.einsum("ij,ij->i", single, single).astype(np.float64) / single.shape[1]
-    return GateStatistics(codes.min(axis=1), codes.max(axis=1), mean, mean_square)
+    return GateStatistics(lowest=codes.min(axis=1), highest=codes.max(axis=1), mean=mean, mean_square=mean_square)
 
 
 def concatenate_statistics(blocks: Sequence[GateStatistics]) -> GateStatistics:

@@ -76,6 +76,7 @@ class EchoGate:
             raise ValueError("a pulse marked valid holds samples that are not finite: mark it invalid or read it again")
 
     def _refuse_misfits(self) -> None:
+        """Raise an error if shapes, types or margins of the arrays contradict each other, or times do not increase."""
         pulses = self.volts.shape[-2] if self.volts.ndim >= 2 else 0
         if pulses == 0 or self.pulse_time_s.shape != (pulses,) or self.valid.shape != (pulses,):
             raise ValueError(
@@ -90,6 +91,7 @@ class EchoGate:
             raise ValueError("pulse_time_s does not increase: records are out of order; sort them by pulse time")
 
     def _refuse_settings(self) -> None:
+        """Raise ``ValueError`` for an impossible carrier or sound speed."""
         if not 0 < self.carrier_hz < self.sample_rate_hz / 2 < np.inf:
             raise ValueError(
                 f"a carrier of {self.carrier_hz:g} Hz does not lie between 0 and half the sampling rate, "

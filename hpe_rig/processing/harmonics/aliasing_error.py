@@ -88,4 +88,11 @@ def _fit_noise_free(displacement_m: FloatArray, pulses: PulseTimes, fit_function
     """Return the fitted states (motion, state) of noise-free displacements (motion, pulse)."""
     displacement_m = np.where(pulses.valid, displacement_m, np.nan)
     # The variance only scales uncertainties, which are not used: any value will do.
-    return fit_function(Motion(pulses.time_s, displacement_m, np.ones_like(displacement_m), pulses.valid)).state
+    return fit_function(
+        Motion(
+            time_s=pulses.time_s,
+            displacement_m=displacement_m,
+            variance_m2=np.ones_like(displacement_m),
+            valid=pulses.valid,
+        )
+    ).state

@@ -116,7 +116,9 @@ def least_squares(
         variance, covariance = step_covariance(residual, step_noise_ratio, weights, energy)
     else:
         covariance = variance[..., None, None] * (model.root[wanted_states] @ model.root[wanted_states].T)
-    quality = FitQuality(np.sqrt(variance), degrees, pulses, model.condition)
+    quality = FitQuality(
+        residual_rms_m=np.sqrt(variance), degrees_of_freedom=degrees, pulses=pulses, condition=model.condition
+    )
     return fit_from_state(frequency_hz, state[..., wanted_states], covariance, quality)
 
 

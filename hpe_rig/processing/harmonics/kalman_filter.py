@@ -87,7 +87,13 @@ def kalman(
     covariance = variance[..., None, None] * (filtered.root @ filtered.root.T)
     wanted_states = model.wanted_states
     correlation = innovation_correlation(filtered.innovations, states) if filtered.innovations.size else None
-    quality = FitQuality(np.sqrt(variance), pulses - states, pulses, model.condition, correlation)
+    quality = FitQuality(
+        residual_rms_m=np.sqrt(variance),
+        degrees_of_freedom=pulses - states,
+        pulses=pulses,
+        condition=model.condition,
+        innovation_correlation=correlation,
+    )
     return fit_from_state(
         frequency_hz, filtered.state[..., wanted_states], covariance[..., wanted_states, wanted_states], quality
     )
@@ -124,7 +130,12 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     squares = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
     shape = data.shape[:-1]
     normalised = np.concatenate(innovation_blocks).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
-    return Filtered(state.T.reshape(*shape, states), root, squares.reshape(shape), normalised)
+    return Filtered(
+        state=state.T.reshape(*shape, states),
+        root=root,
+        squared_innovations=squares.reshape(shape),
+        innovations=normalised,
+    )
 
 
 def _updated(information: Information, block: FloatArray, measured: FloatArray, *, by_products: bool) -> Information:
@@ -163,7 +174,12 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, pri
         state = state + innovation[..., None] * gain
         root = root - np.outer(gain, projection) / (1.0 + 1.0 / np.sqrt(innovation_variance))
         innovations[..., k] = innovation / np.sqrt(innovation_variance)
-    return Filtered(state, root, np.einsum("...i,...i->...", innovations, innovations), innovations)
+    return Filtered(
+        state=state,
+        root=root,
+        squared_innovations=np.einsum("...i,...i->...", innovations, innovations),
+        innovations=innovations,
+    )
 
 
 def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> FloatArray:
@@ -224,7 +240,7 @@ def _innovations(information: Information, matrix: FloatArray, values: FloatArra
 def innovation_correlation(innovations: FloatArray, states: int) -> InnovationCorrelation:
     """Return the correlation of the innovations (..., valid pulse) at a lag of one pulse, and its tolerance.
 
-    Those of the first ``states`` pulses depend on the prior and are excluded.
+    The innovations of the first ``states`` pulses depend on the prior and are excluded.
     """
     later = innovations[..., states:]
     energy = np.einsum("...i,...i->...", later, later)

@@ -93,7 +93,7 @@ def medium_fit(
     quality = FitQuality(np.sqrt(evidence.variance_m2), degrees, len(projected.left_vectors))
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
     fit = replace(fit, medium=medium_posterior(prior, evidence, fit, member_errors))
-    return MediumFit(fit, noise_m2, aliasing_m2, evidence, shrinkage)
+    return MediumFit(fit=fit, noise_m2=noise_m2, aliasing_m2=aliasing_m2, evidence=evidence, shrinkage=shrinkage)
 
 
 def _step_noise(

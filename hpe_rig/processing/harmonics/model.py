@@ -135,6 +135,7 @@ def _model(
     background_order: int,
     largest_condition: float,
 ) -> LinearModel:
+    """Return the model that ``linear_model`` describes."""
     frequency_hz = np.array(frequencies_hz)
     _check_frequencies(time_s, frequency_hz)
     harmonic_states = 2 * frequency_hz.size
@@ -164,7 +165,9 @@ def _model(
     root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
     for array in (matrix, every_pulse, root):
         array.flags.writeable = False
-    return LinearModel(matrix, every_pulse, root, condition, slice(0, states))
+    return LinearModel(
+        matrix=matrix, every_pulse=every_pulse, root=root, condition=condition, wanted_states=slice(0, states)
+    )
 
 
 def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) -> FloatArray:
@@ -261,6 +264,7 @@ def _check_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
 
 
 def _unresolved_message(time_s: FloatArray, frequency_hz: FloatArray, condition: float, limit: float) -> str:
+    """Return the error message for frequencies that a train with pulses at ``time_s`` cannot resolve."""
     span_s = float(time_s[-1] - time_s[0])
     closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
     return (

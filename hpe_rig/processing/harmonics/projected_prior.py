@@ -75,6 +75,7 @@ def project_prior(
 
 @functools.lru_cache(maxsize=4)
 def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[int, ...], order: int) -> ProjectedPrior:
+    """Return ``prior`` projected onto ``pulses``, for wanted harmonics and a background of polynomial ``order``."""
     time_s, valid = pulses.time_s, pulses.valid
     background = np.linalg.qr(background_columns(time_s, order)[valid])[0]
     # Pulses at the same instant of the burst period have equal rows, unless the background differs between them.

@@ -9,7 +9,7 @@ The noise of the velocities is estimated from the spectrum of the residual displ
 
     S(f) = pulse variance (2 sin(pi f T_prf))² + interval variance
 
-Source: paper, Sec. II.A and III.B.2. Derivation: docs/explanation/estimation.md.
+Source: sections II.A and III.B.2 of the paper. Derivation: docs/explanation/estimation.md.
 """
 
 from __future__ import annotations
@@ -84,11 +84,14 @@ def velocity_to_harmonics(
     covariance = pulse_m2[..., None, None] * (over_pulses @ over_pulses.T)
     covariance = covariance + interval_m2_per_s2[..., None, None] * (over_intervals @ over_intervals.T)
     pulses = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
-    quality = FitQuality(np.sqrt(pulse_m2), degrees, pulses, model.condition)
+    quality = FitQuality(
+        residual_rms_m=np.sqrt(pulse_m2), degrees_of_freedom=degrees, pulses=pulses, condition=model.condition
+    )
     return fit_from_state(frequency_hz, np.concatenate(states, axis=-1), covariance, quality)
 
 
 def _even_interval_s(velocity: Velocity) -> float:
+    """Return the pulse interval, s; raise ``ValueError`` if intervals differ by more than 0.1 %."""
     interval_s = float(np.mean(velocity.interval_s))
     spread_s = float(np.ptp(velocity.interval_s))
     if spread_s > 1e-3 * interval_s:
@@ -110,7 +113,7 @@ def _one_frequency(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the state (..., 2) of one frequency and its weights (2, interval) of the velocities.
 
-    ``half_width_hz``: of the band-pass, infinite without one.
+    ``half_width_hz``: half width of the band-pass, infinite without one.
     """
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
 

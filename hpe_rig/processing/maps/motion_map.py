@@ -50,7 +50,7 @@ MIN_POWER: Final = 1e-41
 MAX_RESIDUAL_RAD: Final = 0.5
 """Root-mean-square residual phase above which a pixel is noise, or moves more than its steps can follow."""
 STRIDE: Final = 12
-"""Every so many pulses contribute to the echo frequency, which is nearly the same in all."""
+"""One pulse in so many contributes to echo frequency and power, which are nearly equal in all pulses."""
 BAND_FADE: Final = 0.2
 """Fraction of the band tapered at each end, so that the impulse response of the filter decays within few periods."""
 
@@ -92,10 +92,10 @@ def map_pixels(
     _refuse(settings, gates, is_iq)
     decimation = 1 if is_iq else _decimation(settings)
     pixels = _Pixels(
-        settings,
-        linear_model(time_s, np.ones(pulses, bool), frequency_hz, background_order=1),
-        time_s,
-        decimation,
+        settings=settings,
+        model=linear_model(time_s, np.ones(pulses, bool), frequency_hz, background_order=1),
+        time_s=time_s,
+        decimation=decimation,
         mixing_hz=settings.demodulation_hz or settings.carrier_hz if is_iq else settings.carrier_hz,
         kernels=_kernels(samples.size),
     )
@@ -190,7 +190,7 @@ class _Pixels:
         baseband = self._baseband(samples, gates * length)
         # Pulses become the last axis, contiguous in memory, since all later operations run along them.
         z = np.ascontiguousarray(baseband.transpose(0, 2, 1)).reshape(samples.shape[0], gates, length, -1)
-        phase, power = self._phases(z)
+        phase, power = self._phases(z), _mean_power(z)
         return self._fit(phase, power, np.float32(self.mixing_hz) + self._frequency_offset_hz(z, power), not_finite)
 
     def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingleArray:
@@ -220,16 +220,16 @@ class _Pixels:
             shifted[..., -below:] = transmitted[..., :below]
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
-    def _phases(self, z: ComplexSingleArray) -> tuple[SingleArray, SingleArray]:
-        """Return the unwrapped phase of every pulse (line, gate, pulse) and the power (line, gate).
+    def _phases(self, z: ComplexSingleArray) -> SingleArray:
+        """Return the unwrapped phase of every pulse against the first, rad (line, gate, pulse).
 
-        ``z`` (line, gate, sample, pulse).
+        ``z`` (line, gate, sample, pulse): complex baseband of the echoes. Consecutive echoes give a first phase, which
+        aligns all echoes. The phase of each against the sum of the others is added to it.
         """
-        subset = np.ascontiguousarray(z[..., ::STRIDE])
-        real_and_imag = subset.view(np.float32)
-        power = np.einsum("lgsp,lgsp->lg", real_and_imag, real_and_imag) / np.float32(subset.shape[2] * subset.shape[3])
         if z.shape[2] == 1:
-            return self.kernels.unwrapped(z[:, :, 0]), power
+            phase: SingleArray = self.kernels.unwrapped(z[:, :, 0])
+            return phase
+        # Phase of each step, from the products of consecutive echoes summed over the gate.
         product = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
         for sample in range(z.shape[2]):
             product += z[:, :, sample, :-1].conj() * z[:, :, sample, 1:]
@@ -238,18 +238,19 @@ class _Pixels:
         phasor = np.empty(accumulated.shape, np.complex64)
         np.cos(accumulated, out=phasor.real)
         np.sin(accumulated, out=phasor.imag)
-        # Sum of all aligned echoes, and its product with each aligned echo.
+        # Sum over pulses of the aligned echoes, (line, gate, sample).
         total = (z @ phasor.conj()[..., None])[..., 0]
+        # Inner product over the gate of that sum with each aligned echo, (line, gate, pulse).
         with_others = (total.conj()[:, :, None] @ z)[:, :, 0] * phasor.conj()
-        # A pulse's own noise in the sum would bias its phase to zero: its energy is subtracted.
+        # The sum contains the pulse itself, whose noise would bias the phase to zero: its energy is subtracted.
         with_others -= (z.real**2 + z.imag**2).sum(axis=2)
-        return np.asarray(accumulated + np.angle(with_others), np.float32), power
+        return np.asarray(accumulated + np.angle(with_others), np.float32)
 
     def _frequency_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> SingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
         Im sum conj(z) dz/dt / (2 pi sum |z|²) over the gate and every ``STRIDE``-th pulse, with the derivative taken
-        along the whole line. ``power`` as from `_phases`.
+        along the whole line. ``power`` as from `_mean_power`.
         """
         from scipy.fft import fft, ifft
 
@@ -300,7 +301,8 @@ class _Pixels:
     ) -> list[SingleArray]:
         """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each followed by its standard uncertainty.
 
-        From ``state`` (pixel, state), rad. ``relative`` (pixel,): relative variance of ``metres_per_radian``.
+        ``state`` (pixel, state): fitted states of the phase, rad. ``relative`` (pixel,): relative variance of
+        ``metres_per_radian``.
         """
         covariance = (self.model.root @ self.model.root.T).astype(np.float32)
         # The states are in-phase and quadrature of each frequency, constant and slope.
@@ -317,6 +319,14 @@ class _Pixels:
         slope_variance = covariance[slope, slope] * per_second**2
         velocity_u = np.sqrt(noise_m2 * slope_variance + relative * velocity**2)
         return [*results, velocity, velocity_u]
+
+
+def _mean_power(z: ComplexSingleArray) -> SingleArray:
+    """Return the mean power (line, gate) of every ``STRIDE``-th pulse of the baseband (line, gate, sample, pulse)."""
+    subset = np.ascontiguousarray(z[..., ::STRIDE])
+    real_and_imag = subset.view(np.float32)
+    energy = np.einsum("lgsp,lgsp->lg", real_and_imag, real_and_imag)
+    return np.asarray(energy / np.float32(subset.shape[2] * subset.shape[3]))
 
 
 def _serial_matmul(rows: SingleArray, matrix: SingleArray) -> SingleArray:

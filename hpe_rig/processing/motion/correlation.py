@@ -30,41 +30,46 @@ SPLINE_MARGIN = 3
 def cross_correlation(echoes: EchoGate) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
-    If the taper reaches into the gate, the correlation is weighted by inverse frequency. Its peak is then where the
-    phase of the whole band is zero, as for ``coherent``, which a taper biases least. Raises ``ValueError`` as
-    ``coherent``.
+    If the taper reaches into the gate, the cross-spectrum is weighted by inverse frequency. The peak is then at the
+    delay where the cross-spectrum, summed over the band, has zero phase. ``coherent`` measures this phase too, which a
+    taper biases least. Raises ``ValueError`` in the same cases as ``coherent``.
     """
     spectrum, band = band_spectrum(echoes, 2)
-    steps = pulse_steps(spectrum, band)
-    guess_s = steps.delay_s - steps.delay_s.mean(axis=-1, keepdims=True)
-    comparison = compare_with_others(spectrum, band, steps, guess_s)
+    # A first guess of the delays (..., pulse), from the phases of consecutive echoes.
+    consecutive = pulse_steps(spectrum, band)
+    guess_s = consecutive.delay_s - consecutive.delay_s.mean(axis=-1, keepdims=True)
+    comparison = compare_with_others(spectrum, band, consecutive, guess_s)
 
-    # Cross-spectrum with the other echoes aligned at their first guess; each pulse is shifted by whole fine samples.
+    # The others are aligned at their first guess. Each pulse is advanced by its guess in whole upsampled samples.
     rate_hz = echoes.sample_rate_hz * UPSAMPLING
     guess_lag = np.round(guess_s * rate_hz)
     reference = comparison.gated_sum[..., None, :] - band.gated(advanced(spectrum, guess_s, band.frequency_hz))
     cross = np.conj(reference) * advanced(spectrum, guess_lag / rate_hz, band.frequency_hz)
     if band.tapers_gate:
         # A peak weights phases by frequency, and a taper over a moving echo changes phases in proportion to frequency.
-        cross *= steps.mean_hz[..., None, None] / band.frequency_hz
+        cross *= consecutive.mean_hz[..., None, None] / band.frequency_hz
 
-    half_period = math.ceil(rate_hz / np.nanmin(steps.mean_hz) / 2)
-    lag = _peak_lag(_correlation(cross, band.frequency_hz / rate_hz, half_period + SPLINE_MARGIN), half_period)
+    half_period = math.ceil(rate_hz / np.nanmin(consecutive.mean_hz) / 2)
+    correlation = _correlation(cross, band.frequency_hz / rate_hz, half_period + SPLINE_MARGIN)
+    # The delay that remains after the guess, in upsampled samples.
+    residual_lag = _peak_lag(correlation, half_period)
     metres_per_second = echoes.sound_speed_m_per_s / 2
-    variance_m2 = comparison.variance / (2 * np.pi * steps.mean_hz[..., None]) ** 2 * metres_per_second**2
+    # ``comparison.variance`` is that of a phase, rad^2.
+    variance_m2 = comparison.variance / (2 * np.pi * consecutive.mean_hz[..., None]) ** 2 * metres_per_second**2
     return Motion(
-        echoes.pulse_time_s,
-        expand_to_pulses((guess_lag + lag) / rate_hz * metres_per_second, echoes.valid),
-        expand_to_pulses(variance_m2, echoes.valid),
-        echoes.valid,
-        np.abs(np.diff(steps.phase, axis=-1)).max(axis=-1) / np.pi,
+        time_s=echoes.pulse_time_s,
+        displacement_m=expand_to_pulses((guess_lag + residual_lag) / rate_hz * metres_per_second, echoes.valid),
+        variance_m2=expand_to_pulses(variance_m2, echoes.valid),
+        valid=echoes.valid,
+        # A quarter wavelength of displacement is a phase of pi.
+        largest_step=np.abs(np.diff(consecutive.phase, axis=-1)).max(axis=-1) / np.pi,
     )
 
 
 def _correlation(cross: ComplexArray, cycles: FloatArray, reach: int) -> FloatArray:
     """Return the correlation (..., pulse, lag) at lags of -``reach`` to ``reach`` samples from its cross-spectrum.
 
-    ``cycles`` (bin,): per sample.
+    ``cycles`` (bin,): frequency in cycles per sample of the correlation.
     """
     phase = 2 * np.pi * np.outer(cycles, np.arange(-reach, reach + 1))
     return np.asarray(cross.real @ np.cos(phase) - cross.imag @ np.sin(phase))

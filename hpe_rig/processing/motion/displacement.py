@@ -47,10 +47,10 @@ def velocity_between_pulses(motion: Motion) -> Velocity:
     """Return the mean velocity in every interval between two valid pulses."""
     interval_s = np.diff(motion.time_s)
     return Velocity(
-        motion.time_s[:-1] + interval_s / 2,
-        interval_s,
-        np.diff(motion.displacement_m, axis=-1) / interval_s,
-        motion.valid[:-1] & motion.valid[1:],
+        time_s=motion.time_s[:-1] + interval_s / 2,
+        interval_s=interval_s,
+        velocity_m_per_s=np.diff(motion.displacement_m, axis=-1) / interval_s,
+        valid=motion.valid[:-1] & motion.valid[1:],
     )
 
 
@@ -64,10 +64,10 @@ def relative_to(motion: Motion, reference: Motion) -> Motion:
         raise ValueError("motion and reference have different times: estimate both from the same records")
     ratios = [ratio for ratio in (motion.step_noise_ratio, reference.step_noise_ratio) if ratio is not None]
     return Motion(
-        motion.time_s,
-        motion.displacement_m - reference.displacement_m,
-        motion.variance_m2 + reference.variance_m2,
-        motion.valid & reference.valid,
-        motion.largest_step,
-        np.asarray(sum(ratios) / 2) if ratios else None,
+        time_s=motion.time_s,
+        displacement_m=motion.displacement_m - reference.displacement_m,
+        variance_m2=motion.variance_m2 + reference.variance_m2,
+        valid=motion.valid & reference.valid,
+        largest_step=motion.largest_step,
+        step_noise_ratio=np.asarray(sum(ratios) / 2) if ratios else None,
     )

@@ -53,7 +53,10 @@ def track_gate(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
     delay_s = np.interp(time_s, time_s[records.valid], gate_m / records.sound_speed_m_per_s)
     echoes = replace(records, volts=tracked, pulse_time_s=time_s + delay_s, margin=margin)
     gate_motion = Motion(
-        echoes.pulse_time_s, expand_to_pulses(gate_m, records.valid), np.zeros(records.valid.size), records.valid
+        time_s=echoes.pulse_time_s,
+        displacement_m=expand_to_pulses(gate_m, records.valid),
+        variance_m2=np.zeros(records.valid.size),
+        valid=records.valid,
     )
     return echoes, gate_motion
 

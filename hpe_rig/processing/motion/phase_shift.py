@@ -127,12 +127,12 @@ def _motion_of_phase(
     # A phase of pi is a quarter wavelength of displacement.
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
     return Motion(
-        echoes.pulse_time_s,
-        expand_to_pulses(phase * metres_per_radian, echoes.valid),
-        expand_to_pulses(variance * metres_per_radian**2, echoes.valid),
-        echoes.valid,
-        np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
-        step_noise_ratio,
+        time_s=echoes.pulse_time_s,
+        displacement_m=expand_to_pulses(phase * metres_per_radian, echoes.valid),
+        variance_m2=expand_to_pulses(variance * metres_per_radian**2, echoes.valid),
+        valid=echoes.valid,
+        largest_step=np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
+        step_noise_ratio=step_noise_ratio,
     )
 
 
@@ -148,12 +148,12 @@ def motion_of_steps(
     displacement_m = np.concatenate([start, np.cumsum(step * metres_per_radian, axis=-1)], axis=-1)
     square_metres = np.concatenate([metres_per_radian[..., :1], metres_per_radian], axis=-1) ** 2
     return Motion(
-        echoes.pulse_time_s,
-        expand_to_pulses(displacement_m, echoes.valid),
-        expand_to_pulses(variance * square_metres, echoes.valid),
-        echoes.valid,
-        np.abs(step).max(axis=-1) / np.pi,
-        step_noise_ratio,
+        time_s=echoes.pulse_time_s,
+        displacement_m=expand_to_pulses(displacement_m, echoes.valid),
+        variance_m2=expand_to_pulses(variance * square_metres, echoes.valid),
+        valid=echoes.valid,
+        largest_step=np.abs(step).max(axis=-1) / np.pi,
+        step_noise_ratio=step_noise_ratio,
     )
 
 
@@ -212,7 +212,14 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     mean_hz = mean_frequency(common_moment, np.abs(cross).sum(axis=-1), band)
     phase = np.zeros((*trains, pulses))
     np.cumsum(np.angle(cross), axis=-1, out=phase[..., 1:])
-    return PulseSteps(cross, phase, mean_hz, energy, moment, energy_with_margins)
+    return PulseSteps(
+        product=cross,
+        phase=phase,
+        mean_hz=mean_hz,
+        energy=energy,
+        moment=moment,
+        energy_with_margins=energy_with_margins,
+    )
 
 
 def are_correlated(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
@@ -340,19 +347,24 @@ def compare_with_others(
     # alignment, differs from that of aligned echoes in second order only.
     moment = real_inner_product(gated_sum, total * band.frequency_hz) - steps.moment
     mean_hz = mean_frequency(moment, total_energy - energy_sum, band)
-    return Comparison(gated_sum, product, variance, mean_hz)
+    return Comparison(gated_sum=gated_sum, product=product, variance=variance, mean_hz=mean_hz)
 
 
 def _depth_correlation(spectrum: ComplexArray, band: Band, phase_per_sample: FloatArray) -> ComplexArray:
-    """Return the correlation (..., pulse) of each echo with itself one sample deeper.
+    """Return the lag-one autocorrelation over depth, in the gate, of each echo: (..., pulse).
 
-    ``phase_per_sample`` (bin,), rad.
+    It is the mean of two sums over the samples t of the gate: conj(z_t) z_t+1 and conj(z_t-1) z_t. Both ends of the
+    gate then have the same weight. ``spectrum`` (..., pulse, bin); ``phase_per_sample`` (bin,): phase of each bin's
+    frequency over one sample, rad.
     """
     phasor = np.exp(1j * phase_per_sample)
-    # Half with the next sample and half with the one before, so that both ends of the gate have the same weight.
     spectrum = spectrum.astype(np.complex128, copy=False)
-    margin, next_sample, last_sample = (band.in_margins(spectrum * factor) for factor in (1.0, phasor, np.conj(phasor)))
-    margins = np.conj(margin) * next_sample + np.conj(last_sample) * margin
+    # Parts in the margins of the echo, and of the echo advanced and delayed by one sample.
+    margin, advanced_margin, delayed_margin = (
+        band.in_margins(spectrum * shift) for shift in (1.0, phasor, np.conj(phasor))
+    )
+    margins = np.conj(margin) * advanced_margin + np.conj(delayed_margin) * margin
+    # The power spectrum gives the correlation over margins and gate; the part of the margins is subtracted.
     return np.asarray((spectrum.real**2 + spectrum.imag**2) @ phasor - margins.sum(axis=-1) / 2)
 
 

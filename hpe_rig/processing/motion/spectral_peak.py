@@ -54,14 +54,19 @@ class PeakSteps:
     def empty(cls, shape: tuple[int, ...]) -> PeakSteps:
         """Return arrays without values for echoes of ``shape`` (..., pulse)."""
         steps = (*shape[:-1], shape[-1] - 1)
-        return cls(np.empty(steps), np.empty(steps, np.intp), np.empty(steps, np.complex128), np.empty(shape))
+        return cls(
+            step=np.empty(steps),
+            peak=np.empty(steps, np.intp),
+            product=np.empty(steps, np.complex128),
+            energy=np.empty(shape),
+        )
 
 
 def cross_spectrum(echoes: EchoGate) -> Motion:
     """Return the displacement as a sum of steps, each from the phase at the peak of the consecutive cross-spectrum.
 
     The peak is searched inside the transmitted band. Raises ``ValueError`` for fewer than two valid pulses or no echo.
-    Source: paper eqs. (5) and (6), with the peak's frequency for w.
+    Source: eqs. (5) and (6) of the paper, with the peak's frequency for w.
     """
     require_pulses(echoes, 2)
     samples = echoes.gate_samples
@@ -107,7 +112,10 @@ def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins:
     product = steps.product.reshape(*shape[:-1], -1)
     product[~has_echo(band_energy.reshape(shape[:-1]) / window.size, echoes)] = np.nan
     return PeakSteps(
-        steps.step.reshape(product.shape), steps.peak.reshape(product.shape), product, steps.energy.reshape(shape)
+        step=steps.step.reshape(product.shape),
+        peak=steps.peak.reshape(product.shape),
+        product=product,
+        energy=steps.energy.reshape(shape),
     )
 
 
@@ -141,7 +149,7 @@ def peak_steps(spectra: FloatArray, use_compiled: bool = True) -> PeakSteps:
     product = np.einsum("...i,...i->...", spectra[..., :-1, :], spectra[..., 1:, :]).astype(np.complex128)
     product.imag = np.einsum("...i,...i->...", real[..., :-1, :], imag[..., 1:, :])
     product.imag -= np.einsum("...i,...i->...", imag[..., :-1, :], real[..., 1:, :])
-    return PeakSteps(np.angle(np.conj(before) * after), peak, product, power.sum(axis=-1))
+    return PeakSteps(step=np.angle(np.conj(before) * after), peak=peak, product=product, energy=power.sum(axis=-1))
 
 
 def noisy_peak_steps(
