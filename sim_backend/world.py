@@ -243,6 +243,7 @@ class World:
         return self._recording
 
     def _acoustics(self) -> Physics:
+        """Return the physics of the echoes, created at its first use."""
         if self._physics is None:
             from sim_backend.acoustics import Acoustics
             from sim_backend.receiver import with_reception
@@ -251,6 +252,7 @@ class World:
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:
+        """Return the signals of the bench at least up to ``until_ps``; cached until an instrument changes."""
         # The last evaluation is valid until an instrument changes.
         version = self.board.changes, *(generator.changes for generator in self._generators.values())
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
@@ -263,6 +265,7 @@ class World:
         return evaluation
 
     def _propagate(self, until_ps: int) -> Evaluation:
+        """Return all signals up to ``until_ps``: emissions, bursts at the transducer and the last capture."""
         triggers: list[AcceptedTriggers] = []
 
         def digitizer(arriving: Steps) -> Emission:
@@ -283,6 +286,7 @@ class World:
     def _snapshot(
         self, emissions: Mapping[str, Emission], triggers: AcceptedTriggers, tonebursts: Bursts, pulses: Bursts
     ) -> CaptureSnapshot:
+        """Return the last capture of the board: its arming, triggers, bursts and time zero."""
         arming = self.board.armings[-1]
         edges_ps = crossings(emissions["master"].steps, TRIGGER_LEVEL_V, True, TRIGGER_INPUT_OHM)
         first_ps = triggers.tick_ps[0] if triggers.tick_ps.size else arming.start_ps

@@ -105,6 +105,7 @@ def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
 
 
 def _heap_sums(image: memoryview) -> list[tuple[int, int, int]]:
+    """Return offset, length and checksum of each part of the heap in ``image``, the bytes of an HDF5 file."""
     # Signature and version of a global heap collection; no other content of a new file has these bytes.
     offsets = [match.start() for match in re.finditer(rb"GCOL\x01\0\0\0", image)]
     lengths = [int.from_bytes(image[offset + 8 : offset + 16], "little") for offset in offsets]

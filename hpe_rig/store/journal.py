@@ -202,6 +202,7 @@ class Journal:
         done.result()
 
     def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
+        """Write a batch in an order that leaves the file readable after each write, and set its length to ``end``."""
         try:
             self._refuse_another_file()
             # Writes beyond the old end come first: nothing in the file refers to them yet.
@@ -312,6 +313,7 @@ def _lost_file_error(path: Path, what: str) -> StoreError:
 
 
 def _run_tasks(tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None]) -> None:
+    """Run the tasks of a queue one after another until it yields None; each future receives the error of its task."""
     while (item := tasks.get()) is not None:
         task, done = item
         try:

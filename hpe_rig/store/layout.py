@@ -128,6 +128,7 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
 
 
 def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
+    """Write the attributes and texts of the run, and create the datasets ``snapshot`` and ``untrusted``."""
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -171,6 +172,7 @@ def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any],
 
 
 def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence[float]) -> None:
+    """Create the true harmonics (shot, frequency), NaN until the simulation provides them."""
     group = file.create_group("true_harmonics")
     for name in TRUE_HARMONICS:
         group[name] = np.full((shots, len(frequencies_hz)), math.nan)
@@ -182,6 +184,7 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
 def _create_codes(
     group: h5py.Group, name: str, input_range_v: float, code_limits: tuple[int, int], plan: Plan, compress: bool
 ) -> None:
+    """Create the digitizer codes ``name`` (shot, pulse, sample) of one input, with their conversion to volts."""
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
@@ -205,6 +208,7 @@ def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
 
 
 def _filter() -> Mapping[str, Any]:
+    """Return the arguments of ``create_dataset`` for compression by bitshuffle; raise ``StoreError`` without it."""
     with extra("compression"):
         import hdf5plugin
     filters: Mapping[str, Any] = hdf5plugin.Bitshuffle(cname="lz4")
@@ -217,6 +221,7 @@ def _filter() -> Mapping[str, Any]:
 
 
 def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], compress: bool) -> None:
+    """Create the group ``records``: echoes, monitor records, and values by pulse and by shot, each with its axes."""
     shots, capture = plan.shots, plan.shots[0].capture
     group = file.create_group("records")
     _create_codes(group, "echo", capture.input_range_v, code_limits, plan, compress)

@@ -25,7 +25,7 @@ MAX_JSON_BYTES = 64_000_000
 
 @dataclass(frozen=True, slots=True)
 class Lead:
-    """Strongest harmonic of a result: of the means over repeats if there are any, otherwise of all shots."""
+    """One harmonic of a result; the listing shows the strongest one."""
 
     estimator: str
     frequency_hz: float
@@ -112,12 +112,13 @@ def matching_runs(
 
 
 def _entry(stored: StoredRun) -> RunEntry:
-    tables = _tables(stored)
-    notes = tables.get("notes")
+    """Return the entry of a run, with the strongest harmonic of its latest result."""
+    scene = _scene_tables(stored)
+    notes = scene.get("notes")
     return RunEntry(
         path=stored.path,
         date=_date(stored),
-        title=str(tables.get("title", stored.scene_name)),
+        title=str(scene.get("title", stored.scene_name)),
         status=stored.status,
         shots_complete=int(stored.shot_complete.sum()),
         shots=stored.shot_complete.size,
@@ -134,16 +135,18 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _tables(stored: StoredRun) -> Mapping[str, Any]:
+def _scene_tables(stored: StoredRun) -> Mapping[str, Any]:
     return _parsed(stored.scene_toml, stored.scene_name)
 
 
 def _source(stored: StoredRun) -> str:
+    """Return the name of the imported recording, "" for a measured or simulated run."""
     recording = _parsed(stored.bench_toml, stored.bench_name).get("recording")
     return str(recording.get("source", "")) if isinstance(recording, dict) else ""
 
 
 def _parsed(text: str, name: str) -> Mapping[str, Any]:
+    """Return the tables of a scene or bench in TOML, none if it cannot be parsed."""
     try:
         return parse_toml(text, name)
     except SettingsError:
@@ -151,6 +154,7 @@ def _parsed(text: str, name: str) -> Mapping[str, Any]:
 
 
 def _date(stored: StoredRun) -> datetime:
+    """Return the start of the run, or the file's time of modification if the run does not state it."""
     try:
         return datetime.fromisoformat(stored.provenance.started).astimezone()
     except ValueError:
@@ -182,7 +186,7 @@ def _lead(run: Path) -> Lead | None:
             if ATTRIBUTE in text.attrs and not CheckedFile(file).matches_checksum("json", text):
                 raise InvalidContentError("it fails its checksum")
             result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= MAX_JSON_BYTES else {}
-        return max(_leads(result), key=lambda lead: lead.amplitude_m, default=None)
+        return max(_harmonics(result), key=lambda harmonic: harmonic.amplitude_m, default=None)
     except InvalidContentError as error:
         why = str(error)
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, ArithmeticError) as error:
@@ -190,12 +194,23 @@ def _lead(run: Path) -> Lead | None:
     raise StoreError(f"{latest} is no readable result file ({why}). Try: hpe-rig process {run}.")
 
 
-def _leads(result: Mapping[str, Any]) -> Iterator[Lead]:
-    estimator, means = str(result["estimator"]), result.get("means", ())
-    names = ("amplitude_m", "amplitude_uncertainty_m", "phase_rad", "phase_uncertainty_rad")
-    corrected = ("corrected_amplitude_m", "corrected_uncertainty_m", "corrected_phase_rad")
-    corrected_names = (*corrected, "corrected_phase_uncertainty_rad")
-    for row in means or [estimate for shot in result["shots"] for estimate in shot["estimates"]]:
-        row_names = corrected_names if row.get(corrected_names[0]) is not None else names
-        values = [math.nan if row[name] is None else float(row[name]) for name in row_names]
-        yield Lead(estimator, float(row["frequency_hz"]), *values)
+def _harmonics(result: Mapping[str, Any]) -> Iterator[Lead]:
+    """Yield every harmonic of a result, given as its parsed JSON: of the means over repeats, or else of all shots.
+
+    Values corrected for beam averaging are preferred to the tracked ones. A value that is null in the JSON is NaN.
+    """
+    estimator = str(result["estimator"])
+    corrected_keys = {
+        "amplitude_m": "corrected_amplitude_m",
+        "amplitude_uncertainty_m": "corrected_uncertainty_m",
+        "phase_rad": "corrected_phase_rad",
+        "phase_uncertainty_rad": "corrected_phase_uncertainty_rad",
+    }
+    means = result.get("means", ())
+    for estimate in means or [estimate for shot in result["shots"] for estimate in shot["estimates"]]:
+        has_correction = estimate.get("corrected_amplitude_m") is not None
+        values = dict[str, float]()
+        for tracked_key, corrected_key in corrected_keys.items():
+            value = estimate[corrected_key if has_correction else tracked_key]
+            values[tracked_key] = math.nan if value is None else float(value)
+        yield Lead(estimator=estimator, frequency_hz=float(estimate["frequency_hz"]), **values)

@@ -61,6 +61,7 @@ if sys.platform == "win32":
     LOCK_VIOLATION = 33
 
     def _lock(number: int, exclusive: bool) -> None:
+        """Lock the file of descriptor ``number``; raise ``BlockingIOError`` if another program has it locked."""
         kernel = ctypes.WinDLL("kernel32", use_last_error=True)
         where = _Overlapped(offset=LOCK_OFFSET & 0xFFFFFFFF, offset_high=LOCK_OFFSET >> 32)
         kind = FAIL_IMMEDIATELY | (EXCLUSIVE if exclusive else 0)
@@ -75,6 +76,7 @@ else:
     import fcntl
 
     def _lock(number: int, exclusive: bool) -> None:
+        """Lock the file of descriptor ``number``; raise ``BlockingIOError`` if another program has it locked."""
         kind = fcntl.F_WRLCK if exclusive else fcntl.F_RDLCK
         if sys.platform == "linux" and hasattr(fcntl, "F_OFD_SETLK"):
             # A lock of the open file: the process would lose its own lock when it closes any other handle of the file.

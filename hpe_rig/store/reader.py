@@ -355,7 +355,7 @@ class StoredRun:
             arrival = _arrival(checked, shape, shot)
             tables = {
                 name: _row(checked, name, dataset, shot)[0]
-                for name, dataset in _tables(checked, shape)
+                for name, dataset in _datasets_by_shot(checked, shape)
                 if not name.endswith("shot_complete")
             }
         return ShotRows(arrival.recorded, arrival.trigger_time_s, tables)
@@ -405,6 +405,7 @@ def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...
 
 
 def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
+    """Return a shot's settings by role from their JSON; raise ``InvalidContentError`` for any other content."""
     try:
         roles = json.loads(text)
     except (ValueError, RecursionError):
@@ -417,6 +418,7 @@ def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
 
 
 def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
+    """Return the run in the file, with a message for each damaged part that is left out."""
     simulated = checked.attribute("simulated", bool)
     shape = _checked_shape(checked, simulated)
     status = checked.attribute("status", str)
@@ -481,6 +483,7 @@ def _flags(checked: CheckedFile, shape: Shape, name: str, consequence: str) -> t
 
 
 def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
+    """Return the generator's setting as read back, (shot,), NaN if unknown."""
     if not checked.has("records/force_set"):
         # Early releases did not read the generator's setting back.
         return np.full(shots, np.nan)
@@ -488,6 +491,7 @@ def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
 
 
 def _untrusted_shots(checked: CheckedFile, shape: Shape) -> dict[int, str]:
+    """Return, by shot, why its settings cannot be relied on; shots without such a reason are absent."""
     if not checked.has("untrusted"):
         # Early releases did not read settings back after a shot.
         return {}
@@ -524,24 +528,30 @@ def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
 
 
 def _damaged_truth(checked: CheckedFile, shape: Shape) -> Iterator[str]:
-    for name, dataset in _tables(checked, shape):
+    """Yield a message for each shot and dataset of the ground truth that fails its checksum."""
+    for name, dataset in _datasets_by_shot(checked, shape):
         if name.startswith("tru"):
             for shot in np.flatnonzero(~_all_rows(checked, name, dataset)[1]):
                 yield f"shot {shot + 1}: /{name} fails its checksum: its truth is left out"
 
 
 def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
-    """Return a message for each dataset of ``shot`` that fails its checksum, except its records."""
+    """Return a message for each dataset in ``BY_SHOT`` that fails its checksum in the row of ``shot``."""
     with open_checked(stored.path) as checked:
-        tables = _tables(checked, stored.records.shape)
-        names = [name for name, dataset in tables if not _row(checked, name, dataset, shot)[1]]
+        datasets = _datasets_by_shot(checked, stored.records.shape)
+        names = [name for name, dataset in datasets if not _row(checked, name, dataset, shot)[1]]
     return tuple(f"/{name} fails its checksum" for name in names)
 
 
-def _tables(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield name and dataset of everything with one row per shot, except the records."""
-    kinds: dict[str, tuple[str, tuple[int | None, ...]]] = {
+def _datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Yield name and dataset of those of ``BY_SHOT`` in the file: datasets with one checksum for each shot.
+
+    Echoes and their trigger times are not among them, because their checksums are by chunk.
+    """
+    # Type and shape of each dataset; the others hold one float64 for each shot and frequency.
+    layouts: dict[str, tuple[str, tuple[int | None, ...]]] = {
         "snapshot": (f"S{SNAPSHOT_BYTES}", shape[:1]),
+        # Why the settings of a shot cannot be relied on; empty if they can.
         "untrusted": (f"S{UNTRUSTED_BYTES}", shape[:1]),
         "records/shot_complete": ("u1", shape[:1]),
         "records/clipped": ("u1", shape[:1]),
@@ -550,9 +560,9 @@ def _tables(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, h5py.Data
         "truth/displacement_m": ("<f8", shape[:2]),
     }
     for name in BY_SHOT:
-        dtype, expected = kinds.get(name, ("<f8", (shape[0], None)))
+        dtype, dataset_shape = layouts.get(name, ("<f8", (shape[0], None)))
         if checked.has(name):
-            yield name, checked.dataset(name, dtype, expected)
+            yield name, checked.dataset(name, dtype, dataset_shape)
 
 
 def _row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None) -> tuple[Any, bool]:
@@ -589,6 +599,7 @@ class _Arrival:
 
 
 def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
+    """Return which records of ``shot`` are in the file; those with a missing or wrong checksum do not count."""
     marks = _rows(checked, "records/recorded", shape, "u1")[shot]
     time_s = _rows(checked, "records/trigger_time_s", shape)[shot]
     recorded, damaged = marks == 1, np.zeros(shape[1], bool)
@@ -605,6 +616,7 @@ def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
 
 
 def _sums(checked: CheckedFile, name: str, shape: Shape, rows: int) -> h5py.Dataset:
+    """Return the checksums of dataset ``name``, (shot, chunk), for chunks of ``rows`` records."""
     return checked.dataset(f"{GROUP}/{name}", "<u8", (shape[0], -(-shape[1] // rows)))
 
 
@@ -684,6 +696,7 @@ def _refuse_excessive_size(echo: h5py.Dataset, recorded: BoolArray, shape: Shape
 
 
 def _echo(checked: CheckedFile, shape: Shape, name: str = "echo") -> h5py.Dataset:
+    """Return the records ``name``; raise ``InvalidContentError`` unless a chunk holds whole records of one shot."""
     echo = checked.dataset(f"records/{name}", "<i2", shape)
     if echo.chunks is None:
         raise InvalidContentError(f"/records/{name} is in one piece")
@@ -703,10 +716,12 @@ def _code_limits(checked: CheckedFile, name: str) -> tuple[int, int]:
 
 
 def _rows(checked: CheckedFile, name: str, shape: Shape, dtype: str = "<f8") -> h5py.Dataset:
+    """Return the dataset ``name`` (shot, pulse)."""
     return checked.dataset(name, dtype, shape[:2])
 
 
 def _within(shot: int, shots: int) -> int:
+    """Return the index of ``shot``, which may count from the end; raise ``IndexError`` if there is none."""
     if not -shots <= shot < shots:
         raise IndexError(f"shot {shot} of {shots}")
     return shot % shots

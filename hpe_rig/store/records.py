@@ -116,6 +116,7 @@ def pulse_indices(block: RecordBlock, previous: LastRecord | None, shot: Shot) -
 def _indices_by_time(
     record: Int64Array, trigger_time_s: FloatArray, previous: LastRecord | None, shot: Shot
 ) -> tuple[Int64Array, LastRecord | None]:
+    """Return the pulse of each record by its trigger time, -1 for a stray trigger, and the last record with a pulse."""
     anchor = previous or LastRecord(0, float(trigger_time_s[0]), int(record[0]))
     pulses = anchor.pulse + (trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
     index = np.round(pulses).astype(np.int64)

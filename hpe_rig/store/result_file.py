@@ -59,6 +59,7 @@ def _replace(path: Path, image: memoryview, cancelled: threading.Event) -> None:
 
 
 def _write(file: h5py.File, result: Result) -> None:
+    """Write the result as JSON, and its estimates, motion and profile as datasets with axes."""
     file.attrs["format"] = RESULT_FORMAT
     for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
         file.attrs[name] = getattr(result, name)

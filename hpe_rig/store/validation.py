@@ -53,9 +53,9 @@ class CheckedFile:
         return GROUP in self.file
 
     def text(self, name: str) -> str:
-        """Return the text in the scalar dataset ``name``."""
+        """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is none or is damaged."""
         dataset = self._dataset(name)
-        _refuse_outside(dataset, name)
+        _refuse_external_storage(dataset, name)
         _refuse_no_text(dataset, f"/{name}")
         self.refuse_damaged(name, dataset)
         return _text(dataset[()], f"/{name}")
@@ -75,7 +75,7 @@ class CheckedFile:
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
         """Return dataset ``name`` if it has this type and shape; None in ``shape`` allows any length."""
         dataset = self._dataset(name)
-        _refuse_outside(dataset, name)
+        _refuse_external_storage(dataset, name)
         if dataset.dtype != np.dtype(dtype):
             raise InvalidContentError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
         same_rank = len(dataset.shape or ()) == len(shape)
@@ -108,6 +108,7 @@ class CheckedFile:
         return name in self.file
 
     def _dataset(self, name: str) -> h5py.Dataset:
+        """Return dataset ``name``; raise ``InvalidContentError`` if it is absent, a link or a group."""
         path = ""
         # Each group on the path is checked: any of them can be a link to another file.
         for component in name.split("/"):
@@ -193,6 +194,7 @@ def _declared_size(path: Path) -> int:
 
 
 def _refuse_format(checked: CheckedFile) -> None:
+    """Raise ``InvalidContentError`` unless the file is a run file of this format version."""
     try:
         is_run = checked.attribute("format", str) == FORMAT
     except InvalidContentError:
@@ -221,6 +223,10 @@ def _refuse_no_text(holder: Any, where: str) -> None:
 
 
 def _text(value: Any, where: str) -> str:
+    """Return ``value`` as text; raise ``InvalidContentError`` if it is long, not UTF-8 or has control characters.
+
+    ``where`` names the dataset or attribute in the message.
+    """
     try:
         text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
         text.encode("utf-8")
@@ -234,12 +240,14 @@ def _text(value: Any, where: str) -> str:
     return text
 
 
-def _refuse_outside(dataset: h5py.Dataset, name: str) -> None:
+def _refuse_external_storage(dataset: h5py.Dataset, name: str) -> None:
+    """Raise ``InvalidContentError`` if the values of ``dataset`` lie in another file."""
     if dataset.is_virtual or dataset.external:
         raise InvalidContentError(f"/{name} keeps its values in another file, which no run file does")
 
 
 def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
+    """Raise ``InvalidContentError`` for chunks that are too large or filters other than bitshuffle."""
     if dataset.chunks is not None and math.prod(dataset.chunks) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
         raise InvalidContentError(f"/{name} has chunks of {dataset.chunks}, larger than any run file's")
     plist = dataset.id.get_create_plist()

@@ -109,6 +109,7 @@ def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:
 
 
 def _is_result(path: Path) -> bool:
+    """Return whether ``path`` is a readable result file."""
     if not path.is_file():
         # Opening a named pipe would block.
         return False
@@ -121,6 +122,7 @@ def _is_result(path: Path) -> bool:
 
 
 def _verified_result(path: Path) -> Verification:
+    """Return the verification of a result file; raise ``StoreError`` if it cannot be read."""
     try:
         with h5py.File(path, "r") as file:
             shots = int(file["results/shot"].shape[0])

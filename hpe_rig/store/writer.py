@@ -246,6 +246,7 @@ class RunWriter:
                 self._tables["records/shot_complete"].put(shot, 1)
 
     def _rows_of(self, shot: Shot) -> _ShotRows:
+        """Return the rows of ``shot`` in progress; a new shot first writes those of the one before."""
         if self._shot is None or self._shot.index != shot.index:
             self._write_chunk()
             self._write_checksums()
@@ -259,6 +260,7 @@ class RunWriter:
         codes: tuple[Int16Array, ...],
         time_s: FloatArray,
     ) -> None:
+        """Write records of one shot to their chunks; ``index`` and ``time_s`` (record,): pulse and trigger time."""
         # The records of a block can span several chunks, and a delayed record can belong to an earlier chunk.
         for number, selection in self._by_chunk(index):
             if (rows.index, number) != self._chunk.place:
@@ -374,6 +376,7 @@ class RunWriter:
             self._commit(sync, wait)
 
     def _commit(self, sync: bool = False, wait: bool = True) -> None:
+        """Commit the changes to the file; raise ``StoreError`` and refuse further writes if that fails."""
         # Signals may interrupt this: a disk that does not respond must not keep the outputs on.
         try:
             self._journal.commit(sync, wait)
@@ -396,6 +399,7 @@ class RunWriter:
             raise self._cannot_be_written(error) from error
 
     def _cannot_be_written(self, error: Exception) -> StoreError:
+        """Return ``error`` as a ``StoreError`` that names the file and the remedy."""
         if isinstance(error, StoreError):
             return error
         return StoreError(
@@ -598,6 +602,7 @@ def _new_file(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> J
     """
 
     def make(cancelled: threading.Event) -> Journal:
+        """Create the file and return its journal; raise ``InterruptedError`` if ``cancelled`` is set meanwhile."""
         _refuse_small_disk(path, len(image) + record_bytes)
         if overwrite and path.exists():
             refuse_to_replace(path)

@@ -155,6 +155,7 @@ class AlazarLibrary:
     def AlazarRead(
         self, handle: Any, channel: int, buffer: int, element_bytes: int, record: int, offset: int, count: int
     ) -> int:
+        """Copy samples of one record to ``buffer``, an address; return the code of success or refusal."""
         refusal = self._state.record_refusal(record)
         if refusal is not Code.SUCCESS:
             return refusal

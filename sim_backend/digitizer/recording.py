@@ -65,6 +65,7 @@ class Recording:
         return float(self._running_peak_v[number][index])
 
     def _block(self, number: int) -> FloatArray:
+        """Return the volts of a block (record, sample), and extend the running peak if the block is the next one."""
         pieces = list(self._pieces(number))
         volts = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
         if number == len(self._running_peak_v):
@@ -84,6 +85,7 @@ class Recording:
                 yield self._computed(number, start, captured)[low:high]
 
     def _computed(self, number: int, start: int, captured: CaptureSnapshot) -> FloatArray:
+        """Return the volts of a block for the snapshot that starts at record ``start``; cached."""
         if (number, start) not in self._blocks:
             block = _block_of(captured.capture, number)
             volts = self._record_volts(captured.tonebursts, near(captured.pulses, block), block)

@@ -244,6 +244,7 @@ class AlazarState:
         return self.instruments.fpga_version <= self.type.old_fpga
 
     def _arm(self) -> None:
+        """Arm the board with the present settings, and reset the time stamp if it is set to do so."""
         settings = self.settings
         if self._queue is not None:
             settings = replace(settings, record_count=self._queue.transfer.record_count)

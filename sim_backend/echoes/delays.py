@@ -1,4 +1,4 @@
-"""Delays of the echoes of moving scatterers, eq. (10) and (11), and the checks of the numbers that define them.
+"""Delays of the echoes of moving scatterers, eq. (10) and (11) of the paper, and checks of their arrays.
 
 tau_kn = tau_n + sum_r b_kr g_rn        b_kr = 2 A_kr / c
 
@@ -27,7 +27,7 @@ class EchoDelays:
     """Delays of scatterers that move in few spatial shapes: delay = rest + amplitude @ shape.
 
     A prescribed motion has one shape; a travelling wave of one frequency two (in phase and in quadrature); a medium's
-    field one a mode. As many shapes as scatterers describe any delays.
+    field one for each mode. As many shapes as scatterers describe any delays.
     """
 
     rest_s: FloatArray
@@ -48,14 +48,15 @@ class EchoDelays:
         sound_speed_m_per_s: float,
         response: ComplexArray | None = None,
     ) -> EchoDelays:
-        """Return the delays of a motion, eq. (11).
+        """Return the delays of a motion, eq. (11) of the paper.
 
         ``motion_weight`` (scatterer,) and ``displacement_m`` (echo,) at the focus; with several shapes (shape,
         scatterer) and (echo, shape).
         """
         shape = np.atleast_2d(motion_weight)
         displacement_m = displacement_m.reshape(len(displacement_m), len(shape))
-        return cls(rest_s, shape, displacement_m * (2 / sound_speed_m_per_s), response)
+        amplitude_s = displacement_m * (2 / sound_speed_m_per_s)
+        return cls(rest_s=rest_s, shape=shape, amplitude_s=amplitude_s, response=response)
 
     @property
     def echo_count(self) -> int:
@@ -64,13 +65,18 @@ class EchoDelays:
 
     def range_s(self) -> tuple[FloatArray, FloatArray]:
         """Return bounds on each scatterer's earliest and latest delay, (scatterer,)."""
-        reach_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
-        return self.rest_s - reach_s, self.rest_s + reach_s
+        max_change_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
+        return self.rest_s - max_change_s, self.rest_s + max_change_s
 
     def of(self, scatterers: Int64Array) -> EchoDelays:
         """Return the delays of some scatterers."""
         response = None if self.response is None else self.response[:, scatterers]
-        return EchoDelays(self.rest_s[scatterers], self.shape[:, scatterers], self.amplitude_s, response)
+        return EchoDelays(
+            rest_s=self.rest_s[scatterers],
+            shape=self.shape[:, scatterers],
+            amplitude_s=self.amplitude_s,
+            response=response,
+        )
 
     def shifted(self, shift_s: FloatArray) -> EchoDelays:
         """Return the delays relative to sample times that are later by ``shift_s`` (echo,)."""
@@ -79,14 +85,14 @@ class EchoDelays:
         # Later sample times are earlier delays of all scatterers: one more shape, of ones.
         shape = np.concatenate([self.shape, np.ones((1, self.shape.shape[1]))])
         amplitude_s = np.concatenate([self.amplitude_s, -shift_s[:, None]], axis=1)
-        return EchoDelays(self.rest_s, shape, amplitude_s, self.response)
+        return EchoDelays(rest_s=self.rest_s, shape=shape, amplitude_s=amplitude_s, response=self.response)
 
     def delay_s(self) -> FloatArray:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
         return self.rest_s + self.amplitude_s @ self.shape
 
     def chunks(self, max_pairs: int) -> Iterator[FloatArray]:
-        """Yield the delays of some echoes at a time, (echo, scatterer), about ``max_pairs`` of them."""
+        """Yield the delays of consecutive echoes, (echo, scatterer), in arrays of about ``max_pairs`` values."""
         echoes_per_chunk = max(1, max_pairs // max(1, len(self.rest_s)))
         for first in range(0, len(self.amplitude_s), echoes_per_chunk):
             yield self.rest_s + self.amplitude_s[first : first + echoes_per_chunk] @ self.shape
@@ -98,7 +104,12 @@ class EchoDelays:
         # A small offset costs no term, but moving every delay costs time.
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
-        return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s, self.response)
+        return EchoDelays(
+            rest_s=self.rest_s + middle_s @ self.shape,
+            shape=self.shape,
+            amplitude_s=self.amplitude_s - middle_s,
+            response=self.response,
+        )
 
 
 def distinct_echoes(

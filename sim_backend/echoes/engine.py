@@ -1,4 +1,4 @@
-"""Echoes of moving point scatterers, eq. (7) to (13), by the faster evaluation that meets a tolerance.
+"""Echoes of moving point scatterers, eq. (7) to (13) of the paper, by the faster evaluation that meets a tolerance.
 
     r_k(t) = sum_n I_n p(t - tau_kn)        tau_kn = tau_n + sum_r b_kr g_rn
 
@@ -108,6 +108,7 @@ def _synthesise(
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
+    """Return the echoes without checks, summed over the scatterers that matter to the tolerance."""
     if min(delays.echo_count, len(weight), len(sample_time_s)) == 0:
         return Synthesis(np.zeros((delays.echo_count, len(sample_time_s))), method or "running_sum", 0, 0)
     # Leave out scatterers that cannot reach the gate, then those too weak to matter to the tolerance.
@@ -195,24 +196,35 @@ def _usable_method(
 def _series_by_blocks(
     delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float
 ) -> FloatArray:
-    """Return the echoes (echo, sample), block by block of samples, each with its own origin of time."""
+    """Return the echoes (echo, sample) by the power series, computed for one block of samples after another.
+
+    A block lasts at most one pulse length, the longest time that `series` accepts.
+    """
+    # `series` needs ascending delays.
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
         order = np.argsort(delays.rest_s, kind="stable")
         delays, weight = delays.of(order), weight[order]
-    reach_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
+    # Bound on the change of any delay by the motion.
+    max_change_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
+    # `series` computes several rows (draws or gates); these echoes are a single row, row 0.
     out: FloatArray = np.empty((1, delays.echo_count, len(sample_time_s)))
     for block in blocks(sample_time_s, pulse):
         time_s = sample_time_s[block]
+        # Far from the origin of time the phases of the exponentials lose digits, so each block has an origin near it.
         origin_s = local_origin_s(time_s, pulse)
         # Scatterers that reach the block, and one more on either side because the limits are rounded.
         first, end = np.searchsorted(
-            delays.rest_s, [time_s[0] - pulse.end_s - reach_s, time_s[-1] - pulse.start_s + reach_s]
+            delays.rest_s, [time_s[0] - pulse.end_s - max_change_s, time_s[-1] - pulse.start_s + max_change_s]
         )
         near = slice(max(0, int(first) - 1), int(end) + 1)
-        row = np.zeros(len(delays.rest_s[near]), dtype=np.int64)
-        response = None if delays.response is None else delays.response[:, near]
-        rest_s, amplitude_s = delays.rest_s[near] - origin_s, delays.amplitude_s[None]
-        scene = ScattererRows(row, rest_s, weight[near], delays.shape[:, near], amplitude_s, response)
+        scene = ScattererRows(
+            row=np.zeros(len(delays.rest_s[near]), dtype=np.int64),
+            rest_s=delays.rest_s[near] - origin_s,
+            weight=weight[near],
+            shape=delays.shape[:, near],
+            amplitude_s=delays.amplitude_s[None],
+            response=None if delays.response is None else delays.response[:, near],
+        )
         series(scene, pulse, time_s - origin_s, tolerance, out[:, :, block])
     echo: FloatArray = out[0]
     return echo

@@ -1,4 +1,4 @@
-"""Exact echoes: the double sum of eq. (10), directly and in O(scatterers + samples) by running sums.
+"""Exact echoes: the double sum of eq. (10) of the paper, directly and in O(scatterers + samples) by running sums.
 
     r_k(t) = sum_n I_n p(t - tau_kn)
            = Re sum_m c_m exp(j w_m t) S_km(t),    S_km(t) = sum_(n alive at t) I_n exp(-j w_m tau_kn)
@@ -26,7 +26,7 @@ _PAIRS_PER_CHUNK = 1 << 17
 
 
 def direct_sum(delay_s: FloatArray, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> FloatArray:
-    """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), eq. (10).
+    """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), eq. (10) of the paper.
 
     ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,).
     """

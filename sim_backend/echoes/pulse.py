@@ -1,4 +1,4 @@
-"""Echo of one scatterer for a tracking pulse: a few complex exponentials on a compact support, eq. (9).
+"""Echo of one scatterer for a tracking pulse: a few complex exponentials on a compact support, eq. (9) of the paper.
 
     p(t) = Re sum_m c_m exp(j w_m t)   for start <= t < end, else 0
 
@@ -107,6 +107,7 @@ def band_limited_burst(
     duration_s = cycles / carrier_hz
 
     def spectrum(frequency_hz: FloatArray) -> ComplexArray:
+        """Return the pulse's spectrum: that of the sine burst times the band of the transducer."""
         # The band at positive and negative frequencies, times the spectrum of the sine burst.
         upper, lower = ((frequency_hz - side * centre_hz) / width_hz for side in (1, -1))
         band = np.exp(-0.5 * np.square(upper)) + np.exp(-0.5 * np.square(lower))

@@ -1,4 +1,4 @@
-"""Point scatterers around the focus, their tracking weights and their motion, eq. (8) and (12).
+"""Point scatterers around the focus, their tracking weights and their motion, eq. (8) and (12) of the paper.
 
     I_n = R_n exp(-x_n² / 2 T_x² - y_n² / 2 T_y² - z_n² / 2 T_z²)      eq. (8), tracking beam
     g_n =     exp(-x_n² / 2 M_x² - y_n² / 2 M_y² - z_n² / 2 M_z²)      eq. (12), motion
@@ -39,7 +39,7 @@ class ScattererField:
     tracking_weight: FloatArray
     """I of eq. (8) times reflectivity, and with attenuation times the loss from the focus to the scatterer's depth."""
     motion_weight: FloatArray
-    """g of eq. (12): displacement relative to that of the focus."""
+    """g of eq. (12) of the paper: displacement relative to that of the focus."""
     excitation_weight: FloatArray
     """Pulse-echo weight of the excitation beam times reflectivity."""
     motion_share: FloatArray

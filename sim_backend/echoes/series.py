@@ -24,6 +24,7 @@ import functools
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,15 +77,16 @@ class ScattererRows:
 
 
 def shape_angles_rad(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -> tuple[float, ...]:
-    """Return the largest phase change of the pulse's highest frequency by each shape (shape,) of the motion.
+    """Return, for each shape of the motion, a bound on its change of the phase of the pulse's highest frequency.
 
-    ``shape`` (shape, scatterer), ``amplitude_s`` (..., echo, shape).
+    ``shape`` (shape, scatterer): spatial shapes g_rn. ``amplitude_s`` (..., echo, shape): amplitudes b_kr, as delays.
+    The bound is the product of the largest magnitudes of both and the angular frequency.
     """
     if shape.size == 0 or amplitude_s.size == 0:
         return (0.0,) * len(shape)
     highest_rad_per_s = 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz)
     return tuple(
-        highest_rad_per_s * (_max_abs(amplitude_s[..., axis]) * _max_abs(shape[axis])) for axis in range(len(shape))
+        highest_rad_per_s * (_max_abs(amplitude_s[..., index]) * _max_abs(shape[index])) for index in range(len(shape))
     )
 
 
@@ -151,14 +153,25 @@ def series(scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolera
     _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
 
 
-def _power_steps(exponents: Exponents) -> list[tuple[int, int, int]]:
-    """Return for each monomial but the first: the index of a lower one, the shape that multiplies it, and its power."""
+class _PowerStep(NamedTuple):
+    """Step from one term of the series to another whose exponent a is larger by 1 for one shape."""
+
+    lower_term: int
+    """Index of the term with the smaller exponent."""
+    shape: int
+    """Index r of the shape with the larger exponent."""
+    power: int
+    """Exponent a_r after the step."""
+
+
+def _power_steps(exponents: Exponents) -> list[_PowerStep]:
+    """Return the step that leads to each term but the first, from a term of lower degree |a|."""
     index = {exponent: position for position, exponent in enumerate(exponents)}
     steps = []
     for exponent in exponents[1:]:
         shape = next(axis for axis, power in enumerate(exponent) if power)
         lower = (*exponent[:shape], exponent[shape] - 1, *exponent[shape + 1 :])
-        steps.append((index[lower], shape, exponent[shape]))
+        steps.append(_PowerStep(lower_term=index[lower], shape=shape, power=exponent[shape]))
     return steps
 
 
@@ -187,7 +200,7 @@ def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
     taylor = np.stack([_end_derivatives(pulse, end_s, 0.0, _TAYLOR_ORDERS) for end_s in ends_s])
     taylor[1] *= -1
     rotation = slope[:, :, None] * phasors(pulse, np.frombuffer(sample_times), 1)[:, None]
-    return _Tables(float(2 * math.pi * np.abs(hz).max()), rotation, jump, taylor)
+    return _Tables(scale_rad_per_s=float(2 * math.pi * np.abs(hz).max()), rotation=rotation, jump=jump, taylor=taylor)
 
 
 def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int) -> ComplexArray:
@@ -201,21 +214,28 @@ def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int)
     return derivatives
 
 
-def _coefficients(amplitude_rad: FloatArray, steps: list[tuple[int, int, int]]) -> FloatArray:
-    """Return b_k^a / a!, (row, echo, term)."""
+def _coefficients(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatArray:
+    """Return b_k^a / a!, (row, echo, term): each term is a lower one times b_kr / a_r.
+
+    ``amplitude_rad`` (row, echo, shape): b_kr times the pulse's highest angular frequency.
+    """
     coefficients = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
     coefficients[0] = 1.0
-    for term, (lower, shape, power) in enumerate(steps, 1):
-        np.multiply(coefficients[lower], amplitude_rad[..., shape] / power, out=coefficients[term])
+    for term, step in enumerate(steps, 1):
+        np.multiply(coefficients[step.lower_term], amplitude_rad[..., step.shape] / step.power, out=coefficients[term])
     return np.ascontiguousarray(np.moveaxis(coefficients, 0, -1))
 
 
-def _moments(weight: FloatArray, shape: FloatArray, steps: list[tuple[int, int, int]]) -> FloatArray:
-    """Return I_n g_n^a, (term, scatterer)."""
+def _moments(weight: FloatArray, shape: FloatArray, steps: list[_PowerStep]) -> FloatArray:
+    """Return I_n g_n^a, (term, scatterer): each term is a lower one times g_rn.
+
+    ``weight`` (scatterer,): I_n. ``shape`` (shape, scatterer): g_rn. The exponents a are those that ``steps`` lead to;
+    the first term has exponents 0.
+    """
     moments = np.empty((len(steps) + 1, len(weight)))
     moments[0] = weight
-    for term, (lower, axis, _) in enumerate(steps, 1):
-        np.multiply(moments[lower], shape[axis], out=moments[term])
+    for term, step in enumerate(steps, 1):
+        np.multiply(moments[step.lower_term], shape[step.shape], out=moments[term])
     return moments
 
 
@@ -223,7 +243,7 @@ def _rest_sums(
     scene: ScattererRows,
     enter: Int64Array,
     leave: Int64Array,
-    steps: list[tuple[int, int, int]],
+    steps: list[_PowerStep],
     degree: Int64Array,
     tables: _Tables,
     pulse: Pulse,
@@ -263,7 +283,7 @@ def _add_to_cells(
     scene: ScattererRows,
     scatterers: Int64Array,
     cell: Int64Array,
-    steps: list[tuple[int, int, int]],
+    steps: list[_PowerStep],
     pulse: Pulse,
 ) -> None:
     """Add I_n g_n^a exp(-j w_m tau_n) of some scatterers to ``cells`` (frequency, term, cell), in place.
@@ -304,11 +324,11 @@ class _Crossings:
     def of(self, selection: slice) -> _Crossings:
         """Return a selection of the ends."""
         return _Crossings(
-            self.scatterer[selection],
-            self.end[selection],
-            self.time_s[selection],
-            self.first_sample[selection],
-            self.sample_count[selection],
+            scatterer=self.scatterer[selection],
+            end=self.end[selection],
+            time_s=self.time_s[selection],
+            first_sample=self.first_sample[selection],
+            sample_count=self.sample_count[selection],
         )
 
 
@@ -321,7 +341,7 @@ def _correct_crossings(
     sample_time_s: FloatArray,
     budget: float,
 ) -> None:
-    """Add to ``out`` (row, echo, sample), in place, what moving ends of supports let in or out.
+    """Correct ``out`` (row, echo, sample), in place, at samples that an end of a support crosses as it moves.
 
     ``rest_sample``: for start and end, the first sample (scatterer,) at or after it at rest. Ends that together change
     an echo by less than ``budget`` are left out.
@@ -366,7 +386,11 @@ def _significant_ends(
     sample_count = sample_time_s.searchsorted(time_s + reach_s[scatterer], side="right") - first_sample
     crossing = np.flatnonzero(sample_count)
     return _Crossings(
-        scatterer[crossing], end[crossing], time_s[crossing], first_sample[crossing], sample_count[crossing]
+        scatterer=scatterer[crossing],
+        end=end[crossing],
+        time_s=time_s[crossing],
+        first_sample=first_sample[crossing],
+        sample_count=sample_count[crossing],
     )
 
 
@@ -449,7 +473,10 @@ def _crossing_change(
 
 
 def _taylor_orders(angle_rad: float, tolerance: float) -> int:
-    """Return how many Taylor coefficients keep the remainder below ``tolerance``, ``angle_rad`` from the end."""
+    """Return the number of Taylor coefficients that keep the remainder below ``tolerance``.
+
+    ``angle_rad`` is the phase of the highest frequency over the longest time that an end of a support moves.
+    """
     remainder, orders = angle_rad, 1
     while remainder > tolerance and orders < _TAYLOR_ORDERS:
         orders += 1

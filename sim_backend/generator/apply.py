@@ -19,6 +19,8 @@ UNUSED = {"DC": 2, "NOIS": 1}
 
 
 def _apply(function: str) -> Write:
+    """Return the command APPLy for ``function``: frequency, amplitude and offset in one, and the output on."""
+
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         if len(arguments) > 3:
             raise ScpiError(-108, "Parameter not allowed")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_backend.generator.scpi_text import ScpiError, none_of, not_simulated, number, one, quoted, real_reply
+from sim_backend.generator.scpi_text import ScpiError, none_of, not_simulated, number, one, real_reply, unquoted
 
 BUILT_IN = ("EXP_RISE", "EXP_FALL", "NEG_RAMP", "SINC", "CARDIAC")
 VOLATILE = "VOLATILE"
@@ -22,13 +22,16 @@ MAX_NAME = 12
 
 
 def waveform_name(text: str) -> str:
-    """Return a name in capitals; raise ``ScpiError`` -148 for an invalid name, -112 for a long one."""
-    plain = quoted(text) if text[:1] in ('"', "'") else text
-    if not _NAME.fullmatch(plain.upper()):
+    """Return the name in ``text``, which may be in quotes, in capitals.
+
+    Raises ``ScpiError`` -148 for an invalid name, -112 for a long one.
+    """
+    name = unquoted(text) if text[:1] in ('"', "'") else text
+    if not _NAME.fullmatch(name.upper()):
         raise ScpiError(-148, "Character data not allowed")
-    if len(plain) > MAX_NAME:
+    if len(name) > MAX_NAME:
         raise ScpiError(-112, "Program mnemonic too long")
-    return plain.upper()
+    return name.upper()
 
 
 class WaveformMemory:
@@ -113,12 +116,14 @@ class WaveformMemory:
         return real_reply(values.get(attribute, peak / rms if rms else 0.0))
 
     def _existing(self, name: str) -> str:
+        """Return ``name``; raise ``ScpiError`` 785 if no waveform has it."""
         if name not in self.names:
             raise ScpiError(785, "Specified arb waveform does not exist")
         return name
 
 
 def _scaled(arguments: Sequence[str], scale: float) -> array[float]:
+    """Return the points in ``arguments`` over ``scale``; raise ``ScpiError`` for too many or one beyond ±1."""
     if any(argument.startswith("#") for argument in arguments):
         raise not_simulated("binary blocks, send the points as numbers")
     if len(arguments) > MAX_POINTS:

@@ -22,10 +22,12 @@ from sim_backend.generator.kinds import (
 from sim_backend.generator.levels import load_divider
 from sim_backend.generator.models import Model
 from sim_backend.generator.registers import Coerced, Registers
-from sim_backend.generator.scpi_text import boolean, none_of, number, one, quoted
+from sim_backend.generator.scpi_text import boolean, none_of, number, one, unquoted
 
 
 def _amplitude() -> SettingCommand:
+    """Return the amplitude setting in Vpp, Vrms or dBm; limits and amplitude depend on the load."""
+
     def limits(state: Registers) -> tuple[float, float]:
         low, high = levels.amplitude_limits(state)
         return levels.in_unit(state, low), levels.in_unit(state, high)
@@ -53,6 +55,11 @@ DEFAULT_VPP = 0.1
 
 
 def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], Coerced]) -> SettingCommand:
+    """Return a voltage setting, commanded and displayed in volts at the load.
+
+    ``open_limits``, the stored ``field`` and the argument of ``put`` are open-circuit volts.
+    """
+
     def limits(state: Registers) -> tuple[float, float]:
         low, high = open_limits(state)
         return low * load_divider(state), high * load_divider(state)
@@ -88,6 +95,7 @@ def _put_period(state: Registers, period_s: float) -> Coerced:
 
 
 def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
+    """Set the frequency, clipped to its limits and rounded to the displayed digits, and settle dependent settings."""
     low_hz, high_hz = timing.frequency_limits_hz(state)
     frequency_hz, errors = registers.clipped(frequency_hz, low_hz, high_hz, "frequency")
     frequency_hz = registers.rounded(frequency_hz, state.model.frequency_digits, state.model.frequency_decimals)
@@ -108,6 +116,8 @@ def _put_pulse_duty(state: Registers, percent: float) -> Coerced:
 
 
 def _phase(field: str, quantity: str) -> SettingCommand:
+    """Return an angle setting stored in degrees, and commanded and displayed in the set angle unit."""
+
     def limits(state: Registers) -> tuple[float, float]:
         return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
 
@@ -130,7 +140,7 @@ def _phase(field: str, quantity: str) -> SettingCommand:
 
 def _text() -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        return Coerced(replace(state, display_text=quoted(one(arguments))[:MAX_TEXT]))
+        return Coerced(replace(state, display_text=unquoted(one(arguments))[:MAX_TEXT]))
 
     return SettingCommand(write, lambda state, arguments: f'"{state.display_text}"', "quoted text")
 

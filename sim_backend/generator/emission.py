@@ -170,6 +170,7 @@ def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
 
 
 def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int) -> Bursts:
+    """Return the sine bursts with these onsets and cycles, cut at ``stop_ps``."""
     # A burst that the end of the segment cuts has a fraction of its cycles.
     full_ps = onset_ps + _length_ps(registers, cycles)
     end_ps = np.minimum(full_ps, stop_ps)

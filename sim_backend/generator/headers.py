@@ -57,19 +57,21 @@ class HeaderTable(Generic[Entry]):
         for form, entry in entries.items():
             for nodes in self._variants(form):
                 # The nodes with <n>, which a number may follow, are stored with the entry.
-                self._entries[tuple(node for node, _ in nodes)] = entry, tuple(node for node, many in nodes if many)
+                numbered = tuple(node for node, may_have_number in nodes if may_have_number)
+                self._entries[tuple(node for node, _ in nodes)] = entry, numbered
 
     def _variants(self, form: str) -> Iterable[tuple[tuple[str, bool], ...]]:
+        """Return the spellings of a form: short nodes, each with whether a channel number may follow it."""
         if form.startswith("*"):
             self._short[form] = form
             return [((form, False),)]
         # Each node is either required or optional; the product gives every spelling.
         choices: list[tuple[tuple[str, bool] | None, ...]] = []
-        for optional, optional_many, required, many in _FORM_NODE.findall(form):
+        for optional, optional_number, required, required_number in _FORM_NODE.findall(form):
             long = optional or required
             short = short_form(long)
             self._short[long.upper()] = self._short[short] = short
-            node = (short, bool(optional_many or many))
+            node = (short, bool(optional_number or required_number))
             choices.append((None, node) if optional else (node,))
         return [tuple(filter(None, nodes)) for nodes in itertools.product(*choices)]
 
@@ -96,6 +98,7 @@ class HeaderTable(Generic[Entry]):
             return None
 
     def _look_up(self, branch: Branch, header: str) -> _Header[Entry]:
+        """Return the entry of ``header`` in ``branch``, and cache it; raise ``ScpiError`` if there is none."""
         nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
         if not header.startswith(("*", ":")):
             nodes = branch + nodes
@@ -108,6 +111,7 @@ class HeaderTable(Generic[Entry]):
         return result
 
     def _entry(self, nodes: Branch) -> tuple[Entry, int]:
+        """Return the entry at ``nodes`` in any spelling, and its channel; raise ``ScpiError`` if there is none."""
         plain, numbered = [], []
         for node in nodes:
             digits = _digits(node)
@@ -134,6 +138,7 @@ def _digits(node: str) -> str:
 
 
 def _arguments(text: str) -> tuple[str, ...]:
+    """Return the arguments in ``text``, which commas separate; raise ``ScpiError`` -223 for too many."""
     if text.count(",") > MAX_ARGUMENTS:
         raise ScpiError(-223, "Too much data")
     return tuple(argument.strip() for argument in split_outside_quotes(text.strip(), ","))

@@ -82,6 +82,7 @@ def _sweep_end(
 
 
 def _modulation(name: str, function: str, rate_hz: float) -> dict[str, SettingCommand]:
+    """Return the settings of one modulation by header; they are stored and have no effect on the output."""
     key = name.lower()
     return {
         f"[SOURce<n>:]{name}:STATe": off(function),

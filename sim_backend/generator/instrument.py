@@ -123,7 +123,7 @@ class Generator33250A:
 
     def save(self, location: int) -> None:
         """Store the state of every channel."""
-        self.states.save(location, (self.registers, *self._other_channels))
+        self.states.save(location, self._channels)
 
     def recall(self, location: int) -> None:
         """Recall a stored state; raise ``ScpiError`` 810 if there is none. Assumed: it includes the output switch."""
@@ -131,7 +131,7 @@ class Generator33250A:
 
     def learn_string(self) -> str:
         """Return the commands that restore the present state."""
-        return learn_string((self.registers, *self._other_channels), bool(self._other_channels), self._setting)
+        return learn_string(self._channels, bool(self._other_channels), self._reply_to_setting)
 
     def trigger(self) -> None:
         """Start a burst, whatever the trigger source; raise ``ScpiError`` -211 if bursts are off."""
@@ -153,19 +153,26 @@ class Generator33250A:
         if self._software_ps and self.registers.trigger_source == "BUS" and math.isfinite(length_s):
             self._clock.advance_to(self._software_ps[-1] + self._latency_ps + to_ps(length_s))
 
+    @property
+    def _channels(self) -> tuple[Registers, ...]:
+        """Registers of every channel, from channel 1."""
+        return (self.registers, *self._other_channels)
+
     def _execute(self, command: Command[Entry]) -> str | None:
+        """Execute a command, or return the reply to a query; raise ``ScpiError`` 550 in local mode."""
         entry, arguments = command.entry, command.arguments
         if self._over_serial and self._local and not command.query and entry not in REMOTE:
             raise ScpiError(550, "Command not allowed in local")
         if isinstance(entry, Action):
             return entry.execute(self, command.query, arguments)
-        state = self.registers if command.channel == 1 else self._other_channels[command.channel - 2]
+        state = self._channels[command.channel - 1]
         if command.query:
             return entry.answer(state, arguments)
         self._apply(entry.execute(state, arguments), command.channel)
         return None
 
     def _apply(self, coerced: Coerced, channel: int) -> None:
+        """Replace the registers of a channel and queue the errors of the setting."""
         if channel == 1:
             self._set_registers(coerced.registers)
         else:
@@ -175,13 +182,15 @@ class Generator33250A:
         for number, text in coerced.errors:
             self.status.queue(number, text)
 
-    def _setting(self, header: str, channel: int) -> str | None:
+    def _reply_to_setting(self, header: str, channel: int) -> str | None:
+        """Return the reply to the query of a setting; None if ``header`` is unknown or not a setting."""
         entry = self._table.find(header)
         if not isinstance(entry, SettingCommand):
             return None
-        return entry.answer((self.registers, *self._other_channels)[channel - 1], ())
+        return entry.answer(self._channels[channel - 1], ())
 
     def _set_registers(self, registers: Registers) -> None:
+        """Replace the registers of channel 1, and add them to the history if they change the output."""
         if changes_output(self.registers, registers):
             # Several settings at one time count as one state.
             if self._history[-1][0] == self._clock.now_ps and len(self._history) > 1:

@@ -19,23 +19,26 @@ Shown = str | Callable[[Registers], Any]
 
 @dataclass(frozen=True, slots=True)
 class SettingCommand:
-    """Effect of one header on the registers of a channel; None if the form without or with ``?`` does not exist.
-
-    ``accepts`` describes the command's arguments.
-    """
+    """Effect of one header on the registers of a channel."""
 
     command: Write | None
+    """Effect of the header without ``?``; None if it exists only as a query."""
     query: Read | None
+    """Reply to the header with ``?``; None if it exists only as a command."""
     accepts: str = ""
+    """Description of the command's arguments."""
 
     def execute(self, state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        """Return the registers after the command; raise ``ScpiError`` -113 if there is a query alone."""
+        """Return the registers after the command, and the errors to queue, such as for a clipped value.
+
+        Raises ``ScpiError`` -113 if the header exists only as a query.
+        """
         if self.command is None:
             raise ScpiError(-113, "Undefined header")
         return self.command(state, arguments)
 
     def answer(self, state: Registers, arguments: tuple[str, ...]) -> str:
-        """Return the reply to the query; raise ``ScpiError`` -113 if there is no query."""
+        """Return the reply to the query; raise ``ScpiError`` -113 if the header exists only as a command."""
         if self.query is None:
             raise ScpiError(-113, "Undefined header")
         return self.query(state, arguments)
@@ -106,7 +109,7 @@ def choice_of_model(
     shown: Shown,
     put: Callable[[Registers, str], Coerced] | None = None,
 ) -> SettingCommand:
-    """Return a setting with one of the keywords of the registers' model."""
+    """Return a setting with one of the keywords ``words``, which depend on the registers' model."""
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
         lambda state, arguments: put(state, keyword(one(arguments), words(state))),
@@ -137,10 +140,13 @@ def getter(shown: Shown) -> Callable[[Registers], Any]:
 
 
 def _setter(shown: Shown) -> Callable[[Registers, Any], Coerced]:
+    """Return the function that sets the field ``shown`` of the registers."""
     return lambda state, value: Coerced(replace(state, **{str(shown): value}))
 
 
 def _without_arguments(show: Callable[[Registers], str]) -> Read:
+    """Return a query that replies with ``show`` and refuses arguments."""
+
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
         none_of(arguments)
         return show(state)

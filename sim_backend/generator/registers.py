@@ -98,7 +98,7 @@ def power_on(model: Model, beeper: bool = True) -> Registers:
 
 @dataclass(frozen=True, slots=True)
 class Coerced:
-    """Registers after a setting, and the errors to queue."""
+    """Registers after a setting, which may have been clipped or have changed others, and the errors to queue."""
 
     registers: Registers
     errors: tuple[Error, ...] = ()

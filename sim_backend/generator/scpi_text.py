@@ -93,6 +93,7 @@ def number(text: str, units: str) -> tuple[float, str]:
 
 
 def _in_unit(value: float, suffix: str, units: str) -> tuple[float, str]:
+    """Return the value times the prefix of ``suffix``, and its unit; raise ``ScpiError`` for an invalid suffix."""
     if not units:
         raise ScpiError(-138, "Suffix not allowed")
     for unit in units.split():
@@ -112,8 +113,8 @@ def whole_number(text: str, low: float, high: float) -> int:
     return round(value)
 
 
-def quoted(text: str) -> str:
-    """Return the content of a quoted string; raise ``ScpiError`` -151 without quotes."""
+def unquoted(text: str) -> str:
+    """Return ``text`` without the quotes around it; raise ``ScpiError`` -151 if it has none."""
     if len(text) < 2 or text[0] not in "\"'" or text[-1] != text[0]:
         raise ScpiError(-151, "Invalid string data")
     return text[1:-1]

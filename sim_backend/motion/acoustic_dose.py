@@ -59,7 +59,7 @@ def dose(
     duty = burst_rate_hz * burst_length_s
     limit = min(SPPA_LIMIT_W_PER_M2, SPTA_LIMIT_W_PER_M2 / duty)
     force_limit = 2 * attenuation_np_per_m * limit / sound_speed_m_per_s
-    # Amplitude of a harmonic of the rectangular train, eq. (18), times the response of the medium.
+    # Amplitude of a harmonic of the rectangular train, eq. (18) of the paper, times the response of the medium.
     relative_force = 2 * duty * np.abs(np.sinc(frequency_hz * burst_length_s))
     response = np.abs(focus_transfer(specimen, force, frequency_hz))
     intensity = specimen.force_density_n_per_m3 * sound_speed_m_per_s / (2 * attenuation_np_per_m)

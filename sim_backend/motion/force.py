@@ -1,4 +1,4 @@
-"""Radiation force at the focus: the square of the pressure, rectified and low-passed, eq. (17).
+"""Radiation force at the focus: the square of the pressure, rectified and low-passed, eq. (17) of the paper.
 
     drive voltage -> hybrid, amplifier, diodes, matching -> transducer at the carrier -> pressure² -> body force
 
@@ -52,7 +52,7 @@ def radiation_force(
     transmitter: Transmitter | None = None,
     force_scale: ForceScale | None = None,
 ) -> ForcePulses:
-    """Return a force pulse for each toneburst while it passes the focus, eq. (17).
+    """Return a force pulse for each toneburst while it passes the focus, eq. (17) of the paper.
 
     ``travel_time_s`` is z_F/c. The force is the mean over the carrier, so a burst that the generator cuts short gives a
     shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. With nonlinear propagation

@@ -25,7 +25,8 @@ from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 
 _PANEL_RATIO = 4.0
 """End over begin of a panel: as long as one hyperbola serves."""
-_DEGREES = 24
+_DEGREES = 24  # Chebyshev coefficients of a panel
+# Begin of the first panel, and a time that the last panel contains.
 _FIRST_S = 1e-12
 _LAST_S = 1e4
 
@@ -83,7 +84,11 @@ class Panels:
 def panels_of(
     transfer: Callable[[ComplexArray], ComplexArray], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
 ) -> Panels:
-    """Return the table of step responses from 1 ps to 10^4 s; ``transfer`` returns (s, response) for s (s,)."""
+    """Return the table of step responses from 1 ps to 10^4 s.
+
+    ``transfer`` returns U, (frequency, response), at complex frequencies (frequency,). ``degrees`` is the number of
+    Chebyshev coefficients of a panel.
+    """
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_PANEL_RATIO)))
     begin_s = _FIRST_S * _PANEL_RATIO ** np.arange(count)
     s, weight = _hyperbola(contour)
@@ -104,7 +109,10 @@ def chebyshev_matrix(count: int) -> FloatArray:
 
 
 def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
-    """Return s and the weight of U(s), (node,), for times 1 to 4: the half above the real axis, counted twice."""
+    """Return s and the weight of U(s), (node,), for times 1 to 4.
+
+    Nodes lie above the real axis alone; their weights count the mirrored half too.
+    """
     step = contour.span / contour.nodes
     x = (np.arange(contour.nodes) + 0.5) * step
     s = contour.height * (1 + np.sin(1j * x - contour.alpha))

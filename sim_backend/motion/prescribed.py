@@ -1,4 +1,4 @@
-"""Prescribed motion of the focus, eq. (1) and (13), and of the whole specimen.
+"""Prescribed motion of the focus, eq. (1) and (13) of the paper, and of the whole specimen.
 
 D(t) = sum_i D_i sin(2 pi f_i t + phi_i)
 

@@ -34,6 +34,7 @@ from sim_backend.wiring import PS_PER_S
 
 Triple = tuple[float, float, float]
 
+# Gauss-Legendre nodes over the cosine of the direction.
 _DIRECTION_NODES = 64
 # A response has ended when it changes by less than this fraction of the static displacement.
 _MEMORY_TOLERANCE = 1e-11
@@ -155,25 +156,38 @@ class StepResponse:
 
 @lru_cache(maxsize=8)
 def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
-    """Return the specimen's step response from 1 ps to 10^4 s, exact to 1e-10 of itself, a sphere's to 1e-6.
+    """Return the specimen's displacement after a unit force is switched on, tabulated from 1 ps to 10^4 s.
 
-    Cached: the checks of a plan and the measurement use the same one.
+    ``width_m`` are the sigmas of the force. The relative error is 1e-10, with a sphere 1e-6. Cached, because the checks
+    of a plan and the measurement use the same table.
     """
-    contour = (AXIS_CONTOUR,) if specimen.sphere is None else (SPHERE_CONTOUR, SPHERE_DEGREES)
-    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], *contour)
-    return StepResponse(memory_s(specimen, panels), panels)
+
+    def response(s_per_s: ComplexArray) -> ComplexArray:
+        return transfer(specimen, width_m, s_per_s)[:, None]
+
+    if specimen.sphere is None:
+        panels = panels_of(response, contour=AXIS_CONTOUR)
+    else:
+        panels = panels_of(response, contour=SPHERE_CONTOUR, degrees=SPHERE_DEGREES)
+    return StepResponse(memory_s=memory_s(specimen, panels), panels=panels)
 
 
 def memory_s(specimen: Specimen, panels: Panels, tolerance: float = _MEMORY_TOLERANCE) -> float:
-    """Return the time after which no response changes by more than ``tolerance`` of the largest static one.
+    """Return the time (s) after which every response stays within ``tolerance`` of its static displacement.
 
-    For a medium that creeps without end it is the end of ``panels``.
+    ``tolerance`` is relative to the largest static displacement among the responses in ``panels``. The time is the
+    begin of a panel, or the end of the table for a medium that creeps without end.
     """
     if creeps_for_ever(specimen):
         return panels.end_s
+    # Responses at the begin of every panel and at the end of the table, where they are static.
     value = panels.at(np.append(panels.begins_s, panels.end_s))
-    changes = np.abs(value - value[-1]).max(axis=1) > tolerance * np.abs(value[-1]).max()
-    return float(panels.begins_s[min(int(np.flatnonzero(changes)[-1]) + 1, len(changes) - 2)])
+    static = value[-1]
+    changes = np.abs(value - static).max(axis=1) > tolerance * np.abs(static).max()
+    # The first panel after the last change; the end of the table, the last time of ``value``, begins no panel.
+    first_static_panel = int(np.flatnonzero(changes)[-1]) + 1
+    last_panel = len(changes) - 2
+    return float(panels.begins_s[min(first_static_panel, last_panel)])
 
 
 def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
@@ -212,7 +226,7 @@ def transients(response: StepResponse, force: ForcePulses, time_ps: Int64Array) 
 
 
 def force_volume(width_m: Triple) -> float:
-    """Return V = (2 pi)^(-1/2) sx sy sz, the Gaussian's volume over (2 pi)²."""
+    """Return V = (2 pi)^(-1/2) sx sy sz, m³: the volume of a Gaussian of sigmas ``width_m``, over (2 pi)²."""
     return math.prod(width_m) / math.sqrt(2 * math.pi)
 
 

@@ -25,6 +25,7 @@ from sim_backend.settings import Specimen, Sphere
 SPHERE_CONTOUR = Contour(96, 5.6, 0.8, 0.15)
 """Contour to the right of a sphere's poles, which for steel are 22 degrees off the imaginary axis; exact to 1e-6."""
 SPHERE_DEGREES = 48
+"""Chebyshev coefficients of a panel: a sphere's poles near the imaginary axis make its response oscillate."""
 
 
 def sphere_mass_kg(sphere: Sphere) -> float:

@@ -64,6 +64,7 @@ def _receive(
     switch: FloatArray | None,
     rng: np.random.Generator | None,
 ) -> FloatArray:
+    """Return the volts (record, sample) after all elements of the chain; ``switch`` as in `receive`."""
     # Collect filters in one response (frequency,), and apply it before an element that is not a filter.
     pending: ComplexArray | None = None
     if chain.notch is not None:

@@ -66,6 +66,7 @@ def creeps(medium: str) -> bool:
 
 @cache
 def _law(medium: str) -> Any:
+    """Return the medium of an installed package; raise ``ValueError`` if it does not load or is incomplete."""
     try:
         law = _installed()[medium].load()
     except Exception as error:

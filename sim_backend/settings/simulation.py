@@ -501,6 +501,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_sphere(self) -> SimulationSettings:
+        """Refuse what a rigid sphere excludes: scatterers around it, a field, propagation or an aperture."""
         if self.specimen is None or self.specimen.sphere is None:
             return self
         mistakes = []
@@ -519,6 +520,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_depths(self) -> SimulationSettings:
+        """Refuse contradictory depths of the specimen, and attenuation that is stated twice."""
         depth_m = None if self.specimen is None else self.specimen.depth_m
         if depth_m is None:
             return self
@@ -541,6 +543,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_echo_level(self) -> SimulationSettings:
+        """Refuse attenuation and lateral offsets that leave no echo, and a pulse too long for its reference gate."""
         loss_db = self.loss_to_focus_db(self.receiver.reference_carrier_hz)
         if loss_db > MAX_LOSS_DB:
             section = "specimen" if self._in_specimen else "scatterers"
@@ -575,6 +578,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_aperture(self) -> SimulationSettings:
+        """Refuse settings that need Gaussian beams if the beams are those of an aperture."""
         if self.beams.field == "gaussian":
             return self
         mistakes = []
@@ -603,6 +607,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_exclusive_settings(self) -> SimulationSettings:
+        """Refuse settings that exclude each other."""
         if self.receive_chain is not None and self.receiver.snr_db is not None:
             raise ValueError(
                 "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "

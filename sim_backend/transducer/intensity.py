@@ -86,6 +86,7 @@ def _fitted_intensity(
     attenuation_db_per_cm_mhz: float,
     scan: Scan | None,
 ) -> GaussianSum:
+    """Return the intensity around the focus relative to the focus, fitted by a sum of Gaussians."""
     # Imported here, so that a Gaussian push does not load them.
     from sim_backend.transducer.hydrophone import round_field
     from sim_backend.transducer.radiation import bowl_pressure, wave_number

@@ -106,6 +106,7 @@ def _tabulated_beam(
     axial_reach_m: float,
     mixture: Mixture | None,
 ) -> PulseEchoBeam:
+    """Return the pulse-echo response tabulated over the given reach, at each frequency or mixed by ``mixture``."""
     from scipy.ndimage import spline_filter
 
     width_m = diffraction_width_m(transducer, max(frequency_hz), sound_speed_m_per_s)

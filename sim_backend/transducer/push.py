@@ -145,6 +145,7 @@ def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: fl
 def _water(
     transducer: Transducer, propagation: Propagation, speed_m_per_s: float, surface_pa: float, carrier_hz: float
 ) -> WaterOutput:
+    """Return the beam's output in water at this pressure of the transducer's surface."""
     _check_memory(transducer, speed_m_per_s / carrier_hz, propagation.harmonics)
     layer = _water_layer(propagation, speed_m_per_s, math.inf)
     beam = nonlinear_beam(transducer, [layer], carrier_hz, surface_pa, Accuracy(propagation.harmonics))
@@ -171,6 +172,7 @@ def _push(
     width_m: Triple,
     carrier_hz: float,
 ) -> Push:
+    """Return force, heat and peak pressures at several surface pressures around the reference force."""
     _check_memory(transducer, layers[0].sound_speed_m_per_s / carrier_hz, harmonics)
     start_m, speed_m_per_s = layers[0].thickness_m, layers[-1].sound_speed_m_per_s
 

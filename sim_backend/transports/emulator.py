@@ -67,6 +67,10 @@ class Emulator:
         self._stack.close()
 
     def _serve(self, transport: Transport, ports: Mapping[str, Port]) -> dict[str, Served]:
+        """Open the servers of ``transport`` and return the address of each instrument, by role.
+
+        Socket, serial and HiSLIP need one server for each instrument; VXI-11 and Prologix one for all.
+        """
         if transport in SERVERS:
             return {role: Served(self._open(SERVERS[transport](port)).address) for role, port in ports.items()}
         by_gpib_address = dict(enumerate(ports.values(), FIRST_GPIB_ADDRESS))

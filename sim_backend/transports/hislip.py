@@ -72,6 +72,7 @@ class HislipServer:
         self.address = f"TCPIP0::{LOOPBACK}::hislip0,{listener.port}::INSTR"
 
     def _converse(self, peer: socket.socket) -> None:
+        """Serve one connection, synchronous or asynchronous according to its first message, until it closes."""
         first = receive(peer)
         if first.kind == Kind.INITIALIZE:
             with self._lock:
@@ -90,6 +91,7 @@ class HislipServer:
             send(peer, Message(Kind.FATAL_ERROR, BAD_INITIALIZATION, 0, b"Initialize comes first"))
 
     def _answer_synchronous(self, peer: socket.socket, session: int) -> None:
+        """Answer data, clear and trigger messages until the connection closes or a message is too long."""
         incomplete = b""
         while True:
             message = receive(peer)
@@ -116,8 +118,8 @@ class HislipServer:
                 case _:
                     send(peer, UNRECOGNIZED)
 
-    def _locked(self, message: Message, owner: str, peer: socket.socket) -> int:
-        """Return the answer to a request for the exclusive lock, or to its release; a shared lock is not granted."""
+    def _lock_answer(self, message: Message, owner: str, peer: socket.socket) -> int:
+        """Acquire or release the exclusive lock and return the answer; a shared lock is not granted."""
         reservation = self._port.reservation
         if not message.control & 1:
             return LOCK_GRANTED if reservation.release(owner) else LOCK_ERROR
@@ -127,6 +129,7 @@ class HislipServer:
         return LOCK_GRANTED if granted else LOCK_REFUSED
 
     def _answer_asynchronous(self, peer: socket.socket, owner: str) -> None:
+        """Answer status, lock and clear messages until the connection closes; ``owner`` identifies its session."""
         while True:
             message = receive(peer)
             match message.kind:
@@ -137,7 +140,7 @@ class HislipServer:
                 case Kind.ASYNC_STATUS:
                     reply = Message(Kind.ASYNC_STATUS_RESPONSE, self._port.status_byte())
                 case Kind.ASYNC_LOCK:
-                    reply = Message(Kind.ASYNC_LOCK_RESPONSE, self._locked(message, owner, peer))
+                    reply = Message(Kind.ASYNC_LOCK_RESPONSE, self._lock_answer(message, owner, peer))
                 case Kind.ASYNC_REMOTE_LOCAL:
                     reply = Message(Kind.ASYNC_REMOTE_LOCAL_RESPONSE)
                 case _:

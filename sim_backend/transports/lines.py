@@ -40,6 +40,7 @@ class SocketServer:
         self.address = address.format(host=LOOPBACK, port=listener.port)
 
     def _converse(self, peer: socket.socket) -> None:
+        """Answer the lines of one connection until it closes."""
         lines = LineBuffer()
         while received := peer.recv(RECEIVE_BYTES):
             for line in lines.completed_by(received):
@@ -73,6 +74,7 @@ class SerialServer:
             os.close(descriptor)
 
     def _converse(self) -> None:
+        """Answer the lines on the terminal until ``close`` is called."""
         import select
 
         lines = LineBuffer()

@@ -76,6 +76,7 @@ class Reservation:
         return self._owner == owner
 
     def _available(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
+        """Wait until no other owner has the lock; return False after ``timeout_s``."""
         deadline_s = time.monotonic() + timeout_s
         while self._owner not in (None, owner):
             if time.monotonic() >= deadline_s:
@@ -150,6 +151,7 @@ class Listener:
             thread.join(timeout=max(0.0, deadline_s - time.monotonic()))
 
     def _accept(self) -> None:
+        """Accept connections until the listener closes, and serve each in a thread."""
         while not self._closing:
             try:
                 peer, _ = self._listener.accept()

@@ -34,6 +34,7 @@ class PrologixAdapter:
         return f"GPIB0::{gpib_address}::INSTR"
 
     def _converse(self, peer: socket.socket) -> None:
+        """Serve one connection until it closes or sends a line that is too long."""
         incomplete, addressed = b"", next(iter(self._ports))
         while received := peer.recv(RECEIVE_BYTES):
             lines, incomplete = unescaped_lines(incomplete + received)
@@ -41,13 +42,15 @@ class PrologixAdapter:
                 return
             for line in lines:
                 if not line.startswith(b"++"):
-                    # Data to an address without an instrument are lost.
+                    # Data for the addressed instrument; without an instrument at that address they are lost.
                     if addressed in self._ports:
                         self._ports[addressed].send(_ESCAPED.sub(rb"\1", line))
                 elif line.startswith(b"++addr "):
                     match = _ADDRESS.fullmatch(line)
-                    addressed = int(match[1]) if match else addressed
-                    peer.sendall(b"" if match else UNRECOGNIZED)
+                    if match:
+                        addressed = int(match[1])
+                    else:
+                        peer.sendall(UNRECOGNIZED)
                 else:
                     peer.sendall(self._adapter(addressed, line))
 
@@ -69,7 +72,10 @@ class PrologixAdapter:
 
 
 def unescaped_lines(data: bytes) -> tuple[list[bytes], bytes]:
-    """Return the lines of ``data``, which end at unescaped line ends, and the incomplete last one."""
+    """Split ``data`` at line ends that are not escaped; return the complete lines and the incomplete last one.
+
+    The lines keep their escape characters.
+    """
     lines, start = [], 0
     # ESC escapes any following byte, including a line feed.
     for mark in _MARK.finditer(data):

@@ -41,7 +41,7 @@ _FLAG_OFFSETS: Final = {
     **dict.fromkeys((DEVICE_READ_STB, DEVICE_TRIGGER, DEVICE_CLEAR, DEVICE_REMOTE, DEVICE_LOCAL), (4, 8)),
 }
 _NUMBER = re.compile(r"[0-9]{1,2}", re.ASCII)
-PROGRAM_UNAVAILABLE, GARBAGE_ARGUMENTS = 1, 4
+CALL_SUCCEEDED, PROGRAM_UNAVAILABLE, GARBAGE_ARGUMENTS = 0, 1, 4
 
 
 # Links are compared by identity.
@@ -73,12 +73,13 @@ class Vxi11Gateway:
         return f"TCPIP0::{LOOPBACK},{self._listener.port}::gpib0,{gpib_address}::INSTR"
 
     def _converse(self, peer: socket.socket) -> None:
+        """Answer the RPC calls of one connection until it closes."""
         links: dict[int, Link] = {}
         try:
             while True:
                 transaction, program, procedure, arguments = _call(_record(peer))
                 if program != CORE_PROGRAM:
-                    _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, PROGRAM_UNAVAILABLE))
+                    _send_reply(peer, transaction, PROGRAM_UNAVAILABLE)
                     continue
                 try:
                     create = procedure == CREATE_LINK
@@ -86,15 +87,17 @@ class Vxi11Gateway:
                         self._create(links, arguments, peer) if create else _on_link(links, procedure, arguments, peer)
                     )
                 except struct.error:
-                    _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, GARBAGE_ARGUMENTS))
+                    _send_reply(peer, transaction, GARBAGE_ARGUMENTS)
                     continue
-                _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, 0) + result)
+                _send_reply(peer, transaction, CALL_SUCCEEDED, result)
         finally:
             # The locks of a client end with its connection.
             for link in links.values():
                 link.port.reservation.release(link)
 
     def _create(self, links: dict[int, Link], arguments: bytes, peer: socket.socket) -> bytes:
+        """Return the result of create_link: error, link number, abort port (0: none), largest message in bytes."""
+        # Arguments: client number, whether to lock the device, lock time-out, device name.
         _, exclusive, lock_timeout_ms = struct.unpack_from("!iII", arguments)
         name, _ = _opaque(arguments, 12)
         link = self._link_to(name)
@@ -110,6 +113,7 @@ class Vxi11Gateway:
         return struct.pack("!iiII", NO_ERROR, number, 0, MAXIMUM_BYTES)
 
     def _link_to(self, name: bytes) -> Link | None:
+        """Return a new link to the device ``name``, such as ``gpib0,10``; None if there is no such instrument."""
         prefix, _, gpib_address = name.decode("latin-1").partition(",")
         if prefix.lower() != "gpib0" or not _NUMBER.fullmatch(gpib_address):
             return None
@@ -143,6 +147,7 @@ def _on_link(links: dict[int, Link], procedure: int, arguments: bytes, peer: soc
 
 
 def _execute(link: Link, procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
+    """Return the result of a procedure that needs the instrument, which no other link has locked."""
     if procedure == DEVICE_WRITE:
         return _write(link, arguments)
     if procedure == DEVICE_READ:
@@ -158,7 +163,11 @@ def _execute(link: Link, procedure: int, arguments: bytes, peer: socket.socket) 
 
 
 def _write(link: Link, arguments: bytes) -> bytes:
-    # Link, time-out and lock time-out come first.
+    """Return the result of device_write: error and number of bytes accepted.
+
+    A message that ends with these bytes is sent to the instrument. Arguments of 4 bytes each: link, time-out, lock
+    time-out, and at offset 12 the flags. The data follow at offset 16.
+    """
     (flags,) = struct.unpack_from("!i", arguments, 12)
     data, _ = _opaque(arguments, 16)
     if len(link.incoming) + len(data) > MAX_BYTES:
@@ -174,12 +183,17 @@ def _write(link: Link, arguments: bytes) -> bytes:
 
 
 def _read(link: Link, arguments: bytes, peer: socket.socket) -> bytes:
+    """Return the result of device_read: error, reason for the end and the next bytes of the reply.
+
+    Arguments of 4 bytes: link, number of bytes requested, time-out, and others that are not used.
+    """
     request_bytes, timeout_ms = struct.unpack_from("!II", arguments, 4)
     link.outgoing = link.outgoing or link.port.reply()
     if not link.outgoing:
         _wait(timeout_ms / 1e3, peer)
         return _failed(DEVICE_READ, IO_TIMEOUT)
     data, link.outgoing = link.outgoing[:request_bytes], link.outgoing[request_bytes:]
+    # XDR pads data to a multiple of 4 bytes.
     header = struct.pack("!iiI", NO_ERROR, COUNT_REASON if link.outgoing else END_REASON, len(data))
     return header + data + bytes(-len(data) % 4)
 
@@ -213,7 +227,10 @@ def _call(record: bytes) -> tuple[int, int, int, bytes]:
 
 
 def _opaque(data: bytes, start: int) -> tuple[bytes, int]:
-    """Return the XDR variable-length field at ``start``, and the start of the next one."""
+    """Return the XDR variable-length field at ``start``, and the start of the next one.
+
+    Raises ``struct.error`` if the field is cut off.
+    """
     (size,) = struct.unpack_from("!I", data, start)
     if start + 4 + size > len(data):
         raise struct.error("the field is cut off")
@@ -221,7 +238,8 @@ def _opaque(data: bytes, start: int) -> tuple[bytes, int]:
 
 
 def _record(peer: socket.socket) -> bytes:
-    # A record consists of fragments; the top bit of a fragment's length marks the last one.
+    """Return the next RPC record, its fragments joined; raise ``EOFError`` if it is too long or the peer closes."""
+    # The top bit of a fragment's length marks the last fragment.
     record, last = b"", False
     while not last:
         (mark,) = struct.unpack("!I", receive_exactly(peer, 4))
@@ -232,5 +250,8 @@ def _record(peer: socket.socket) -> bytes:
     return record
 
 
-def _send_record(peer: socket.socket, record: bytes) -> None:
+def _send_reply(peer: socket.socket, transaction: int, status: int, result: bytes = b"") -> None:
+    """Send the reply to an RPC call as a record of one fragment."""
+    # Transaction; a reply (1), accepted (0), with an empty verifier (flavour and length 0); status.
+    record = struct.pack("!6I", transaction, 1, 0, 0, 0, status) + result
     peer.sendall(struct.pack("!I", LAST_FRAGMENT | len(record)) + record)
