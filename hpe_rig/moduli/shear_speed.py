@@ -87,6 +87,7 @@ def fit_voigt(
     unit = np.array([median_pa, median_pa / (2 * np.pi * frequency_hz.max())])
 
     def residual(relative: FloatArray) -> FloatArray:
+        """Return the weighted residual (frequency,) of moduli (2,) in units of ``unit``."""
         elasticity_pa, viscosity_pa_s = (relative * unit).tolist()
         model = voigt_speed(frequency_hz, elasticity_pa, viscosity_pa_s, density_kg_per_m3)
         return np.asarray((model - speed_m_per_s) / sigma)

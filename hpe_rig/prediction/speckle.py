@@ -168,6 +168,7 @@ def _scattering(
 
 
 def _sum_into_cells(cell: Int64Array, components: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
+    """Return the complex sums (draw, cell) of the scatterers' real and imaginary ``components`` in each cell."""
     # bincount sums real numbers; complex exponentials would take three times as long.
     real, imaginary = (np.bincount(cell, component, math.prod(shape)) for component in components)
     return (real + 1j * imaginary).reshape(shape).astype(np.complex64)

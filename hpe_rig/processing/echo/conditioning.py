@@ -81,6 +81,7 @@ class CodedVolts:
     """
 
     def __init__(self, records: GatedRecords, pulses: slice, usable: BoolArray, statistics: GateStatistics) -> None:
+        """Compute offset and energy from the ``statistics`` of the gate's codes; no volts are converted yet."""
         self._records, self._first = records, pulses.start
         self.shape = (usable.size, records.shape[1])
         self.ndim, self.dtype = 2, np.dtype(np.float32)

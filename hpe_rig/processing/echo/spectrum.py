@@ -101,6 +101,7 @@ def _transform(volts: Volts, band: Band, fft_points: int, spectrum: ComplexArray
 
     @np.errstate(invalid="ignore")
     def transform(train: tuple[int, ...], firsts: Iterator[int]) -> None:
+        """Transform the blocks of one train that begin at the pulses ``firsts``, which two threads may share."""
         for first in firsts:
             block = slice(first, min(first + BLOCK_PULSES, pulses))
             records = volts[train][block]

@@ -117,7 +117,8 @@ def _one_frequency(
     """
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
 
-    def passed(series: FloatArray) -> FloatArray:
+    def band_passed(series: FloatArray) -> FloatArray:
+        """Return ``series`` after the band-pass; unchanged without one."""
         if np.isinf(half_width_hz):
             return series
         return band_pass(series, 1 / interval_s, f - half_width_hz, f + half_width_hz)
@@ -125,16 +126,16 @@ def _one_frequency(
     # Response of the chain to a unit sinusoid, 2 by 2; its inverse removes gain, delay and the Hann window's mean.
     columns = harmonic_columns(velocity.time_s, np.array([f]))
     solver = np.linalg.pinv(columns[valid])
-    response = solver @ (passed(columns.T) * window)[:, valid].T
+    response = solver @ (band_passed(columns.T) * window)[:, valid].T
     # From (in-phase, quadrature) of v/w to those of D: -90 degrees, over the gain of the difference.
     to_displacement = np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
     correction = to_displacement @ np.linalg.inv(response) / (2 * np.pi * f)
-    windowed = (passed(filled) * window)[..., valid]
+    windowed = (band_passed(filled) * window)[..., valid]
     state = filter_constant(columns[valid], windowed, PRIOR).state @ correction.T
     # The same chain transposed, from the state back to the velocities; the band-pass is its own transpose.
     rows = np.zeros((2, valid.size))
     rows[:, valid] = correction @ solver * window[valid]
-    weights = passed(rows)
+    weights = band_passed(rows)
     # Filled velocities are linear in the valid ones.
     weights[:, valid] += weights @ fill @ model.root @ model.root.T @ model.matrix.T
     weights[:, ~valid] = 0.0

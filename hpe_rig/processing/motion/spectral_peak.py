@@ -197,6 +197,7 @@ def _transform(
     even, odd = to_real.shape[0], to_imag.shape[0]
 
     def by_basis(volts: Volts) -> tuple[FloatArray, FloatArray]:
+        """Return spectra and energy by products with real bases, which for short gates are faster than an FFT."""
         # Coefficients: of the even basis, of the odd basis, and the spectrum at ``plain_hz``.
         coefficients = volts.astype(np.float64, copy=False) @ basis
         spectra = np.empty((*coefficients.shape[:-1], 2 * frequency_hz.size))
