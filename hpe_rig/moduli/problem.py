@@ -205,9 +205,7 @@ class Problem:
         field = shear_motion(
             HarmonicMedium(frequency_hz, modulus_pa, push.density_kg_per_m3),
             force.scaled(width_factor, length_factor),
-            TrackedRegion(
-                lateral_m=lateral_m, axial_m=axial_m, across_m2=area_m2, along_m2=vibrations[0].tracking_m2[1]
-            ),
+            TrackedRegion(lateral_m, axial_m, across_m2=area_m2, along_m2=vibrations[0].tracking_m2[1]),
             self.quick,
         )
         # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gains and phases.

@@ -242,7 +242,7 @@ class _Pixels:
         total = (z @ phasor.conj()[..., None])[..., 0]
         # Inner product over the gate of that sum with each aligned echo, (line, gate, pulse).
         with_others = (total.conj()[:, :, None] @ z)[:, :, 0] * phasor.conj()
-        # The sum contains the pulse itself, whose noise would bias the phase to zero: its energy is subtracted.
+        # The sum contains the pulse itself. Its noise would bias the phase to zero, so its energy is subtracted.
         with_others -= (z.real**2 + z.imag**2).sum(axis=2)
         return np.asarray(accumulated + np.angle(with_others), np.float32)
 
