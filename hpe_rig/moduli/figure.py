@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from hpe_rig.moduli.outcome import ModuliResult
+from hpe_rig.moduli.inversion import Moduli
+from hpe_rig.moduli.vibration_model import Vibration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def moduli_figure(result: ModuliResult) -> Figure:
+class FittedVibrations(Protocol):
+    """What the figure draws of a result: vibrations, the most likely medium, and a title."""
+
+    @property
+    def vibrations(self) -> Sequence[Vibration]: ...
+    @property
+    def best(self) -> Moduli: ...
+    @property
+    def headline(self) -> str: ...
+
+
+def moduli_figure(result: FittedVibrations) -> Figure:
     """Return amplitude and phase over frequency: measured points with bars of 2 u, lines of the most likely medium."""
     from matplotlib.figure import Figure
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 from hpe_rig.moduli.vibration_model import Vibration
 from hpe_rig.result import dataclass_schema, json_values, object_schema, titled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TESTED_RANGES = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
 """Ranges of the comparison of the field with independent ones."""
@@ -60,6 +63,12 @@ class ModuliResult:
         best = self.best
         values = [f"{_name(name)} {_with_uncertainty(best, name, '±')}" for name in best.values]
         return f"{law_of(best.law).title}: {', '.join(values)}"
+
+    def figure(self) -> Figure:
+        """Return the figure of ``moduli_figure``."""
+        from hpe_rig.moduli.figure import moduli_figure
+
+        return moduli_figure(self)
 
     def __str__(self) -> str:
         """Return the moduli with their uncertainties, the other laws, and the omitted data."""
