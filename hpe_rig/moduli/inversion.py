@@ -243,8 +243,10 @@ def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
     """Return the kind of ``nuisance`` and the gate or lateral offset that it belongs to."""
     if nuisance.vibration == COMMON:
         return nuisance.kind
-    one = vibrations[nuisance.vibration]
-    return f"{nuisance.kind} at {f'{one.lateral_m * 1e3:g} mm' if nuisance.kind == 'stage' else one.label}"
+    vibration = vibrations[nuisance.vibration]
+    # All gates at one lateral offset move with the stage, so its error belongs to the offset and not to one gate.
+    location = f"{vibration.lateral_m * 1e3:g} mm" if nuisance.kind == "stage" else vibration.label
+    return f"{nuisance.kind} at {location}"
 
 
 def _contributions(

@@ -138,8 +138,12 @@ def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, dr
 
 
 def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErrors:
-    """Return the errors of one estimator from ``draws`` of speckle, more if it reads the phase at a peak."""
-    # Only the fields that speckle depends on remain, so that estimators share their draws.
+    """Return the errors of ``estimator``, predicted from ``draws`` draws of speckle.
+
+    An estimator that reads the phase at a spectral peak gets more draws, by ``PEAK_DRAW_FACTOR``.
+    """
+    # Speckle does not depend on motion, noise or fit: fixed values of those fields (``fit_gain`` follows in the second
+    # ``replace``) give all estimators the same key in the cache of draws.
     echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf, trigger_jitter_s=0.0)
     speckle = seeded_speckle(
         replace(echoes, fit_gain=1.0), PEAK_DRAW_FACTOR * draws if spec_of(estimator).reads_peak else draws

@@ -631,27 +631,33 @@ def _codes(
 ) -> tuple[Int16Array, BoolArray]:
     """Return the codes of ``samples`` of the records ``rows``, (pulse, sample), and which are damaged, (pulse,).
 
-    Each chunk is checked before it is decompressed. Files without checksums can have chunks of any shape.
+    A record is damaged if its mark in ``arrival`` is, or if the chunk that holds it fails its checksum. Each chunk is
+    checked before it is decompressed.
     """
     rows = slice(0, echo.shape[1]) if rows is None else slice(rows.start, min(rows.stop, echo.shape[1]))
+    # Damaged marks are carried in from ``arrival``; damaged chunks are added below.
     recorded, damaged = arrival.recorded[rows], arrival.damaged[rows].copy()
-    size: int = echo.chunks[1]
+    records_per_chunk: int = echo.chunks[1]
+    # A file without checksums can have chunks of any shape. If its chunks span several shots or only part of a record,
+    # HDF5 assembles the selection itself.
     if not checked.has_checksums and (echo.chunks[0] != 1 or echo.chunks[2] != echo.shape[2]):
         codes = echo[shot, rows, samples]
         codes[~recorded] = MISSING
         return codes, damaged
     codes = np.full((recorded.size, samples.stop - samples.start), MISSING)
-    sums = _sums(checked, name, echo.shape, size) if checked.has_checksums and recorded.any() else None
-    for number in range(rows.start // size, -(-rows.stop // size)):
+    sums = _sums(checked, name, echo.shape, records_per_chunk) if checked.has_checksums and recorded.any() else None
+    for number in range(rows.start // records_per_chunk, -(-rows.stop // records_per_chunk)):
         # Records that the chunk and ``rows`` share: indices in the shot, then in the result.
-        first, last = max(number * size, rows.start), min((number + 1) * size, rows.stop)
+        first, last = max(number * records_per_chunk, rows.start), min((number + 1) * records_per_chunk, rows.stop)
         block = slice(first - rows.start, last - rows.start)
         if recorded[block].any():
             chunk_codes = _chunk(checked, echo, name, shot, number, sums)
             if chunk_codes is None:
                 damaged[block] |= recorded[block]
             else:
-                codes[block] = chunk_codes[first - number * size : last - number * size, samples]
+                codes[block] = chunk_codes[
+                    first - number * records_per_chunk : last - number * records_per_chunk, samples
+                ]
     codes[~recorded | damaged] = MISSING
     return codes, damaged
 

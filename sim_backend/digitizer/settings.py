@@ -58,7 +58,10 @@ def external_trigger(board: BoardType, coupling: int, range_id: int) -> Changes 
 
 
 def record_size(board: BoardType, pre: int, post: int, samples_per_channel: int) -> Changes | None:
-    """Return the changes of a record's samples before and after the trigger."""
+    """Validate a record's samples before and after the trigger; return the settings to change.
+
+    Returns None if the ``board`` refuses them or if the record does not fit ``samples_per_channel`` of its memory.
+    """
     samples = pre + post
     valid = samples >= board.min_record and samples % board.record_multiple == 0
     valid = valid and pre % board.pre_trigger_multiple == 0 and 0 <= pre <= samples - MIN_POST_TRIGGER_SAMPLES

@@ -79,10 +79,14 @@ class EchoDelays:
         )
 
     def shifted(self, shift_s: FloatArray) -> EchoDelays:
-        """Return the delays relative to sample times that are later by ``shift_s`` (echo,)."""
+        """Return the delays relative to sample times that are later by ``shift_s`` (echo,).
+
+        The delays (echo, scatterer) are ``rest_s + amplitude_s @ shape``.
+        """
         if not shift_s.any():
             return self
-        # Later sample times are earlier delays of all scatterers: one more shape, of ones.
+        # Later sample times shorten the delays of all scatterers equally: one more shape, of ones, with the
+        # amplitude -shift_s.
         shape = np.concatenate([self.shape, np.ones((1, self.shape.shape[1]))])
         amplitude_s = np.concatenate([self.amplitude_s, -shift_s[:, None]], axis=1)
         return EchoDelays(rest_s=self.rest_s, shape=shape, amplitude_s=amplitude_s, response=self.response)

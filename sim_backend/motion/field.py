@@ -361,32 +361,46 @@ def _rotated_contour(angle_ratio: float) -> Contour:
 def _ray_spectrum(
     directions: _Directions, lateral_m: FloatArray, axial_m: FloatArray, ray: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return k² of the wave numbers, (k,), and their weighted spectrum at every point, (k, point)."""
+    """Return k² of the wave numbers, (k,), and their weighted spectrum at every point, (k, point).
+
+    The spectrum S(k, r) of the module's equation is a sum over directions with cosine m to the axis. The wave numbers
+    are the nodes of an integral along a ray at the angle ``ray`` to the real axis: k = |k| exp(j ray). On the real axis
+    the integral would come near the shear pole k² = -rho s² / mu, which is sharp for weakly damped media. Away from
+    the pole the integrand is smooth, so few nodes suffice. The cost: waves grow as exp(|k| reach sin(ray)), and the
+    force's spectrum decays as exp(-a |k|² cos(2 ray)), more slowly than on the real axis.
+    """
+    # Along each direction: cosine to the axis, half the squared width of the narrowest Gaussian (m²), and the longest
+    # path from the force to a point.
     m, a_m2, rotation = directions.m, directions.min_a_m2, np.exp(1j * ray)
     reach_m = directions.reach_m(lateral_m.max(), np.abs(axial_m).max())
+    # The integral ends where the spectrum is negligible along every direction. Octaves of |k| follow from 0 to there.
     highest = float(_highest_wave_number(a_m2, reach_m, ray).max())
     bessel = _BesselOnRay(rotation, highest * float(lateral_m.max()))
     edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
     k2, weighted = [], []
     for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
-        # Gauss-Legendre nodes of the octave.
+        # Gauss-Legendre nodes of the octave: more for short waves, which oscillate over the reach. A ray at a smaller
+        # angle is nearer to the pole and needs more nodes, in inverse proportion.
         is_short = octave > _OCTAVES - _SHORT_WAVE_OCTAVES
         count = _NODES_PER_SHORT_WAVE_OCTAVE if is_short else _NODES_PER_OCTAVE
         node, weight = legendre(math.ceil(count * (_RAY / ray)))
         along_ray = (high + low) / 2 + (high - low) / 2 * node
         k = rotation * along_ray
-        # Directions along which the force is too long for these wave numbers contribute nothing.
-        decay = a_m2 * (low * low * math.cos(2 * ray))
-        selected = decay - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
+        # Omit directions with a negligible spectrum in the whole octave, where the force is long compared with the
+        # wavelength. Bound: the decay exponent at the low edge, where it is least, minus the largest growth exponent,
+        # at the high edge.
+        min_decay = a_m2 * (low * low * math.cos(2 * ray))
+        selected = min_decay - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
         sine, cosine = np.sqrt(1 - m[selected] ** 2)[:, None], m[selected][:, None]
         even, odd = directions.spectra(k, selected)
-        # The wave across the axis, (k, direction, lateral), and along it, (k, direction, axial).
+        # The wave across the axis is J0(k lateral sine), (k, direction, lateral). Along the axis it is a cosine for the
+        # even part of the spectrum and a sine for the odd part, (k, direction, axial).
         across = bessel.at(along_ray[:, None, None] * (sine * lateral_m))
         phase = k[:, None, None] * cosine * axial_m
         along = even[:, :, None] * np.cos(phase)
         if odd is not None:
             along += odd[:, :, None] * np.sin(phase)
-        # Sum over directions, (k, lateral, axial), and the weight of the quadrature.
+        # Sum over directions, (k, lateral, axial), then the weight of the quadrature in dk.
         block = np.einsum("kml,kma->kla", across, along, optimize=True)
         k2.append(k**2)
         weighted.append(block.reshape(len(k), -1) * (rotation * (high - low) / 2 * weight)[:, None])

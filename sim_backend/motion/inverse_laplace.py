@@ -109,13 +109,17 @@ def chebyshev_matrix(count: int) -> FloatArray:
 
 
 def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
-    """Return s and the weight of U(s), (node,), for times 1 to 4.
+    """Return the nodes s and the weights of U(s) of an inverse Laplace transform along a hyperbola, (node,) each.
 
-    Nodes lie above the real axis alone; their weights count the mirrored half too.
+    The step response is S(t) = Re sum of weight exp(s t) U(s). Times are in units of the begin t0 of a panel, and s in
+    units of 1/t0: one hyperbola serves times 1 to 4. Nodes lie only above the real axis; the weights include the
+    complex conjugate half below it.
     """
     step = contour.span / contour.nodes
+    # Midpoint rule in x.
     x = (np.arange(contour.nodes) + 0.5) * step
     s = contour.height * (1 + np.sin(1j * x - contour.alpha))
+    # The weight is (ds/dx) dx / (pi j). Division by s, the transform of a step, gives the step response.
     return s, step / np.pi * contour.height * np.cos(1j * x - contour.alpha) / s
 
 

@@ -237,6 +237,7 @@ def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
     count = 1 if wide == narrow else 8 * math.ceil(wide / narrow) + 8
     azimuth = (np.arange(count) + 0.5) * np.pi / (2 * count)
     lateral_m2 = width_m[0] * width_m[0] * np.cos(azimuth) ** 2 + width_m[1] * width_m[1] * np.sin(azimuth) ** 2
+    # For each azimuth, `polar_nodes` returns the directions' cosines to the axis (not needed here), a and weights.
     nodes = [polar_nodes(float(width_m2), width_m[2] ** 2) for width_m2 in lateral_m2]
     return np.concatenate([a for _, a, _ in nodes]), np.concatenate([weight for _, _, weight in nodes]) / count
 

@@ -28,7 +28,7 @@ def lead_s(chain: ReceiveChain) -> float:
 
 def fast_length(samples: int) -> int:
     """Return the smallest number from ``samples`` on without a prime factor above 5, for a fast Fourier transform."""
-    # Imported here, so that an ideal chain does not load it.
+    # Imported here: a scene whose receiver distorts nothing has no receive chain and does not need SciPy.
     from scipy.fft import next_fast_len
 
     return int(next_fast_len(samples, real=True))

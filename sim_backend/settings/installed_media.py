@@ -66,7 +66,10 @@ def creeps(medium: str) -> bool:
 
 @cache
 def _law(medium: str) -> Any:
-    """Return the medium of an installed package; raise ``ValueError`` if it does not load or is incomplete."""
+    """Return the material law of ``medium``: the object that its package installs under that name.
+
+    A law has ``parameters`` and a function ``modulus``. Raises ``ValueError`` if the law does not load or lacks them.
+    """
     try:
         law = _installed()[medium].load()
     except Exception as error:
@@ -74,7 +77,9 @@ def _law(medium: str) -> Any:
             f"{_description(medium)} does not load ({type(error).__name__}: {error}): uninstall it"
         ) from error
     if not callable(getattr(law, "modulus", None)) or not getattr(law, "parameters", None):
-        raise ValueError(f"{_description(medium)} has no parameters or no modulus: its newest version")
+        raise ValueError(
+            f"{_description(medium)} has no parameters or no modulus: install the newest version of its package"
+        )
     return law
 
 

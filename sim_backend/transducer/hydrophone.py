@@ -89,26 +89,30 @@ def _column_mistakes(columns: Mapping[str, FloatArray]) -> list[str]:
 
 
 def round_field(scan: Scan, wave_number_per_m: float, lateral_m: FloatArray, axial_m: FloatArray) -> ComplexArray:
-    """Return the beam averaged around its axis, relative to the focus, without a plane wave's phase: (axial, lateral).
+    """Return the measured pressure averaged around the beam's axis, complex (axial, lateral), 1 at the focus.
 
-    Between points it is a cubic spline, and outside them 0. Without phases the wave fronts are assumed plane.
+    The phase of a plane wave along the axis is removed; a scan without phases is treated as a beam with plane wave
+    fronts. Cubic splines interpolate between the points of the scan; outside the scan the field is 0. ``lateral_m``
+    must begin with 0, since the first column normalises the field.
     """
     from scipy.interpolate import CubicSpline
 
     planes_m, plane = np.unique(np.round(scan.position_m[:, 2] / _RESOLUTION_M).astype(np.int64), return_inverse=True)
     radius_m = np.hypot(scan.position_m[:, 0], scan.position_m[:, 1])
+    # A plane wave has the phase -k z.
     without_phase = scan.pressure_pa * (
         np.exp(1j * wave_number_per_m * scan.position_m[:, 2]) if scan.has_phase else 1.0
     )
     rows = []
     for n in range(len(planes_m)):
         ring_m, mean = _rings(radius_m[plane == n], without_phase[plane == n])
-        # Mirror at the axis, across which a round beam is smooth.
+        # Mirror at the axis, across which a round beam is smooth, and interpolate each plane over the radius.
         off_axis = ring_m > _RESOLUTION_M
         spline = CubicSpline(
             np.concatenate([-ring_m[off_axis][::-1], ring_m]), np.concatenate([mean[off_axis][::-1], mean])
         )
         rows.append(np.where(lateral_m <= ring_m[-1], spline(np.minimum(lateral_m, ring_m[-1])), 0.0))
+    # Interpolate over depth, and divide by the value on the axis at depth 0.
     depth_m = planes_m * _RESOLUTION_M
     inside = (axial_m >= depth_m[0]) & (axial_m <= depth_m[-1])
     field = CubicSpline(depth_m, np.array(rows))(np.clip(axial_m, depth_m[0], depth_m[-1]))

@@ -69,16 +69,20 @@ def medium_fit(
 ) -> MediumFit:
     """Return amplitudes and phases of the wanted harmonics with the prior of media, in closed form.
 
-    Every valid pulse has the same weight: the variances that the echoes state scatter more than the noise differs, and
-    they lack the trigger jitter. The noise therefore comes from the residual; for accumulated steps it is white noise
-    plus a random walk. Raises ``ValueError`` for frequencies that are no harmonics of the bursts and for too few
-    pulses.
+    Every valid pulse has the same weight. The variances estimated from single echoes are not used as weights: their
+    estimation error exceeds the true differences in noise between pulses, and they exclude trigger jitter. The noise
+    therefore comes from the residual of the fit; for accumulated steps it is white noise plus a random walk. Raises
+    ``ValueError`` for frequencies that are no harmonics of the bursts and for too few pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
+    # The sampled motions of the prior are U diag(l) V': ``left_vectors`` is U and ``value`` is l, the singular values.
+    # ``along`` (..., rank): the data along each column of U.
     along = data @ projected.left_vectors
     evidence = evidence_of(projected, data, along)
+    # The gain leads from the data to coordinates along V, and ``wanted_rows`` from there to the wanted states.
+    # Shrinkage is the fraction of the data along each column of U that the fit attributes to the motion.
     gain = _gain(projected, evidence)
     weights = projected.wanted_rows * gain[..., None, :]
     shrinkage = gain * projected.value

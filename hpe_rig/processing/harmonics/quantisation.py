@@ -77,14 +77,16 @@ def _harmonics_v2(code_v: float, noise_v2: float) -> FloatArray:
 
 
 def _noise_v2(scatter_v2: float, code_v: float, constant_fraction: FloatArray) -> float:
-    """Return sigma² of a sample before rounding, by bisection.
+    """Return sigma², the noise variance of a sample before rounding, V², by bisection.
 
-    ``constant_fraction`` (harmonic,): fraction of the rounding error in the mean echo.
+    The mean rounding error is a sawtooth of the voltage, with the period of one code. ``constant_fraction``
+    (harmonic,): the fraction of each of its harmonics' power that does not change with the motion. That part is in
+    the mean echo, so it does not contribute to ``scatter_v2``, the scatter of the echoes about their mean.
     """
     low, high = 0.0, scatter_v2
     for _ in range(BISECTIONS):
         middle = (low + high) / 2
-        # Scatter of the echoes: noise and rounding, minus the part of the rounding error in the mean echo.
+        # Scatter for this sigma²: noise, plus rounding (q² / 12), minus the constant part of each harmonic.
         predicted_v2 = middle + code_v**2 / 12 - float(constant_fraction @ _harmonics_v2(code_v, middle))
         low, high = (middle, high) if predicted_v2 < scatter_v2 else (low, middle)
     return low
@@ -96,13 +98,20 @@ def sawtooth_v(harmonic: int, code_v: float, noise_v2: float) -> float:
 
 
 def _slopes(echoes: EchoGate) -> FloatArray:
-    """Return quantiles (slope,) of the gate's samples' slopes dv/du, V/m, in rising order."""
+    """Return quantiles (slope,) of the slopes |dv/du| of the gate's samples, V/m, in rising order.
+
+    v is the voltage of a sample, u the displacement. Only the first valid echo is used: all echoes of a train have
+    nearly the same waveform, so their slopes have the same distribution.
+    """
     blocks = ((echoes.valid[pulses], volts) for pulses, volts in echoes.blocks(echoes.gate))
     volts = next(block[valid][0] for valid, block in blocks if valid.any())
+    # dv/dt: the spectrum times j omega.
     spectrum = np.fft.rfft(volts) * 2j * np.pi * np.fft.rfftfreq(volts.size, 1 / echoes.sample_rate_hz)
     per_second = np.sort(np.abs(np.fft.irfft(spectrum, volts.size)))
     quantile = (np.arange(SLOPES) + 0.5) / SLOPES
+    # Quantiles by interpolation of the sorted slopes.
     slopes_per_second = np.interp(quantile * (volts.size - 1), np.arange(volts.size), per_second)
+    # A displacement u delays the echo by 2 u / c.
     return np.asarray(slopes_per_second * (2 / echoes.sound_speed_m_per_s))
 
 

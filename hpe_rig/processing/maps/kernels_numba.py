@@ -45,7 +45,7 @@ def _angle(y: Any, x: Any) -> Any:
 
 
 def unwrapped(z: ComplexSingleArray) -> SingleArray:
-    """Return `kernels.unwrapped` of ``z`` (..., pulse)."""
+    """Return the unwrapped phase of ``z`` (..., pulse) against the first pulse, rad; see `kernels.unwrapped`."""
     flat = np.ascontiguousarray(z).reshape(-1, z.shape[-1])
     angle = np.empty(flat.shape, np.float32)
     _unwrap(flat.view(np.float32), angle)

@@ -53,9 +53,11 @@ def coherent(echoes: EchoGate) -> Motion:
 def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...), Hz.
 
-    ``use_compiled``: by the compiled loop if Numba is installed. Both forms differ by rounding. Raises ``ValueError``
-    if no train has an echo.
+    Two passes align the echoes, each echo against the sum of all others: the first by the accumulated steps between
+    consecutive pulses, the second by the phase of the first pass. ``use_compiled``: by the compiled loop if Numba is
+    installed. Both forms differ by rounding. Raises ``ValueError`` if no train has an echo.
     """
+    # The compiled loop keeps a whole aligned train in memory; a longer train is aligned in chunks of ALIGNED_CHUNK.
     if use_compiled and numba_installed() and spectrum.shape[-2] <= ALIGNED_CHUNK:
         result = _compiled_phase(spectrum, band)
         if np.isfinite(result[2]).any():
@@ -63,10 +65,11 @@ def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tu
         # Without an echo in any train, the NumPy form below raises the error that names the cause.
     # The products of a long train are not needed any more: their memory is released.
     steps = replace(pulse_steps(spectrum, band), product=np.empty(0, np.complex128))
-    # The first pass aligns with the noise of single echoes, the second with that of the mean echo.
+    # First pass: delays from the accumulated steps, which add up the noise of single echoes.
     first = compare_with_others(spectrum, band, steps, steps.delay_s, steps.energy)
     phase = steps.phase + np.angle(first.product)
     delay_s = -phase / (2 * np.pi * first.mean_hz[..., None])
+    # Second pass: delays from the phase against the sum of the other echoes, with less noise.
     # Arrays of the first pass are released before the second allocates its own.
     steps = replace(steps, phase=np.empty(0), energy=np.empty(0))
     del first

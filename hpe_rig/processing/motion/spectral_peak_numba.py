@@ -68,9 +68,16 @@ def peak_steps(
 def noisy_peak_steps(
     clean: FloatArray, echo_index: IndexArray, level: FloatArray, noise: FloatArray, step: FloatArray, peak: IndexArray
 ) -> None:
-    """Write the results of `spectral_peak.noisy_peak_steps`; only the noisy spectra of two pulses are in memory."""
+    """Write phase steps and their bins between consecutive noisy spectra, at the peak of each cross-spectrum.
+
+    The noisy spectrum of a pulse is clean[draw, echo_index[pulse]] + level[draw] noise[draw, realisation, pulse].
+    ``clean`` (draw, echo, 2 * bin) and ``noise`` (draw, realisation, pulse, 2 * bin): each row holds the real parts of
+    all bins, then the imaginary parts. ``step``, ``peak`` (draw, realisation, pulse - 1) are overwritten.
+    """
     columns = clean.shape[2]
     bins = columns // 2
+    # Two buffers alternate between the current pulse (k % 2) and the previous one (1 - k % 2), since the noisy spectra
+    # of all pulses would need as much memory as the noise.
     spectra, power = np.empty((2, columns)), np.empty((2, bins))
     for draw in range(noise.shape[0]):
         for realisation in range(noise.shape[1]):
