@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class FittedVibrations(Protocol):
-    """What the figure draws of a result: vibrations, the most likely medium, and a title."""
+    """The part of a result that the figure shows: vibrations, the most likely medium, and a title."""
 
     @property
     def vibrations(self) -> Sequence[Vibration]: ...
