@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator, Mapping
+from datetime import date
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field
@@ -74,6 +75,8 @@ def _choice(names: tuple[str, ...]) -> tuple[Any, Any]:
     return Field(strict=True, json_schema_extra={"enum": list(names)}), AfterValidator(checked)
 
 
+Day = Annotated[date, Field(strict=True)]
+"""A date of TOML, such as 2026-03-05."""
 BoardName = Annotated[str, *_choice(BOARD_NAMES)]
 """Name of a digitizer board that has a driver."""
 GeneratorName = Annotated[str, *_choice(MODEL_NAMES)]
@@ -262,6 +265,14 @@ class Calibration(Section):
 
     source: str
     """Who measured what and when, or "assumed"."""
+    date: Day | None = None
+    """Day of the measurement."""
+    who: str | None = None
+    """Who measured."""
+    u: Annotated[float, Field(gt=0, le=1, strict=True)] | None = None
+    """Relative standard uncertainty of the pressures; that of the intensities is twice as large."""
+    valid_until: Day | None = None
+    """Last day on which a real bench may use the calibration; default: it does not expire."""
     focus_depth_m: LengthM
     """Distance between transducer and focus, over which the output is derated."""
     toneburst: DriveCalibration | None = None

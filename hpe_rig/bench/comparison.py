@@ -80,7 +80,7 @@ def _differences(where: str, before: Mapping[str, Any], after: Mapping[str, Any]
 
 
 def _equal(first: Any, second: Any) -> bool:
-    if isinstance(first, bool | str | None) or isinstance(second, bool | str | None):
+    if not isinstance(first, int | float) or not isinstance(second, int | float) or bool in (type(first), type(second)):
         return bool(first == second)
     return math.isclose(first, second, rel_tol=RELATIVE_TOLERANCE)
 

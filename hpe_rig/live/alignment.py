@@ -46,7 +46,10 @@ def without_pushing(setup: Setup) -> Setup:
     single = scene.model_copy(update=sections)
     bench = setup.bench.bench
     plan = make_plan(single, bench)
-    results = tuple(result for result in check_plan(single, bench, plan) if result.check not in VIBRATION_CHECKS)
+    # Whether the calibration has expired is checked for the day, with the setup.
+    expiry = (finding for finding in setup.findings if finding.check == "calibration")
+    checked = (result for result in check_plan(single, bench, plan) if result.check not in VIBRATION_CHECKS)
+    results = (*checked, *expiry)
     refuse_conflicts(results)
     return Setup(replace(setup.scene, scene=single), setup.bench, plan, results)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from datetime import date, datetime
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,15 @@ from hpe_rig.bench import (
     read_bench,
     with_transducers,
 )
-from hpe_rig.plan import CheckResult, Plan, check_plan, likely_causes, make_plan, refuse_conflicts
+from hpe_rig.plan import (
+    CheckResult,
+    Plan,
+    calibration_expiry,
+    check_plan,
+    likely_causes,
+    make_plan,
+    refuse_conflicts,
+)
 from hpe_rig.result import Stages
 from hpe_rig.scene import (
     Mistake,
@@ -93,7 +102,7 @@ def prepare_text(
         scene = replace(scene, scene=_completed(scene.scene, bench.bench, None if stored is None else stored.parent))
         if check and (mistakes := _twin_mistakes(scene.scene)):
             raise SettingsError(f"scene {name}", mistakes)
-        plan, findings = plan_and_check(scene.scene, bench.bench)
+        plan, findings = plan_and_check(scene.scene, bench.bench, date.today())
         findings = (*likely_causes(scene.scene, findings), *findings)
         if refuse:
             refuse_conflicts(findings)
@@ -108,7 +117,7 @@ def setup_of_run(stored: StoredRun) -> Setup:
     bench = parse_bench(stored.bench_name, stored.bench_toml)
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True)
     scene = replace(scene, scene=_completed(scene.scene, bench.bench, stored.path.parent))
-    plan, findings = plan_and_check(scene.scene, bench.bench)
+    plan, findings = plan_and_check(scene.scene, bench.bench, _day_of(stored))
     stored.refuse_other_plan(plan)
     return Setup(scene, bench, plan, findings)
 
@@ -147,11 +156,23 @@ def _twin_mistakes(scene: Scene) -> list[Mistake]:
     return list(dict.fromkeys(mistakes))
 
 
-def plan_and_check(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ...]]:
-    """Return the plan and the findings of its checks; raise ``SettingsError`` if the numbers allow no plan."""
+def _day_of(stored: StoredRun) -> date | None:
+    """Return the day on which a stored run began, None if the file does not state it."""
+    try:
+        return datetime.fromisoformat(stored.provenance.started).date()
+    except ValueError:
+        return None
+
+
+def plan_and_check(scene: Scene, bench: BenchFile, day: date | None = None) -> tuple[Plan, tuple[CheckResult, ...]]:
+    """Return the plan and the findings of its checks; raise ``SettingsError`` if the numbers allow no plan.
+
+    The calibration must be valid on ``day``, the day of the measurement; None: that is not checked.
+    """
     try:
         plan = make_plan(scene, bench)
-        return plan, tuple(check_plan(scene, bench, plan))
+        expiry = [] if day is None else calibration_expiry(bench, day)
+        return plan, (*check_plan(scene, bench, plan), *expiry)
     except (ArithmeticError, ValueError, MemoryError) as error:
         why = "more memory than is available" if isinstance(error, MemoryError) else error
         what = f"its numbers lead to no plan ({why})"

@@ -17,6 +17,7 @@ import textwrap
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import date
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -179,6 +180,8 @@ def _kind(choice: JsonSchema) -> str:
         prefix_items, items = choice.get("prefixItems"), choice.get("items", {})
         item_kind = _KINDS.get((prefix_items[0] if prefix_items else items).get("type", ""), "value")
         return f"list of {f'{len(prefix_items)} ' if prefix_items else ''}{item_kind}s"
+    if choice.get("format") == "date":
+        return "date"
     return _KINDS.get(choice.get("type", ""), "table")
 
 
@@ -261,7 +264,7 @@ def toml_value(value: Any) -> str:
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, Mapping):
         return f"{{ {', '.join(f'{key} = {toml_value(inner)}' for key, inner in value.items())} }}"
-    return str(value) if isinstance(value, int) else _toml_float(value)
+    return str(value) if isinstance(value, int | date) else _toml_float(value)
 
 
 def _toml_float(value: float) -> str:

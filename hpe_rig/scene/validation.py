@@ -150,6 +150,7 @@ _KINDS = {
     "tuple": "a list",
     "model": "a table",
     "dict": "a table",
+    "date": "a date such as 2026-03-05, without quotes",
 }
 """Beginning of Pydantic's type of a mistake, and the kind of value that it expects."""
 

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 from typing import Final
 
 from drivers.interfaces import Toneburst
@@ -28,6 +29,11 @@ MEASURE: Final = (
     "put a calibrated hydrophone at the focus in degassed water, drive one toneburst and one tracking pulse at a few "
     "amplitudes, enter pressure and intensity as not derated, and who measured them when as the source "
     "(docs/how-to/bench-safety.md); or remove [calibration], and the output is not estimated"
+)
+
+RENEW: Final = (
+    "measure the output again (docs/how-to/hydrophone.md) and enter the new values with their date and valid_until; or "
+    "remove [calibration], and the output is not estimated"
 )
 
 
@@ -125,13 +131,30 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
         text = f"calibration.source = {bench.calibration.source!r}: assumed numbers cannot ensure a limit"
         yield CheckResult("acoustic output", "refused", text, MEASURE)
         return
-    limits, output = bench.limits, highest_output(bench, plan.shots)
+    limits, output, u = bench.limits, highest_output(bench, plan.shots), bench.calibration.u
     text = (
-        f"derated MI {output.mechanical_index:.3g} (limit {limits.max_mechanical_index:g}) or "
-        f"I_sppa {output.sppa_w_per_m2 / 1e4:.3g} W/cm2 (limit {limits.max_sppa_w_per_m2 / 1e4:g}), "
-        f"I_spta {output.spta_w_per_m2 / 10:.3g} mW/cm2 (limit {limits.max_spta_w_per_m2 / 10:g})"
+        f"derated MI {_with_u(output.mechanical_index, u)} (limit {limits.max_mechanical_index:g}) or "
+        f"I_sppa {_with_u(output.sppa_w_per_m2 / 1e4, u, 2)} W/cm2 (limit {limits.max_sppa_w_per_m2 / 1e4:g}), "
+        f"I_spta {_with_u(output.spta_w_per_m2 / 10, u, 2)} mW/cm2 (limit {limits.max_spta_w_per_m2 / 10:g})"
     )
     yield pass_or_refuse("acoustic output", output.within(limits), text, _reduction(output, limits))
+
+
+def calibration_expiry(bench: BenchFile, day: date) -> Iterator[CheckResult]:
+    """Yield whether the calibration is valid on ``day``; an expired one is refused on a real bench."""
+    calibration = bench.calibration
+    if calibration is None or calibration.valid_until is None or bench.recording is not None:
+        return
+    text = f"calibration.valid_until = {calibration.valid_until}, today is {day}"
+    if day <= calibration.valid_until:
+        yield CheckResult("calibration", "passed", text)
+    else:
+        yield CheckResult("calibration", "warning" if bench.simulated else "refused", f"expired: {text}", RENEW)
+
+
+def _with_u(value: float, u_pressure: float | None, power: int = 1) -> str:
+    """Return ``value`` and its standard uncertainty, for a quantity that is the pressure to ``power``."""
+    return f"{value:.3g}" if u_pressure is None else f"{value:.3g} +- {value * power * u_pressure:.2g}"
 
 
 def _reduction(output: AcousticOutput, limits: OutputLimits) -> str:

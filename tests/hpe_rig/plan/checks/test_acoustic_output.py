@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from datetime import date, timedelta
 from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import DriveCalibration, OutputLimits, read_bench
+from hpe_rig.bench import DriveCalibration, OutputLimits, file_differences, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.plan.checks.acoustic_output import (
     AcousticOutput,
     _reduction,
+    calibration_expiry,
     derating_db,
     drive_output,
     highest_output,
 )
 from hpe_rig.plan.checks.check_result import CheckResult, PlanError, refuse_conflicts
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.scene import SettingsError, shipped_scenes
 
 LIMITS = OutputLimits(full_drive_vpp=1.0, max_duty=0.05, max_burst_length_s=250e-6, max_bursts=200)
 
@@ -164,3 +167,58 @@ def test_the_drivers_themselves_refuse_a_drive_beyond_the_benchs_limit() -> None
         for drive_generator in (bench.toneburst, bench.tracking_pulser):
             with pytest.raises(InstrumentError, match=r"2\.1"):
                 drive_generator.configure(replace(burst, amplitude_vpp=2.1))
+
+
+def real(tmp_path: Path, calibration: str) -> Path:
+    """Return the path of a real bench file with more keys in its calibration."""
+    text = read_bench().text.replace("simulated = true", "simulated = false").replace("Simulated bench", "Real bench")
+    text = text.replace('source = "assumed: no hydrophone has seen it"', f'source = "hydrophone"\n{calibration}')
+    for number, role in enumerate(("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")):
+        text = text.replace(f"[generators.{role}]", f'[generators.{role}]\naddress = "GPIB0::{10 + number}::INSTR"')
+    path = tmp_path / "real.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_an_expired_calibration_is_refused_on_a_real_bench_and_reported_on_the_twin(tmp_path: Path) -> None:
+    yesterday = date.today() - timedelta(days=1)
+    with pytest.raises(PlanError, match=rf"expired: calibration.valid_until = {yesterday}.*valid_until"):
+        prepare("bovine-muscle", real(tmp_path, f"date = 2020-01-31\nvalid_until = {yesterday}"))
+    assert not of("calibration", prepare("bovine-muscle", real(tmp_path, "date = 2020-01-31")).findings)
+    (today,) = of("calibration", prepare("bovine-muscle", real(tmp_path, f"valid_until = {date.today()}")).findings)
+    assert today.level == "passed"
+    (twin,) = of("calibration", checked(tmp_path, ("focus_depth_m", f"valid_until = {yesterday}\nfocus_depth_m")))
+    assert twin.level == "warning"
+
+
+def test_a_calibration_is_valid_to_the_end_of_its_last_day() -> None:
+    bench = read_bench().bench
+    assert bench.calibration is not None
+    calibration = bench.calibration.model_copy(update={"valid_until": date(2026, 3, 5)})
+    dated = bench.model_copy(update={"calibration": calibration, "simulated": False})
+    levels = [result.level for day in (5, 6) for result in calibration_expiry(dated, date(2026, 3, day))]
+    assert levels == ["passed", "refused"]
+
+
+def test_the_uncertainty_of_the_calibration_is_stated_with_the_output(tmp_path: Path) -> None:
+    edit = ("focus_depth_m = 70e-3\n\n[calibration.t", "focus_depth_m = 70e-3\nu = 0.1\n\n[calibration.t")
+    (finding,) = of("acoustic output", checked(tmp_path, edit))
+    values = re.search(r"derated MI (\S+) \+- (\S+) .* I_sppa (\S+) \+- (\S+) W", finding.text)
+    assert values is not None
+    index, index_u, intensity, intensity_u = map(float, values.groups())
+    assert index_u == pytest.approx(0.1 * index, rel=0.06)
+    assert intensity_u == pytest.approx(0.2 * intensity, rel=0.06)
+
+
+def test_a_date_in_quotes_is_a_mistake_that_shows_how_a_date_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    path.write_text(read_bench().text.replace("focus_depth_m", 'date = "2026-03-05"\nfocus_depth_m'), encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"calibration.date.*a date such as 2026-03-05, without quotes"):
+        read_bench(path)
+
+
+def test_the_dates_of_two_bench_files_are_compared() -> None:
+    before, after = {"calibration": {"date": date(2026, 3, 5)}}, {"calibration": {"date": date(2027, 3, 5)}}
+    (difference,) = file_differences(before, after)
+    assert difference.text("A", "B") == "bench file: calibration date 2026-03-05 in A, 2027-03-05 in B"
+    assert not file_differences(before, before)
