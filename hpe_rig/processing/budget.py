@@ -53,7 +53,7 @@ class ErrorSources:
 
 
 def error_sources_of(scene: Scene, simulated: bool) -> ErrorSources:
-    """Return the error sources that ``scene`` states; the trigger jitter is known on the twin only."""
+    """Return the error sources that ``scene`` gives: sound speed and, on the twin only, trigger jitter."""
     twin = twin_of(scene) if simulated else None
     return ErrorSources(
         sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
@@ -69,7 +69,7 @@ def estimates_of(
     true_m: FloatArray | None = None,
     reference: PhaseReference | None = None,
 ) -> tuple[Estimate, ...]:
-    """Return the estimates of one ``fit`` with their budgets.
+    """Return amplitude and phase of every frequency of one ``fit``, each with its uncertainty budget.
 
     ``averaging`` (frequency,): predicted ratio of tracked to peak displacement, None if unknown. ``true_m`` (frequency,
     2): ground truth, A cos(phase) and A sin(phase), NaN or None if unknown. Phases in ``fit`` and ``true_m`` count from
@@ -95,8 +95,13 @@ def _with_phases_from(reference: PhaseReference, estimate: Estimate) -> Estimate
 def _estimate(
     fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging | None, true_m: FloatArray | None
 ) -> Estimate:
-    """Return the estimate of frequency ``index`` of ``fit``; its phases count from the physical time zero."""
-    # Only the headline, corrected to the peak, is corrected for the expected aliasing.
+    """Return amplitude, phase and budget of frequency ``index`` of ``fit``; phases count from the physical time zero.
+
+    ``sources``: error sources outside the fit. ``averaging``: tracked over peak displacement, None if unknown.
+    ``true_m`` (frequency, 2): ground truth, A cos(phase) and A sin(phase).
+    """
+    # The tracked amplitude is that of ``fit``. The peak displacement is corrected for beam averaging and for the
+    # expected aliasing: its budget is that of ``best``.
     best = fit if averaging is None or fit.aliasing_corrected is None else fit.aliasing_corrected
     tracked_m, best_m = float(fit.amplitude_m[index]), float(best.amplitude_m[index])
     has_truth = true_m is not None and bool(np.isfinite(true_m[index]).all())
@@ -120,10 +125,14 @@ def _estimate(
 
 
 def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging) -> tuple[Component, ...]:
-    """Return the sources of uncertainty of frequency ``index`` of ``fit``, corrected by ``averaging``."""
+    """Return the standard uncertainties of frequency ``index`` of ``fit``, source by source (GUM: uncertainty budget).
+
+    They are those of the peak displacement, which is the tracked one over the factor of ``averaging``.
+    """
     amplitude_m = float(fit.amplitude_m[index])
     peak_m = amplitude_m / averaging.factor
-    polar = np.array([amplitude_m, 1.0])  # from relative amplitude and phase to amplitude and phase
+    # All arrays of two hold (amplitude, phase); ``polar`` converts relative amplitudes to amplitudes.
+    polar = np.array([amplitude_m, 1.0])
     aliasing = np.zeros(2) if fit.aliasing is None else np.diagonal(fit.aliasing[index])
     averaging_u = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad]) * polar
     shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * polar**2
@@ -132,6 +141,7 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     rounding = np.array(rounding_m) / (1.0, max(amplitude_m, np.finfo(np.float64).tiny))
     carrier_relative = averaging.carrier_relative or sources.carrier_relative
     noise = _noise_components(fit, index, sources, averaging, aliasing)
+    # Aliasing and beam averaging both depend on the medium: their covariance is added to the two variances.
     aliasing, averaging_variance = _with_shared(aliasing, averaging_u**2, shared)
     optional = (("carrier", carrier_relative), ("beam shape", averaging.shape_relative))
     return (
@@ -150,12 +160,16 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
 def _noise_components(
     fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging, aliasing: FloatArray
 ) -> tuple[Component, ...]:
-    """Return the components that the pulses' residual contains: noise, trigger jitter and the Rician bias of noise."""
+    """Return the uncertainties that the scatter of the pulses contains: noise, trigger jitter and the bias of noise.
+
+    ``aliasing`` (2,): variances of amplitude and phase in the covariance of ``fit`` that are not noise. The Rician bias
+    is the amplitude that noise alone would have.
+    """
     random = np.maximum(np.diagonal(fit.covariance[index]) - aliasing, 0.0)
     residual_m2 = float(fit.quality.residual_rms_m) ** 2
     jitter_share = min(sources.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
-    # Jitter is stated (type B), noise is the rest of the residual's variance. With these degrees of freedom of noise,
-    # both together have those of the residual (Welch-Satterthwaite).
+    # Jitter is known from elsewhere (type B); noise is the remaining variance of the residual. With these degrees of
+    # freedom of noise, both together have those of the residual (Welch-Satterthwaite).
     nu = float(fit.quality.degrees_of_freedom)
     noise_nu, jitter_nu = (nu * (1 - jitter_share) ** 2, math.inf) if jitter_share < 1 else (nu, nu)
     return (
@@ -173,7 +187,10 @@ def _noise_components(
 def _tracked(
     source: str, variance: FloatArray, averaging: Averaging, degrees_of_freedom: float = math.inf
 ) -> Component:
-    """Return the component of a ``variance`` (2,) of tracked amplitude and phase."""
+    """Return the budget's component of an error of the tracked displacement, from its ``variance`` (2,).
+
+    The variance is that of (amplitude, phase). Division by the averaging factor converts it to peak displacement.
+    """
     u_m, u_rad = np.sqrt(variance).tolist()
     return Component(
         source=source, amplitude_m=u_m / averaging.factor, phase_rad=u_rad, degrees_of_freedom=degrees_of_freedom

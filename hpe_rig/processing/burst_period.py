@@ -19,7 +19,10 @@ BIN_LIMITS = (8, 200)
 
 
 def displacement_residual_m(scene: Scene, shot: Shot, stored: StoredRun) -> FloatArray | None:
-    """Return the displacement minus its least-squares fit, (pulse,), m, NaN at invalid pulses; None without a fit."""
+    """Return the displacement of one shot minus its least-squares fit, m (pulse,); None without a fit.
+
+    The fit has all harmonics and the background. Invalid pulses are NaN.
+    """
     try:
         motion, selection = shot_displacement(scene, shot, stored)
         matrix = linear_model(

@@ -109,7 +109,10 @@ def fit_motion(
     also_hz: Frequencies = (),
     options: Options = PLAIN,
 ) -> HarmonicFit:
-    """Return amplitude and phase of a displacement, by the fit that belongs to its estimator."""
+    """Return amplitude and phase of a displacement at every frequency, by the fit that belongs to ``estimator``.
+
+    ``also_hz``: further frequencies of the motion, fitted but not returned.
+    """
     spec = spec_of(estimator)
     if spec.fit_motion is not None:
         return spec.fit_motion(motion, frequencies_hz, also_hz, options)
@@ -122,9 +125,13 @@ def fit_motion(
 def _fit_displacement(
     motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options
 ) -> HarmonicFit:
-    """Return amplitude and phase by the prior of media, the Kalman filter or least squares, as ``options`` say."""
+    """Return amplitude and phase of a displacement by the fit that ``options`` select.
+
+    This is a fit with the prior of media, in closed form or as a Kalman filter, a Kalman filter without prior, or least
+    squares.
+    """
     order, prior, noise = options.background_order, options.prior, options.process_noise
-    # The prior holds every harmonic of the tonebursts, also_hz among them.
+    # The prior contains every harmonic of the tonebursts, also_hz among them.
     if prior is not None and options.harmonic == "medium_prior":
         return medium_fit(motion, frequencies_hz, prior, background_order=order).fit
     if prior is not None and options.harmonic == "kalman" and not noise:
@@ -136,9 +143,13 @@ def _fit_displacement(
 
 @cache
 def spec_of(estimator: str) -> EstimatorSpec:
-    """Return the estimator of that name; raise ``ValueError`` if there is none or its package fails."""
+    """Return the estimator ``estimator`` with its functions, built in or from a plug-in.
+
+    Raises ``ValueError`` if there is none of that name or its package fails.
+    """
     if checked_estimator(estimator) not in BUILT_IN_ESTIMATORS:
         return _plug_in(estimator)
+    # The table names the functions of built-in estimators; their modules are imported here.
     row = BUILT_IN_ESTIMATORS[estimator]
     band_phase = resolve_name(row.band_function) if row.band_function else None
     return EstimatorSpec(**asdict(row), motion=resolve_name(row.function), band_phase=band_phase)
@@ -182,7 +193,7 @@ def _checked(function: Callable[..., Any], result_type: type, package: str) -> C
 
 
 def _refuse_misfit(motion: Motion, echoes: EchoGate, package: str) -> None:
-    """Raise an error if ``motion`` does not have the shape of ``echoes`` or holds no finite displacement."""
+    """Raise an error if a plug-in's ``motion`` has not one value per pulse of ``echoes``, or no finite displacement."""
     shape = echoes.volts.shape[:-1]
     for name, values in (("displacement_m", motion.displacement_m), ("variance_m2", motion.variance_m2)):
         if np.shape(values) != shape:

@@ -39,7 +39,10 @@ def true_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], 
 
 
 def _specimen_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return the harmonics (frequency, 2) of a specimen's motion from a dense fit."""
+    """Return A cos(phase) and A sin(phase) (frequency, 2) of a simulated specimen's motion, by a fit at many instants.
+
+    ``motion_m`` gives its displacement at any times after the master trigger.
+    """
     # Imported here because they load SciPy, which the measurement does not need before its first shot is complete.
     from hpe_rig.processing.harmonics.harmonic_fit import least_squares
     from hpe_rig.processing.motion.displacement import Motion
@@ -92,7 +95,10 @@ def _disturbing_frequencies_hz(scene: Scene, length_s: float) -> FloatArray:
 
 
 def _sample_times_s(scene: Scene, length_s: float) -> FloatArray:
-    """Return even sample times from 0: over ``length_s``, or over the whole burst periods in it."""
+    """Return even sample times from 0, ``SAMPLES_PER_PULSE`` per pulse or more.
+
+    They span ``length_s``, or the whole burst periods in it, over which the harmonics are orthogonal.
+    """
     rate_hz = scene.tracking.pulse_rate_hz * SAMPLES_PER_PULSE
     if scene.excitation is None or length_s * scene.excitation.burst_rate_hz < 1:
         return np.arange(math.floor(length_s * rate_hz) + 1) / rate_hz

@@ -27,14 +27,15 @@ def fitted_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the fitted displacement of the valid pulses, and the matrix (pulse, state) of all fitted columns.
 
-    Background and ``also_hz`` are fitted to ``motion`` minus the harmonics of ``estimates``, with phases that count
-    from the event of ``reference``. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
+    The harmonics of ``estimates`` are kept as they are; their phases count from the event of ``reference``. Background
+    and ``also_hz`` are fitted to ``motion`` without them. Raises ``ValueError`` if the pulses cannot resolve the
+    frequencies.
     """
-    columns = [
-        [item.frequency_hz, item.amplitude_m, reference.physical_rad(item.phase_rad, item.frequency_hz)]
-        for item in estimates
+    rows = [
+        [estimate.frequency_hz, estimate.amplitude_m, reference.physical_rad(estimate.phase_rad, estimate.frequency_hz)]
+        for estimate in estimates
     ]
-    frequency_hz, amplitude_m, phase_rad = np.array(columns, dtype=np.float64).reshape(-1, 3).T
+    frequency_hz, amplitude_m, phase_rad = np.array(rows, dtype=np.float64).reshape(-1, 3).T
     matrix = linear_model(
         motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz
     ).matrix
@@ -54,9 +55,9 @@ def stored_motion(
     background_order: int,
     tracked_by: str,
 ) -> ShotMotion:
-    """Return ``motion`` with the uncertainty of each pulse and the fitted displacement, as a result stores it.
+    """Return the displacement of every pulse with its uncertainty and the fitted displacement, as a result stores it.
 
-    ``residual_m``: rms residual of the harmonic fit.
+    ``residual_m``: rms residual of the harmonic fit; the uncertainty of a pulse is at least as large.
     """
     valid, model_m = motion.valid, np.full(motion.valid.size, np.nan)
     variance_m2 = np.where(valid, motion.variance_m2, np.nan)
@@ -65,7 +66,8 @@ def stored_motion(
             model_m[valid], _ = fitted_motion(motion, estimates, reference, selection.driven_hz, background_order)
             residual_m2 = float(np.mean((motion.displacement_m[valid] - model_m[valid]) ** 2))
             residual_m2 = max(residual_m2, residual_m**2)
-            # Echoes state their own noise. Trigger jitter and motion within the gate are only in the residual.
+            # The variance of a pulse contains only the noise of its echo. Trigger jitter and motion within the gate
+            # are in the residual.
             variance_m2 *= max(1.0, residual_m2 / float(np.mean(variance_m2[valid])))
     return ShotMotion(
         pulse=np.flatnonzero(selection.window),

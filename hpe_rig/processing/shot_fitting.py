@@ -35,7 +35,7 @@ class HarmonicFitter:
 
     @classmethod
     def of(cls, selection: Selection, estimator: str, options: Options) -> HarmonicFitter:
-        """Return the fit of the wanted and further driven frequencies of ``selection``."""
+        """Return the fit, as a function of a displacement, of the frequencies and pulses of ``selection``."""
         return cls(
             wanted_hz=tuple(selection.wanted_hz.tolist()),
             estimator=estimator,
@@ -51,9 +51,9 @@ class HarmonicFitter:
 def shot_fit(
     scene: Scene, shot: Shot, stored: StoredRun, estimator: str, beams: BeamWidths | None = None
 ) -> HarmonicFit:
-    """Return the fit of one shot in the scene's own window, with the covariance of all its harmonics.
+    """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
 
-    It is the fit of ``estimate_run``. Raises ``ValueError`` if the shot cannot be estimated.
+    It is the same fit as in ``estimate_run``. Raises ``ValueError`` if the shot cannot be estimated.
     """
     spec, selection = spec_of(estimator), select(scene, shot)
     motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion).tracked
@@ -62,7 +62,10 @@ def shot_fit(
 
 
 def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
-    """Return the options of the fit that the scene chooses; least squares if it asks for a prior and there is none."""
+    """Return the options of the harmonic fit that the scene's [processing] selects.
+
+    The default is a fit with the ``prior`` of media if there is one, else least squares.
+    """
     default: Harmonic = "least_squares" if prior is None else "medium_prior"
     harmonic = default if processing.harmonic in (None, "medium_prior") else processing.harmonic
     return Options(
@@ -83,7 +86,11 @@ def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | Non
 
 
 def available_prior(scene: Scene, shot: Shot, beams: BeamWidths | None) -> MediumPrior | None:
-    """Return the prior of media under the shot's tonebursts, whether or not the fit uses it; None if there is none."""
+    """Return the prior of the motions that media can have under the shot's tonebursts; None if there is none.
+
+    It is returned whether or not the fit uses it. The tonebursts push a rigid sphere or, through ``beams``, the tissue.
+    Without a declared medium the prior covers all media of its ensemble.
+    """
     length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
     sphere = None if scene.sphere is None else RigidSphere(scene.sphere.radius_m, scene.sphere.density_kg_per_m3)
     pushed = sphere or beams
@@ -115,9 +122,10 @@ def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[Floa
 def shot_averaging(
     scene: Scene, fit: HarmonicFit, predicted: tuple[Averaging | None, ...]
 ) -> tuple[Averaging | None, ...]:
-    """Return the beam averaging (frequency,) of a shot: of the declared medium, else of the media that the fit leaves.
+    """Return the beam averaging (frequency,) of a shot: tracked over peak displacement.
 
-    ``predicted`` is the averaging of the scene before the measurement.
+    ``predicted``: that of the scene before the measurement. It is returned if the scene declares the medium; otherwise
+    the fit with a prior has narrowed down the medium, and the averaging is that of the remaining media.
     """
     if scene.medium is not None or fit.medium is None:
         return predicted
@@ -129,14 +137,16 @@ def shot_averaging(
 
 
 def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averaging) -> Averaging:
-    """Return the averaging of one frequency in the media that the motion leaves probable.
+    """Return the beam averaging of frequency ``index`` in the media that the measured motion leaves probable.
 
-    Speckle changes the area of the tracking beam: its effect is the spread of the area times the root mean square
-    derivative over those media, the widths of the force included.
+    ``predicted``: the averaging before the measurement. Speckle changes the area of the tracking beam: its effect is
+    the standard deviation of log area times the rms derivative of the motion by log area over those media.
     """
+    # Tracked over peak displacement in those media, with the standard uncertainty of its magnitude and phase.
     rule, ratio = predicted.rule, 1 / complex(medium.peak_over_tracked[index])
     relative, phase_rad = np.sqrt(np.diag(medium.peak_covariance[index])).tolist()
     speckle_relative, speckle_phase_rad = (rule.area_spread * medium.steepness[index]).tolist()
+    # Few speckles scale the loss 1 - |ratio|; the geometry (gate off focus, oblique waves) adds a factor and a phase.
     factor = (1 - rule.loss_scale * (1 - abs(ratio))) * rule.geometry_factor
     averaging = replace(
         predicted,
@@ -153,16 +163,16 @@ def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averagin
 
 
 def carrier_error(motion: Motion, reference: Motion | None) -> float:
-    """Return the relative error of a ``motion`` divided by the carrier, against ``reference``; at most 1.
+    """Return the relative amplitude error of a ``motion`` that was converted from phase with the carrier; at most 1.
 
-    ``reference`` divides by the echo's mean frequency in the gate, which speckle shifts from the carrier. The error is
-    the regression coefficient of both displacements minus 1; 0 without a reference.
+    Speckle shifts the echo's mean frequency from the carrier. ``reference`` is the same motion converted with the mean
+    frequency. The error is the regression coefficient of ``motion`` on it, minus 1; 0 without a reference.
     """
     if reference is None:
         return 0.0
     common = motion.valid & reference.valid
     by_carrier, by_echo = (
-        item.displacement_m[common] - item.displacement_m[common].mean() for item in (motion, reference)
+        version.displacement_m[common] - version.displacement_m[common].mean() for version in (motion, reference)
     )
     energy = float(by_echo @ by_echo)
     return min(abs(float(by_carrier @ by_echo) / energy - 1), 1.0) if energy > 0 else 0.0

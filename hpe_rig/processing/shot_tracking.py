@@ -60,7 +60,7 @@ class WindowMotion:
 
 
 def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
-    """Read the records of one shot; raise ``ValueError`` if none is valid.
+    """Return the records of one shot, as codes in the gate; raise ``ValueError`` if none is valid.
 
     Of a long record only the gate and its margins are read, unless the gate follows the motion. The statistics of a
     long shot are computed while its checksums are verified, so that its file is read once.
@@ -86,7 +86,11 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
 def window_motion(
     scene: Scene, shot: Shot, records: ShotRecords, selection: Selection, motion: MotionFunction
 ) -> WindowMotion:
-    """Return the displacement of the selected pulses by ``motion``; raise ``ValueError`` if the echoes have none."""
+    """Return the displacement of the selected pulses, measured by the function ``motion`` of the echoes.
+
+    With a reference gate, its apparent motion (trigger jitter) is subtracted. The displacement by the estimator
+    "coherent" is returned as well, for checks. Raises ``ValueError`` if the echoes have no displacement.
+    """
     echoes = shot_echoes(scene, shot, records.gate, selection, records.statistics)
     reference = None
     if records.reference is not None:
@@ -136,13 +140,14 @@ def shot_echoes(
     selection: Selection,
     statistics: GateStatistics | None = None,
 ) -> EchoGate:
-    """Return the echoes of the selected pulses from ``records`` of the samples of ``samples_needed``.
+    """Return the echoes of the selected pulses, as volts in the gate and its margins.
 
-    ``statistics`` of the codes in the gate are computed if not given. Pulses with deviating energy are marked invalid
-    if the scene asks for it.
+    ``records``: codes of the same samples, or of whole records if the gate follows the motion. ``statistics`` of the
+    codes in the gate are computed if not given. Pulses with deviating energy are marked invalid if the scene asks for
+    it.
     """
     # Imported here because a forecast uses this module's package without opening files.
-    from hpe_rig.store import ShotRecords as HeldRecords
+    from hpe_rig.store import ShotRecords as RecordsInMemory
 
     statistics = statistics or gate_statistics(records)
     window = selection.window
@@ -154,7 +159,7 @@ def shot_echoes(
     # Records of long shots stay in the file: their volts are computed block by block.
     volts = (
         centred_volts(records.block(pulses), records.volts_per_code, unclipped, gate)
-        if isinstance(records, HeldRecords)
+        if isinstance(records, RecordsInMemory)
         else CodedVolts(records, pulses, unclipped, statistics)
     )
     echoes = EchoGate(
@@ -183,7 +188,10 @@ def margin_needed(scene: Scene, shot: Shot) -> int:
 
 
 def shot_motion(scene: Scene, shot: Shot, echoes: EchoGate, motion: MotionFunction) -> Motion:
-    """Return the displacement of ``echoes`` by ``motion``, in a gate that follows it if the scene asks for that."""
+    """Return the displacement of ``echoes``, estimated by the function ``motion``.
+
+    If the scene asks for it, the gate follows its tissue: the motion of the gate is then added to that within it.
+    """
     if not scene.processing.follow_gate:
         return motion(echoes)
     tracked, gate_motion = track_gate(echoes, shot.gate)

@@ -23,7 +23,11 @@ LATE_FRACTION = 0.02
 
 
 def missing_record_warnings(recorded: BoolArray, damaged: BoolArray) -> Iterator[str]:
-    """Yield warnings of missing records (pulse,) of a complete shot."""
+    """Yield warnings of records that a complete shot lacks.
+
+    ``recorded`` (pulse,): an intact record exists. ``damaged`` (pulse,): its checksum fails; these are reported
+    elsewhere. If the last one is missing, a lost first trigger may instead have shifted all records by one pulse.
+    """
     missing = int((~recorded & ~damaged).sum())
     if missing and not recorded[-1] and not damaged[-1]:
         yield (
@@ -37,7 +41,10 @@ def missing_record_warnings(recorded: BoolArray, damaged: BoolArray) -> Iterator
 
 
 def record_warnings(damaged: BoolArray, deviating: int, clipped: int) -> Iterator[str]:
-    """Yield warnings of ``damaged`` records (pulse,), pulses of deviating energy, and clipped records."""
+    """Yield warnings of damaged records, of pulses omitted for their energy, and of clipped records.
+
+    ``damaged`` (pulse,): which records fail their checksums. ``deviating``, ``clipped``: numbers of pulses.
+    """
     if damaged.any():
         yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
     if deviating:
@@ -50,7 +57,10 @@ def record_warnings(damaged: BoolArray, deviating: int, clipped: int) -> Iterato
 
 
 def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
-    """Yield warnings of a fit and of the largest step of its displacement, in quarter wavelengths."""
+    """Yield warnings of large steps, of frequencies that are barely resolved or not detected, and of a poor model.
+
+    ``largest_step``: of the displacement from pulse to pulse, in quarter wavelengths.
+    """
     if largest_step > LARGE_STEP:
         yield (
             f"the echo moves by up to {largest_step:.2f} quarter wavelengths from pulse to pulse: at 1 the "
@@ -67,7 +77,8 @@ def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
             f"not significant at {', '.join(f'{f:g}' for f in fit.frequency_hz[undetected])} Hz: the amplitude is "
             f"below {DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
         )
-    # White innovations may exceed the stated noise: echoes do not state trigger jitter. Only correlation is reported.
+    # Innovations: measured minus predicted displacement of the Kalman filter. They may exceed the predicted noise,
+    # which lacks trigger jitter, so only their correlation is reported.
     correlation, tolerance = fit.quality.innovation_correlation or (0.0, 0.0)
     if abs(float(correlation)) > tolerance:
         yield (
@@ -78,7 +89,10 @@ def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
 
 
 def medium_warnings(fit: HarmonicFit, max_probability: float) -> Iterator[str]:
-    """Yield a warning if a medium of the ensemble gives such data with less than ``max_probability``."""
+    """Yield a warning if no medium of the prior's ensemble explains the motion.
+
+    Data as improbable as these then have less than ``max_probability`` under the ensemble.
+    """
     if fit.medium is not None and float(fit.medium.significance) < max_probability:
         yield (
             f"the medium lies outside the ensemble of the prior (significance {fit.medium.significance:.1g}): "

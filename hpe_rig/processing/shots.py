@@ -110,7 +110,10 @@ def estimate_run(
 
 
 def _estimate_shot(scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSettings) -> list[ShotResult]:
-    """Return the result of each window of one shot; raise ``ValueError`` if one cannot be estimated."""
+    """Return the result of one shot in each processing window; raise ``ValueError`` if one cannot be estimated.
+
+    A scene with several windows of slow time (``scene.windows``) is estimated once in each, from the same records.
+    """
     records = read_shot(scene, shot, stored)
     true_m = None
     if stored.true_displacement_m is not None:
@@ -127,11 +130,17 @@ def _estimate_window(
     true_m: FloatArray | None,
     complete: bool,
 ) -> ShotResult:
-    """Return the result of the window of ``scene``."""
+    """Return amplitude and phase of every wanted frequency, with uncertainty budget and warnings, in one window.
+
+    The window of slow time is that of ``scene``. ``records``: codes of the shot. ``true_m`` (frequency, 2): ground
+    truth, A cos(phase) and A sin(phase), None if unknown. ``complete``: the shot was recorded to its end.
+    """
     spec, selection = settings.spec, select(scene, shot)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
+    # Records to displacement of each pulse to harmonics.
     motion = window_motion(scene, shot, records, selection, spec.motion)
     fit = _fit_with_aliasing(scene, shot, motion, selection, options, settings)
+    # The sources of uncertainty that depend on this shot are added to those of the scene.
     sources = replace(
         settings.sources,
         subtracts_jitter=motion.reference is not None,
@@ -144,6 +153,7 @@ def _estimate_window(
     reference = phase_reference_of(scene, shot)
     estimates = estimates_of(fit, sources, shot_averaging(scene, fit, settings.averaging), true_m, reference)
     recorded = records.gate.valid[selection.window]
+    # Two checks of the residual, for the warnings.
     drift = None if motion.reference is not None else _check(drift_between_halves, motion, selection, options)
     line = _check(residual_line, motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
@@ -181,9 +191,10 @@ def _fit_with_aliasing(
     options: Options,
     settings: _RunSettings,
 ) -> HarmonicFit:
-    """Return the fit of the tracked displacement, with its aliasing error if a prior of media is available.
+    """Return the harmonics of the tracked displacement, with their aliasing error if a prior of media is available.
 
-    The medium is estimated from the coherent displacement, which has the least noise.
+    Tonebursts drive harmonics above half the pulse rate, which alias onto the wanted ones. How strong these are is
+    estimated with a prior of the motions that media can have, from the coherent displacement, which has least noise.
     """
     fitter = HarmonicFitter.of(selection, settings.spec.name, options)
     fit, prior = fitter(motion.tracked), available_prior(scene, shot, settings.beams)
@@ -195,7 +206,7 @@ def _fit_with_aliasing(
 
 
 def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowMotion, complete: bool) -> Iterator[str]:
-    """Yield the warnings of the records in the window."""
+    """Yield warnings of records in the window that are missing, damaged, clipped, or unlike the others in energy."""
     gate, window = records.gate, selection.window
     recorded = gate.valid[window]
     damaged = np.zeros_like(recorded) if gate.damaged is None else gate.damaged[window]

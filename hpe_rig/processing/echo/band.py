@@ -87,9 +87,10 @@ class Band:
 
 
 def band_of(echoes: EchoGate) -> Band:
-    """Return the band of a gate, with margins of at most ``margin_samples``.
+    """Return the band of a gate: which frequencies of its echoes are processed, and how the gate cuts their spectra.
 
-    Raises ``ValueError`` for a gate too short to resolve two frequencies of the band.
+    Samples around the gate are used as margins. Raises ``ValueError`` for a gate too short to resolve
+    two frequencies of the band.
     """
     # The frequencies of the gate without margins are not used: this call raises the ValueError.
     band_frequencies_hz(echoes, echoes.gate_samples)
@@ -100,7 +101,11 @@ def band_of(echoes: EchoGate) -> Band:
 
 @functools.lru_cache(maxsize=32)
 def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz: float) -> Band:
-    """Return the band of ``gate`` samples with margins of ``before`` and ``after`` samples."""
+    """Return the band of ``gate`` samples with margins of ``before`` and ``after`` samples.
+
+    Its spectra are those of records tapered in the margins. With E[t, f] = exp(2 pi j f t) / sqrt(bins), inner
+    products over the gate alone are S^H G S with G = 1 - B B^H, where B B^H is the part of E^H E in the margins.
+    """
     from scipy.fft import next_fast_len
 
     samples = before + gate + after
@@ -111,7 +116,7 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
     taper = _tapered(samples, max(before, min_taper), max(after, min_taper))
     frequency_hz = _grid(sample_rate_hz, carrier_hz, bins)
 
-    # E, with phases relative to the gate's centre.
+    # E, with phases relative to the gate's centre; ``analysis`` is its inverse with taper, and removes the mean.
     phase = 2 * np.pi * np.outer(np.arange(bins) - centre, frequency_hz / sample_rate_hz)
     signal = np.exp(1j * phase) / np.sqrt(bins)
     analysis = signal[:samples].conj() * taper[:, None]
@@ -140,7 +145,7 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
 
 
 def _tapered(samples: int, before: int, after: int) -> FloatArray:
-    """Return a window (sample,) of ones with raised cosines over its first and last samples."""
+    """Return a window (sample,) that rises as a raised cosine over ``before`` samples and falls over ``after``."""
     taper = np.ones(samples)
     for count, edge in ((before, taper), (after, taper[::-1])):
         edge[:count] *= np.sin(np.pi / 2 * (np.arange(count) + 0.5) / count) ** 2
@@ -180,7 +185,7 @@ def real_matmul(matrix: FloatArray, columns: ComplexArray) -> ComplexArray:
 
 
 def real_inner_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
-    """Return the real part of the inner product (...) of spectra (..., bin)."""
+    """Return the real part of the inner product (...) of two sets of spectra (..., bin), without complex products."""
     product: FloatArray = np.einsum("...i,...i->...", first.real, second.real)
     product += np.einsum("...i,...i->...", first.imag, second.imag)
     return product

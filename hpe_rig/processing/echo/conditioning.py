@@ -50,7 +50,7 @@ class GateStatistics:
 
 
 def gate_statistics(records: GatedRecords) -> GateStatistics:
-    """Return the statistics of every record of a shot, computed one block of pulses at a time."""
+    """Return lowest, highest, mean and mean square code in the gate of every record of a shot, block by block."""
     pulses, samples = records.shape
     gate, step = slice(records.margin[0], samples - records.margin[1]), max(1, BLOCK_SAMPLES // samples)
     blocks = (records.block(slice(first, first + step))[:, gate] for first in range(0, pulses, step))
@@ -58,7 +58,7 @@ def gate_statistics(records: GatedRecords) -> GateStatistics:
 
 
 def code_statistics(codes: Int16Array) -> GateStatistics:
-    """Return the statistics of codes (pulse, sample)."""
+    """Return lowest, highest, mean and mean square of each record's ``codes`` (pulse, sample)."""
     single = codes.astype(np.float32)
     # Sums of integers below 2^24 are exact in single precision; sums of squares are accurate to 1e-6.
     mean = (single @ np.ones(single.shape[1], np.float32)).astype(np.float64) / single.shape[1]
@@ -81,7 +81,7 @@ class CodedVolts:
     """
 
     def __init__(self, records: GatedRecords, pulses: slice, usable: BoolArray, statistics: GateStatistics) -> None:
-        """Compute offset and energy from the ``statistics`` of the gate's codes; no volts are converted yet."""
+        """Prepare the conversion of codes to volts: offset and energy, from the ``statistics`` of the gate's codes."""
         self._records, self._first = records, pulses.start
         self.shape = (usable.size, records.shape[1])
         self.ndim, self.dtype = 2, np.dtype(np.float32)
@@ -93,7 +93,7 @@ class CodedVolts:
         self.energy = np.asarray(gate_samples * records.volts_per_code**2 * np.maximum(square, 0.0))
 
     def block(self, pulses: slice) -> SingleArray:
-        """Return the volts of some of the window's pulses, (pulse, sample)."""
+        """Return the volts (pulse, sample) of a block of the window's ``pulses``, without offset."""
         start, stop, _ = pulses.indices(self.shape[0])
         volts = self._records.block(slice(self._first + start, self._first + stop)).astype(np.float32)
         volts -= np.float32(self._offset)
@@ -111,7 +111,7 @@ def hann(count: int) -> FloatArray:
 
 
 def deviating_pulses(echoes: EchoGate) -> BoolArray:
-    """Return which valid pulses (pulse,) have an energy unlike the others' in any realisation.
+    """Return which valid pulses (pulse,) have an energy unlike the others', in at least one realisation.
 
     Causes are leaked tonebursts, spikes, and dropped or clipped records. The energy is that of the whole gate, so that
     leakage outside the tracked band counts too; motion hardly changes it. At least half of the pulses must be sound.

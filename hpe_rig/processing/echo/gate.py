@@ -64,6 +64,7 @@ class EchoGate:
     energy: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        """Convert the arrays to native types, check them and the settings, and compute the energy of each pulse."""
         if not hasattr(self.volts, "block"):
             object.__setattr__(self, "volts", _native(np.asarray(self.volts), "volts"))
         object.__setattr__(self, "pulse_time_s", _native(self.pulse_time_s, "pulse_time_s").astype(float, copy=False))
@@ -116,7 +117,10 @@ class EchoGate:
         return int(self.gate.stop - self.gate.start)
 
     def blocks(self, samples: slice) -> Iterator[tuple[slice, Volts]]:
-        """Yield blocks of pulses and their volts (..., pulse, sample) at ``samples``; one block if held in memory."""
+        """Yield blocks of pulses, each with its volts (..., pulse, sample) at ``samples``.
+
+        Volts held in memory are one block; long trains are converted from codes block by block.
+        """
         if isinstance(self.volts, np.ndarray):
             yield slice(0, self.valid.size), self.volts[..., samples]
             return
@@ -156,7 +160,7 @@ def margin_samples(sample_rate_hz: float, carrier_hz: float) -> int:
 
 
 def expand_to_pulses(values: FloatArray, valid: BoolArray) -> FloatArray:
-    """Return values (..., valid pulse) on the axis of all pulses, NaN at invalid ones."""
+    """Return ``values`` (..., valid pulse) with NaN inserted at the invalid pulses: (..., pulse)."""
     if valid.all():
         return values
     expanded = np.full((*values.shape[:-1], valid.size), np.nan)

@@ -32,10 +32,11 @@ _WRITE_BYTES = 1 << 20
 
 
 def band_spectrum(echoes: EchoGate, min_pulses: int) -> tuple[ComplexArray, Band]:
-    """Return the spectrum (..., valid pulse, bin) around the gate, NaN for trains without an echo, and its band.
+    """Return the spectrum (..., valid pulse, bin) of each record around the gate in the transmitted band, and the band.
 
-    The bin axis is the slowest in memory; the precision is that of the volts. Raises ``ValueError`` for too few valid
-    pulses, a gate too short to resolve two frequencies of the band, and if no train has an echo in the band.
+    NaN for trains without an echo. The bin axis is the slowest in memory; the precision is that of the volts. Raises
+    ``ValueError`` for too few valid pulses, a gate too short to resolve two frequencies of the band, and if no train
+    has an echo in the band.
     """
     require_pulses(echoes, min_pulses)
     band = band_of(echoes)
@@ -90,7 +91,10 @@ def release_pages(spectrum: ComplexArray) -> None:
 
 
 def _transform(volts: Volts, band: Band, fft_points: int, spectrum: ComplexArray) -> None:
-    """Write the spectrum of volts (..., pulse, sample) into ``spectrum`` (..., bin, pulse) by FFT."""
+    """Write the spectrum of volts (..., pulse, sample) into ``spectrum`` (..., bin, pulse), by FFTs of ``fft_points``.
+
+    Records are tapered and lose their mean; ``spectrum`` holds the bins of ``band`` only.
+    """
     # Imported only if an FFT is used: short records do without SciPy.
     from scipy.fft import rfft
 
@@ -125,12 +129,15 @@ def _transform(volts: Volts, band: Band, fft_points: int, spectrum: ComplexArray
 
 
 def _project(volts: Volts, analysis: ComplexArray, spectrum: ComplexArray) -> None:
-    """Write volts (..., pulse, sample) times ``analysis`` (sample, bin) into ``spectrum`` (..., bin, pulse)."""
+    """Write the spectrum of volts (..., pulse, sample) into ``spectrum`` (..., bin, pulse) by one matrix product.
+
+    ``analysis`` (sample, bin): record to tapered spectrum. For few bins this is faster than an FFT.
+    """
     # One real product: NumPy would convert the volts to complex numbers for a complex one.
     product = volts.reshape(-1, volts.shape[-1]) @ np.hstack([analysis.real, analysis.imag]).astype(volts.dtype)
     product = product.reshape(*volts.shape[:-1], -1)
     count = analysis.shape[1]
-    # Later operations work on whole rows of pulses.
+    # ``spectrum`` is contiguous along pulses, because later operations work on whole rows of pulses.
     by_pulse = np.swapaxes(spectrum, -1, -2)
     by_pulse.real, by_pulse.imag = product[..., :count], product[..., count:]
 
@@ -148,9 +155,9 @@ def require_pulses(echoes: EchoGate, minimum: int) -> None:
 
 
 def has_echo(band_energy: FloatArray, echoes: EchoGate) -> BoolArray:
-    """Return which trains (...) have more ``band_energy`` (...) than the rounding error of their volts.
+    """Return which trains (...) have an echo: more energy in the band than the rounding error of their volts.
 
-    Raises ``ValueError`` if none has.
+    ``band_energy`` (...): summed over the pulses of a train. Raises ``ValueError`` if no train has an echo.
     """
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     present = np.asarray(band_energy > MIN_BAND_ENERGY[echoes.volts.dtype] * total)
@@ -162,7 +169,7 @@ def has_echo(band_energy: FloatArray, echoes: EchoGate) -> BoolArray:
 
 
 def _train_energy(spectrum: ComplexArray) -> FloatArray:
-    """Return the energy (...) of spectra (..., pulse, bin), summed bin by bin."""
+    """Return the energy (...) of the spectra (..., pulse, bin) of each train, summed bin by bin to save memory."""
     total = np.zeros(spectrum.shape[:-2])
     for index in range(spectrum.shape[-1]):
         # Real and imaginary parts as one row of real numbers.
@@ -184,11 +191,13 @@ def inner_products(echo: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
 
 
 def advanced(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
-    """Return spectra (..., pulse, bin) of evenly spaced bins, each pulse advanced by its ``delay_s`` (..., pulse).
+    """Return spectra (..., pulse, bin) with the echo of each pulse advanced in time by its ``delay_s`` (..., pulse).
 
-    Always in double precision. Two exponentials per pulse and a running product replace one exponential per bin.
+    The bins are evenly spaced and the result in double precision. Two exponentials per pulse and a running product
+    replace one exponential per bin.
     """
     step_hz = (frequency_hz[-1] - frequency_hz[0]) / (frequency_hz.size - 1)
+    # Factor exp(2 pi j f delay) of the first bin, and from one bin to the next.
     phasor = np.exp(2j * np.pi * frequency_hz[0] * delay_s)
     step = np.exp(2j * np.pi * step_hz * delay_s)
     by_bin = np.empty((*delay_s.shape[:-1], frequency_hz.size, delay_s.shape[-1]), phasor.dtype)

@@ -43,11 +43,12 @@ FitFunction = Callable[[Motion], HarmonicFit]
 def with_aliasing_error(
     fit: HarmonicFit, motion: Motion, prior: MediumPrior, fit_function: FitFunction, background_order: int = 0
 ) -> HarmonicFit:
-    """Add the aliasing covariance to ``fit``, and attach the fit corrected for the expected aliasing.
+    """Return ``fit`` with the covariance of its aliasing error, and with a fit corrected for the expected aliasing.
 
-    ``fit`` is ``fit_function`` of a displacement with the timing of ``motion`` (one pulse train). ``motion`` and the
-    prior determine the medium. The result's ``aliasing_corrected`` is ``fit`` minus E[e | data], with Cov[e | data].
-    Raises ``ValueError`` if the pulses cannot constrain the prior (see ``medium_fit``).
+    Harmonics above half the pulse rate alias onto the wanted ones; the error e of a linear fit is E = M x, with x the
+    states of all harmonics. ``fit`` is ``fit_function`` of a displacement with the timing of ``motion``. ``motion`` and
+    the prior determine the medium, hence x. The result's ``aliasing_corrected`` is ``fit`` minus E[e | data], with
+    Cov[e | data]. Raises ``ValueError`` if the pulses cannot constrain the prior.
     """
     prior_fit = medium_fit(motion, fit.frequency_hz, prior, background_order=background_order)
     evidence = prior_fit.evidence
@@ -62,7 +63,10 @@ def with_aliasing_error(
 
 
 def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> FloatArray:
-    """Return Cov e (state, state) over the ensemble, before correction."""
+    """Return the covariance (state, state) of the aliasing error over the media of the ensemble, before correction, m².
+
+    ``error_matrix`` M (state, direction): error of the fit for the motion of each direction of the prior.
+    """
     # First term: each member with its posterior probability p_m and its own scale s_m.
     member_errors = prior.members @ error_matrix.T  # M x_m, (member, state)
     member_weights = evidence.probability * evidence.member_scale_m2
@@ -77,7 +81,10 @@ def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, eviden
 def _error_matrix(
     prior: MediumPrior, pulses: PulseTimes, wanted_hz: tuple[float, ...], fit_function: FitFunction
 ) -> FloatArray:
-    """Return M (wanted state, direction of the prior); cached for shots of the same timing."""
+    """Return M (wanted state, direction): true minus fitted states for the motion of each direction of the prior.
+
+    The fit ignores harmonics above half the pulse rate, so they alias. Cached for shots of the same timing.
+    """
     indices = prior.harmonic_indices(np.array(wanted_hz))
     motions = prior.sampled_motions(pulses.time_s, indices)[0]  # A, of each direction
     fitted_states = _fit_noise_free(motions.T, pulses, fit_function)[..., : 2 * len(wanted_hz)]  # W A
@@ -85,7 +92,7 @@ def _error_matrix(
 
 
 def _fit_noise_free(displacement_m: FloatArray, pulses: PulseTimes, fit_function: FitFunction) -> FloatArray:
-    """Return the fitted states (motion, state) of noise-free displacements (motion, pulse)."""
+    """Return the states (motion, state) that ``fit_function`` fits to noise-free displacements (motion, pulse)."""
     displacement_m = np.where(pulses.valid, displacement_m, np.nan)
     # The variance only scales uncertainties, which are not used: any value will do.
     return fit_function(

@@ -75,11 +75,11 @@ def drift_between_halves(
 def _change(
     motion: Motion, columns: FloatArray, basis: FloatArray, mean_state: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the relative change of each amplitude between the halves, and which changes are suspicious.
+    """Return the relative change of each amplitude between the halves of the train, and which changes are suspicious.
 
-    A step y of the wanted states is fitted together with all columns of the model. ``columns`` (valid pulse, state): of
-    the wanted states. ``basis`` (valid pulse, column): Q, orthonormal, of all columns. ``mean_state`` (..., state): the
-    wanted states over all pulses.
+    A step y of the wanted states in the middle of the train is fitted together with all columns of the model.
+    ``columns`` (valid pulse, state): those of the wanted states. ``basis`` (valid pulse, column): Q, an orthonormal
+    basis of all columns. ``mean_state`` (..., state): the wanted states over all pulses.
     """
     valid = motion.valid
     # G: minus the columns in the first half, plus the columns in the second.
@@ -98,7 +98,7 @@ def _change(
     change = residual @ step.T @ covariance  # y^
     remainder = residual - change @ step
     first, second = (np.hypot(half[..., ::2], half[..., 1::2]) for half in (mean_state - change, mean_state + change))
-    # A_2 - A_1 = 2 y along the phasor; its variance is the mean of both quadratures.
+    # The amplitude changes by 2 y along the phasor; its variance is the mean of both quadratures' variances.
     quadratures = np.diag(covariance).reshape(-1, 2).sum(axis=-1) / 2
     variance = np.einsum("...i,...i->...", remainder, remainder)[..., None] / degrees
     u = 2 * np.sqrt(variance * quadratures)
@@ -125,10 +125,11 @@ def residual_line(
     background_order: int = 0,
     prior: MediumPrior | None = None,
 ) -> Line | None:
-    """Return the strongest line in the residual of one train, or None if too few bins are free of the fit.
+    """Return the strongest spectral line in the residual of one train's fit, or None if too few bins are free of it.
 
-    The fit is that of ``least_squares`` or, with a ``prior``, of ``medium_fit``. Invalid pulses count as zero. Motion
-    that aliases onto a fitted frequency is not in the residual. Raises ``ValueError`` as the fit does.
+    It reveals motion that was not fitted. The fit is least squares or, with a ``prior`` of media, that of
+    ``medium_fit``. Motion that aliases onto a fitted frequency is not in the residual. Raises ``ValueError`` as the fit
+    does.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     rate_hz = pulse_rate_hz(motion.time_s)
@@ -153,6 +154,7 @@ def residual_line(
     power = np.abs(np.fft.rfft(series)[free]) ** 2
     if power.size < MIN_BINS or not power.sum() > 0:
         return None
+    # In white noise, n (1 - fraction)^(n - 1) bounds the probability of so large a bin among n (Fisher, 1929).
     fraction = float(power.max() / power.sum())
     return Line(
         frequency_hz=float(grid_hz[free][np.argmax(power)]),

@@ -95,12 +95,12 @@ def least_squares(
     background_order: int = 0,
     largest_condition: float = MAX_CONDITION,
 ) -> HarmonicFit:
-    """Return all amplitudes and phases from one least-squares fit, with covariance from the residual.
+    """Return all amplitudes and phases of a displacement from one least-squares fit, with covariance from the residual.
 
     ``also_hz``: further driven frequencies, fitted to keep them out of the residual, but not returned; half the pulse
     rate may be among them. ``background_order``: of the fitted polynomial. Every valid pulse has the same weight. The
-    noise is assumed white; for accumulated steps, white plus a random walk. Raises ``ValueError`` if the pulses cannot
-    resolve the frequencies (see ``model.linear_model``).
+    noise is assumed white; for a displacement that is a sum of noisy steps, white plus a random walk. Raises
+    ``ValueError`` if the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
@@ -109,6 +109,7 @@ def least_squares(
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
     degrees: FloatArray | float = float(pulses - states)
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
+    # model.root is R^-1 with H'H = R'R: the covariance of the states for unit noise is R^-1 R^-1'.
     if motion.step_noise_ratio is not None:
         orthonormal, step_noise_ratio = model.matrix @ model.root, np.asarray(motion.step_noise_ratio)
         energy, degrees = difference_noise_moments(orthonormal, np.ones(states), step_noise_ratio)
@@ -127,9 +128,10 @@ def difference_noise_moments(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the expected energy (...) of a residual's pulse-to-pulse differences, and their degrees of freedom.
 
-    The energy is relative to the variance of one pulse's white noise. The noise is white noise plus a random walk:
-    each step adds ``step_noise_ratio`` (...) times the white variance to all later pulses. The fit has removed the
-    fraction ``shrinkage`` (..., column) of the component along each of the orthonormal ``columns`` (pulse, column).
+    They are needed to estimate the noise of a displacement that is a sum of noisy steps: white noise plus a random
+    walk, with ``step_noise_ratio`` (...) times the white variance in every step. The energy is relative to the white
+    variance of one pulse. The residual is that of a fit which has removed the fraction ``shrinkage`` (..., column) of
+    the component along each of the orthonormal ``columns`` (pulse, column); 1 for least squares.
 
     With D the difference of neighbours, L the running sum (D L = 1), Q the columns and h the shrinkage, the covariance
     of the differences is A = D (1 - Q g Q') D', g = h (2 - h), for white noise. Degrees of freedom of a sum of squares:
@@ -137,7 +139,7 @@ def difference_noise_moments(
     """
     differences = np.diff(columns, axis=0)  # D Q
     sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]  # L'Q
-    count, energy = len(differences), np.einsum("ij,ij->j", differences, differences)
+    count, energy = len(differences), np.einsum("ij,ij->j", differences, differences)  # energy: |D q|² of each column
     removed, inner = shrinkage * (2 - shrinkage), differences.T @ differences  # g, Q'D'D Q
     # tr A: two noise terms in each difference, minus the energy that the fit has removed.
     white = 2 * count - removed @ energy
@@ -160,10 +162,11 @@ def difference_noise_moments(
 def step_covariance(
     residual: FloatArray, step_noise_ratio: FloatArray, weights: FloatArray, energy: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the variance (...) of one pulse and the covariance (..., row, row) of ``weights`` @ displacement.
+    """Return the white variance (...) of one pulse, and the covariance (..., row, row) of ``weights`` @ displacement.
 
-    ``weights`` (..., row, pulse). The scale comes from the pulse-to-pulse differences of the ``residual`` (..., pulse)
-    and their expected ``energy`` from ``difference_noise_moments``.
+    The displacement has white noise and a random walk with ``step_noise_ratio`` times its variance per step.
+    ``weights`` (..., row, pulse): of the fitted states. The variance is the energy of the pulse-to-pulse differences of
+    the ``residual`` (..., pulse) over their expected ``energy`` from ``difference_noise_moments``.
     """
     differences = np.diff(residual, axis=-1)
     variance = np.einsum("...i,...i->...", differences, differences) / energy
@@ -180,10 +183,10 @@ def fit_from_state(
     quality: FitQuality,
     aliasing_m2: FloatArray | None = None,
 ) -> HarmonicFit:
-    """Return amplitude and phase with covariance from in-phase and quadrature states.
+    """Return amplitude and phase with covariance from the fitted in-phase and quadrature states.
 
-    ``state`` may have more entries after those of the frequencies. ``aliasing_m2``: the part of ``state_covariance``
-    that is aliasing.
+    ``state`` (..., state): A cos(phase) and A sin(phase) of each frequency; further entries may follow.
+    ``state_covariance`` (..., state, state). ``aliasing_m2``: the part of it that is aliasing.
     """
     count = frequency_hz.size
     in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]
@@ -191,7 +194,8 @@ def fit_from_state(
     phase = np.arctan2(quadrature, in_phase)
     total = _along_phasor(state_covariance, phase)
     aliasing = np.zeros_like(total) if aliasing_m2 is None else _along_phasor(aliasing_m2, phase)
-    # Aliasing grows with the motion: only noise decides whether an amplitude may be nothing.
+    # An amplitude may be noise alone, but not aliasing alone, which grows with the motion: the Rician bias and the
+    # phase variance of a weak amplitude therefore depend on noise only.
     noise = total - aliasing
     phase_variance = phase_variance_rad2(amplitude, total[..., 1, 1], _conditional_variance(noise))
     weights = _polar_weights(total, phase_variance)
@@ -219,10 +223,11 @@ def corrected_by(fit: HarmonicFit, correction_m: FloatArray) -> HarmonicFit:
 def with_aliasing(
     fit: HarmonicFit, aliasing_m2: FloatArray, prior_fit: HarmonicFit, medium: MediumPosterior
 ) -> HarmonicFit:
-    """Return ``fit`` with the aliasing covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) added.
+    """Return ``fit`` with the covariance ``aliasing_m2`` (..., state, state) of its aliasing error added.
 
-    ``prior_fit``, of the same motion, has amplitudes free of this error. The error can be as large as the amplitudes of
-    ``fit``, so the phase variance is computed from those of ``prior_fit``.
+    ``prior_fit`` is a fit of the same motion with the prior of media, so its amplitudes are free of this error. The
+    error can be as large as the amplitudes of ``fit``, so the phase variance is computed from those of ``prior_fit``.
+    ``medium``: posterior of the medium, attached to the result.
     """
     count, total_m2 = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
     total_m2[..., :count, :count] += aliasing_m2
@@ -237,7 +242,10 @@ def with_aliasing(
 
 
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:
-    """Return the covariance (..., frequency, 2, 2) of the components along and across each phasor."""
+    """Return the covariance (..., frequency, 2, 2) of each harmonic's errors along and across its phasor.
+
+    ``state_covariance`` (..., state, state): of in-phase and quadrature. ``phase`` (..., frequency): rotates each pair.
+    """
     count = phase.shape[-1]
     rotation = np.empty((*phase.shape, 2, 2))
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(phase)
@@ -257,9 +265,10 @@ def _conditional_variance(covariance: FloatArray) -> FloatArray:
 
 
 def _polar_weights(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
-    """Return factors (..., frequency, 2, 2) from covariance along and across the phasor to (amplitude, phase).
+    """Return factors (..., frequency, 2, 2) from covariance along and across a phasor to that of amplitude and phase.
 
-    The error across, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
+    ``along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
+    That across it, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
     """
     across, tiny = along_phasor[..., 1, 1], np.finfo(np.float64).tiny
     scale = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))

@@ -60,12 +60,12 @@ def kalman(
     prior: float = PRIOR,
     innovations: bool = True,
 ) -> HarmonicFit:
-    """Return all amplitudes and phases from a square-root Kalman filter over the valid pulses.
+    """Return all amplitudes and phases of a displacement from a square-root Kalman filter over the valid pulses.
 
-    Variances in units of the measurement noise, which is estimated from the innovations: ``process_noise`` of a
-    harmonic state's change per pulse; ``prior`` of a state at the start. Without process noise this is recursive least
-    squares, which is faster without ``innovations``. ``background_order`` as in ``linear_model``. Raises ``ValueError``
-    as ``least_squares``.
+    Variances are in units of the measurement noise, which is estimated from the innovations: ``process_noise`` is that
+    of a harmonic state's change per pulse, ``prior`` that of a state at the start. Without process noise the result is
+    that of least squares, and leaving out the ``innovations`` is faster. ``also_hz``: further driven frequencies,
+    fitted but not returned. Raises ``ValueError`` if the pulses cannot resolve the frequencies.
 
     Sources: harmonic states of Zheng et al. (2007), background states of Zheng et al. (2006); information form without
     process noise, Potter's form with it.
@@ -78,7 +78,7 @@ def kalman(
     if process_noise == 0:
         filtered = filter_constant(model.matrix, displacement, prior, innovations)
     else:
-        # The harmonic states change between pulses; a gap of n pulses has n times the variance.
+        # Each harmonic state has its own random change before each pulse; a gap of n pulses has n times the variance.
         used, harmonic = np.flatnonzero(motion.valid), np.arange(2 * frequency_hz.size)
         drive = np.zeros((pulses, states, harmonic.size))
         drive[:, harmonic, harmonic] = np.sqrt(process_noise * np.diff(used, prepend=used[0]))[:, None]
@@ -100,12 +100,15 @@ def kalman(
 
 
 def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovations: bool = False) -> Filtered:
-    """Return the filtered state of a constant model ``matrix`` (pulse, state) and ``data`` (..., pulse).
+    """Return the states that a Kalman filter estimates from ``data`` (..., pulse), for states that never change.
 
-    Information form: the triangular factor F grows by QR, many pulses at a time, and always stays positive definite.
+    The model is data = ``matrix`` (pulse, state) @ states + noise of unit variance; ``prior`` is the initial variance
+    of every state. ``innovations``: whether they are computed too. Information form: the triangular factor F of the
+    information, F'F, grows by QR, many pulses at a time, and always stays positive definite.
     """
     states = matrix.shape[1]
-    values = data.reshape(-1, data.shape[-1]).T
+    values = data.reshape(-1, data.shape[-1]).T  # (pulse, realisation)
+    # F and F^-T times the sum of h y, with h a row of the matrix and y its value.
     information: Information = np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1]))
     innovation_blocks, start, well_conditioned = [], 0, not innovations
     while start < len(matrix):
@@ -139,7 +142,11 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
 
 
 def _updated(information: Information, block: FloatArray, measured: FloatArray, *, by_products: bool) -> Information:
-    """Return the information after the pulses of ``block``."""
+    """Return the information (triangular factor F, F^-T H'y) after the pulses of ``block``.
+
+    ``block`` (pulse, state) holds rows of the model, ``measured`` (pulse, realisation) their values. ``by_products``:
+    from F'F, which is faster but needs a well conditioned F.
+    """
     factor, transformed = information
     if by_products:
         # Well conditioned: F'F and its Cholesky factor are accurate, at a fraction of the time of QR.
@@ -152,10 +159,11 @@ def _updated(information: Information, block: FloatArray, measured: FloatArray, 
 
 
 def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, prior: float) -> Filtered:
-    """Return the filtered state of a model with states that change by ``drive`` (pulse, state, cause) before a pulse.
+    """Return the states that a Kalman filter estimates from ``data`` (..., pulse), if they change between pulses.
 
-    The causes are independent and of unit variance. Potter's form keeps the covariance positive for every ratio of
-    prior to noise.
+    The model is data = ``matrix`` (pulse, state) @ states + noise of unit variance. ``drive`` (pulse, state, cause):
+    before each pulse, independent random causes of unit variance change the states by drive @ causes. ``prior``:
+    initial variance of every state. Potter's form keeps the covariance positive for every ratio of prior to noise.
     """
     states = matrix.shape[1]
     # The covariance is root @ root.T: positive whatever the rounding.
@@ -183,35 +191,38 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, pri
 
 
 def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of the first pulses, for any prior.
+    """Return the normalised innovations (pulse, realisation) of the first pulses of a Kalman filter.
 
-    Their joint covariance is prior H H' + 1 = R'R.
+    ``matrix`` H (pulse, state) and ``values`` (pulse, realisation): model and data of these pulses. With ``prior`` the
+    initial variance of each state, the joint covariance of the values is prior H H' + 1 = R'R.
     """
     # R by QR with the largest rows first: the product H H' would lose the noise, 1, which is far smaller than the
     # prior.
     stacked = np.vstack([np.sqrt(prior) * matrix.T, np.eye(len(matrix))])
     root: FloatArray = np.asarray(np.linalg.qr(stacked, mode="r"))
+    # QR leaves the signs of the rows of R open: a positive diagonal makes the innovations unique.
     return np.asarray(np.linalg.solve(root.T, values) * np.sign(np.diagonal(root))[:, None])
 
 
 def _block_innovations(information: Information, block: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of one block of pulses.
+    """Return the normalised innovations (pulse, realisation) of one block of pulses of a Kalman filter.
 
-    With B = H F^-1 their joint covariance is 1 + B B' = L L', and L^-1 (y - H x) are one pulse after the other's.
+    ``information``: F and F^-T H'y of all pulses before. ``block`` H (pulse, state), ``measured`` y (pulse,
+    realisation). With B = H F^-1 the values minus predictions have the joint covariance 1 + B B' = L L'. The rows of
+    L^-1 (y - prediction) are the innovations of one pulse after the other.
     """
     # numpy's general solver is several times faster than scipy's triangular one for few states.
     factor, transformed = information
-    predicted = np.linalg.solve(factor.T, block.T).T
+    predicted = np.linalg.solve(factor.T, block.T).T  # B
     joint = np.linalg.cholesky(np.eye(len(block)) + predicted @ predicted.T)
     return np.asarray(np.linalg.solve(joint, measured - predicted @ transformed))
 
 
 def _innovations(information: Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the innovations of ``_block_innovations`` for many blocks at once, from products of well conditioned
-    factors.
+    """Return the normalised innovations (pulse, realisation) of many pulses, block by block, as a batch.
 
-    Every block starts from the information of all blocks before it: a cumulative sum. The factorisations run as a
-    batch.
+    Same arguments and formula as ``_block_innovations``. Every block starts from the information of all blocks before
+    it, here a cumulative sum of products H'H and H'y; these need well conditioned factors.
     """
     pulses, states = matrix.shape
     size = max(BLOCK, states)
@@ -238,9 +249,10 @@ def _innovations(information: Information, matrix: FloatArray, values: FloatArra
 
 
 def innovation_correlation(innovations: FloatArray, states: int) -> InnovationCorrelation:
-    """Return the correlation of the innovations (..., valid pulse) at a lag of one pulse, and its tolerance.
+    """Return the correlation of a Kalman filter's innovations at a lag of one pulse, and its tolerance.
 
-    The innovations of the first ``states`` pulses depend on the prior and are excluded.
+    It is 0 for a complete model; the tolerance is four standard deviations. The innovations (..., valid pulse) of the
+    first ``states`` pulses depend on the prior and are excluded.
     """
     later = innovations[..., states:]
     energy = np.einsum("...i,...i->...", later, later)

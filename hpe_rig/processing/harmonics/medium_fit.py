@@ -69,10 +69,11 @@ def medium_fit(
 ) -> MediumFit:
     """Return amplitudes and phases of the wanted harmonics with the prior of media, in closed form.
 
-    Every valid pulse has the same weight. The variances estimated from single echoes are not used as weights: their
-    estimation error exceeds the true differences in noise between pulses, and they exclude trigger jitter. The noise
-    therefore comes from the residual of the fit; for accumulated steps it is white noise plus a random walk. Raises
-    ``ValueError`` for frequencies that are no harmonics of the bursts and for too few pulses.
+    The prior is that of the motion (all harmonics of the bursts) that media can have. Every valid pulse has the same
+    weight: the variances estimated from single echoes are too inaccurate for weights, and they exclude trigger jitter.
+    The noise therefore comes from the residual of the fit; for a displacement that is a sum of noisy steps it is white
+    noise plus a random walk. Raises ``ValueError`` for frequencies that are no harmonics of the bursts and for too few
+    pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
@@ -108,7 +109,12 @@ def _step_noise(
     residual: FloatArray,
     step_noise_ratio: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the noise covariance (..., state, state) of accumulated steps, and its degrees of freedom (...)."""
+    """Return noise covariance (..., state, state) and degrees of freedom (...) of the fit to a sum of noisy steps.
+
+    ``weights`` (..., state, rank): from the data along the observed directions to the states. ``shrinkage``
+    (..., rank): fraction of these data that the fit uses. ``residual`` (..., pulse). Each step adds
+    ``step_noise_ratio`` times the variance of one pulse's white noise to all later pulses.
+    """
     white = weights @ np.swapaxes(weights, -1, -2)
     # The background is removed whole, each observed direction by its shrinkage.
     columns = np.hstack([projected.background, projected.left_vectors])
@@ -128,7 +134,7 @@ def _step_noise(
 def fit_residual(
     motion: Motion, frequencies_hz: FloatArray | Sequence[float], prior: MediumPrior, *, background_order: int = 0
 ) -> FloatArray:
-    """Return the displacement minus that of ``medium_fit``, (..., valid pulse)."""
+    """Return the displacement minus background and the motion that ``medium_fit`` fits, m (..., valid pulse)."""
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     shrinkage = medium_fit(motion, frequency_hz, prior, background_order=background_order).shrinkage
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
@@ -139,14 +145,16 @@ def fit_residual(
 def posterior_of_states(
     motion: Motion, prior_fit: MediumFit, prior: MediumPrior, directions: FloatArray, background_order: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean and covariance (..., state, state) of the states ``directions`` @ (prior directions).
+    """Return mean and covariance (..., state, state) of further states of the motion, given the data of ``motion``.
 
-    ``motion`` is the data, ``prior_fit`` its fit. ``directions`` (state, direction): from the prior's directions to any
-    states. The third value (..., member, state): true minus estimated states of every member, of scale 1.
+    ``prior_fit`` is the fit of that motion. ``directions`` (state, direction): the states as a linear function of the
+    prior's directions, the real and imaginary parts of a medium's response. The third value (..., member, state): true
+    minus estimated states of every member of the ensemble, each scaled to a motion of 1 m rms.
     """
     evidence = prior_fit.evidence
     projected = project_prior(prior, motion.time_s, motion.valid, prior_fit.fit.frequency_hz, background_order)
     # Independent deviations of the wanted harmonics are no directions of the prior: these states do not contain them.
+    # As in ``medium_fit``: gain from the data along U to coordinates along V, ``rows`` from there to the states.
     rows = directions @ prior.root @ projected.right_vectors[:, : len(prior.root)].T
     deviation = np.zeros((len(projected.deviation), len(directions)))
     deviation[: prior.deviation.size] = prior.deviation[:, None] * directions.T
@@ -166,9 +174,10 @@ def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
 
 
 def _aliasing(projected: ProjectedPrior, weights: FloatArray, evidence: Evidence) -> tuple[FloatArray, FloatArray]:
-    """Return the noise-free error covariance (..., state, state) of ``weights`` (..., state, rank).
+    """Return the covariance (..., state, state) of the error that the fit makes without noise: aliasing and shrinkage.
 
-    The second value is (I - K A) x_m (..., member, state): the error for every member, of scale 1.
+    ``weights`` (..., state, rank): the fit, from the data along the observed directions to the states. The second value
+    (..., member, state) is (I - K A) x_m, true minus fitted states of every medium of the ensemble, scaled to 1 m rms.
     """
     transposed = np.swapaxes(weights, -1, -2)
     member_errors = projected.wanted_members - projected.members @ transposed
@@ -189,8 +198,8 @@ def medium_kalman(
 ) -> MediumFit:
     """Return the fit of ``medium_fit`` computed by a Kalman filter, which adds the correlation of its innovations.
 
-    The state a of the filter, x = F a, has the initial covariance (k s)² I. Scale and noise are those of
-    ``medium_fit``.
+    The filter estimates coordinates a of the motion x = F a, with F the factor of the prior; their initial covariance
+    is (k s)² I, with s the rms motion and k = PRIOR_WIDENING. Scale s and noise are those of ``medium_fit``.
     """
     closed_form = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
     frequency_hz, evidence = closed_form.fit.frequency_hz, closed_form.evidence
@@ -218,10 +227,11 @@ def medium_kalman(
 def medium_posterior(
     prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, member_errors: FloatArray
 ) -> MediumPosterior:
-    """Return the posterior of the medium: moments over the members with their posterior probability.
+    """Return the posterior of the medium: moments over the ensemble with the members' posterior probability.
 
-    ``fit`` has the frequencies and amplitudes. ``member_errors`` (..., member, 2 * frequency): true minus estimated
-    states of every member, of scale 1.
+    They are the ratio of peak to tracked motion, its covariance, its dependence on speckle, and its covariance with the
+    aliasing error. ``fit``: frequencies and phasors. ``member_errors`` (..., member, 2 * frequency): true minus
+    estimated states of every member, scaled to 1 m rms.
     """
     indices, probability = list(prior.harmonic_indices(fit.frequency_hz)), evidence.probability
     log_ratio = np.log(prior.peak_over_tracked[:, indices])
@@ -238,6 +248,7 @@ def medium_posterior(
     divisor_m = np.where(phasor_m == 0, np.inf, phasor_m)[..., None, :]
     relative_errors = _real_imaginary(np.asarray(errors / divisor_m, np.complex128))
     error_weights = probability * np.sqrt(evidence.member_scale_m2)
+    # Sums over members m weighted by their probability; f: frequency, i and j: amplitude and phase.
     return MediumPosterior(
         significance=evidence.significance,
         peak_over_tracked=np.exp(mean_log_ratio),

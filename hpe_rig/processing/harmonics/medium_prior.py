@@ -65,17 +65,20 @@ class MediumPrior:
         return self.burst_rate_hz * np.arange(1.0, self.peak_over_tracked.shape[1] + 1)
 
     def states(self, harmonic_indices: Sequence[int]) -> FloatArray:
-        """Return S (2 * harmonic, direction): in-phase and quadrature of the harmonics (counted from 0)."""
+        """Return S (2 * harmonic, direction): from the prior's directions to the states of the given harmonics, from 0.
+
+        States are in-phase and quadrature. A direction is the real or imaginary part of a medium's response at a node.
+        """
         rows = self.spectrum[list(harmonic_indices)]
-        # A direction holds the real parts of all nodes, then the imaginary parts: Re and Im of (spectrum times node).
+        # Directions are the real parts of all nodes, then the imaginary parts: Re and Im of (spectrum times node).
         pairs = np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real])
         return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
 
     def sampled_motions(self, time_s: FloatArray, harmonic_indices: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the motions at ``time_s`` of every direction (pulse, direction) and of some states (pulse, state).
+        """Return the motions at ``time_s`` of every direction (pulse, direction) and of some harmonics (pulse, state).
 
-        Equal to ``harmonic_columns`` times ``states``, but each distinct instant of the burst period is computed once,
-        all harmonics as powers of one exponential.
+        The second are sin and cos of each harmonic in ``harmonic_indices``. Each distinct instant of the burst period
+        is computed once, and all harmonics as powers of one exponential, which is faster than a sine for each.
         """
         first, repeats = self.distinct_instants(time_s)
         powers = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
@@ -86,7 +89,10 @@ class MediumPrior:
         return np.hstack([motion.imag, motion.real])[repeats], wanted_pairs[repeats]
 
     def distinct_instants(self, time_s: FloatArray) -> tuple[IndexArray, IndexArray]:
-        """Return one pulse for each distinct instant of the burst period, and the instant's index of every pulse."""
+        """Return the index of one pulse for each distinct instant of the burst period, and each pulse's instant.
+
+        Pulses at the same instant of the period see the same periodic motion, so it is computed once for all of them.
+        """
         angle_rad = np.angle(self._burst_phasor(time_s))
         _, first, repeats = np.unique(np.rint(angle_rad / IDENTICAL_RAD), return_index=True, return_inverse=True)
         return first, repeats
@@ -97,9 +103,10 @@ class MediumPrior:
         return np.asarray(cos + 1j * sin)
 
     def instant_count(self, time_s: FloatArray) -> float:
-        """Return the number of instants of the burst period that the pulses sample, as independent model errors.
+        """Return the effective number of different instants of the burst period that the pulses at ``time_s`` sample.
 
-        Each pulse counts as one over the number of pulses within ``INSTANT_WIDTH_S`` of it in the period.
+        Pulses closer than ``INSTANT_WIDTH_S`` in the period share one error of the model. Each pulse counts as one over
+        the number of pulses that close to it.
         """
         phase, width = np.sort(self.burst_rate_hz * time_s % 1.0), self.burst_rate_hz * INSTANT_WIDTH_S
         unwrapped = np.concatenate([phase - 1, phase, phase + 1])
@@ -109,7 +116,7 @@ class MediumPrior:
         return float(np.sum(1 / neighbours))
 
     def harmonic_indices(self, frequency_hz: FloatArray) -> tuple[int, ...]:
-        """Return the indices, from 0, of the harmonics at ``frequency_hz``; raise ``ValueError`` for others."""
+        """Return which harmonics of the bursts, from 0, ``frequency_hz`` are; raise ``ValueError`` if one is none."""
         number = np.rint(frequency_hz / self.burst_rate_hz)
         close = np.abs(frequency_hz - number * self.burst_rate_hz) <= 1e-6 * self.burst_rate_hz
         if not np.all(close & (number >= 1) & (number <= self.peak_over_tracked.shape[1])):
@@ -129,14 +136,15 @@ def medium_prior(
     known_medium: tuple[float, float] | None = None,
     density_kg_per_m3: float = 1000.0,
 ) -> MediumPrior:
-    """Return the prior of the motion under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
+    """Return the prior of the motion that media make under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
 
-    Times count from the onset of a burst at the focus. A ``known_medium``, shear modulus (Pa) and viscosity (Pa s),
-    narrows the ensemble to Voigt media near it.
+    ``pushed``: beams that push the tissue, or a rigid sphere. Times count from the onset of a burst at the focus. A
+    ``known_medium``, shear modulus (Pa) and viscosity (Pa s), narrows the ensemble to Voigt media near it.
     """
     lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
     ensemble = medium_ensemble(pushed, lowest_hz, highest_hz, known_medium, density_kg_per_m3)
     spectrum = ensemble.driven_spectrum(round(highest_hz / burst_rate_hz), burst_rate_hz, burst_length_s)
+    # Tracked and peak motion of every member, (member, harmonic).
     tracked, peak = ensemble.tracked @ spectrum.T, ensemble.peak @ spectrum.T
     # Each member is scaled to a tracked motion of 1 m rms.
     scale = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
@@ -170,7 +178,10 @@ def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
 
 
 def _powers(phasor: ComplexArray, count: int) -> ComplexArray:
-    """Return the powers 1 to ``count`` (pulse, power) of ``phasor`` (pulse,), as products of two shorter tables."""
+    """Return the powers 1 to ``count`` of ``phasor`` (pulse,), as (pulse, power).
+
+    They are products of two tables of about sqrt(count) powers, so that rounding errors add up over fewer products.
+    """
     size = int(np.ceil(np.sqrt(count)))
     low = np.cumprod(np.broadcast_to(phasor[:, None], (phasor.size, size)), axis=1)
     high = np.cumprod(np.broadcast_to(low[:, -1:], (phasor.size, size)), axis=1) / low[:, -1:]

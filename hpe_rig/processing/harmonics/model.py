@@ -109,7 +109,7 @@ def linear_model(
     background_order: int = 0,
     also_hz: FloatArray | Sequence[float] = (),
 ) -> LinearModel:
-    """Return the model of the valid pulses.
+    """Return the linear model, sinusoids and a polynomial background, of the displacement at the valid pulses.
 
     ``background_order``: 0 constant, 1 velocity, 2 acceleration, more: drift; -1 omits the background. ``also_hz`` are
     further driven frequencies; from the lowest up, those that the pulses resolve become states. Raises ``ValueError``
@@ -135,7 +135,11 @@ def _model(
     background_order: int,
     largest_condition: float,
 ) -> LinearModel:
-    """Return the model that ``linear_model`` describes."""
+    """Return the model H (pulse, state) of sinusoids and background, with its factor R^-1; see ``linear_model``.
+
+    Columns: sin and cos of each wanted frequency, background polynomials, then the further frequencies that the pulses
+    resolve.
+    """
     frequency_hz = np.array(frequencies_hz)
     _check_frequencies(time_s, frequency_hz)
     harmonic_states = 2 * frequency_hz.size
@@ -171,14 +175,20 @@ def _model(
 
 
 def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) -> FloatArray:
-    """Return R^-1 (state, state), upper triangular, with R'R = ``products`` = matrix' matrix."""
+    """Return R^-1 (state, state), upper triangular, with R'R = ``products`` = matrix' matrix.
+
+    It converts columns to orthonormal ones. A ``condition`` number above the limit needs QR, which keeps more digits.
+    """
     if condition > MAX_CONDITION_OF_PRODUCTS:
         return np.asarray(np.linalg.inv(np.linalg.qr(matrix, mode="r")))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
 
 
 def _condition(matrix: FloatArray, products: FloatArray) -> float:
-    """Return the condition number of ``matrix`` with its columns scaled to unit length."""
+    """Return the condition number of ``matrix`` (pulse, state) with columns scaled to unit length; ``products`` is H'H.
+
+    1 is best; it grows as the pulses resolve the frequencies less.
+    """
     length = np.sqrt(np.diagonal(products)).clip(min=np.finfo(np.float64).tiny)
     # The eigenvalues of H'H are the squared singular values: accurate enough up to a condition of 1e4.
     smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(length, length)).tolist()
@@ -189,7 +199,10 @@ def _condition(matrix: FloatArray, products: FloatArray) -> float:
 
 
 def _resolvable(matrix: FloatArray, wanted_count: int, largest_condition: float) -> int:
-    """Return how many columns after the first ``wanted`` fit into the model with an acceptable condition number."""
+    """Return how many further columns of ``matrix`` the pulses resolve, after its first ``wanted_count`` columns.
+
+    They are as many as keep the condition number of all columns below ``largest_condition``.
+    """
     scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
     gram = scaled.T @ scaled
     # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
@@ -207,10 +220,10 @@ def _resolvable(matrix: FloatArray, wanted_count: int, largest_condition: float)
 
 
 def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
-    """Return the columns of those ``also_hz``, from the lowest up, that alias onto no lower frequency.
+    """Return sin and cos (pulse, column) of those further frequencies ``also_hz`` that the train can distinguish.
 
-    Half the pulse rate has one column only. Frequencies above it are included if their alias lies apart from every
-    lower one, which happens where the burst rate does not divide the pulse rate.
+    From the lowest up, a frequency is left out if it aliases within the train's resolution of zero or of a lower one.
+    Half the pulse rate has one column only.
     """
     rate_hz = pulse_rate_hz(time_s)
     resolution_hz = 0.9 / float(time_s[-1] - time_s[0])
@@ -244,7 +257,7 @@ def aliased_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def _check_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
-    """Raise ``ValueError`` for frequencies that no train of these pulses can measure."""
+    """Raise ``ValueError`` for frequencies that pulses at these times cannot measure: repeated or aliased, say."""
     if frequency_hz.ndim != 1 or frequency_hz.size == 0:
         raise ValueError("no vibration frequency given: name at least one")
     if not np.all(np.isfinite(frequency_hz) & (frequency_hz > 0)):

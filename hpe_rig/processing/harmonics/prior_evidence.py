@@ -49,15 +49,21 @@ class Evidence:
 
 
 def evidence_of(projected: ProjectedPrior, data: FloatArray, along: FloatArray) -> Evidence:
-    """Return the evidence of ``data`` (..., valid pulse) without background, with ``along`` = data @ U (..., rank)."""
+    """Return scale and noise of the motion, a test of the prior, and the probability of every medium of its ensemble.
+
+    ``data`` (..., valid pulse): displacement without background. ``along`` (..., rank): the data along the directions
+    that the prior expects and the pulses observe, with singular values l = ``projected.value``.
+    """
     from scipy.special import fdtrc
 
     count = data.shape[-1] - projected.background.shape[1]
     unexplained_m2 = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
+    # Variance of the motion along each direction, for 1 m rms: of the prior, and of the error of its model.
     hidden = projected.hidden_variance_factor * MODEL_ERROR**2
     signal = projected.value**2 + hidden
     ratio = _scale_over_noise(projected, along, unexplained_m2, signal, count)[..., None]
     # The noise comes from the residual and its degrees of freedom, which also holds for media outside the ensemble.
+    # Fraction of the variance along each direction that is noise.
     noise_share = 1 / (1 + ratio**2 * signal)
     degrees = count - np.sum(1 - noise_share, axis=-1)
     tiny = np.finfo(np.float64).tiny
@@ -82,7 +88,12 @@ def evidence_of(projected: ProjectedPrior, data: FloatArray, along: FloatArray) 
 def _scale_over_noise(
     projected: ProjectedPrior, along: FloatArray, unexplained_m2: FloatArray, signal: FloatArray, count: int
 ) -> FloatArray:
-    """Return r = s / sigma (...) of the largest evidence."""
+    """Return the ratio r (...) of rms motion to noise of a pulse that maximises the evidence of the data.
+
+    ``along`` (..., rank): data along the observed directions, of variance sigma² (1 + r² ``signal``).
+    ``unexplained_m2`` (...): energy of the data outside them. ``count``: pulses minus columns of the background. For
+    each r of a scan, the best sigma² is a mean.
+    """
     log_ratio = LOG_SCALES - np.log(projected.value[0])
     power = 1 + np.exp(2 * log_ratio)[:, None] * signal  # p_i of each scanned r
     floor_m2 = np.finfo(np.float64).tiny
@@ -99,9 +110,10 @@ def _scale_over_noise(
 def _member_probability(
     projected: ProjectedPrior, along: FloatArray, variance_m2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the probability, of sum 1, and the mean square scale of every member (..., member).
+    """Return the probability, of sum 1, and the mean square scale of every medium of the ensemble, (..., member).
 
-    Probability ~ exp(-distance / 2 T): distance in noise of the data from the member at its best scale. T is the
+    ``along`` (..., rank): the data along the observed directions, with the noise ``variance_m2`` (...). The probability
+    is ~ exp(-distance / 2 T), with distance the squared misfit of a member at its best scale over the noise. T is the
     smallest power of two, at least 1, that leaves ``MIN_MEMBERS`` effective members.
     """
     power = np.sum(projected.members**2, axis=1)
@@ -120,7 +132,10 @@ def _member_probability(
 
 
 def _maximum(x: FloatArray, height: FloatArray) -> FloatArray:
-    """Return the x of the maximum of ``height`` (..., x), by the parabola through its three highest points."""
+    """Return the x of the maximum of ``height`` (..., x), refined by a parabola through its three highest points.
+
+    ``x``: evenly spaced.
+    """
     top = np.clip(np.argmax(height, axis=-1), 1, x.size - 2)[..., None]
     before, at, after = (np.take_along_axis(height, top + step, axis=-1)[..., 0] for step in (-1, 0, 1))
     curvature = np.minimum(before - 2 * at + after, -np.finfo(np.float64).tiny)

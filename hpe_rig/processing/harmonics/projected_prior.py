@@ -63,9 +63,10 @@ class ProjectedPrior:
 def project_prior(
     prior: MediumPrior, time_s: FloatArray, valid: BoolArray, frequency_hz: FloatArray, background_order: int = 0
 ) -> ProjectedPrior:
-    """Return ``prior`` projected onto the valid pulses at ``time_s`` (pulse,); cached for trains of the same timing.
+    """Return the part of ``prior`` that the valid pulses at ``time_s`` (pulse,) can observe.
 
-    Raises ``ValueError`` for frequencies that are no harmonics of the bursts and for too few pulses.
+    ``frequency_hz``: wanted harmonics. The result is cached for trains of the same timing. Raises ``ValueError`` for
+    frequencies that are no harmonics of the bursts and for too few pulses.
     """
     pulses = int(valid.sum())
     if pulses <= background_order + 3:
@@ -75,13 +76,18 @@ def project_prior(
 
 @functools.lru_cache(maxsize=4)
 def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[int, ...], order: int) -> ProjectedPrior:
-    """Return ``prior`` projected onto ``pulses``, for wanted harmonics and a background of polynomial ``order``."""
+    """Return the part of ``prior`` that ``pulses`` observe, for wanted harmonics and a background of ``order``.
+
+    It is the singular value decomposition A F = U diag(l) V': F is the root of the prior's covariance, and A samples
+    its motions at the pulses, minus the background.
+    """
     time_s, valid = pulses.time_s, pulses.valid
     background = np.linalg.qr(background_columns(time_s, order)[valid])[0]
     # Pulses at the same instant of the burst period have equal rows, unless the background differs between them.
     index = np.arange(np.count_nonzero(valid))
     first, repeats = (index, index) if order else prior.distinct_instants(time_s[valid])
     count = np.bincount(repeats)[:, None]
+    # Motion of each direction of the prior, and of each wanted state, at the instants.
     directions, columns = prior.sampled_motions(time_s[valid][first], harmonic_indices)
     basis = prior.states(harmonic_indices)
     # F: the prior's root, extended by a deviation of each wanted harmonic, equal in both of its states.

@@ -41,18 +41,20 @@ SLOPES = 24
 def quantisation_m(
     echoes: EchoGate, code_v: float, motion: Motion, fit: HarmonicFit
 ) -> tuple[tuple[float, float], ...]:
-    """Return the standard uncertainties (frequency, 2) from codes of ``code_v``, along and across each phasor, m.
+    """Return the standard uncertainty of each harmonic from rounding to the digitizer's codes, m (frequency, 2).
 
-    Of one train with the displacement ``motion`` and its ``fit``. Empty if noise dithers the codes.
+    The two values are along and across its phasor. ``code_v``: volts of one code. ``motion``: displacement of one
+    train, ``fit``: its harmonics. Empty if noise dithers the codes, so that the residual of the fit contains the error.
     """
     used = motion.valid
     per_m = 4 * np.pi * echoes.carrier_hz / echoes.sound_speed_m_per_s
     slope_energy = per_m**2 * float(np.mean(echoes.energy[used]))
-    # The noise that the echoes state includes that of rounding.
+    # The noise estimated from the echoes includes that of rounding, code_v² / 12 if it is random.
     scatter_v2 = float(np.mean(motion.variance_m2[used])) * slope_energy
     if not code_v > 0 or scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
         return ()
     slope = _slopes(echoes)
+    # The mean rounding error is a sawtooth of the voltage: harmonic n of it at each slope of the echo and each pulse.
     angle = 2 * np.pi / code_v * np.outer(slope, motion.displacement_m[used])
     weights, basis = _phasor_weights(motion, fit)
     waves = [np.exp(1j * n * angle) for n in range(1, HARMONICS + 1)]
@@ -77,11 +79,11 @@ def _harmonics_v2(code_v: float, noise_v2: float) -> FloatArray:
 
 
 def _noise_v2(scatter_v2: float, code_v: float, constant_fraction: FloatArray) -> float:
-    """Return sigma², the noise variance of a sample before rounding, V², by bisection.
+    """Return sigma², the noise variance of a sample before rounding, V², from the scatter after rounding, by bisection.
 
-    The mean rounding error is a sawtooth of the voltage, with the period of one code. ``constant_fraction``
-    (harmonic,): the fraction of each of its harmonics' power that does not change with the motion. That part is in
-    the mean echo, so it does not contribute to ``scatter_v2``, the scatter of the echoes about their mean.
+    ``scatter_v2``: variance of the echoes about their mean. The mean rounding error is a sawtooth of the voltage, with
+    a period of one code, ``code_v``. ``constant_fraction`` (harmonic,): the fraction of each of its harmonics' power
+    that does not change with the motion. That part is in the mean echo and not in the scatter.
     """
     low, high = 0.0, scatter_v2
     for _ in range(BISECTIONS):
@@ -116,9 +118,10 @@ def _slopes(echoes: EchoGate) -> FloatArray:
 
 
 def _phasor_weights(motion: Motion, fit: HarmonicFit) -> tuple[FloatArray, FloatArray]:
-    """Return the weights (2 * frequency, pulse) of a displacement in the components along and across each phasor.
+    """Return the weights (2 * frequency, pulse) of a displacement in its components along and across each phasor.
 
-    The second value is an orthonormal basis (pulse, state) of the fitted columns.
+    They turn the rounding error of every pulse into errors of the fitted harmonics. The second value is an orthonormal
+    basis (pulse, state) of the fitted columns.
     """
     used, count = motion.valid, 2 * fit.frequency_hz.size
     columns = [harmonic_columns(motion.time_s, fit.frequency_hz), background_columns(motion.time_s, 0)]

@@ -54,14 +54,14 @@ def velocity_to_harmonics(
     with_hann: bool = True,
     background_order: int = 0,
 ) -> HarmonicFit:
-    """Return amplitude and phase of the displacement from its velocity, frequency by frequency.
+    """Return amplitude and phase of the displacement from its velocity, frequency by frequency, by the paper's chain.
 
     The gain sinc(f / f_prf) of the difference, its half-interval delay and the 90 degrees between velocity and
     displacement are removed. ``also_hz``: further driven frequencies, kept out of the residual and the band-pass. The
     band-pass removes a background except for the difference between the ends of the series; from ``background_order``
     (of the displacement) 2 on, its polynomial is fitted and subtracted first. The covariance is that of
     ``velocity_noise`` through all steps. Band-pass and Hann window in slow time can be left out. Raises ``ValueError``
-    for unevenly spaced pulses, and as ``least_squares``.
+    for unevenly spaced pulses, and if the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
@@ -73,12 +73,14 @@ def velocity_to_harmonics(
     fill = _fill_columns(model, velocity.valid, background)
     filled = _filled(velocity, model, fill)
     window = hann(velocity.valid.size) if with_hann else np.ones(velocity.valid.size)
+    # State of each frequency, and the weight of every velocity in it.
     results = []
     for f in frequency_hz:
         half_width_hz = _half_width_hz(every_hz, f) if with_band_pass else np.inf
         results.append(_one_frequency(velocity, filled, f, half_width_hz, window, model, fill))
     states, weights = zip(*results, strict=True)
     pulse_m2, interval_m2_per_s2, degrees = velocity_noise(velocity, model, every_hz, interval_s)
+    # Covariance: the noise of each pulse's displacement and that of each interval's velocity, through these weights.
     over_intervals = np.concatenate(weights)
     over_pulses = per_pulse(over_intervals, interval_s)
     covariance = pulse_m2[..., None, None] * (over_pulses @ over_pulses.T)
@@ -111,9 +113,11 @@ def _one_frequency(
     model: LinearModel,
     fill: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the state (..., 2) of one frequency and its weights (2, interval) of the velocities.
+    """Return in-phase and quadrature (..., 2) of the displacement at ``f`` (Hz), and the weights (2, interval) in them.
 
-    ``half_width_hz``: half width of the band-pass, infinite without one.
+    Chain: band-pass, ``window`` over slow time, Kalman filter. The weights are those of the velocities. ``filled``
+    (..., interval): velocities without gaps, and ``fill`` the matrix that filled them. ``half_width_hz``: half width of
+    the band-pass, infinite without one.
     """
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
 
@@ -149,9 +153,10 @@ def _half_width_hz(every_hz: FloatArray, f: float) -> float:
 
 
 def _fill_columns(model: LinearModel, valid: BoolArray, background: slice) -> FloatArray:
-    """Return the matrix (interval, state) from fitted states to the velocities that ``_filled`` adds.
+    """Return the matrix (interval, state) that fills gaps: from fitted states to values added to the velocities.
 
-    Rows of missing velocities: the model without ``background``. Rows of valid ones: minus the background.
+    At missing velocities this is the fitted model without ``background`` (its columns); at valid ones minus the
+    background.
     """
     columns = np.where(valid[:, None], 0.0, model.every_pulse)
     columns[:, background] = np.where(valid[:, None], -model.every_pulse[:, background], 0.0)
@@ -159,9 +164,10 @@ def _fill_columns(model: LinearModel, valid: BoolArray, background: slice) -> Fl
 
 
 def _filled(velocity: Velocity, model: LinearModel, fill: FloatArray) -> FloatArray:
-    """Return the velocities (..., interval) minus background, missing ones predicted by the fit to the others.
+    """Return the velocities (..., interval) without background, with missing ones replaced by the fit to the others.
 
     The band-pass needs a value at every interval; one that follows the motion does not disturb its neighbours.
+    ``fill``: matrix from fitted states to the added velocities.
     """
     if not fill.any():
         return velocity.velocity_m_per_s
@@ -173,14 +179,15 @@ def _filled(velocity: Velocity, model: LinearModel, fill: FloatArray) -> FloatAr
 def velocity_noise(
     velocity: Velocity, model: LinearModel, frequency_hz: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return the variances (...) of one pulse's displacement and of one interval's velocity beyond that.
+    """Return the variances (...) of one pulse's displacement and of one interval's velocity, and degrees of freedom.
 
-    The third value is the degrees of freedom of the first. All are estimated from the residual of ``model``.
+    The degrees of freedom are those of the first. All are estimated from the residual of ``model``.
 
     Echo noise is white over pulses, so neighbouring velocities share it with opposite sign. If the peak of the
-    cross-spectrum jumps between two of equal height, the velocities have noise that does not cancel in the next
-    interval. That is estimated from the residual's spectrum outside ``frequency_hz`` (Whittle likelihood); it is 0
-    unless it is significant. Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite, 1946).
+    cross-spectrum jumps between two of equal height, a velocity has noise that does not cancel in the next interval:
+    the second variance. It is estimated from the residual's spectrum outside ``frequency_hz`` (Whittle likelihood), and
+    is 0 unless it is significant. Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite,
+    1946).
     """
     # Pulse noise only: white noise, differenced, minus the part that the fit absorbs. The expected energy is the trace
     # over the complement of the orthonormal columns q of the model.
@@ -201,9 +208,10 @@ def velocity_noise(
 
 
 def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, interval_s: float) -> float:
-    """Return tr (M K M K): K the covariance of velocities of unit pulse noise, M = 1 - q q' the residual operator.
+    """Return tr (A A) of the residual's covariance A = M K for unit pulse noise, needed for degrees of freedom.
 
-    ``over_pulses`` (state, pulse): the columns of q (valid interval, state) as weights of the pulses.
+    K is the covariance of velocities (differences of pulses over ``interval_s``), M = 1 - q q' the residual of a fit
+    with orthonormal columns q (valid interval, state). ``over_pulses`` (state, pulse): q as weights of the pulses.
     """
     kq = np.diff(over_pulses)[:, valid] / interval_s
     # tr K K - 2 tr q'K K q + tr (q'K q)²
@@ -213,7 +221,10 @@ def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, inte
 
 
 def per_pulse(weights: FloatArray, interval_s: float) -> FloatArray:
-    """Return weights (row, pulse) of pulse displacements from ``weights`` (row, interval) of velocities."""
+    """Return weights (row, pulse) of pulse displacements that equal ``weights`` (row, interval) of velocities.
+
+    A velocity is the difference of two displacements over the interval.
+    """
     rows = np.zeros((weights.shape[0], weights.shape[1] + 1))
     rows[:, 1:] += weights / interval_s
     rows[:, :-1] -= weights / interval_s
@@ -223,11 +234,15 @@ def per_pulse(weights: FloatArray, interval_s: float) -> FloatArray:
 def _residual_spectrum(
     step: FloatArray, velocity: Velocity, frequency_hz: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the periodogram (..., bin) of displacement steps and its expectation (bin,) for unit pulse noise."""
+    """Return the periodogram (..., bin) of the residual ``step`` of each interval, and its expectation (bin,).
+
+    The expectation is that of pulse noise of unit variance. Bins near ``frequency_hz`` are left out: the fit has
+    emptied them.
+    """
     count, used = step.shape[-1], int(velocity.valid.sum())
     grid_hz = np.fft.rfftfreq(count, interval_s)
     distance_hz = np.abs(grid_hz[:, None] - frequency_hz).min(axis=1)
-    # The fit has emptied the bins next to the fitted frequencies and to zero.
+    # Bins more than one from the fitted frequencies and from zero.
     free = (distance_hz * count * interval_s > 1) & (grid_hz > 0) & (grid_hz < 0.5 / interval_s)
     power = np.abs(np.fft.rfft(step, axis=-1)[..., free]) ** 2 / used
     # A pulse at the edge of a gap or of the train is in one interval only: its noise is not differenced.
@@ -238,9 +253,11 @@ def _residual_spectrum(
 
 
 def _most_likely(power: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return pulse variance and interval-to-pulse ratio (...) by profile likelihood over ``RATIOS``.
+    """Return the pulse-noise variance (...) of a periodogram, and the ratio (...) of interval noise to it.
 
-    For a given ratio the best level is the mean of power over shape, so that only the ratio is searched.
+    ``power`` (..., bin): periodogram. ``shape`` (bin,): its expectation for pulse noise of unit variance; interval
+    noise of ratio r adds r to every bin. The ratio of largest likelihood in ``RATIOS`` is returned, 0 unless it is
+    significant. For a given ratio the best variance is the mean of power over expectation.
     """
     shapes = shape + RATIOS[:, None]
     level = np.maximum((power @ (1 / shapes).T) / shape.size, np.finfo(np.float64).tiny)

@@ -15,10 +15,10 @@ UNKNOWN_PHASE_RAD = np.float32(math.pi / math.sqrt(3))
 
 
 def unwrapped(z: ComplexSingleArray) -> SingleArray:
-    """Return the unwrapped phase of ``z`` (..., pulse) against the first pulse."""
+    """Return the unwrapped phase of the complex baseband ``z`` (..., pulse) relative to the first pulse, rad."""
     angle = np.arctan2(np.ascontiguousarray(z.imag), np.ascontiguousarray(z.real))
     angle -= angle[..., :1].copy()
-    # The sum of squares bounds every single phase.
+    # The sum of squares bounds every single phase: where it is small, no phase can have wrapped.
     may_wrap = np.einsum("...p,...p->...", angle, angle) >= MAX_DIRECT_RAD**2
     if may_wrap.any():
         wrapped = angle[may_wrap]
@@ -42,10 +42,11 @@ def estimates(
     quadratures: SingleArray,
     results: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
-    """Write amplitude and phase (pixel, frequency), each followed by its u, of ``state`` (pixel, state) in rad.
+    """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
 
-    ``relative`` (pixel,): relative variance of ``metres_per_radian``. ``quadratures`` (3, frequency): mean of the
-    variances of in-phase and quadrature for unit noise, half their difference, their covariance.
+    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``relative`` (pixel,): relative variance
+    of ``metres_per_radian``. ``quadratures`` (3, frequency), for unit noise: mean of the variances of in-phase and
+    quadrature, half their difference, their covariance.
     """
     amplitude, amplitude_u, phase, phase_u = results
     mean, half_difference, covariance = quadratures

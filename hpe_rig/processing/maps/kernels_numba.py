@@ -33,7 +33,7 @@ UNKNOWN_PHASE_RAD: Final = np.float32(math.pi / math.sqrt(3))
 
 @compiler(*_FASTMATH, inline=True)
 def _angle(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y), -pi to pi, rad."""
+    """Return the angle of (x, y), -pi to pi, rad: arctan2 by a polynomial, which compiles to vector instructions."""
     width, height = abs(x), abs(y)
     a = min(width, height) / max(width, height, TINY)
     s = a * a
@@ -54,7 +54,10 @@ def unwrapped(z: ComplexSingleArray) -> SingleArray:
 
 @_compile
 def _unwrap(real_and_imag: SingleArray, angle: SingleArray) -> None:
-    """Write the phases (pixel, pulse) of ``real_and_imag`` (pixel, 2 * pulse): real, imaginary, real, ..."""
+    """Write the unwrapped phases (pixel, pulse) relative to the first pulse.
+
+    ``real_and_imag`` (pixel, 2 * pulse): real, imaginary, real, ... of the complex baseband.
+    """
     pulses = angle.shape[1]
     for i in range(len(real_and_imag)):
         row, phase = real_and_imag[i], angle[i]
@@ -100,7 +103,10 @@ def estimates(
     quadratures: SingleArray,
     results: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
-    """Write the results of `kernels.estimates`."""
+    """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
+
+    Same arguments and formulas as `kernels.estimates`, pixel by pixel.
+    """
     amplitude, amplitude_u, phase, phase_u = results
     for i in range(len(state)):
         for j in range(amplitude.shape[1]):

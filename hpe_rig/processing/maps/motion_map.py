@@ -79,7 +79,7 @@ def map_pixels(
     line_position_m: FloatArray | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> MotionMap:
-    """Return the motion in every gate of every line.
+    """Return amplitude, phase and velocity of the motion in every gate of every line, with uncertainties.
 
     ``samples`` (line, pulse, sample): real, or complex for I and Q. ``time_s`` (pulse,). Gates are contiguous from the
     first sample on. ``progress`` is called with the numbers of finished and of all lines. A pixel without an estimate
@@ -136,7 +136,7 @@ def _workers() -> int:
 
 
 def _kernels(samples: int) -> ModuleType:
-    """Return the module of kernels for so many samples: compiled, or NumPy's."""
+    """Return the module with the inner loops for so many samples: compiled by Numba where that pays off, or NumPy's."""
     if not use_numba(samples, COMPILED_SAMPLES):
         return kernels
     from hpe_rig.processing.maps import kernels_numba
@@ -179,7 +179,11 @@ class _Pixels:
     kernels: ModuleType
 
     def estimate(self, samples: NDArray[Any], gates: int) -> tuple[list[SingleArray], ByteArray]:
-        """Return `RESULTS` of some lines (line, pulse, sample), each (line, gate, ...), and the marks of bad pixels."""
+        """Return the results of every pixel of some lines, and the marks of bad pixels (line, gate).
+
+        ``samples`` (line, pulse, sample). Results are listed in the order of ``RESULTS``, each (line, gate, ...):
+        amplitude, phase and velocity with uncertainties, residual, power.
+        """
         length = self.settings.gate_samples // self.decimation
         not_finite = None
         if samples.dtype.kind != "i" and not _all_finite(samples):
@@ -194,7 +198,10 @@ class _Pixels:
         return self._fit(phase, power, np.float32(self.mixing_hz) + self._frequency_offset_hz(z, power), not_finite)
 
     def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingleArray:
-        """Return ``count`` samples of the decimated baseband (line, pulse, sample)."""
+        """Return ``count`` samples of the complex baseband (line, pulse, sample), mixed by the carrier and decimated.
+
+        I and Q are the baseband already. Real samples are band-passed around the carrier in the spectrum.
+        """
         if np.iscomplexobj(samples):
             return np.asarray(samples[..., :count], np.complex64)
         from scipy.fft import ifft, rfft
@@ -221,10 +228,11 @@ class _Pixels:
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
     def _phases(self, z: ComplexSingleArray) -> SingleArray:
-        """Return the unwrapped phase of every pulse against the first, rad (line, gate, pulse).
+        """Return the unwrapped phase of every pulse relative to the first, rad (line, gate, pulse).
 
-        ``z`` (line, gate, sample, pulse): complex baseband of the echoes. Consecutive echoes give a first phase, which
-        aligns all echoes. The phase of each against the sum of the others is added to it.
+        ``z`` (line, gate, sample, pulse): complex baseband of the echoes. The phase steps between consecutive echoes
+        align all echoes. The phase of each aligned echo against the sum of the others is then added, which has less
+        noise.
         """
         if z.shape[2] == 1:
             phase: SingleArray = self.kernels.unwrapped(z[:, :, 0])
@@ -263,6 +271,7 @@ class _Pixels:
         shape = (lines, -1, gates, length)
         echo, derivative = echo.reshape(shape), derivative.reshape(shape)
         pairs = ((echo.real, derivative.real), (echo.imag, derivative.imag))
+        # Sums over pulses p and samples s of each gate g of line l.
         moment = np.asarray(sum(np.einsum("lpgs,lpgs->lg", *pair) for pair in pairs))
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
@@ -270,8 +279,13 @@ class _Pixels:
     def _fit(
         self, phase: SingleArray, power: SingleArray, frequency_hz: SingleArray, not_finite: BoolArray | None
     ) -> tuple[list[SingleArray], ByteArray]:
-        """Return `RESULTS` from the phases (line, gate, pulse) by least squares, and the marks of bad pixels."""
+        """Return the results of every pixel, fitted to its phases (line, gate, pulse), and marks of bad pixels.
+
+        ``power`` and ``frequency_hz`` (line, gate): of the echo. ``not_finite`` (line, gate): gates with samples that
+        are not finite. The model has the vibration frequencies, a constant and a slope, the mean velocity.
+        """
         shape, (pulses, states) = phase.shape[:-1], self.model.matrix.shape
+        # From phases to states: (R^-1 R^-1' H')', for all pixels in one product.
         columns = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         solver = (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
         data, power = phase.reshape(-1, pulses), power.reshape(-1)
@@ -305,7 +319,7 @@ class _Pixels:
         ``metres_per_radian``.
         """
         covariance = (self.model.root @ self.model.root.T).astype(np.float32)
-        # The states are in-phase and quadrature of each frequency, constant and slope.
+        # The states are in-phase and quadrature of each frequency, then constant and slope.
         slope = covariance.shape[0] - 1
         in_phase = np.arange(0, slope - 1, 2)
         variances = covariance[in_phase, in_phase], covariance[in_phase + 1, in_phase + 1]
@@ -330,7 +344,7 @@ def _mean_power(z: ComplexSingleArray) -> SingleArray:
 
 
 def _serial_matmul(rows: SingleArray, matrix: SingleArray) -> SingleArray:
-    """Return ``rows @ matrix`` in blocks of rows so small that BLAS starts no threads.
+    """Return ``rows @ matrix``, computed in blocks of rows so small that BLAS starts no threads.
 
     Otherwise each thread of the pool would start as many BLAS threads, all on the same cores.
     """

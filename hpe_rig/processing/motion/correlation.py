@@ -30,14 +30,15 @@ SPLINE_MARGIN = 3
 def cross_correlation(echoes: EchoGate) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
-    If the taper reaches into the gate, the cross-spectrum is weighted by inverse frequency. The peak is then at the
-    delay where the cross-spectrum, summed over the band, has zero phase. ``coherent`` measures this phase too, which a
-    taper biases least. Raises ``ValueError`` in the same cases as ``coherent``.
+    If the taper of the records reaches into the gate, the cross-spectrum is weighted by inverse frequency. The peak is
+    then at the delay where the cross-spectrum, summed over the band, has zero phase, which a taper biases least. Raises
+    ``ValueError`` for fewer than two valid pulses and if no train has an echo.
     """
     spectrum, band = band_spectrum(echoes, 2)
     # A first guess of the delays (..., pulse), from the phases of consecutive echoes.
     consecutive = pulse_steps(spectrum, band)
     guess_s = consecutive.delay_s - consecutive.delay_s.mean(axis=-1, keepdims=True)
+    # Sum of all echoes aligned by these delays, and the noise variance of each echo's phase against it.
     comparison = compare_with_others(spectrum, band, consecutive, guess_s)
 
     # The others are aligned at their first guess. Each pulse is advanced by its guess in whole upsampled samples.
@@ -76,15 +77,17 @@ def _correlation(cross: ComplexArray, cycles: FloatArray, reach: int) -> FloatAr
 
 
 def _peak_lag(correlation: FloatArray, half_period: int) -> FloatArray:
-    """Return the lag (..., pulse) of the largest value within ``half_period`` samples, refined by a spline.
+    """Return the lag (..., pulse), in samples, of the peak of ``correlation`` (..., pulse, lag), refined by a spline.
 
-    On the interval next to the largest sample, with x from -1 to 1 and the second derivatives m_0, m_1 at its ends, the
-    slope of a natural cubic spline is slope + m_0 x + (m_1 - m_0) x² / 2.
+    Lags run from -reach to reach samples; the peak is searched within ``half_period``. On the interval next to the
+    largest sample, with x from -1 to 1 and the second derivatives m_0, m_1 at its ends, the slope of a natural cubic
+    spline is slope + m_0 x + (m_1 - m_0) x² / 2; the peak is where it is zero.
     """
     reach = correlation.shape[-1] // 2
     inner = correlation[..., reach - half_period : reach + half_period + 1]
     largest = np.argmax(inner, axis=-1) + reach - half_period
     curvature = correlation @ _second_derivatives(correlation.shape[-1]).T
+    # Correlation and second derivative before, at and after the largest sample.
     value, bend = ([_at(array, largest + shift) for shift in (-1, 0, 1)] for array in (correlation, curvature))
     # The slope at the largest sample, from the interval after it, decides on which side of it the peak lies.
     slope = value[2] - value[1] - (2 * bend[1] + bend[2]) / 6
@@ -103,7 +106,7 @@ def _at(values: FloatArray, index: IndexArray) -> FloatArray:
 
 @functools.lru_cache(maxsize=8)
 def _second_derivatives(count: int) -> FloatArray:
-    """Return the matrix (count, count) from values at unit spacing to second derivatives of their natural spline."""
+    """Return the matrix (count, count) from values at unit spacing to second derivatives of their cubic spline."""
     from scipy.interpolate import CubicSpline
 
     knots = np.arange(count)

@@ -44,7 +44,7 @@ class Velocity:
 
 
 def velocity_between_pulses(motion: Motion) -> Velocity:
-    """Return the mean velocity in every interval between two valid pulses."""
+    """Return the mean velocity in every interval between consecutive pulses; valid where both its pulses are."""
     interval_s = np.diff(motion.time_s)
     return Velocity(
         time_s=motion.time_s[:-1] + interval_s / 2,
@@ -62,6 +62,7 @@ def relative_to(motion: Motion, reference: Motion) -> Motion:
     """
     if not np.array_equal(motion.time_s, reference.time_s):
         raise ValueError("motion and reference have different times: estimate both from the same records")
+    # For sums of noisy steps: each step adds this many variances of a pulse; of the difference, their mean.
     ratios = [ratio for ratio in (motion.step_noise_ratio, reference.step_noise_ratio) if ratio is not None]
     return Motion(
         time_s=motion.time_s,

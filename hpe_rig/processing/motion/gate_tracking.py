@@ -27,10 +27,10 @@ def track_gate(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
     """Return the echoes in a gate that follows its tissue, and the motion of that gate.
 
     ``records`` (pulse, sample) are whole, without margins. The gate keeps the tissue that ``gate`` holds at the first
-    valid pulse. The motion of the gate is known exactly (variance 0); ``add_gate_motion`` adds it to the displacement
-    estimated from the returned echoes. The pulse times of these include the change of travel time, and their margins
-    are as wide as all records allow. Raises ``ValueError`` for more than one train, if a step exceeds a quarter
-    wavelength, and if the echoes leave the records.
+    valid pulse. The motion of the gate has variance 0; ``add_gate_motion`` adds it to the displacement within the gate,
+    estimated from the returned echoes. Their pulse times include the change of travel time, and their margins are as
+    wide as all records allow. Raises ``ValueError`` for more than one train, if a step exceeds a quarter wavelength,
+    and if the echoes leave the records.
     """
     if records.volts.ndim != 2:
         raise ValueError(f"volts {records.volts.shape}: one train (pulse, sample) at a time can be followed")
@@ -38,7 +38,7 @@ def track_gate(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
     volts = volts if records.valid.all() else volts[records.valid]
     shift = _gate_shift_samples(volts, gate, records)
 
-    # Margins end where the record farthest out ends.
+    # All pulses have the same margins: the gate nearest to an end of its record limits them.
     full_margin = margin_samples(records.sample_rate_hz, records.carrier_hz)
     before = min(full_margin, int(gate.start + min(shift.min(), 0)))
     after = min(full_margin, int(volts.shape[1] - gate.stop - max(shift.max(), 0)))
@@ -67,10 +67,10 @@ def add_gate_motion(motion: Motion, gate_motion: Motion) -> Motion:
 
 
 def _gate_shift_samples(volts: Volts, gate: slice, records: EchoGate) -> FloatArray:
-    """Return the delay of the gate's echo relative to the first pulse, in samples (valid pulse,).
+    """Return the delay (valid pulse,) of the gate's echo relative to the first pulse, in samples.
 
-    It is a sum of steps. Each step is the phase of the correlation of two consecutive pulses, in the gate at its
-    position of the pulse before.
+    ``volts`` (valid pulse, sample): whole records. The delay is a sum of steps. Each is the phase of the correlation of
+    two consecutive pulses, in the gate at its position of the first of the two.
     """
     length, samples = gate.stop - gate.start, volts.shape[1]
     shift, phase, previous = np.zeros(len(volts)), np.zeros(len(volts)), None
@@ -97,7 +97,7 @@ def _gate_shift_samples(volts: Volts, gate: slice, records: EchoGate) -> FloatAr
 
 
 def _analytic_signals(volts: Volts, records: EchoGate) -> Iterator[ComplexArray]:
-    """Yield the analytic signal of each record in the transmitted band, (sample,)."""
+    """Yield the analytic signal (sample,) of each record of ``volts`` (pulse, sample) in the transmitted band."""
     from scipy.fft import ifft, rfft
 
     samples = volts.shape[1]
@@ -116,7 +116,10 @@ def _phase_per_sample(volts: Volts, records: EchoGate) -> float:
 
 
 def _shifted_back(volts: Volts, gate: slice, shift: FloatArray) -> Volts:
-    """Return the gate of each record after shifting it back by ``shift`` (pulse,) samples, (pulse, sample)."""
+    """Return the samples ``gate`` of each record after its echoes are shifted back by ``shift`` (pulse,) samples.
+
+    ``volts`` (pulse, sample): whole records. The shift is a linear phase of the spectrum.
+    """
     from scipy.fft import irfft, rfft
 
     samples = volts.shape[1]

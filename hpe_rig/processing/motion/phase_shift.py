@@ -51,11 +51,11 @@ def coherent(echoes: EchoGate) -> Motion:
 
 
 def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...), Hz.
+    """Return phase and its variance (..., pulse) against the sum of all other echoes, and the mean frequency (...), Hz.
 
-    Two passes align the echoes, each echo against the sum of all others: the first by the accumulated steps between
-    consecutive pulses, the second by the phase of the first pass. ``use_compiled``: by the compiled loop if Numba is
-    installed. Both forms differ by rounding. Raises ``ValueError`` if no train has an echo.
+    ``spectrum`` (..., pulse, bin). Two passes align the echoes: the first by the accumulated phase steps between
+    consecutive pulses, the second by the phases of the first pass. ``use_compiled``: by the compiled loop if Numba is
+    installed; the results differ by rounding. Raises ``ValueError`` if no train has an echo.
     """
     # The compiled loop keeps a whole aligned train in memory; a longer train is aligned in chunks of ALIGNED_CHUNK.
     if use_compiled and numba_installed() and spectrum.shape[-2] <= ALIGNED_CHUNK:
@@ -63,7 +63,7 @@ def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tu
         if np.isfinite(result[2]).any():
             return result
         # Without an echo in any train, the NumPy form below raises the error that names the cause.
-    # The products of a long train are not needed any more: their memory is released.
+    # The product of each pair of echoes is large for a long train and not needed: its memory is released.
     steps = replace(pulse_steps(spectrum, band), product=np.empty(0, np.complex128))
     # First pass: delays from the accumulated steps, which add up the noise of single echoes.
     first = compare_with_others(spectrum, band, steps, steps.delay_s, steps.energy)
@@ -79,7 +79,7 @@ def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tu
 
 
 def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the results of `coherent_phase` by the compiled loop, NaN for trains without an echo."""
+    """Return phase, variance and mean frequency as `coherent_phase`, by the compiled loop; NaN without an echo."""
     from hpe_rig.processing.motion.phase_shift_numba import coherent_phase as compiled_loop
 
     pulses, bins = spectrum.shape[-2:]
@@ -93,10 +93,10 @@ def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, Flo
 
 
 def kasai(echoes: EchoGate) -> Motion:
-    """Return the displacement as a sum of steps, from the phase between consecutive echoes averaged over the gate.
+    """Return the displacement as a sum of steps, each from the phase between consecutive echoes averaged over the gate.
 
-    The phase is that of the complex echoes' lag-one correlation, divided by the carrier as published. Raises
-    ``ValueError`` as ``coherent``. Source: Kasai et al. (1985).
+    The phase is that of the complex echoes' lag-one correlation, divided by the carrier frequency as published. Raises
+    ``ValueError`` for fewer than two valid pulses and without an echo. Source: Kasai et al. (1985).
     """
     spectrum, band = band_spectrum(echoes, 2)
     steps = pulse_steps(spectrum, band)
@@ -108,8 +108,9 @@ def kasai(echoes: EchoGate) -> Motion:
 def loupas(echoes: EchoGate) -> Motion:
     """Return the displacement as a sum of steps, each phase divided by the centre frequency of its two echoes.
 
-    The centre frequency is that of the correlation over one sample in depth. Raises ``ValueError`` as ``coherent``.
-    Source: Loupas et al. (1995), two-dimensional autocorrelation with two pulses.
+    The centre frequency is the phase of the autocorrelation over one sample in depth. Raises ``ValueError`` for fewer
+    than two valid pulses and without an echo. Source: Loupas et al. (1995), two-dimensional autocorrelation with two
+    pulses.
     """
     spectrum, band = band_spectrum(echoes, 2)
     lag_one = _depth_correlation(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
@@ -126,7 +127,11 @@ def _motion_of_phase(
     frequency_hz: FloatArray,
     step_noise_ratio: FloatArray | None = None,
 ) -> Motion:
-    """Return the motion of phases (..., valid pulse) with their variance, at a frequency (..., 1) of the train."""
+    """Return the displacement -c phase / (4 pi f) of phases (..., valid pulse), with its variance from ``variance``.
+
+    ``frequency_hz`` f (..., 1): that of the train's echoes. ``step_noise_ratio``: of phases that are a sum of noisy
+    steps.
+    """
     # A phase of pi is a quarter wavelength of displacement.
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
     return Motion(
@@ -142,13 +147,15 @@ def _motion_of_phase(
 def motion_of_steps(
     echoes: EchoGate, step: FloatArray, frequency_hz: FloatArray, variance: FloatArray, step_noise_ratio: FloatArray
 ) -> Motion:
-    """Return the motion of phase steps (..., valid pulse - 1), each divided by its own frequency.
+    """Return the displacement as the sum of phase steps (..., valid pulse - 1), each divided by its own frequency.
 
-    ``variance`` (..., valid pulse): of a pulse's phase.
+    ``variance`` (..., valid pulse): of a pulse's phase. ``step_noise_ratio`` (...): variance that each step adds to all
+    later pulses, over that of a pulse.
     """
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
     start = np.zeros((*step.shape[:-1], 1))
     displacement_m = np.concatenate([start, np.cumsum(step * metres_per_radian, axis=-1)], axis=-1)
+    # The first pulse has no step before it and takes the factor of the next.
     square_metres = np.concatenate([metres_per_radian[..., :1], metres_per_radian], axis=-1) ** 2
     return Motion(
         time_s=echoes.pulse_time_s,
@@ -183,7 +190,11 @@ class PulseSteps:
 
 
 def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
-    """Return the products of consecutive echoes (..., pulse, bin); raise ``ValueError`` if no train has an echo."""
+    """Return the inner products of consecutive echoes over the gate, with their phases, energies and mean frequency.
+
+    ``spectrum`` (..., pulse, bin). Sums are over all samples minus the part in the margins of the gate. Raises
+    ``ValueError`` if no train has an echo.
+    """
     trains, pulses = spectrum.shape[:-2], spectrum.shape[-2]
     # Row 0 sums over bins, row 1 sums weighted by frequency; the rows of the margins follow the same order.
     weights = np.stack([np.ones(band.frequency_hz.size), band.frequency_hz])
@@ -208,7 +219,8 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
             release_pages(spectrum)
     magnitude = np.abs(cross)
     cross[~are_correlated(magnitude, energy, band.independent)] = np.nan
-    # The part common to neighbours is in phase once their step is removed.
+    # Mean frequency of the part that consecutive echoes have in common: after removal of its phase step, this part of
+    # the frequency-weighted product is real, and noise averages to zero.
     unit = np.conj(cross) / np.where(magnitude > 0, magnitude, 1.0)
     common_moment = np.einsum("...i,...i->...", unit, cross_moment).real
     del cross_moment
@@ -228,9 +240,9 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
 def are_correlated(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
     """Return which trains (...) correlate from pulse to pulse more than noise alone does once in a thousand trains.
 
-    ``cross`` (..., pulse - 1): magnitude of each echo's product with the next; ``energy`` (..., pulse). The correlation
-    rho is averaged over the train with equal weights, so that one spike does not dominate. Raises ``ValueError`` if no
-    train correlates.
+    ``cross`` (..., pulse - 1): magnitude of each echo's product with the next; ``energy`` (..., pulse);
+    ``independent``: effective number of independent samples in the gate. The correlation rho is averaged over the train
+    with equal weights, so that one spike does not dominate. Raises ``ValueError`` if no train correlates.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         rho = cross / np.sqrt(energy[..., :-1] * energy[..., 1:])
@@ -247,7 +259,7 @@ def are_correlated(cross: FloatArray, energy: FloatArray, independent: float) ->
 def min_correlation(pairs: int, independent: float) -> float:
     """Return the mean correlation of ``pairs`` of echoes that noise alone exceeds once in a thousand trains.
 
-    For two echoes of noise with M independent samples each, rho² has a beta distribution (1, M - 1), hence
+    For two echoes of noise with M = ``independent`` samples each, rho² has a beta distribution (1, M - 1), hence
     E rho = Gamma(3/2) Gamma(M) / Gamma(M + 1/2) and E rho² = 1 / M. The mean over a train is nearly normal.
     """
     # Near M = 1 noise cannot be distinguished from an echo: the threshold stays that of M = 3.
@@ -259,9 +271,11 @@ def min_correlation(pairs: int, independent: float) -> float:
 def _products_with_next(
     echo: ComplexArray, weights: FloatArray, margin: ComplexArray, weighted_margin: ComplexArray
 ) -> ComplexArray:
-    """Return the products (..., 2, pulse - 1) of each echo (..., bin, pulse) with the next, over the gate.
+    """Return the inner products over the gate of each echo with the next, plain and weighted by frequency.
 
-    Row 0 is the inner product, row 1 that weighted by frequency: over all samples, minus the part in the margins.
+    ``echo`` (..., bin, pulse), ``weights`` (2, bin): ones and frequencies. Result (..., 2, pulse - 1). The products
+    over all samples lose the part in the margins: ``margin`` (..., column, pulse) is that part of the echo,
+    ``weighted_margin`` the same weighted by frequency.
     """
     product = real_matmul(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
     product[..., 0, :] -= _product_with_next(margin, margin)
@@ -273,7 +287,10 @@ def _products_with_next(
 def _energies(
     echo: ComplexArray, weights: FloatArray, margin: ComplexArray, weighted_margin: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return energy and moment (..., 2, pulse) of echoes (..., bin, pulse) with the margins, and in the gate."""
+    """Return energy and frequency-weighted energy of echoes (..., bin, pulse), with the margins and in the gate alone.
+
+    Both results (..., 2, pulse). Arguments as in ``_products_with_next``.
+    """
     squares = weights @ np.square(echo.view(np.float64))
     with_margins = squares[..., ::2] + squares[..., 1::2]
     in_margins = np.stack([_real_product(margin, margin), _real_product(margin, weighted_margin)], axis=-2)
@@ -310,9 +327,10 @@ class Comparison:
 def compare_with_others(
     spectrum: ComplexArray, band: Band, steps: PulseSteps, delay_s: FloatArray, energy: FloatArray | None = None
 ) -> Comparison:
-    """Return the comparison of each echo (..., pulse, bin) with the others, advanced by ``delay_s`` (..., pulse).
+    """Return the inner product of each echo with the sum of all others, after alignment, and the variance of its phase.
 
-    ``energy`` (..., pulse): of each aligned echo in the gate; computed if absent.
+    ``spectrum`` (..., pulse, bin). Echoes are aligned by advancing them by ``delay_s`` (..., pulse). ``steps``:
+    products of consecutive echoes. ``energy`` (..., pulse): of each aligned echo in the gate; computed if absent.
     """
     # Echoes are aligned at the mean of their motion, where the gate cuts off least that they have in common.
     delay_s = delay_s - delay_s.mean(axis=-1, keepdims=True)
@@ -328,7 +346,7 @@ def compare_with_others(
     gated_sum = band.gated(total)
     total_energy = real_inner_product(gated_sum, total)
     reference_pulses, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
-    # Noise along the echo changes its phase. It is estimated from the misfit, the noise in all other directions.
+    # Only noise along the echo changes its phase. It is estimated from the misfit, the noise orthogonal to the echo.
     along = band.noise_along(gated_sum, total_energy)[..., None]
     energy_sum = np.zeros(spectrum.shape[:-2])
     product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
@@ -354,7 +372,7 @@ def compare_with_others(
 
 
 def _depth_correlation(spectrum: ComplexArray, band: Band, phase_per_sample: FloatArray) -> ComplexArray:
-    """Return the lag-one autocorrelation over depth, in the gate, of each echo: (..., pulse).
+    """Return the autocorrelation over one sample in depth, in the gate, of each echo: (..., pulse).
 
     It is the mean of two sums over the samples t of the gate: conj(z_t) z_t+1 and conj(z_t-1) z_t. Both ends of the
     gate then have the same weight. ``spectrum`` (..., pulse, bin); ``phase_per_sample`` (bin,): phase of each bin's
@@ -372,11 +390,11 @@ def _depth_correlation(spectrum: ComplexArray, band: Band, phase_per_sample: Flo
 
 
 def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatArray:
-    """Return the mean frequency (...) of the part common to aligned echoes, from its ``energy`` and ``moment`` (...).
+    """Return the mean frequency (...) of the part that aligned echoes have in common: ``moment`` over ``energy`` (...).
 
-    Both are real parts of inner products between pulses, not magnitudes: noise averages to zero instead of shifting the
-    mean to the middle of the band. NaN for trains without a common part in the band; raises ``ValueError`` if no train
-    has one.
+    The energy is the real part of inner products between pulses, the moment the same weighted by frequency. Noise then
+    averages to zero instead of shifting the mean to the middle of the band. NaN for trains without a common part in the
+    band; raises ``ValueError`` if no train has one.
     """
     low_hz, high_hz = band.frequency_hz[[0, -1]]
     mean_hz = moment / np.where(energy > 0, energy, 1.0)
@@ -390,12 +408,13 @@ def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatA
 
 
 def noise_of_steps(cross: FloatArray, energy: FloatArray, independent: float) -> tuple[FloatArray, FloatArray]:
-    """Return the phase variance (..., pulse) and the step noise ratio (...) from correlations of consecutive echoes.
+    """Return the phase variance of a pulse (..., pulse), and how much of it each step adds to all later pulses (...).
 
-    Two echoes with correlation rho over M independent samples differ in phase by a variance of (1/rho² - 1) / (2 M);
-    half of it belongs to each pulse, which takes the smaller value of its two neighbours. The noise of a pulse changes
-    sign between the steps before and after it and cancels. The product of the noises of two pulses does not: relative
-    to the noise of a pulse its variance is noise over signal power, 1/rho - 1.
+    ``cross`` (..., pulse - 1): magnitude of the products of consecutive echoes, ``energy`` (..., pulse). Two echoes
+    with correlation rho over M = ``independent`` samples differ in phase by a variance of (1/rho² - 1) / (2 M); half of
+    it belongs to each pulse, which takes the smaller value of its two neighbours. The noise of a pulse changes sign
+    between the steps before and after it and cancels. The product of the noises of two pulses does not: relative to the
+    noise of a pulse its variance is noise over signal power, 1/rho - 1.
     """
     tiny = np.finfo(np.float64).tiny
     energy_product = energy[..., :-1] * energy[..., 1:]

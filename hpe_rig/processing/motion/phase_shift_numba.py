@@ -12,7 +12,10 @@ _compile = compiler("nsz", "contract", "reassoc")
 
 @_compile
 def _gate(echo: ComplexArray, margin_root: FloatArray, gated: ComplexArray) -> None:
-    """Write `band.Band.gated` of an echo (bin,) into ``gated``."""
+    """Write the part of an echo's spectrum (bin,) in the gate into ``gated``: the echo minus its part in the margins.
+
+    ``margin_root`` B (bin, column): the part in the margins is B B' echo.
+    """
     gated[:] = echo
     for column in range(margin_root.shape[1]):
         in_margins = 0j
@@ -47,7 +50,12 @@ def _mean_hz(moment: float, energy: float, hz: FloatArray) -> float:
 def _pulse_steps(
     echoes: ComplexArray, gated: ComplexArray, hz: FloatArray, threshold: float, phase: FloatArray, energy: FloatArray
 ) -> tuple[float, float]:
-    """Write ``phase`` and ``energy`` of `phase_shift.PulseSteps`; return its mean frequency and moment."""
+    """Write the accumulated ``phase`` between consecutive echoes and the ``energy`` of each (pulse,).
+
+    ``echoes`` (pulse, bin), and the same cut to the gate in ``gated``. Returned: mean frequency of the part that
+    neighbours have in common, NaN if their mean correlation is below ``threshold``, and the energy-weighted sum of
+    frequencies. Compiled form of `phase_shift.pulse_steps`.
+    """
     magnitude, common, correlation, moments = 0.0, 0.0, 0.0, 0.0
     for k in range(len(echoes)):
         square, moment = _product(echoes[k], gated[k], hz)
@@ -55,6 +63,7 @@ def _pulse_steps(
         if k == 0:
             phase[0] = 0.0
             continue
+        # The product weighted by frequency is that of one gated and one whole echo, averaged over both choices.
         step, before = _product(echoes[k - 1], gated[k], hz)
         after = _product(gated[k - 1], echoes[k], hz)[1]
         length = np.sqrt(step.real**2 + step.imag**2)
@@ -72,7 +81,10 @@ def _pulse_steps(
 def _align(
     echoes: ComplexArray, delay_s: FloatArray, hz: FloatArray, aligned: ComplexArray, total: ComplexArray
 ) -> None:
-    """Write echoes (pulse, bin) advanced by their delay relative to its mean, and their sum: `spectrum.advanced`."""
+    """Write echoes (pulse, bin), each advanced by its delay relative to the mean delay, into ``aligned``.
+
+    Their sum over pulses (bin,) is written into ``total``.
+    """
     step_hz, middle_s = (hz[-1] - hz[0]) / (len(hz) - 1), delay_s.mean()
     total[:] = 0
     for k in range(len(echoes)):
@@ -97,9 +109,10 @@ def coherent_phase(
     variance: FloatArray,
     mean_hz: FloatArray,
 ) -> None:
-    """Write the results of `phase_shift.coherent_phase` for spectra (train, pulse, bin), NaN without an echo.
+    """Write phase and variance (train, pulse) of each echo against the sum of the others, and mean frequency (train,).
 
-    ``margin_root``, ``noise`` and ``noise_energy`` are those of the band; ``threshold`` is `min_correlation`.
+    Compiled form of `phase_shift.coherent_phase` for spectra (train, pulse, bin); NaN without an echo. ``margin_root``,
+    ``noise`` and ``noise_energy`` are those of the band; ``threshold`` is the smallest mean correlation of an echo.
     """
     trains, pulses, bins = spectrum.shape
     tiny = np.finfo(np.float64).tiny
@@ -110,6 +123,7 @@ def coherent_phase(
         for k in range(pulses):
             _gate(echoes[k], margin_root, gated[k])
         mean, moments = _pulse_steps(echoes, gated, hz, threshold, phase[train], echo_energy)
+        # Two passes: aligned by the accumulated steps, then by the phases of the first pass.
         for second in range(2):
             _align(echoes, -phase[train] / (2 * np.pi * mean), hz, aligned, total)
             _gate(total, margin_root, gated_sum)

@@ -52,7 +52,7 @@ class PeakSteps:
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> PeakSteps:
-        """Return arrays without values for echoes of ``shape`` (..., pulse)."""
+        """Return uninitialised arrays for the steps between echoes of ``shape`` (..., pulse)."""
         steps = (*shape[:-1], shape[-1] - 1)
         return cls(
             step=np.empty(steps),
@@ -65,8 +65,9 @@ class PeakSteps:
 def cross_spectrum(echoes: EchoGate) -> Motion:
     """Return the displacement as a sum of steps, each from the phase at the peak of the consecutive cross-spectrum.
 
-    The peak is searched inside the transmitted band. Raises ``ValueError`` for fewer than two valid pulses or no echo.
-    Source: eqs. (5) and (6) of the paper, with the peak's frequency for w.
+    The phase is divided by the frequency of the peak, which is searched inside the transmitted band. Raises
+    ``ValueError`` for fewer than two valid pulses or no echo. Source: eqs. (5) and (6) of the paper, with the peak's
+    frequency as w.
     """
     require_pulses(echoes, 2)
     samples = echoes.gate_samples
@@ -90,7 +91,11 @@ def padded_bins(samples: int) -> int:
 
 
 def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins: int) -> PeakSteps:
-    """Return the steps between valid pulses, NaN for trains without an echo; raise ``ValueError`` if none has one."""
+    """Return the phase steps between valid pulses at the peaks of their cross-spectra, chunk by chunk of pulses.
+
+    ``window`` (sample,) is applied to the gate before an FFT of ``bins`` points. NaN for trains without an echo; raises
+    ``ValueError`` if none has one.
+    """
     volts, valid = echoes.gate_volts, echoes.valid
     shape = (*volts.shape[:-2], int(valid.sum()))
     trains = volts.reshape(-1, *volts.shape[-2:])
@@ -120,9 +125,10 @@ def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins:
 
 
 def peak_steps(spectra: FloatArray, use_compiled: bool = True) -> PeakSteps:
-    """Return the steps of spectra (..., pulse, 2 * bin), given as their real parts, then their imaginary parts.
+    """Return the phase steps between consecutive spectra, each at the bin where their cross-spectrum is largest.
 
-    ``use_compiled``: by the compiled loop if Numba is installed. Both forms differ by rounding.
+    ``spectra`` (..., pulse, 2 * bin): the real parts of all bins, then the imaginary parts. ``use_compiled``: by the
+    compiled loop if Numba is installed; the results differ by rounding.
     """
     if use_compiled and numba_installed():
         from hpe_rig.processing.motion.spectral_peak_numba import peak_steps as compiled_loop
@@ -146,6 +152,7 @@ def peak_steps(spectra: FloatArray, use_compiled: bool = True) -> PeakSteps:
         + 1j * np.take_along_axis(imag[..., pulses, :], peak[..., None], axis=-1)[..., 0]
         for pulses in (slice(None, -1), slice(1, None))
     )
+    # Inner product of consecutive echoes over all bins: real part, then imaginary part.
     product = np.einsum("...i,...i->...", spectra[..., :-1, :], spectra[..., 1:, :]).astype(np.complex128)
     product.imag = np.einsum("...i,...i->...", real[..., :-1, :], imag[..., 1:, :])
     product.imag -= np.einsum("...i,...i->...", imag[..., :-1, :], real[..., 1:, :])
@@ -159,10 +166,11 @@ def noisy_peak_steps(
     noise: FloatArray,
     use_compiled: bool = True,
 ) -> tuple[FloatArray, IndexArray]:
-    """Return phase and bin (draw, noise, pulse - 1) at the peaks of clean[draw, echo_index[pulse]] + level[draw] noise.
+    """Return phase and bin (draw, noise, pulse - 1) at the peaks of the cross-spectra between consecutive noisy echoes.
 
-    ``clean`` (draw, echo, 2 * bin), ``echo_index`` (pulse,), ``level`` (draw,), ``noise`` (draw, noise, pulse,
-    2 * bin), as in `peak_steps`. The compiled loop never stores the sum, which is as large as the noise.
+    The echoes are clean[draw, echo_index[pulse]] + level[draw] * noise. ``clean`` (draw, echo, 2 * bin), ``echo_index``
+    (pulse,), ``level`` (draw,), ``noise`` (draw, noise, pulse, 2 * bin); real parts of all bins, then imaginary parts.
+    The compiled loop never stores the sum, which is as large as the noise.
     """
     if not (use_compiled and numba_installed()):
         steps = peak_steps(clean[:, None, echo_index] + level[:, None, None, None] * noise, use_compiled=False)
@@ -180,8 +188,9 @@ def _transform(
 ) -> Callable[[Volts], tuple[FloatArray, FloatArray]]:
     """Return the function from volts (train, pulse, sample) to windowed spectra and to their energy in the band.
 
-    Spectra as in `peak_steps`. The energy (train, pulse) is that without a window: side lobes of the window would leak
-    a constant into the band, where it would count as an echo.
+    Spectra (train, pulse, 2 * bin): real parts of the bins at ``frequency_hz``, then imaginary parts. The energy
+    (train, pulse) is that without ``window``: its side lobes would leak a constant into the band, where it would count
+    as an echo.
     """
     samples, rate_hz = window.size, echoes.sample_rate_hz
     # Bins of the spectrum without padding and window, for the energy.
@@ -189,6 +198,7 @@ def _transform(
     if fft_is_faster(samples, frequency_hz.size, bins):
 
         def by_fft(volts: Volts) -> tuple[FloatArray, FloatArray]:
+            """Return spectra and energy by FFTs of ``bins`` points, zero-padded."""
             spectra = _band_fft(volts * window.astype(volts.dtype), rate_hz, frequency_hz, bins)
             return spectra, _energy(_band_fft(volts, rate_hz, plain_hz, samples))
 
@@ -214,7 +224,7 @@ def _energy(spectra: FloatArray) -> FloatArray:
 
 
 def _band_fft(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray, bins: int) -> FloatArray:
-    """Return consecutive bins (..., 2 * bin) of a ``bins``-point FFT: real parts, then imaginary parts."""
+    """Return the bins at ``frequency_hz`` of a ``bins``-point FFT (..., 2 * bin): real parts, then imaginary parts."""
     from scipy.fft import rfft
 
     first = round(frequency_hz[0] * bins / sample_rate_hz)
@@ -230,10 +240,11 @@ def _basis(
     window: tuple[float, ...],
     plain_hz: tuple[float, ...],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the matrix (sample, coefficient), and those (coefficient, bin) to real and to imaginary parts.
+    """Return three real matrices that replace the FFT of a short gate: samples to coefficients, coefficients to bins.
 
-    Coefficients are those of the even half, those of the odd half, and the spectrum at ``plain_hz`` without a window.
-    Phases are relative to the gate's centre, which cancels in cross-spectra.
+    The first (sample, coefficient) gives coefficients of the even half of the samples, of the odd half, and the
+    spectrum at ``plain_hz`` without a window. The others (coefficient, bin) lead from the even half to real parts, and
+    from the odd half to imaginary parts. Phases are relative to the gate's centre, which cancels in cross-spectra.
     """
     centre = (samples - 1) / 2
     windowed = fourier_columns(samples, sample_rate_hz, np.array(frequency_hz), centre) * np.array(window)[:, None]
@@ -255,10 +266,11 @@ def fourier_columns(
 
 
 def orthonormal_rows(columns: FloatArray) -> FloatArray:
-    """Return orthonormal rows (coefficient, sample) that span ``columns`` (sample, column).
+    """Return orthonormal rows (coefficient, sample) that span the columns of ``columns`` (sample, column).
 
-    Random coefficients multiply them, so they must not depend on rounding, as singular vectors of nearly equal
-    singular values do. The order of pivots must not either: a slope over the columns separates equally large ones.
+    They are reproducible: random coefficients multiply them, so they must not depend on rounding, as singular vectors
+    of nearly equal singular values do. The order of pivots must not either: a slope over the columns separates equally
+    large ones.
     """
     from scipy.linalg import qr
 

@@ -13,7 +13,7 @@ _compile = compiler("nnan", "nsz", "contract", "reassoc")
 
 @_compile
 def _largest(first: FloatArray, second: FloatArray) -> int:
-    """Return the first index of the largest product."""
+    """Return the first index of the largest product of ``first`` and ``second`` (bin,), both powers."""
     largest = 0.0
     for i in range(len(first)):
         largest = max(largest, first[i] * second[i])
@@ -25,7 +25,10 @@ def _largest(first: FloatArray, second: FloatArray) -> int:
 
 @_compile
 def _energies(spectrum: FloatArray, power: FloatArray) -> float:
-    """Write the energy of every bin into ``power``, and return their sum."""
+    """Write the energy of every bin into ``power`` (bin,), and return their sum.
+
+    ``spectrum`` (2 * bin,): real parts of all bins, then imaginary parts.
+    """
     bins, total = len(power), 0.0
     for i in range(bins):
         power[i] = spectrum[i] * spectrum[i] + spectrum[bins + i] * spectrum[bins + i]
@@ -35,7 +38,7 @@ def _energies(spectrum: FloatArray, power: FloatArray) -> float:
 
 @_compile
 def _product(before: FloatArray, after: FloatArray) -> complex:
-    """Return the inner product of two spectra."""
+    """Return the inner product of two spectra (2 * bin,): real parts of all bins, then imaginary parts."""
     bins, real, imag = len(before) // 2, 0.0, 0.0
     for i in range(bins):
         a, b, c, d = before[i], before[bins + i], after[i], after[bins + i]
@@ -48,7 +51,11 @@ def _product(before: FloatArray, after: FloatArray) -> complex:
 def peak_steps(
     spectra: FloatArray, step: FloatArray, peak: IndexArray, product: ComplexArray, energy: FloatArray
 ) -> None:
-    """Write the fields of `spectral_peak.PeakSteps` for spectra (train, pulse, 2 * bin)."""
+    """Write phase and bin at the peak of each cross-spectrum of consecutive echoes, their inner product, and energies.
+
+    ``spectra`` (train, pulse, 2 * bin): real parts of all bins, then imaginary parts. ``step``, ``peak`` and
+    ``product`` (train, pulse - 1) and ``energy`` (train, pulse) are overwritten.
+    """
     bins = spectra.shape[2] // 2
     power = np.empty((2, bins))
     for train in range(len(spectra)):
