@@ -1,6 +1,7 @@
-"""Settings of the whole suite: one thread of linear algebra per process, repeatable examples, unlimited width."""
+"""Settings of the whole suite: one thread per process, repeatable examples, unlimited width, locks of its own."""
 
 import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
@@ -18,3 +19,11 @@ settings.load_profile("seeded")
 def without_terminal_width(monkeypatch: pytest.MonkeyPatch) -> None:
     """Remove COLUMNS, which pytest-xdist passes to its workers: output to a file is then as wide as its content."""
     monkeypatch.delenv("COLUMNS", raising=False)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def folder_of_locks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep the locks of each worker and its programs apart: all simulated boards have the same number."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setenv("HPE_RIG_LOCKS", str(tmp_path_factory.mktemp("locks")))
+        yield

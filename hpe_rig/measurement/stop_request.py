@@ -7,6 +7,8 @@ it. An empty file, made by hand, applies to any run.
 
 from __future__ import annotations
 
+import os
+import stat
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -112,9 +114,16 @@ def write_request(path: Path, text: str) -> None:
 
 
 def read_request(path: Path) -> list[str]:
-    """Return the lines of a request, at least one; an empty list without a request. A link is no request."""
+    """Return the lines of a request, at least one; an empty list without a request. A link or a pipe is no request."""
     with suppress(OSError, ValueError):
-        if path.is_file() and not path.is_symlink():
-            with path.open("rb") as file:
-                return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip().splitlines() or [""]
+        # The type is checked before opening, and again after it, because a shared folder can change in between.
+        if stat.S_ISREG(path.lstat().st_mode):
+            with open(path, "rb", opener=_open_at_once) as file:
+                if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                    return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip().splitlines() or [""]
     return []
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open no link, and do not wait for the other end of a pipe."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))

@@ -197,7 +197,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
             metal = metal.replace(simulated, real)
         (folder / "metal.toml").write_text(metal, encoding="utf-8")
         # Locks of its own: what else goes on on this machine is at other benches, if with a board of that number.
-        own = {**os.environ, "TMPDIR": str(folder)}
+        own = {**os.environ, "HPE_RIG_LOCKS": str(folder)}
         loaded = [sys.executable, "-c", RUNNER, str(folder / "scene.toml")]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         runner = stack.enter_context(
@@ -390,8 +390,7 @@ def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
 
 def holds(rig: Rig, process: int) -> bool:
     """Return whether ``process`` has written its name beside a lock."""
-    holders = (rig.folder / "hpe_rig-locks").glob("TCPIP0-127*.holder")
-    return any(f"process {process} " in text for holder in holders if (text := text_of(holder)))
+    return any(f"process {process} " in text_of(lock) for lock in rig.folder.glob("hpe_rig-*.lock"))
 
 
 def text_of(path: Path) -> str:
