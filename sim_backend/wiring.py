@@ -104,8 +104,16 @@ class Cable:
     source: str
     target: str
     delay_ps: int
+    inverted: bool = False
+
+    def carried(self, steps: Steps) -> Steps:
+        """Return the voltage steps at the end of the cable."""
+        sign = -1.0 if self.inverted else 1.0
+        return Steps(steps.time_ps + self.delay_ps, sign * steps.before_v, sign * steps.after_v)
 
 
+Plug = tuple[str, str, float] | tuple[str, str, float, bool]
+"""A cable as (source, target, delay in seconds), and whether its conductors are exchanged, which inverts its signal."""
 Respond = Callable[[Steps], Emission]
 
 
@@ -180,11 +188,9 @@ def accepted(trigger_ps: Int64Array, busy_ps: int, limit: int | None = None) -> 
     return np.array(indices, np.intp)
 
 
-def cables_of(
-    wiring: Sequence[tuple[str, str, float]], sources: Sequence[str], targets: Sequence[str]
-) -> tuple[Cable, ...]:
+def cables_of(wiring: Sequence[Plug], sources: Sequence[str], targets: Sequence[str]) -> tuple[Cable, ...]:
     """Return the cables of ``wiring``; raise ``ValueError`` for an unknown end or a negative delay."""
-    for source, target, delay_s in wiring:
+    for source, target, delay_s, *_ in wiring:
         if source not in sources:
             raise ValueError(f"wiring: no output {source!r}; the twin has {', '.join(sources)}")
         if target not in targets:
@@ -193,7 +199,7 @@ def cables_of(
             raise ValueError(
                 f"wiring: {source} -> {target} has a delay of {delay_s} s; a cable cannot be faster than instantaneous"
             )
-    return tuple(Cable(source, target, to_ps(delay_s)) for source, target, delay_s in wiring)
+    return tuple(Cable(source, target, to_ps(delay_s), *inverted) for source, target, delay_s, *inverted in wiring)
 
 
 def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, ...]:
@@ -211,16 +217,25 @@ def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, .
         ) from None
 
 
-def propagate(cables: Sequence[Cable], respond: Mapping[str, Respond]) -> dict[str, Emission]:
-    """Return the emission of every role of ``respond``, evaluated along the wiring; an open input has no edges."""
+def propagate(
+    cables: Sequence[Cable], respond: Mapping[str, Respond], inputs_of_50_ohm: Sequence[str] = ()
+) -> dict[str, Emission]:
+    """Return the emission of every role of ``respond``, evaluated along the wiring; an open input has no edges.
+
+    An output that also feeds one of ``inputs_of_50_ohm`` through a T piece has half the voltage.
+    """
     emissions: dict[str, Emission] = {}
+    loaded = {_role(cable.source) for cable in cables if cable.target in inputs_of_50_ohm}
     for role in trigger_order(cables, tuple(respond)):
         arriving = []
         for cable in cables:
             if cable.target == f"{role}.trigger":
-                steps = emissions[_role(cable.source)].steps
-                arriving.append(replace(steps, time_ps=steps.time_ps + cable.delay_ps))
+                arriving.append(cable.carried(emissions[_role(cable.source)].steps))
         emissions[role] = respond[role](joined_steps(arriving))
+        if role in loaded:
+            steps = emissions[role].steps
+            steps = replace(steps, before_v=steps.before_v / 2, after_v=steps.after_v / 2)
+            emissions[role] = replace(emissions[role], steps=steps)
     return emissions
 
 
@@ -237,9 +252,8 @@ def driven(
         if cable.target in targets and _role(cable.source) in roles:
             bursts = emissions[_role(cable.source)].bursts
             onset_ps, end_ps = bursts.onset_ps + cable.delay_ps, bursts.end_ps + cable.delay_ps
-            arriving.append(
-                replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=bursts.amplitude_vpp * divider)
-            )
+            amplitude_vpp = bursts.amplitude_vpp * (-divider if cable.inverted else divider)
+            arriving.append(replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=amplitude_vpp))
     return joined_bursts(arriving)
 
 

@@ -17,12 +17,14 @@ from sim_backend.arrays import FloatArray
 from sim_backend.digitizer import (
     BOARDS,
     FAR_PS,
+    INPUTS,
     AcceptedTriggers,
     AlazarLibrary,
     Board,
     BoardSettings,
     CaptureSnapshot,
     Recording,
+    direct_volts,
     latencies_of,
     pulse_onsets_ps,
 )
@@ -31,7 +33,9 @@ from sim_backend.settings import SimulationSettings
 from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
+    Cable,
     Emission,
+    Plug,
     Respond,
     SimulatedClock,
     Steps,
@@ -51,7 +55,7 @@ PULSER = "tracking_pulser"
 TRANSDUCERS = ("transducer.drive", "tracking_transducer.drive")
 """Inputs of the pushing transducer, and of a transducer for tracking alone."""
 SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
-TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", *TRANSDUCERS)
+TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", *TRANSDUCERS, *INPUTS)
 MAX_CAPTURES = 16
 """Number of armings in memory, with their emissions; older ones are forgotten."""
 
@@ -101,11 +105,12 @@ class World:
 
     Args:
         settings: the scene's [simulation], and the twin's settings.
-        wiring: (source, target, delay in seconds) of each cable.
+        wiring: the cables as they are plugged in.
         acoustics: replaces the twin's acoustics.
         models: generator models by role; those without an entry are 33250A.
         first_capture: index of the first arming, which seeds its noise.
         board: name of the digitizer's type.
+        boxes: by role, the generator of the wiring that answers at the role's address; default: the role's.
 
     Raises ``ValueError`` for an unknown end of a cable, and for a loop of triggers.
     """
@@ -113,14 +118,17 @@ class World:
     def __init__(
         self,
         settings: SimulationSettings,
-        wiring: Sequence[tuple[str, str, float]],
+        wiring: Sequence[Plug],
         acoustics: Physics | None = None,
         models: Mapping[str, str] | None = None,
         first_capture: int = 0,
         board: str = "ATS460",
+        boxes: Mapping[str, str] | None = None,
     ) -> None:
         instruments = settings.instruments
         self._settings = settings
+        self._boxes = boxes or {}
+        self._added: tuple[Cable, ...] = ()
         self._cables = cables_of(wiring, SOURCES, TARGETS)
         trigger_order(self._cables, (*GENERATORS, "digitizer"))
         self._own_acoustics = acoustics is None
@@ -145,9 +153,13 @@ class World:
         """Return a text connection to the generator of ``role``; raise ``ValueError`` for an unknown role."""
         if role not in self._generators:
             raise ValueError(f"no generator {role!r} on the simulated bench; it has {', '.join(GENERATORS)}")
-        return GeneratorConnection(
-            self._generators[role], self.clock, self._settings.instruments.message_time_s, over_serial
-        )
+        generator = self._generators[self._boxes.get(role, role)]
+        return GeneratorConnection(generator, self.clock, self._settings.instruments.message_time_s, over_serial)
+
+    def plug(self, cables: Sequence[Plug]) -> None:
+        """Add ``cables`` to the wiring by T pieces; those added before are removed."""
+        self._added = cables_of(cables, SOURCES, TARGETS)
+        self._evaluated = None
 
     def move_tracking(self, lateral_m: float) -> None:
         """Move the tracking transducer to a lateral offset from the push, for all captures from now on."""
@@ -228,9 +240,13 @@ class World:
         """Return the accepted triggers of the last arming, complete at least up to ``until_ps``."""
         return self._captured(until_ps).triggers
 
-    def volts(self, until_ps: int, records: slice) -> FloatArray:
-        """Return the voltage at channel A for consecutive ``records``: (record, sample)."""
-        return self._recorded(until_ps).volts(records)
+    def volts(self, until_ps: int, records: slice, channel: int) -> FloatArray:
+        """Return the voltage at ``channel`` for consecutive ``records``, (record, sample); echoes are at channel 0."""
+        arriving = [cable for cable in (*self._cables, *self._added) if cable.target in INPUTS[channel : channel + 1]]
+        if channel == 0 and not arriving:
+            return self._recorded(until_ps).volts(records)
+        direct_v = direct_volts(arriving, self._evaluate(until_ps).emissions, self._captured(until_ps).capture, records)
+        return direct_v + self._recorded(until_ps).volts(records) if channel == 0 else direct_v
 
     def peak_v(self, until_ps: int, count: int) -> float:
         """Return the largest absolute voltage at channel A in the first ``count`` records."""
@@ -276,7 +292,8 @@ class World:
         respond: dict[str, Respond] = {
             role: partial(generator.emission, until_ps=until_ps) for role, generator in self._generators.items()
         }
-        emissions = propagate(self._cables, {**respond, "digitizer": digitizer})
+        cables = (*self._cables, *self._added)
+        emissions = propagate(cables, {**respond, "digitizer": digitizer}, INPUTS)
         # The transducer receives the sum of all generators; the pulser's bursts are tracking pulses.
         tonebursts = driven(self._cables, emissions, [role for role in GENERATORS if role != PULSER])
         pulses = driven(self._cables, emissions, [PULSER], TRANSDUCERS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -122,8 +123,8 @@ class BufferQueue:
         count = self.transfer.records_per_buffer
         return slice(self.delivered * count, (self.delivered + 1) * count)
 
-    def deliver(self, arming: Arming, triggers: AcceptedTriggers, volts: FloatArray, reset_ps: int) -> None:
-        """Write the ``volts`` (record, sample) of `next_records` into the buffer at the head, and remove it."""
+    def deliver(self, arming: Arming, triggers: AcceptedTriggers, volts: Sequence[FloatArray], reset_ps: int) -> None:
+        """Write the ``volts`` of `next_records` into the buffer at the head, and remove it; see `packed`."""
         data = packed(self.transfer, arming, triggers, volts, self.next_records, reset_ps)
         # Written straight into the program's memory, as by DMA; `post` has checked its size.
         ctypes.memmove(self.posted.popleft(), data.ctypes.data, data.nbytes)
@@ -131,21 +132,24 @@ class BufferQueue:
 
 
 def packed(
-    transfer: Transfer, arming: Arming, triggers: AcceptedTriggers, volts: FloatArray, records: slice, reset_ps: int
+    transfer: Transfer,
+    arming: Arming,
+    triggers: AcceptedTriggers,
+    volts: Sequence[FloatArray],
+    records: slice,
+    reset_ps: int,
 ) -> ByteArray:
-    """Return the bytes of consecutive ``records``; ``volts`` (record, sample).
+    """Return the bytes of consecutive ``records``; ``volts``: an array (record, sample) for each channel.
 
     The order is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
     header = codes.HEADER_BYTES if transfer.headers else 0
     record_bytes = header + transfer.bytes_per_sample * transfer.record_samples
-    count, channels = len(volts), len(transfer.channels)
+    count, channels = len(volts[0]), len(transfer.channels)
     data = np.empty((channels, count, record_bytes) if transfer.npt else (count, channels, record_bytes), np.uint8)
     for index, channel in enumerate(transfer.channels):
         channel_data = data[index] if transfer.npt else data[:, index]
-        # Only channel A is connected.
-        channel_volts = volts if channel == 0 else np.zeros_like(volts)
-        channel_words = words(channel_volts, arming.settings.inputs[channel], arming.settings)
+        channel_words = words(volts[index], arming.settings.inputs[channel], arming.settings)
         channel_data[:, header:] = channel_words.view(np.uint8)
         if header:
             channel_data[:, :header] = headers(arming, triggers, channel, records, reset_ps)

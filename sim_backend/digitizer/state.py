@@ -32,7 +32,7 @@ class Recorder(Protocol):
 
     def triggers(self, until_ps: int) -> AcceptedTriggers: ...
 
-    def volts(self, until_ps: int, records: slice) -> FloatArray: ...
+    def volts(self, until_ps: int, records: slice, channel: int) -> FloatArray: ...
 
     def peak_v(self, until_ps: int, count: int) -> float: ...
 
@@ -169,10 +169,9 @@ class AlazarState:
         start = settings.pre_samples + offset
         if start < 0 or start + count > settings.record_samples:
             return None
-        volts = self._recorder.volts(self._clock.now_ps, slice(record - 1, record))[0, start : start + count]
-        # Only channel A is connected.
-        channel_volts = volts if channel == 1 else np.zeros_like(volts)
-        return words(channel_volts, settings.inputs[channel.bit_length() - 1], settings).tobytes()
+        number = channel.bit_length() - 1
+        volts = self._recorder.volts(self._clock.now_ps, slice(record - 1, record), number)
+        return words(volts[0, start : start + count], settings.inputs[number], settings).tobytes()
 
     def timestamp(self, record: int) -> int:
         """Return the trigger time of a record in sample clock periods, in whole steps of the board's counter."""
@@ -225,7 +224,8 @@ class AlazarState:
             self._clock.advance_to(deadline_ps)
             return Code.WAIT_TIMEOUT
         # The volts are computed before the clock advances, with the settings of now.
-        volts = self._recorder.volts(deadline_ps, self._queue.next_records)
+        records = self._queue.next_records
+        volts = [self._recorder.volts(deadline_ps, records, channel) for channel in self._queue.transfer.channels]
         self._clock.advance_to(full_ps)
         self._queue.deliver(self._arming, triggers, volts, self._reset_ps)
         return Code.SUCCESS

@@ -40,6 +40,13 @@ class Counting:
         return (time_ps - origin_ps) * 1e-12
 
 
+class Silent(Counting):
+    """No echoes."""
+
+    def record_volts(self, tonebursts, pulses, capture):
+        return np.zeros((capture.first_sample_ps.size, capture.samples))
+
+
 class Bench:
     """A world with its wires and its digitizer, programmed for 20 bursts and a delayed train of pulses."""
 
@@ -380,3 +387,69 @@ def test_the_same_messages_give_the_same_bytes_with_the_twins_own_physics():
     first, second = words(), words()
     assert np.array_equal(first, second)
     assert np.ptp(first.astype(int)) > 0
+
+
+def monitored(plugs, channel=2, high_v=5):
+    """Return one record of 256 samples of ``channel``, 128 of them before the trigger, in volts, after one shot."""
+    bench = Bench(world=World(SimulationSettings(), FIG_2, Silent()))
+    bench.world.plug(plugs)
+    bench.program(pulses=1, delay=0, bursts=1)
+    for role in ("master", "burst_train", "tracking_train"):
+        bench.send(role, f"VOLT:HIGH {high_v}")
+    board = bench.library
+    board.AlazarSetCaptureClock(BOARD, 1, 0x24, 0, 0)
+    board.AlazarInputControl(BOARD, channel, 2, 12, 2)
+    board.AlazarSetTriggerOperation(BOARD, 0, 0, 2, 1, 166, 1, 3, 1, 128)
+    board.AlazarSetTriggerDelay(BOARD, 0)
+    board.AlazarSetRecordSize(BOARD, 128, 128)
+    board.AlazarSetRecordCount(BOARD, 1)
+    assert board.AlazarStartCapture(BOARD) == 512
+    bench.fire()
+    bench.world.clock.sleep(1e-3)
+    words = (ctypes.c_uint16 * SAMPLES)()
+    if board.AlazarRead(BOARD, channel, words, 2, 1, -128, SAMPLES) != 512:
+        return None
+    return ((np.array(words) >> 2) / 8191.5 - 1) * 4
+
+
+@pytest.mark.parametrize(("name", "channel"), [("digitizer.channel_a", 1), ("digitizer.channel_b", 2)])
+def test_an_output_on_a_t_piece_is_recorded_with_the_delay_of_its_cable(name, channel):
+    near_v, far_v = (
+        monitored([(source, name, delay_s)], channel)
+        for source, delay_s in (("tracking_train.output", 105e-9), ("master.output", 250e-9))
+    )
+    # 5 V without load are 2.5 V at 50 ohm.
+    assert np.unique(near_v.round(2)).tolist() == np.unique(far_v.round(2)).tolist() == [0.0, 2.5]
+    # The train rises 5 ns before it reaches the trigger input, and 105 ns after the master.
+    assert (near_v > 1).argmax() == 128 + 10
+    assert (far_v > 1).argmax() == 128 + 14
+
+
+def test_a_t_piece_halves_the_voltage_at_the_other_inputs():
+    """At 4 V the trigger inputs behind the T piece get less than their 2.0 V."""
+    plugs = [("master.output", "digitizer.channel_b", 5e-9)]
+    assert monitored(plugs, high_v=4) is None
+    assert monitored(plugs, high_v=5) is not None
+
+
+def test_a_cable_with_exchanged_conductors_inverts_pulses_and_bursts():
+    for source, extreme_v in (("master.output", 2.5), ("toneburst.output", 1 / 3)):
+        upright, inverted = (monitored([(source, "digitizer.channel_b", 5e-9, flip)]) for flip in (False, True))
+        assert np.abs(upright).max() == pytest.approx(extreme_v, rel=2e-3)
+        np.testing.assert_allclose(inverted, -upright, atol=1e-3)
+
+
+def test_a_reversed_trigger_cable_triggers_nothing():
+    wiring = [(*cable, cable[1] == "burst_train.trigger") for cable in FIG_2]
+    bench = Bench(wiring)
+    bench.arm()
+    bench.program()
+    bench.fire()
+    tonebursts, pulses, _ = bench.world.emissions()
+    assert (tonebursts.onset_ps.size, pulses.onset_ps.size) == (0, 40)
+
+
+def test_a_role_at_the_address_of_another_generator_programs_that_one():
+    bench = Bench(world=World(SimulationSettings(), FIG_2, boxes={"toneburst": "master", "master": "toneburst"}))
+    bench.send("toneburst", "OUTP 1")
+    assert [role for role, on in bench.world.outputs_on().items() if on] == ["master"]

@@ -1,0 +1,51 @@
+"""Voltage at an input channel of the board that cables lead to directly, without transducer and receiver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sim_backend.arrays import FloatArray, Int64Array
+from sim_backend.wiring import PS_PER_S, Bursts, Cable, Capture, Emission
+
+INPUTS = ("digitizer.channel_a", "digitizer.channel_b")
+"""Inputs that a cable can lead to, by the number of the channel."""
+BURST_DIVIDER = 1 / 3
+"""A T piece in a line of 50 ohm that ends in 50 ohm: two such loads in parallel at a source of 50 ohm."""
+
+
+def direct_volts(
+    cables: Sequence[Cable], emissions: Mapping[str, Emission], capture: Capture, records: slice
+) -> FloatArray:
+    """Return the sum of the voltages that ``cables`` bring in consecutive ``records``: (record, sample).
+
+    The steps of ``emissions`` are those of outputs that feed the 50 ohm of this input (`propagate`).
+    """
+    sample_ps = capture.first_sample_ps[records, None] + np.arange(capture.samples) * capture.sample_period_ps
+    volts = np.zeros(sample_ps.shape)
+    for cable in cables:
+        emission = emissions[cable.source.partition(".")[0]]
+        volts += _stepped(cable, emission, sample_ps)
+        volts += (-1 if cable.inverted else 1) * _oscillating(emission.bursts, sample_ps - cable.delay_ps)
+    return volts
+
+
+def _stepped(cable: Cable, emission: Emission, sample_ps: Int64Array) -> FloatArray:
+    steps = cable.carried(emission.steps)
+    if not steps.time_ps.size:
+        return np.zeros(sample_ps.shape)
+    level_v = np.concatenate([steps.before_v[:1], steps.after_v])
+    volts: FloatArray = level_v[np.searchsorted(steps.time_ps, sample_ps, side="right")]
+    return volts
+
+
+def _oscillating(bursts: Bursts, time_ps: Int64Array) -> FloatArray:
+    volts = np.zeros(time_ps.shape)
+    reaching = (bursts.end_ps > time_ps.min(initial=0)) & (bursts.onset_ps <= time_ps.max(initial=0))
+    for index in np.flatnonzero(reaching):
+        since_ps = time_ps - bursts.onset_ps[index]
+        inside = (since_ps >= 0) & (time_ps < bursts.end_ps[index])
+        phase = 2 * np.pi * bursts.carrier_hz[index] * since_ps[inside] / PS_PER_S
+        volts[inside] += BURST_DIVIDER * bursts.amplitude_vpp[index] / 2 * np.sin(phase)
+    return volts
