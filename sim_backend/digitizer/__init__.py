@@ -8,6 +8,7 @@ state              one board between the calls
 board              settings and trigger edges -> accepted triggers and AUX edges
 capture_snapshot   one arming with everything that determines its records
 recording          the volts of a capture, computed block by block
+direct_input       the volts of outputs that lead to an input directly
 auto_dma           posted buffers, and records in the board's format
 """
 
