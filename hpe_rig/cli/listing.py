@@ -48,6 +48,7 @@ def print_runs(
 def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
     state = entry.status if entry.shots_complete == entry.shots else f"{entry.shots_complete} of {entry.shots} shots"
     state = f"imported, {state}" if entry.imported else state
+    state += f", {entry.shots_marked_bad} marked bad" if entry.shots_marked_bad else ""
     notes = ", ".join(f"{name}: {_short(note)}" for name, note in entry.notes.items())
     date = f"{entry.date:%Y-%m-%d %H:%M}"
     texts = (date, str(entry.path.relative_to(folder)), entry.title, state, _result(entry), notes)

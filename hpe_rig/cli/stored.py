@@ -1,8 +1,9 @@
-"""Output of stored runs and recordings: damage, comparisons, moduli and maps."""
+"""Output of stored runs and recordings: marks, damage, comparisons, moduli and maps."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,8 @@ import typer
 from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
-from hpe_rig.scene import printable
-from hpe_rig.store import StoreError, Verification, atomic_file, extra
+from hpe_rig.scene import Mistake, SettingsError, printable
+from hpe_rig.store import StoreError, Verification, atomic_file, extra, read_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,6 +52,31 @@ def _verdict(verification: Verification) -> str:
     if not verification.checksums:
         return "the file of an earlier release has no checksums: changed values cannot be detected"
     return "sound: all data match their checksums"
+
+
+def mark_shots(run_file: Path, shots: Sequence[int], why: str | None, good: bool) -> None:
+    """Mark ``shots`` as bad, or as ``good`` again, then print all marks of the run."""
+    stored = read_run(run_file)
+    total = stored.shot_complete.size
+    mistakes = [
+        Mistake("SHOT", f"shot {shot} does not exist", f"1 to {total}") for shot in shots if not 1 <= shot <= total
+    ]
+    if bool(shots) != (good or why is not None) or (good and why is not None):
+        mistakes.append(Mistake("", "a mark is a shot and a verdict", '3 --bad "cable touched", 3 --good, or neither'))
+    if why is not None and not why.strip():
+        mistakes.append(Mistake("--bad", "the reason is empty", '--bad "cable touched"'))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+    indices = [shot - 1 for shot in shots]
+    if indices:
+        path = stored.mark(indices, why)
+        announce(
+            f"{path}: written; results and reports from before do not have these marks: hpe-rig process {run_file}"
+        )
+        stored = read_run(run_file)
+    for shot, text in stored.marks.items():
+        typer.echo(f"shot {shot + 1} {text}")
+    typer.echo(f"{len(stored.marks)} of {total} shots are marked bad")
 
 
 def print_comparison(first: Path, second: Path, estimator: str | None, figure: Path | None, json: bool) -> None:

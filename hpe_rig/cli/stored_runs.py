@@ -1,4 +1,4 @@
-"""Commands on stored runs: ``process``, ``report``, ``compare``, ``moduli``, ``verify``, ``list``."""
+"""Commands on stored runs: ``process``, ``report``, ``compare``, ``moduli``, ``mark``, ``verify``, ``list``."""
 
 from __future__ import annotations
 
@@ -121,6 +121,20 @@ def moduli(
         profile_step_m=_step_m(gate_profile_step),
     )
     print_moduli(result, figure, json)
+
+
+@stored_runs.command()
+@guarded
+def mark(
+    run_file: RunFile,
+    shots: Annotated[list[int] | None, typer.Argument(metavar="SHOT ...", help="Shots, counted from 1.")] = None,
+    bad: Annotated[str | None, typer.Option(metavar="WHY", help="Leave the shots out of every later result.")] = None,
+    good: Annotated[bool, typer.Option("--good", help="Take the marks of the shots back.")] = False,
+) -> None:
+    """Mark shots of a run as bad, or list the marks. The run file stays unchanged: marks are in RUN.marks.json."""
+    from hpe_rig.cli.stored import mark_shots
+
+    mark_shots(run_file, shots or (), bad, good)
 
 
 @stored_runs.command()

@@ -40,6 +40,8 @@ class ShotHistory:
         return False
 
     def _append(self, run: Run, shot: Shot) -> None:
+        if shot.index in run.stored.marks:
+            return
         scene = scene_of_shot(run.scene, shot)
         estimator = scene.processing.estimator
         try:
@@ -85,6 +87,7 @@ def warnings_of(run: Run, shot: Shot, clipped: bool) -> Iterator[str]:
     """Yield the warnings of the plan's checks, then those of the records, the newest last."""
     yield from (str(check) for check in run.findings if check.level == "warning")
     yield from (f"shot {index + 1} is not to be trusted: {reason}" for index, reason in run.stored.untrusted.items())
+    yield from (f"shot {index + 1} {why}" for index, why in run.stored.marks.items())
     missing = [int(np.count_nonzero(~run.stored.records.recorded(index))) for index in range(shot.index)][-1:]
     if any(missing):
         yield f"{missing[0]} records of shot {shot.index} are missing"

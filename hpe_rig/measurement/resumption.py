@@ -17,9 +17,11 @@ from hpe_rig.store import (
     StoreError,
     WriteOptions,
     free_path,
+    identity_of,
     is_locked,
     read_run,
     sha256_of_scan,
+    write_marks,
 )
 
 
@@ -76,7 +78,16 @@ def resume(
     path = path or free_path(earlier.path.stem, earlier.path.parent)
     predecessor = Predecessor(earlier.path.name, resumption.complete)
     options = replace(options or WriteOptions(), predecessor=predecessor)
+    _copy_marks(resumption, path, options)
     return record_run(resumption.setup, path, observer, stages, options, earlier=earlier, move=move)
+
+
+def _copy_marks(resumption: Resumption, path: Path, options: WriteOptions) -> None:
+    """Write the marks of the shots to be copied for the new run file, so that none of them counts as good there."""
+    marks = {shot: why for shot, why in resumption.earlier.marks.items() if shot < resumption.complete}
+    if marks:
+        started = "" if options.provenance is None else options.provenance.started
+        write_marks(path, identity_of(options.run_id, started), marks)
 
 
 def _count_sound_shots(stored: StoredRun) -> int:

@@ -95,7 +95,7 @@ def _detected_vibration(
 
 
 def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted: list[str]) -> Iterator[HarmonicFit]:
-    """Yield the fit of every usable shot: complete, trusted, of the strongest force and the first burst length."""
+    """Yield the fit of every usable shot: complete, trusted, good, of the strongest force and first burst length."""
     beams = beam_widths(gate.scene, estimator, off_axis_offsets_m(source.plan))
     for shot in gate.plan.shots:
         reason = _unusable(shot, source.stored, gate.plan)
@@ -115,6 +115,8 @@ def _unusable(shot: Shot, stored: StoredRun, plan: Plan) -> str:
         return "incomplete"
     if reason := stored.untrusted.get(shot.index):
         return f"untrusted: {reason}"
+    if mark := stored.marks.get(shot.index):
+        return mark
     return "" if has_strongest_push(shot, plan) else "of a weaker force or another burst length"
 
 
@@ -133,11 +135,11 @@ def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], 
 
 
 def _residual_correlation(scene: Scene, plan: Plan, stored: StoredRun) -> float:
-    """Return the mean correlation of the residuals of gates without common echoes, from the first complete shot."""
+    """Return the mean correlation of residuals of gates without common echoes, from the first complete good shot."""
     gates = without_shared_echoes(depth_gates(scene, plan.shots[0]), scene.gate_depth_m)
     sound_speed_m_per_s = scene.acquisition.sound_speed_m_per_s
     for index, shot in enumerate(plan.shots):
-        if not stored.shot_complete[shot.index]:
+        if not stored.shot_complete[shot.index] or shot.index in stored.marks:
             continue
         # Residuals of the same shot in every gate, pulse by pulse.
         residuals = (

@@ -79,7 +79,7 @@ def estimate_run(
     averaging: tuple[Averaging | None, ...],
     beams: BeamWidths | None = None,
 ) -> Estimates:
-    """Return the estimates of every shot that has records.
+    """Return the estimates of every shot that has records and was not marked as bad.
 
     ``averaging`` (frequency,): predicted beam averaging. With ``beams`` the fit uses the medium prior
     (``hpe_rig.medium.ensemble``), if scene and estimator allow it. If the scene declares no medium, that fit also
@@ -100,6 +100,9 @@ def estimate_run(
     # Results of very long runs do not hold the displacement of every pulse.
     with_motion = shots * pulses * len(scene.windows) <= MOST_PULSES
     for shot in plan.shots:
+        if shot.index in stored.marks:
+            failures[shot.index] = stored.marks[shot.index]
+            continue
         try:
             shot_results = _estimate_shot(scene, shot, stored, settings)
         except ValueError as error:

@@ -242,7 +242,8 @@ def _selected_shot(result: Result, number: int | None) -> ShotResult:
         if shot.shot == number - 1:
             return shot
     numbers = ", ".join(str(shot.shot + 1) for shot in result.shots[:10])
-    raise StoreError(f"shot {number} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
+    why = dict(result.shots_without_result).get(number - 1, f"{len(result.shots)} shots have one")
+    raise StoreError(f"shot {number} has no result ({why}). Try: --shot {numbers}.")
 
 
 def _display(

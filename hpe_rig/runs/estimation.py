@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hpe_rig.plan import DepthGate, Plan, depth_gates, off_axis_offsets_m, plans_at_offsets, shots_with_gate, with_gate
 from hpe_rig.result import GateResult, ShotResult
 from hpe_rig.scene import Estimator, Processing, Scene, SettingsError, mistakes_of
-from hpe_rig.store import StoredRun, StoreError
+from hpe_rig.store import MARKED_BAD, StoredRun, StoreError
 
 if TYPE_CHECKING:
     from hpe_rig.processing import Estimates
@@ -47,6 +47,9 @@ def estimate_shots(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estim
         return Estimates(tuple(shots), failures)
     # No shot has an estimate. Report the first reason other than missing records.
     for why in failures.values():
+        if why.startswith(MARKED_BAD):
+            remedy = "hpe-rig mark RUN.h5 SHOT --good, which takes a mark back"
+            raise StoreError(f"{stored.path} has no shot left, one of them {why}. Try: {remedy}.")
         if why != NO_RECORDS:
             raise no_estimate(stored, why)
     raise StoreError(
@@ -104,4 +107,6 @@ def _estimate_gate(
         shot_result = replace(shot, motion=None, untrusted=stored.untrusted.get(shot.shot, ""))
         gates.append(GateResult(gate.depth_m, gate.length_m, shot_result, tuple(time_s), tuple(displacement_m)))
     where = f"gate at {gate.depth_m * 1e3:.4g} mm, shot"
-    return gates, [f"{where} {shot + 1} left out: {why}" for shot, why in estimates.failures.items()]
+    return gates, [
+        f"{where} {shot + 1} left out: {why}" for shot, why in estimates.failures.items() if shot not in stored.marks
+    ]

@@ -31,7 +31,15 @@ from hpe_rig.runs.checked_scene import plan_html
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
 from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import Axis, Estimator, Mistake, Processing, Scene, SettingsError, mistakes_of
-from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, result_path, versions, write_result
+from hpe_rig.store import (
+    StoredRecords,
+    StoredRun,
+    StoreError,
+    read_run,
+    result_path,
+    versions,
+    write_result,
+)
 
 if TYPE_CHECKING:
     from hpe_rig.processing import EchoGate
@@ -174,6 +182,17 @@ class Run:
         path = result_path(self.path, result.estimator)
         write_result(path, result)
         return path
+
+    def mark(self, shot: int, bad: str | None) -> Run:
+        """Mark ``shot``, counted from 0, as bad for the reason ``bad``, or as good for None; return the run with it.
+
+        Results leave a bad shot out. The marks are in RUN.marks.json, the run file stays unchanged. Raises
+        ``IndexError`` if the shot does not exist, and ``StoreError`` if the marks cannot be written.
+        """
+        if not 0 <= shot < len(self.plan.shots):
+            raise IndexError(f"shot {shot} does not exist: the run has {len(self.plan.shots)}, counted from 0")
+        read_run(self.path).mark([shot], bad)
+        return self.refreshed()
 
     def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
         """Return the echoes of every pulse of ``shot``, (pulse, sample), also outside the processing window."""

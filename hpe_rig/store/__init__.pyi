@@ -20,6 +20,11 @@ from .listing import (
     matching_runs as matching_runs,
 )
 from .lock import is_locked as is_locked
+from .marks import (
+    MARKED_BAD as MARKED_BAD,
+    identity_of as identity_of,
+    write_marks as write_marks,
+)
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,

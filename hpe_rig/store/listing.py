@@ -16,6 +16,7 @@ from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
 from hpe_rig.store.checksum import ATTRIBUTE
 from hpe_rig.store.format import FORMAT, RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.marks import MARKED_BAD
 from hpe_rig.store.reader import StoredRun, read_run
 from hpe_rig.store.validation import CheckedFile, InvalidContentError
 
@@ -39,6 +40,7 @@ class Lead:
 class RunEntry:
     """One run file of a folder; ``date``: start of the run, or else the file's time of modification.
 
+    ``shots_marked_bad``: shots that results leave out; ``lead`` is None if the latest result has other shots.
     ``imported``: name of the recording from which the records were imported, "" if they were measured.
     """
 
@@ -54,10 +56,21 @@ class RunEntry:
     host: str
     notes: Mapping[str, Any]
     lead: Lead | None
+    shots_marked_bad: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry as JSON values."""
-        names = ("title", "status", "shots_complete", "shots", "simulated", "imported", "user", "host")
+        names = (
+            "title",
+            "status",
+            "shots_complete",
+            "shots",
+            "simulated",
+            "imported",
+            "user",
+            "host",
+            "shots_marked_bad",
+        )
         fields = {name: getattr(self, name) for name in names}
         lead = self.lead and {name: _finite(value) for name, value in asdict(self.lead).items()}
         notes = {name: note if isinstance(note, str | int | float) else str(note) for name, note in self.notes.items()}
@@ -127,7 +140,8 @@ def _entry(stored: StoredRun) -> RunEntry:
         user=stored.provenance.user,
         host=stored.provenance.host,
         notes=notes if isinstance(notes, dict) else {},
-        lead=_lead(stored.path),
+        lead=_lead(stored.path, stored.marks),
+        shots_marked_bad=len(stored.marks),
     )
 
 
@@ -174,8 +188,8 @@ def _format(path: Path) -> str | None:
         return None
 
 
-def _lead(run: Path) -> Lead | None:
-    """Return the strongest harmonic of the latest result of the run file; None without a result."""
+def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
+    """Return the strongest harmonic of the latest result of the run file; None without a result of the same marks."""
     results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if _format(path) == RESULT_FORMAT]
     if not results:
         return None
@@ -186,6 +200,10 @@ def _lead(run: Path) -> Lead | None:
             if ATTRIBUTE in text.attrs and not CheckedFile(file).matches_checksum("json", text):
                 raise InvalidContentError("it fails its checksum")
             result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= MAX_JSON_BYTES else {}
+        left_out = result.get("shots_without_result", ())
+        if marks != {int(shot): why for shot, why in left_out if why.startswith(MARKED_BAD)}:
+            # Marks were given or taken back after this result.
+            return None
         return max(_harmonics(result), key=lambda harmonic: harmonic.amplitude_m, default=None)
     except InvalidContentError as error:
         why = str(error)

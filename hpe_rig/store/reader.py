@@ -14,7 +14,7 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final, overload
 
@@ -37,6 +37,7 @@ from hpe_rig.store.format import (
     StoreError,
 )
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
+from hpe_rig.store.marks import identity_of, read_marks, write_marks
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
 
@@ -325,6 +326,7 @@ class StoredRun:
     damage: damaged content other than echoes, and the value used instead.
     provenance: empty in early files and in those of scripts that omit it.
     scan_sha256: SHA-256 of the file ``beams.excitation_scan``; "" without one and in early files.
+    marks: why results leave a shot out, for each shot that was marked as bad after the run.
     """
 
     path: Path
@@ -347,6 +349,20 @@ class StoredRun:
     run_id: str
     provenance: Provenance
     scan_sha256: str
+    marks: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """The identity of the run, which its marks repeat."""
+        return identity_of(self.run_id, self.provenance.started)
+
+    def mark(self, shots: Sequence[int], why: str | None) -> Path:
+        """Mark ``shots``, counted from 0, as bad for the reason ``why`` or, with None, as good; return the marks' path.
+
+        The marks of this value stay as they were read.
+        """
+        marks = {shot: text for shot, text in self.marks.items() if shot not in shots}
+        return write_marks(self.path, self.identity, marks if why is None else marks | dict.fromkeys(shots, why))
 
     def rows(self, shot: int) -> ShotRows:
         """Return ``shot`` without its echoes; values that are missing or damaged are blank."""
@@ -393,7 +409,9 @@ class StoredRun:
 def read_run(path: Path) -> StoredRun:
     """Return the run in ``path``, also of a running or killed program; raise ``StoreError`` if it is not a run file."""
     with open_checked(path) as checked:
-        return _stored_run(checked, path)
+        stored = _stored_run(checked, path)
+    marks, why_ignored = read_marks(path, stored.identity, stored.shot_complete.size)
+    return replace(stored, marks=marks, damage=(*stored.damage, *([why_ignored] if why_ignored else [])))
 
 
 def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...]:
