@@ -145,6 +145,7 @@ class World:
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
         self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
+        self.board.faults = instruments.trigger_faults
         self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None
         self._recording: Recording | None = None
         self._past: deque[CaptureSnapshot] = deque(maxlen=MAX_CAPTURES - 1)
@@ -309,7 +310,8 @@ class World:
         first_ps = triggers.tick_ps[0] if triggers.tick_ps.size else arming.start_ps
         # Time zero of a capture: the last edge of the master trigger before the first record.
         before_ps = edges_ps[edges_ps <= first_ps]
-        origin_ps = int(before_ps[-1]) if before_ps.size else arming.start_ps
+        after_ps = edges_ps[edges_ps >= arming.start_ps]
+        origin_ps = int(before_ps[-1] if before_ps.size else after_ps[0] if after_ps.size else arming.start_ps)
         return CaptureSnapshot(arming, triggers, tonebursts, pulses, origin_ps)
 
     def _captured(self, until_ps: int) -> CaptureSnapshot:

@@ -81,6 +81,7 @@ SIGNATURES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
     "AlazarGetMaxRecordsCapable": (RC, (HANDLE, U32, U32_OUT)),
     "AlazarStartCapture": (RC, (HANDLE,)),
     "AlazarAbortCapture": (RC, (HANDLE,)),
+    "AlazarForceTrigger": (RC, (HANDLE,)),
     "AlazarBusy": (U32, (HANDLE,)),
     "AlazarGetStatus": (U32, (HANDLE,)),
     "AlazarRead": (U32, (HANDLE, U32, HANDLE, ctypes.c_int, LONG, LONG, U32)),

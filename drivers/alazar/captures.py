@@ -21,7 +21,7 @@ from drivers.alazar.api import Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.limits import BUFFER_TARGET_BYTES, pre_trigger_samples, records_per_buffer
 from drivers.alazar.page_buffer import PageBuffer
-from drivers.alazar.return_codes import RECORD_TOO_HIGH, WAIT_TIMEOUT
+from drivers.alazar.return_codes import RECORD_TOO_HIGH, SUCCESS, WAIT_TIMEOUT
 from drivers.alazar.samples import RawRecords, Words, buffer_bytes, native, unpacked, word_dtype
 from drivers.interfaces import Capture, Clock, DeadlineError, InstrumentError
 
@@ -32,6 +32,9 @@ MIN_BUFFERS: Final = 2
 MAX_BUFFERS: Final = 4
 # Ctrl-C is noticed between two calls of the library, so none lasts longer.
 WAIT_SLICE_MS: Final = 100
+# Pause after a record before the next software trigger; the board's time to re-arm is not documented.
+FORCED_PAUSE_S: Final = 100e-6
+MAX_FORCED_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,21 +190,34 @@ class DualPortCapture:
             raise
 
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
-        """Yield the records of each buffer once it is full; raise ``DeadlineError`` at the deadline."""
+        """Yield the records of each buffer once it is full.
+
+        At the deadline, yield the records in the part-filled buffer, then raise ``DeadlineError``.
+        """
         # A copy of the ring: ``abort`` may empty ``_buffers`` while this iterator is suspended.
         ring, model = tuple(self._buffers), self._board.model
         channels, record_samples = len(self._job.channels), self._settings.record_samples
         samples_per_count = 1 if self._npt else self._board.samples_per_timestamp()
         for index in range(self._buffer_count):
             buffer = ring[index % len(ring)]
-            self._wait(buffer, index, deadline_s)
-            data = buffer.copy(np.dtype(np.uint8), buffer.size_bytes)
-            # Posted again before the data are processed, so that slow processing loses no records. The last buffers
-            # of a capture are not posted: no records are left to fill them.
-            if index + len(ring) < self._buffer_count:
-                self._post(buffer)
-            words, counts = unpacked(data, channels, record_samples, self._npt, model)
-            yield RawRecords(index * self.records_per_block, words, counts * samples_per_count)
+            first, arrived = index * self.records_per_block, self.records_per_block
+            complete = self._wait(buffer, deadline_s)
+            captured = None
+            if not complete:
+                captured = self._board.parameter(Parameter.RECORDS_CAPTURED)
+                # A board that reports no more records than were read has nothing in the buffer.
+                arrived = self._fill_by_force(buffer) if captured is None or captured > first else 0
+            if arrived:
+                data = buffer.copy(np.dtype(np.uint8), buffer.size_bytes)
+                # Posted again before the data are processed, so that slow processing loses no records. The last
+                # buffers of a capture are not posted: no records are left to fill them.
+                if complete and index + len(ring) < self._buffer_count:
+                    self._post(buffer)
+                words, counts = unpacked(data, channels, record_samples, self._npt, model)
+                yield RawRecords(first, words[:, :arrived], counts[:arrived] * samples_per_count)
+            if not complete:
+                expected = self._settings.record_count
+                raise missing_records_error(self._board.role, first + arrived, expected, deadline_s, captured)
 
     def abort(self) -> None:
         """End the transfer if one was begun, then free the buffers."""
@@ -237,25 +253,47 @@ class DualPortCapture:
     def _post(self, buffer: PageBuffer) -> None:
         self._board.call(self._board.library.AlazarPostAsyncBuffer, buffer.address, buffer.size_bytes)
 
-    def _wait(self, buffer: PageBuffer, index: int, deadline_s: float) -> None:
-        """Return when ``buffer`` is full; a full buffer is accepted even after the deadline."""
-        board = self._board
+    def _wait(self, buffer: PageBuffer, deadline_s: float) -> bool:
+        """Return whether ``buffer`` is full by the deadline; a full buffer is accepted even after it."""
         while True:
-            if buffer.freed:
-                why = "the bench was made safe in the meantime"
-                raise InstrumentError(board.role, "the capture was aborted", why, "start the shot again")
             # In slices, so that Ctrl-C and an abort by another thread are noticed.
             remaining_ms = max(0, math.ceil((deadline_s - self._job.clock.now_s()) * 1e3))
-            timeout_ms = min(WAIT_SLICE_MS, remaining_ms)
-            wait = board.library.AlazarWaitAsyncBufferComplete
-            code = board.invoke(wait, board.handle, buffer.address, timeout_ms)
-            if code != WAIT_TIMEOUT:
-                board.check(code, "AlazarWaitAsyncBufferComplete")
-                return
+            if self._is_full(buffer, min(WAIT_SLICE_MS, remaining_ms)):
+                return True
             if remaining_ms == 0:
-                captured = board.parameter(Parameter.RECORDS_CAPTURED)
-                delivered = index * self.records_per_block
-                raise missing_records_error(board.role, delivered, self._settings.record_count, deadline_s, captured)
+                return False
+
+    def _is_full(self, buffer: PageBuffer, timeout_ms: int) -> bool:
+        """Return whether ``buffer`` is full, or becomes so within the time-out."""
+        board = self._board
+        if buffer.freed:
+            why = "the bench was made safe in the meantime"
+            raise InstrumentError(board.role, "the capture was aborted", why, "start the shot again")
+        wait = board.library.AlazarWaitAsyncBufferComplete
+        code = board.invoke(wait, board.handle, buffer.address, timeout_ms)
+        if code != WAIT_TIMEOUT:
+            board.check(code, "AlazarWaitAsyncBufferComplete")
+        return bool(code != WAIT_TIMEOUT)
+
+    def _fill_by_force(self, buffer: PageBuffer) -> int:
+        """Complete the part-filled ``buffer`` by software triggers; return how many of its records came before them.
+
+        The library hands over whole buffers only, and an abort leaves the content of a part-filled one undefined.
+        Returns 0 if the board does not complete the buffer.
+        """
+        board, settings = self._board, self._settings
+        record_s = (abs(settings.trigger_delay_samples) + settings.record_samples) / settings.sample_rate_hz
+        end_s = self._job.clock.now_s() + MAX_FORCED_S
+        for forced in range(1, self.records_per_block + 1):
+            if board.invoke(board.library.AlazarForceTrigger, board.handle) != SUCCESS:
+                break
+            # The record must be complete before the next trigger, or that one is ignored and the count wrong.
+            self._job.clock.sleep(2 * record_s + FORCED_PAUSE_S)
+            if self._is_full(buffer, 0):
+                return self.records_per_block - forced
+            if self._job.clock.now_s() > end_s:
+                break
+        return 0
 
 
 def _set_record_size(board: AlazarBoard, settings: Capture) -> None:

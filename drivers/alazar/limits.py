@@ -12,7 +12,7 @@ from drivers.interfaces import Capture
 
 MAX_RECORD_COUNT: Final = 0x7FFF_FFFE
 BUFFER_TARGET_BYTES: Final = 2**20
-# A partly filled buffer stays unread, so a missing last trigger loses this fraction of the capture at most.
+# If software triggers do not complete the last buffer, a missing trigger loses this fraction of the capture at most.
 MAX_BUFFER_FRACTION: Final = 1 / 8
 
 Mode = Literal["single_port", "traditional", "npt"]

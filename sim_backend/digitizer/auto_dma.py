@@ -14,6 +14,8 @@ from sim_backend.digitizer import codes
 from sim_backend.digitizer.board import AcceptedTriggers, Arming, BoardSettings, is_clipped, words
 from sim_backend.digitizer.boards import MILLIVOLTS_BY_ID
 from sim_backend.digitizer.codes import Code
+from sim_backend.settings import TriggerFaults
+from sim_backend.wiring import to_ps
 
 RESOLUTION_CODES = {8: 0, 12: 1, 14: 2, 16: 3}
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
@@ -123,9 +125,11 @@ class BufferQueue:
         count = self.transfer.records_per_buffer
         return slice(self.delivered * count, (self.delivered + 1) * count)
 
-    def deliver(self, arming: Arming, triggers: AcceptedTriggers, volts: Sequence[FloatArray], reset_ps: int) -> None:
-        """Write the ``volts`` of `next_records` into the buffer at the head, and remove it; see `packed`."""
-        data = packed(self.transfer, arming, triggers, volts, self.next_records, reset_ps)
+    def deliver(
+        self, arming: Arming, triggers: AcceptedTriggers, volts: Sequence[FloatArray], stamps: Int64Array
+    ) -> None:
+        """Write ``volts`` and ``stamps`` of `next_records` into the buffer at the head, and remove it; see `packed`."""
+        data = packed(self.transfer, arming, triggers, volts, self.next_records, stamps)
         # Written straight into the program's memory, as by DMA; `post` has checked its size.
         ctypes.memmove(self.posted.popleft(), data.ctypes.data, data.nbytes)
         self.delivered += 1
@@ -137,9 +141,11 @@ def packed(
     triggers: AcceptedTriggers,
     volts: Sequence[FloatArray],
     records: slice,
-    reset_ps: int,
+    stamps: Int64Array,
 ) -> ByteArray:
     """Return the bytes of consecutive ``records``; ``volts``: an array (record, sample) for each channel.
+
+    ``stamps`` (record,): the counter at each trigger.
 
     The order is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
@@ -152,20 +158,22 @@ def packed(
         channel_words = words(volts[index], arming.settings.inputs[channel], arming.settings)
         channel_data[:, header:] = channel_words.view(np.uint8)
         if header:
-            channel_data[:, :header] = headers(arming, triggers, channel, records, reset_ps)
+            channel_data[:, :header] = headers(arming, triggers, channel, records, stamps)
     return data
 
 
-def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: slice, reset_ps: int) -> ByteArray:
+def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: slice, count: Int64Array) -> ByteArray:
     """Return record headers as uint8 (record, 16): four little-endian words (docs/explanation/instruments.md, 2.6).
 
     Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits, format 0 for unsigned, "this channel" on
     channel A only.
     """
     settings = arming.settings
-    count = timestamps(arming, triggers.tick_ps[records], reset_ps)
     number = np.arange(records.start, records.stop)
-    external = (triggers.cause[records] == codes.TRIGGERED_BY_EXTERNAL).astype(np.int64)
+    cause = triggers.cause[records]
+    external, timed_out = (
+        (cause == code).astype(np.int64) for code in (codes.TRIGGERED_BY_EXTERNAL, codes.TRIGGERED_BY_TIMEOUT)
+    )
     rate_id = next(
         rate_id for rate_id, rate_hz in settings.board.rates_hz.items() if rate_hz == settings.sample_rate_hz
     )
@@ -181,14 +189,22 @@ def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: s
     quad[:, 1] = (number & 0xFFFFFF) | settings.board.kind << 24
     quad[:, 2] = count & 0xFFFFFFFF
     quad[:, 3] = count >> 32 | 1 << 8 | rate_id << 11 | range_id << 18 | 2 << 23 | channel_input.impedance << 25
-    quad[:, 3] |= external << 27 | (1 - external) << 30 | (1 - channel) << 31
+    quad[:, 3] |= external << 27 | timed_out << 30 | (1 - channel) << 31
     return quad.astype("<u4").view(np.uint8)
 
 
-def timestamps(arming: Arming, tick_ps: Int64Array, reset_ps: int) -> Int64Array:
-    """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,) in counts of some samples: int64 (record,)."""
+def timestamps(
+    arming: Arming, triggers: AcceptedTriggers, records: slice, reset_ps: int, faults: TriggerFaults
+) -> Int64Array:
+    """Return the time stamps of consecutive ``records`` in counts of some samples: int64 (record,)."""
     period_ps = arming.settings.board.samples_per_count * arming.settings.sample_period_ps
-    return (tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF
+    number = np.arange(records.start, records.stop)
+    # A frozen counter repeats the time of its first record.
+    first, last = faults.frozen_stamps or (0, 0)
+    time_ps = triggers.tick_ps[np.where((number > first) & (number <= last), first, number)] - reset_ps
+    for jump in faults.stamp_jumps:
+        time_ps[number >= jump.record] += to_ps(jump.jump_s)
+    return time_ps // period_ps & ((1 << faults.stamp_bits) - 1)
 
 
 def clipped_status(arming: Arming, peak_v: float) -> int:

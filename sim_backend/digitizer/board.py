@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.boards import BOARDS, IMPEDANCE_50_OHM, BoardType
+from sim_backend.settings import TriggerFaults
 from sim_backend.wiring import (
     PS_PER_S,
     Emission,
@@ -33,6 +34,7 @@ from sim_backend.wiring import (
 TRIGGER_INPUT_OHM = 1e6
 AUX_HIGH_V = 5.0
 TIMEOUT_TICK_PS = 10_000_000
+NO_FAULTS = TriggerFaults()
 _LOG = logging.getLogger("sim_backend")
 _SAMPLES_AT_ONCE = 1 << 15
 
@@ -85,12 +87,13 @@ class BoardSettings:
 
 @dataclass(frozen=True, slots=True)
 class Arming:
-    """One capture: armed at ``start_ps`` with ``settings``, ended at ``stop_ps``."""
+    """One capture: armed at ``start_ps`` with ``settings``, ended at ``stop_ps``; ``forced_ps``: software triggers."""
 
     index: int
     start_ps: int
     settings: BoardSettings
     stop_ps: int = 1 << 61
+    forced_ps: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,12 +124,15 @@ class Latencies:
     aux_waits_for_delay: bool = False
 
 
-def accepted_triggers(arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int) -> AcceptedTriggers:
+def accepted_triggers(
+    arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int, faults: TriggerFaults = NO_FAULTS
+) -> AcceptedTriggers:
     """Return the triggers that an arming accepts from the voltage ``arriving`` at the trigger input."""
     settings, period_ps = arming.settings, arming.settings.sample_period_ps
     edge_ps = _trigger_edges(settings, arriving)
     ready_ps = arming.start_ps + settings.pre_samples * period_ps
-    edge_ps = edge_ps[(edge_ps >= ready_ps) & (edge_ps < arming.stop_ps)]
+    edge_ps = _with_faults(edge_ps[(edge_ps >= ready_ps) & (edge_ps < arming.stop_ps)], faults)
+    edge_ps = np.sort(np.concatenate([edge_ps[edge_ps >= ready_ps], np.array(arming.forced_ps, np.int64)]))
     # The sample clock notices an edge at its next tick.
     tick_ps = -(-edge_ps // period_ps) * period_ps
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
@@ -136,12 +142,13 @@ def accepted_triggers(arming: Arming, arriving: Steps, latencies: Latencies, unt
         accepted_ps, cause = _with_timeout(tick_ps, ready_ps, busy_ps, settings, last_ps)
     else:
         accepted_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
-        cause = np.full(accepted_ps.size, codes.TRIGGERED_BY_EXTERNAL)
+        forced = np.isin(accepted_ps, -(-np.array(arming.forced_ps, np.int64) // period_ps) * period_ps)
+        cause = np.where(forced, codes.TRIGGERED_BY_SOFTWARE, codes.TRIGGERED_BY_EXTERNAL)
     first_ps = accepted_ps + latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
     end_ps = accepted_ps + to_end_ps
     # Triggers after the last record are not counted as ignored.
     during_ps = tick_ps[tick_ps < end_ps[-1]] if accepted_ps.size == settings.record_count else tick_ps
-    ignored = during_ps.size - int(np.count_nonzero(cause == codes.TRIGGERED_BY_EXTERNAL))
+    ignored = during_ps.size - int(np.count_nonzero(cause != codes.TRIGGERED_BY_TIMEOUT))
     if ignored:
         _LOG.info("digitizer: %d of %d triggers came while it was busy, and are ignored", ignored, during_ps.size)
     return AcceptedTriggers(accepted_ps, first_ps, end_ps, cause, ignored)
@@ -210,6 +217,15 @@ def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Int64Array:
     return sorted_ps[np.diff(sorted_ps, prepend=sorted_ps[:1] - 1) > 0]
 
 
+def _with_faults(edge_ps: Int64Array, faults: TriggerFaults) -> Int64Array:
+    """Return ascending trigger edges without the lost ones and with the stray ones."""
+    if not edge_ps.size:
+        return edge_ps
+    stray_ps = edge_ps[0] + np.array([to_ps(time_s) for time_s in faults.stray_s], np.int64)
+    lost = [index for index in faults.lost if index < edge_ps.size]
+    return np.sort(np.concatenate([np.delete(edge_ps, lost), stray_ps]))
+
+
 def _with_timeout(
     tick_ps: Int64Array, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
 ) -> tuple[Int64Array, Int64Array]:
@@ -241,6 +257,7 @@ class Board:
     running: bool = False
     count: int = 0
     changes: int = 0
+    faults: TriggerFaults = NO_FAULTS
 
     @property
     def times_out(self) -> bool:
@@ -261,9 +278,18 @@ class Board:
             self.running = False
             self.changes += 1
 
+    def force_trigger(self, now_ps: int) -> None:
+        """Trigger the running capture by software."""
+        if self.running:
+            arming = self.armings[-1]
+            self.armings[-1] = replace(arming, forced_ps=(*arming.forced_ps, now_ps))
+            self.changes += 1
+
     def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[AcceptedTriggers]]:
         """Return the AUX output over all armings, and the accepted triggers of each."""
-        triggers = [accepted_triggers(arming, arriving, self.latencies, until_ps) for arming in self.armings]
+        triggers = [
+            accepted_triggers(arming, arriving, self.latencies, until_ps, self.faults) for arming in self.armings
+        ]
         pairs = zip(self.armings, triggers, strict=True)
         steps = [aux_steps(arming, accepted, self.latencies) for arming, accepted in pairs]
         ignored = sum(accepted.ignored for accepted in triggers)

@@ -143,6 +143,11 @@ class AlazarLibrary:
         self._state.stop()
         return Code.SUCCESS
 
+    @_with_handle()
+    def AlazarForceTrigger(self, handle: Any) -> int:
+        self._state.force_trigger()
+        return Code.SUCCESS
+
     @_with_handle(refused=0)
     def AlazarBusy(self, handle: Any) -> int:
         return int(self._state.busy())

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim_backend.arrays import FloatArray
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_status, timestamps
 from sim_backend.digitizer.board import AcceptedTriggers, Arming, Board, BoardSettings, words
@@ -133,6 +133,11 @@ class AlazarState:
         """End the capture."""
         self._board.stop(self._clock.now_ps)
 
+    def force_trigger(self) -> None:
+        """Trigger the running capture by software; the call takes time."""
+        self._board.force_trigger(self._clock.now_ps)
+        self._clock.now_ps += REGISTER_READ_PS
+
     def busy(self) -> bool:
         """Return whether a capture is running; the query takes time."""
         self._clock.now_ps += REGISTER_READ_PS
@@ -176,8 +181,7 @@ class AlazarState:
     def timestamp(self, record: int) -> int:
         """Return the trigger time of a record in sample clock periods, in whole steps of the board's counter."""
         triggers = self._recorder.triggers(self._clock.now_ps)
-        count = int(timestamps(self._arming, triggers.tick_ps[record - 1 : record], self._reset_ps)[0])
-        return count * self.type.samples_per_count
+        return int(self._stamps(triggers, slice(record - 1, record))[0]) * self.type.samples_per_count
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
         """Prepare AutoDMA; start it at once unless the program starts it by AlazarStartCapture."""
@@ -227,7 +231,8 @@ class AlazarState:
         records = self._queue.next_records
         volts = [self._recorder.volts(deadline_ps, records, channel) for channel in self._queue.transfer.channels]
         self._clock.advance_to(full_ps)
-        self._queue.deliver(self._arming, triggers, volts, self._reset_ps)
+        stamps = self._stamps(triggers, self._queue.next_records)
+        self._queue.deliver(self._arming, triggers, volts, stamps)
         return Code.SUCCESS
 
     def end_transfer(self) -> None:
@@ -242,6 +247,9 @@ class AlazarState:
     @property
     def _old_fpga(self) -> bool:
         return self.instruments.fpga_version <= self.type.old_fpga
+
+    def _stamps(self, triggers: AcceptedTriggers, records: slice) -> Int64Array:
+        return timestamps(self._arming, triggers, records, self._reset_ps, self.instruments.trigger_faults)
 
     def _arm(self) -> None:
         """Arm the board with the present settings, and reset the time stamp if it is set to do so."""

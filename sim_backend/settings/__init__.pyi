@@ -16,5 +16,6 @@ from .simulation import (
     Sphere as Sphere,
     Transducer as Transducer,
     Transmitter as Transmitter,
+    TriggerFaults as TriggerFaults,
     scatterer_count as scatterer_count,
 )

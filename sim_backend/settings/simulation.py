@@ -405,6 +405,30 @@ class ReceiveChain(Section):
         return with_preset(settings, CHAIN_PRESETS)
 
 
+class StampJump(Section):
+    """A step in the trigger times of one capture."""
+
+    record: Annotated[int, Field(ge=0, le=10_000_000, strict=True)]
+    """First record with shifted trigger times, counted from 0."""
+    jump_s: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)]
+    """Time added to it and to all later ones."""
+
+
+class TriggerFaults(Section):
+    """Faults of the digitizer's trigger input and of its trigger times, equal in every capture; by default none."""
+
+    lost: tuple[Annotated[int, Field(ge=0, le=10_000_000, strict=True)], ...] = ()
+    """Triggers that the digitizer misses, counted from 0 among those that arrive after arming."""
+    stray_s: tuple[Annotated[float, Field(ge=-10.0, le=100.0, strict=True)], ...] = ()
+    """Times of triggers that no instrument sent, relative to the first trigger that arrives after arming."""
+    stamp_jumps: tuple[StampJump, ...] = ()
+    """Steps in the trigger times."""
+    frozen_stamps: tuple[int, int] | None = None
+    """First and last record with the trigger time of the first one of them, counted from 0."""
+    stamp_bits: Annotated[int, Field(ge=8, le=40, strict=True)] = 40
+    """Width of the counter of trigger times, which wraps to zero (manual: 40)."""
+
+
 class Instruments(Section):
     """Properties of the simulated instruments."""
 
@@ -430,6 +454,8 @@ class Instruments(Section):
     """Root-mean-square aperture jitter of the digitizer."""
     sample_clock_offset: Annotated[float, Field(gt=-1e-2, lt=1e-2, strict=True)] = 0.0
     """Relative error of the digitizer's sample period, positive if it is too long."""
+    trigger_faults: TriggerFaults = TriggerFaults()
+    """Faults of the digitizer's triggers and of their times."""
 
 
 def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:

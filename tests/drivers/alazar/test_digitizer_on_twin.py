@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import dataclasses
 import gc
 import math
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,7 +22,7 @@ from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import Capture, DeadlineError, Digitizer, InstrumentError, PulseTrain, TriggerPulse
 from sim_backend.digitizer.boards import IMPEDANCE_50_OHM
-from sim_backend.settings.simulation import Instruments, SimulationSettings
+from sim_backend.settings.simulation import Instruments, SimulationSettings, StampJump, TriggerFaults
 from sim_backend.world import World
 
 WIRING = [
@@ -228,14 +229,63 @@ def test_missing_triggers_end_at_the_deadline_and_not_later(rig: Rig) -> None:
     with pytest.raises(DeadlineError) as caught:
         blocks.extend(rig.digitizer.records(deadline_s))
     arrived = sum(len(block.codes) for block in blocks)
-    # Whole buffers of 12 leave the board in dual-port mode, single records in single-port mode.
-    dual = "AlazarPostAsyncBuffer" in rig.library.calls
-    assert arrived == (60 if dual else 70)
-    assert f"{arrived} of 96" in str(caught.value)
-    assert ("70 captured" in str(caught.value)) is dual
-    # Waits are whole milliseconds, and the board is asked once more at the end.
+    assert arrived == 70
+    assert "70 of 96" in str(caught.value)
+    # Waits are whole milliseconds; two software triggers complete the sixth buffer of 12.
     assert deadline_s <= rig.world.clock.now_s() <= deadline_s + 2e-3
     assert rig.world.digitizer_idle()
+
+
+@pytest.mark.parametrize("answer", [513, 512])
+def test_records_of_whole_buffers_survive_a_board_without_software_triggers(answer: int) -> None:
+    rig = Rig(dual=True, answers={"AlazarForceTrigger": answer})
+    rig.fire(LONG_CAPTURE, pulses=70)
+    blocks = []
+    with pytest.raises(DeadlineError, match=r"60 of 96 .*70 captured"):
+        blocks.extend(rig.digitizer.records(rig.deadline_s(0.5)))
+    assert sum(len(block.codes) for block in blocks) == 60
+    assert rig.world.digitizer_idle()
+
+
+def test_software_triggers_are_sent_only_for_a_part_filled_buffer() -> None:
+    rig = Rig(dual=True)
+    rig.fire(LONG_CAPTURE, pulses=72)
+    with pytest.raises(DeadlineError, match="72 of 96"):
+        list(rig.digitizer.records(rig.deadline_s(0.5)))
+    assert "AlazarForceTrigger" not in rig.library.calls
+
+
+@pytest.mark.parametrize(
+    ("faults", "periods"),
+    [
+        (TriggerFaults(), range(32)),
+        (TriggerFaults(lost=(0, 5)), [1, 2, 3, 4, *range(6, 32)]),
+        (TriggerFaults(stray_s=(-0.5 / RATE_HZ, 2.5 / RATE_HZ)), [-0.5, 0, 1, 2, 2.5, *range(3, 30)]),
+        (TriggerFaults(stamp_jumps=(StampJump(record=20, jump_s=0.25),)), [*range(20), *(np.arange(20, 32) + 1250)]),
+        (TriggerFaults(frozen_stamps=(3, 30)), [0, 1, 2, *[3] * 28, 31]),
+    ],
+    ids=["none", "lost", "stray", "jump", "freeze"],
+)
+@SINGLE_AND_DUAL_PORT
+def test_faults_of_the_twins_triggers_reach_the_records(dual: bool, faults: TriggerFaults, periods: Sequence) -> None:
+    rig = Rig(dual, trigger_faults=faults)
+    rig.fire(dataclasses.replace(CAPTURE, record_count=32))
+    times_s: list[float] = []
+    with contextlib.suppress(DeadlineError):
+        for block in rig.digitizer.records(rig.deadline_s()):
+            times_s.extend(block.trigger_time_s)
+    relative_s = np.array(times_s) - times_s[0]
+    np.testing.assert_allclose(relative_s, (np.array(periods) - periods[0]) / RATE_HZ, rtol=0, atol=41e-9)
+
+
+def test_the_twins_counter_wraps_at_its_width() -> None:
+    rig = Rig(dual=True, trigger_faults=TriggerFaults(stamp_bits=16))
+    times_s = rig.shot(CAPTURE)[1]
+    wrap_s = 2**16 * 2 / CAPTURE.sample_rate_hz
+    assert np.all(times_s < wrap_s)
+    step_s = np.diff(times_s)
+    np.testing.assert_allclose(step_s % wrap_s, 1 / RATE_HZ % wrap_s, rtol=0, atol=41e-9)
+    assert np.any(step_s < 0)
 
 
 def test_records_from_before_the_deadline_reach_a_slow_reader(rig: Rig) -> None:

@@ -217,6 +217,13 @@ EXPORT RC AlazarAbortCapture(HANDLE h)
     running = 0;
     return Success;
 }
+EXPORT RC AlazarForceTrigger(HANDLE h)
+{
+    BOARD(AlazarForceTrigger);
+    if (running && triggers < announced)
+        triggers++;
+    return Success;
+}
 EXPORT U32 AlazarBusy(HANDLE h)
 {
     if (h != (HANDLE)&board || !running || dma_active)

@@ -75,6 +75,7 @@ CALL(AlazarSetRecordCount, (HANDLE h, U32 count), (h, count))
 CALL(AlazarGetMaxRecordsCapable, (HANDLE h, U32 samples, U32 *most), (h, samples, most))
 CALL(AlazarStartCapture, (HANDLE h), (h))
 CALL(AlazarAbortCapture, (HANDLE h), (h))
+CALL(AlazarForceTrigger, (HANDLE h), (h))
 NUMBER(AlazarBusy, (HANDLE h), (h))
 NUMBER(AlazarGetStatus, (HANDLE h), (h))
 NUMBER(AlazarRead, (HANDLE h, U32 channel, void *buffer, int bytes, long record, long offset, U32 count),
