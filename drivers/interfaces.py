@@ -185,6 +185,10 @@ class Instrument(Protocol):
 
     def identify(self) -> Identity: ...
 
+    def serial_number(self) -> str:
+        """Return the serial number, or the stored label of a model without one; empty if there is neither."""
+        ...
+
     def snapshot(self) -> Mapping[str, Setting]:
         """Return the settings, read back from the instrument."""
         ...
@@ -219,6 +223,14 @@ class Instrument(Protocol):
 
 class Generator(Instrument, Protocol):
     """A function generator, programmed with its output off."""
+
+    def display(self, text: str) -> None:
+        """Show ``text`` on the front panel; empty: the settings as usual."""
+        ...
+
+    def store_label(self, label: str) -> None:
+        """Store ``label`` in non-volatile memory, for ``serial_number`` of a model without a serial number."""
+        ...
 
     def enable_output(self) -> None: ...
 

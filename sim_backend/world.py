@@ -28,8 +28,8 @@ from sim_backend.digitizer import (
     latencies_of,
     pulse_onsets_ps,
 )
-from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A
-from sim_backend.settings import SimulationSettings
+from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A, with_serial
+from sim_backend.settings import Instruments, SimulationSettings
 from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
@@ -100,6 +100,15 @@ class GeneratorConnection:
         self._generator.close()
 
 
+def _generator(clock: SimulatedClock, instruments: Instruments, model: str, number: int) -> Generator33250A:
+    """Return a generator with a serial number, or a label where the model has none, unless the twin has neither."""
+    serial = f"MY4400000{number}" if instruments.serial_numbers else "0"
+    generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial))
+    if instruments.serial_numbers:
+        generator.states.rename(("4", f"SIM_BOX_{number}"))
+    return generator
+
+
 class World:
     """Five generators and a digitizer with their wiring; time advances with the program's calls alone.
 
@@ -136,10 +145,8 @@ class World:
         self._lateral_m = 0.0
         self.clock = SimulatedClock()
         self._generators = {
-            role: Generator33250A(
-                self.clock, instruments.generator_latency_s, MODELS[(models or {}).get(role, "33250A")]
-            )
-            for role in GENERATORS
+            role: _generator(self.clock, instruments, (models or {}).get(role, "33250A"), number)
+            for number, role in enumerate(GENERATORS, 1)
         }
         latencies = latencies_of(
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay

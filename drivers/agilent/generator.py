@@ -23,6 +23,13 @@ OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
 # The self-test takes some seconds (assumed: up to half a minute), a time-out 1.5 s.
 SELF_TEST_TIMEOUTS: Final = 20
+NO_SERIAL: Final = ("", "0")
+"""Serial field of ``*IDN?`` of a model that reports none, as the 33250A."""
+LABEL: Final = "MEM:STAT:NAME"
+"""Name of a stored state. It is kept without power and through ``*RST``, whether or not a state is stored."""
+LABEL_LOCATION: Final = 4
+UNLABELLED: Final = ("", f"STATE_{LABEL_LOCATION}")
+"""Names of a location that nobody has named: none, or the manual's default."""
 
 
 @final
@@ -90,6 +97,36 @@ class Agilent33250A:
         self._model = model
         self._identity = Identity(fields[0], fields[1], fields[2], ",".join(fields[3:]))
         return self._identity
+
+    def serial_number(self) -> str:
+        """Return the serial number of ``*IDN?``, or the name of stored state 4 of a model without one.
+
+        Empty without either. The name has up to 12 letters, digits and underscores.
+        """
+        serial = self._identified().serial
+        if serial not in NO_SERIAL:
+            return serial
+        try:
+            label = self._session.query(f"{LABEL}? {LABEL_LOCATION}").strip().strip('"')
+        except DroppedError:
+            raise
+        except InstrumentError:
+            # An instrument that does not know the query sends no reply and queues an error.
+            self._session.drain_errors()
+            return ""
+        return "" if label in UNLABELLED else label
+
+    def store_label(self, label: str) -> None:
+        """Name stored state 4 ``label``, verified; the state itself is not changed."""
+        self._send_verified("label", f"{LABEL} {LABEL_LOCATION},{label}")
+        if (stored := self.serial_number()) != label:
+            why = "this model or firmware keeps no names of stored states, or changes them"
+            remedy = 'name the state at the front panel, or enter serial = "none" in the bench file'
+            raise InstrumentError(self.role, f"label {label} was stored, and reads back as {stored!r}", why, remedy)
+
+    def display(self, text: str) -> None:
+        """Show ``text`` on the front panel, up to 12 characters in large letters; empty: the settings as usual."""
+        self._send_verified("display", f'DISP:TEXT "{text}"' if text else "DISP:TEXT:CLE")
 
     def configure(self, task: GeneratorTask, /) -> None:
         """Program ``task`` with the output off: changed settings alone if possible, else all from the reset state.
@@ -224,6 +261,11 @@ class Agilent33250A:
     def close(self) -> None:
         """Close the connection; the instrument keeps its state."""
         self._session.close()
+
+    def _send_verified(self, group: str, command: str) -> None:
+        """Send ``command``; raise ``RefusedError`` if the instrument queues an error."""
+        self._session.write(command)
+        self._session.verify(group, ())
 
     def _switched_off(self) -> str:
         self.switch_off()

@@ -66,6 +66,10 @@ class AlazarDigitizer:
         firmware = f"FPGA {fpga}, driver {board.driver_version()}, SDK {board.sdk_version()}"
         return Identity("AlazarTech", self._model.name, str(board.capability(Capability.SERIAL_NUMBER)), firmware)
 
+    def serial_number(self) -> str:
+        """Return the board's serial number."""
+        return self.identify().serial
+
     def configure(self, capture: Capture) -> None:
         """Program the board; raise one ``InstrumentError`` with every setting that it does not accept."""
         mode = self._supported_mode()

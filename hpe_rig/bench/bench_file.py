@@ -82,6 +82,11 @@ BoardName = Annotated[str, *_choice(BOARD_NAMES)]
 GeneratorName = Annotated[str, *_choice(MODEL_NAMES)]
 """Name of a generator or a series of generators that has a driver."""
 
+Serial = Annotated[str, Field(pattern=r"^[ -~]{1,64}$", strict=True)]
+"""Serial number or label of an instrument, in printable ASCII."""
+NO_SERIAL = "none"
+"""Serial of an instrument that keeps neither a serial number nor a label."""
+
 
 class Generator(Section):
     """One function generator."""
@@ -92,6 +97,9 @@ class Generator(Section):
     """VISA resource name; not needed on the simulated bench."""
     interface: str | None = None
     """VISA resource name of the adapter before it, such as PRLGX-TCPIP0::host::1234::INTFC; default: none."""
+    serial: Serial | None = None
+    """Serial number, or label of a model without one; hpe-rig bench BENCH --identify enters it. Default: not compared.
+    "none": this instrument keeps neither, and its role is taken on trust."""
     latency_s: LatencyS = 0.0
     """Delay from the trigger input to the first output edge."""
     load_ohm: Annotated[float, Field(ge=1, allow_inf_nan=True, strict=True)] = 50.0
@@ -132,6 +140,8 @@ class DigitizerBoard(Section):
     """Alazar system number."""
     board_id: Count = 1
     """Alazar board number in its system."""
+    serial: Serial | None = None
+    """Serial number of the board; hpe-rig bench BENCH --identify enters it. Default: not compared."""
     dual_port_memory: Annotated[bool, Field(strict=True)] = False
     """Whether an ATS460 has the optional dual-port memory, so that records are read during the capture."""
     samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
@@ -342,6 +352,21 @@ class BenchFile(Section):
         if mistakes:
             raise SettingsError("the sweep", mistakes)
         return BenchFile.model_validate(tables)
+
+    @property
+    def serials(self) -> dict[str, str]:
+        """The stated serial numbers and labels, by role."""
+        serials = {role: generator.serial for role, generator in self.generators.by_role.items()}
+        serials["digitizer"] = self.digitizer.serial
+        return {role: serial for role, serial in serials.items() if serial and serial != NO_SERIAL}
+
+    def address_text(self, role: str) -> str:
+        """Return in words how the instrument of ``role`` is reached."""
+        if role == "digitizer":
+            return f"system {self.digitizer.system_id}, board {self.digitizer.board_id}"
+        if self.simulated:
+            return f"{self.transport} loopback" if self.transport else "in process"
+        return self.generators.by_role[role].address or "-"
 
     @property
     def tracked_by(self) -> Inlet:

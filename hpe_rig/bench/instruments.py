@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from drivers.interfaces import (
@@ -127,6 +128,13 @@ def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
         if failures:
             raise UnsafeBenchError(failures, proven, instruments)
     return proven
+
+
+def ask_each(
+    instruments: Sequence[Instrument], ask: Callable[[Instrument], Answer]
+) -> dict[str, Answer | Exception]:
+    """Return by role the answer of each instrument, or its ``InstrumentError``; all buses at the same time."""
+    return _ask_buses(instruments, lambda items: [_answer(item.role, partial(ask, item)) for item in items])
 
 
 def _ask_buses(

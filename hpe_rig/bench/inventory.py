@@ -11,6 +11,7 @@ from typing import Final
 
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
 from hpe_rig.bench.bench_file import BenchFile, DigitizerBoard
+from hpe_rig.bench.identity import reported_serials, serial_mistakes
 from hpe_rig.bench.instruments import UnsafeBenchError, make_safe
 from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
@@ -81,12 +82,18 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
     try:
         with open_each(bench, lock=False) as instruments:
             errors = {role: str(item) for role, item in instruments.items() if isinstance(item, Exception)}
-            proven = make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
+            identified = [item for item in instruments.values() if not isinstance(item, Exception)]
+            proven = make_safe(identified)
+            # An exchanged instrument is switched off all the same, so this comes last.
+            serials = reported_serials(bench, identified)
+            mistakes = serial_mistakes(bench, {role: item for role, item in serials.items() if isinstance(item, str)})
+            for role, text in mistakes.items():
+                announce(f"{role}: {text}")
     except UnsafeBenchError as error:
         errors, proven = errors | error.reasons, error.proven
     roles = [role for role in (*bench.generators.by_role, "digitizer") if role in proven or role in errors]
     return tuple(
-        OffState(role, _address(role, bench), role in proven, proven.get(role) or errors[role]) for role in roles
+        OffState(role, bench.address_text(role), role in proven, proven.get(role) or errors[role]) for role in roles
     )
 
 
@@ -103,19 +110,23 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
             # A self-test may drive an output, so all are off before the first one begins.
             make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
             reports = tuple(_with_self_test(report, instruments[report.role]) for report in reports)
+    serials = {report.role: report.identity.serial for report in reports if report.identity is not None}
+    mistakes = serial_mistakes(bench, serials)
+    reports = tuple(_with_problem(report, mistakes.get(report.role)) for report in reports)
     return BenchReport(bench.title, bench.simulated, reports, addresses)
 
 
 def _report(
     role: str, item: Instrument | Exception, bench: BenchFile, addresses: Sequence[str], clock_s: Callable[[], float]
 ) -> InstrumentReport:
-    address = _address(role, bench)
+    address = bench.address_text(role)
     if isinstance(item, Exception):
         suggestions = _address_suggestion(role, address, bench, addresses)
         return InstrumentReport(role, address, problems=(str(item), *suggestions))
     try:
         # Only queries, so that the settings of other programs are reported as they were found.
         identity, latency_s = _timed_identity(item, clock_s)
+        identity = replace(identity, serial=item.serial_number())
         settings = item.snapshot()
     except InstrumentError as error:
         return InstrumentReport(role, address, problems=(str(error),))
@@ -123,6 +134,10 @@ def _report(
     if settings.get("output_on"):
         problems.append("its output was on; it is off now. Try: find the program that left it on")
     return InstrumentReport(role, address, identity, latency_s, settings, problems=tuple(problems))
+
+
+def _with_problem(report: InstrumentReport, problem: str | None) -> InstrumentReport:
+    return report if problem is None else replace(report, problems=(*report.problems, problem))
 
 
 def _with_self_test(report: InstrumentReport, item: Instrument | Exception) -> InstrumentReport:
@@ -146,14 +161,6 @@ def _timed_identity(instrument: Instrument, clock_s: Callable[[], float]) -> tup
         identity = instrument.identify()
         durations_s.append(clock_s() - start_s)
     return identity, statistics.median(durations_s)
-
-
-def _address(role: str, bench: BenchFile) -> str:
-    if role == "digitizer":
-        return f"system {bench.digitizer.system_id}, board {bench.digitizer.board_id}"
-    if bench.simulated:
-        return f"{bench.transport} loopback" if bench.transport else "in process"
-    return getattr(bench.generators, role).address or "-"
 
 
 def _address_suggestion(role: str, address: str, bench: BenchFile, addresses: Sequence[str]) -> Iterator[str]:

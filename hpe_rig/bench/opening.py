@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
+from hpe_rig.bench.identity import require_serials
 from hpe_rig.bench.instruments import SAFE_ORDER, Bench, UnsafeBenchError, make_safe, proven_off
 from hpe_rig.bench.interrupts import interruptible, uninterrupted
 from hpe_rig.bench.lock import locked, resources
@@ -54,6 +55,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
                 drivers = _identify_all(connections, roles, bench, identified, stack)
                 instruments = Bench(bench.simulated, connections.clock, connections.world, **drivers)
                 instruments.make_safe()
+                require_serials(bench, instruments.instruments)
                 yield instruments
         except BaseException as error:
             # An UnsafeBenchError about all of these instruments means that switching them off has just been tried.

@@ -8,7 +8,7 @@ remembered (assumed).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Range = tuple[float, float]
 
@@ -88,3 +88,9 @@ MODELS: Mapping[str, Model] = {
 }
 # fmt: on
 """By the name of model or series in the bench file."""
+
+
+def with_serial(model: Model, serial: str) -> Model:
+    """Return ``model`` with another serial number; the 33250A's stays 0, as it reports none."""
+    vendor, name, own_serial, firmware = model.identity.split(",")
+    return replace(model, identity=",".join((vendor, name, serial if own_serial != "0" else "0", firmware)))

@@ -438,6 +438,8 @@ class Instruments(Section):
     """On-board memory of the digitizer (assumed)."""
     fpga_version: Annotated[int, Field(ge=1, le=1000, strict=True)] = 19
     """FPGA version of the digitizer; 18 and below hold at most 1000 single-port records (manual)."""
+    serial_numbers: Annotated[bool, Field(strict=True)] = True
+    """Whether the generators have different serial numbers, or labels where the model has none; False: neither."""
     generator_latency_s: TimeS = 100.0e-9
     """Trigger input to first output edge of a 33250A (manual, from memory: < 100 ns)."""
     digitizer_latency_s: TimeS = 0.0

@@ -1,0 +1,61 @@
+"""Which instrument answers in which role: serial numbers and labels, compared with those of the bench file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from drivers.interfaces import Instrument, InstrumentError
+from hpe_rig.bench.bench_file import BenchFile
+from hpe_rig.bench.instruments import ask_each
+
+
+def reported_serials(bench: BenchFile, instruments: Sequence[Instrument]) -> dict[str, str | Exception]:
+    """Return by role the serial number or label, or the error instead, of each instrument that must have one."""
+    stated = [item for item in instruments if item.role in bench.serials]
+    return ask_each(stated, lambda item: item.serial_number())
+
+
+def require_serials(bench: BenchFile, instruments: Sequence[Instrument]) -> None:
+    """Raise ``InstrumentError`` with every one of ``instruments`` that is not the one stated in the bench file."""
+    reported = reported_serials(bench, instruments)
+    serials = {}
+    for role, serial in reported.items():
+        if isinstance(serial, Exception):
+            raise serial
+        serials[role] = serial
+    mistakes = serial_mistakes(bench, serials)
+    if mistakes:
+        why = "instruments or their addresses were exchanged; outputs are off, and nothing was programmed"
+        remedy = _remedy(bench, serials)
+        raise InstrumentError("bench", "; ".join(f"{role}: {text}" for role, text in mistakes.items()), why, remedy)
+
+
+def serial_mistakes(bench: BenchFile, serials: Mapping[str, str]) -> dict[str, str]:
+    """Return by role, in words, each of the reported ``serials`` that differs from the bench file's."""
+    stated = bench.serials
+    roles_stated = {serial: role for role, serial in stated.items()}
+    mistakes = {}
+    for role, serial in serials.items():
+        if stated.get(role, serial) == serial:
+            continue
+        found = f"serial number {serial}" if serial else "an instrument without serial number and label"
+        owner = f", which is that of {roles_stated[serial]}," if serial in roles_stated else ""
+        text = f"{found}{owner} answers at {bench.address_text(role)}, expected {stated[role]}"
+        where = [f"{other} ({bench.address_text(other)})" for other, item in serials.items() if item == stated[role]]
+        mistakes[role] = text + (f", which answers as {' and '.join(where)}" if where else "")
+    return mistakes
+
+
+def _remedy(bench: BenchFile, serials: Mapping[str, str]) -> str:
+    """Return in words how addresses or serial numbers of the bench file are corrected."""
+    stated = bench.serials
+    swapped = [
+        f"{first} and {second} are swapped: exchange their addresses in the bench file"
+        for first, second in _pairs(list(serials))
+        if serials[first] == stated[second] and serials[second] == stated[first]
+    ]
+    return "; ".join(swapped) or "correct the addresses, or after an exchange run hpe-rig bench BENCH --identify"
+
+
+def _pairs(roles: Sequence[str]) -> list[tuple[str, str]]:
+    return [(first, second) for index, first in enumerate(roles) for second in roles[index + 1 :]]
