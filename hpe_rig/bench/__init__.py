@@ -8,7 +8,9 @@ In the order of the flow:
     twin_checks     mistakes in [simulation], and settings that differ from the scene's
     interrupts      Ctrl-C, SIGTERM and closed terminals while outputs may be on
     lock            one program at a time on a real bench
+    output_limits   limits of the outputs that drive a transducer, on settings as read back
     instruments     the open instruments, made safe independently of each other
+    identity        serial numbers and labels, compared with those of the bench file
     opening         drivers connected to VISA and the vendor's library, or to the twin
     inventory       every instrument identified, its settings read
     comparison      differences between two benches

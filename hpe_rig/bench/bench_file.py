@@ -108,6 +108,8 @@ class Generator(Section):
     """Output amplitude of the tracking pulser."""
     max_vpp: VoltageV | None = None
     """Largest voltage into the load that the connected device tolerates; the driver refuses more."""
+    carrier_band_hz: tuple[FrequencyHz, FrequencyHz] | None = None
+    """Lowest and highest carrier that the transducer at this output may be driven with; default: not limited."""
 
 
 class Generators(Section):

@@ -19,7 +19,9 @@ from drivers.interfaces import (
     Setting,
     ToneburstGenerator,
 )
+from hpe_rig.bench.bench_file import BenchFile
 from hpe_rig.bench.interrupts import uninterrupted
+from hpe_rig.bench.output_limits import require_within_limits
 
 if TYPE_CHECKING:
     from sim_backend.world import World
@@ -69,6 +71,7 @@ class Bench:
     digitizer: Digitizer
     burst_train: PulseGenerator | None = None
     toneburst: ToneburstGenerator | None = None
+    file: BenchFile | None = None
 
     @property
     def instruments(self) -> tuple[Instrument, ...]:
@@ -86,13 +89,19 @@ class Bench:
         return make_safe(self.instruments)
 
     def verify(self) -> dict[str, Mapping[str, Setting]]:
-        """Return every instrument's settings as read back, by role; raise if one differs from the programmed."""
+        """Return every instrument's settings as read back, by role.
+
+        Raises ``InstrumentError`` if one differs from the programmed value, or drives a transducer beyond a limit of
+        the bench file.
+        """
         answers = _ask_buses(self.instruments, lambda items: [_answer(item.role, item.verify) for item in items])
         settings = {}
         for role, answer in answers.items():
             if isinstance(answer, Exception):
                 raise answer
             settings[role] = answer
+        if self.file is not None:
+            require_within_limits(self.file, settings)
         return settings
 
     def recheck(self) -> tuple[str, ...]:
@@ -130,9 +139,7 @@ def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
     return proven
 
 
-def ask_each(
-    instruments: Sequence[Instrument], ask: Callable[[Instrument], Answer]
-) -> dict[str, Answer | Exception]:
+def ask_each(instruments: Sequence[Instrument], ask: Callable[[Instrument], Answer]) -> dict[str, Answer | Exception]:
     """Return by role the answer of each instrument, or its ``InstrumentError``; all buses at the same time."""
     return _ask_buses(instruments, lambda items: [_answer(item.role, partial(ask, item)) for item in items])
 

@@ -53,7 +53,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
                 simulation = twin_tables(scene) if bench.simulated else {}
                 connections = _connect(simulation, bench, first_shot, stack, lock=True)
                 drivers = _identify_all(connections, roles, bench, identified, stack)
-                instruments = Bench(bench.simulated, connections.clock, connections.world, **drivers)
+                instruments = Bench(bench.simulated, connections.clock, connections.world, file=bench, **drivers)
                 instruments.make_safe()
                 require_serials(bench, instruments.instruments)
                 yield instruments

@@ -99,6 +99,8 @@ def metal(folder: Path, library: Path, scene: str, *edits: tuple[str, str]) -> I
         uncalibrated = re.sub(r"^\[calibration.*?(?=^\[generators)", "", text, flags=re.MULTILINE | re.DOTALL)
         spelled = addressed(parse_bench("simulated", uncalibrated), "socket", places)
         spelled = spelled.replace('transport = "socket"\n', "").replace("simulated = true", "simulated = false")
+        for number, role in enumerate(bench.generators.by_role, 1):
+            spelled = spelled.replace(f"[generators.{role}]", f'[generators.{role}]\nserial = "SIM_BOX_{number}"')
         spelled = spelled.replace("[digitizer]", f'[digitizer]\nlibrary = "{library}"')
         spelled = re.sub(r"^title = .*$", 'title = "Bench behind wires"', spelled, flags=re.MULTILINE)
         path = folder / "metal.toml"

@@ -12,7 +12,8 @@ from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.depth_gates import gates_over_depth
 from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory
 from hpe_rig.plan.checks.excitation import excitation, interference
-from hpe_rig.plan.checks.output import drive, generators
+from hpe_rig.plan.checks.identity import identity
+from hpe_rig.plan.checks.output import drive, generators, transducer_limits
 from hpe_rig.plan.checks.sampling import driven_harmonics, fit_condition, fit_size, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
@@ -22,7 +23,16 @@ from hpe_rig.scene import Scene, ScenePoint, forgotten_units
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
 
-PUSH: Final[tuple[Check, ...]] = (simulation, trackable, excitation, generators, drive, acoustic_output)
+PUSH: Final[tuple[Check, ...]] = (
+    simulation,
+    identity,
+    trackable,
+    excitation,
+    generators,
+    drive,
+    transducer_limits,
+    acoustic_output,
+)
 TRACKING: Final[tuple[Check, ...]] = (interference, tracking_train)
 PULSE_PERIOD: Final[tuple[Check, ...]] = (record_in_period, depth)
 ESTIMATE: Final[tuple[Check, ...]] = (

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 
 from drivers.agilent import mistakes, model_named
-from hpe_rig.bench import GENERATOR_ROLES, BenchFile
+from hpe_rig.bench import GENERATOR_ROLES, BenchFile, Drive, drive_mistakes
 from hpe_rig.plan.checks.check_result import CheckResult, pass_or_refuse
-from hpe_rig.plan.shots import Plan
+from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
 
@@ -57,3 +57,34 @@ def drive(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     text = f"tracking pulse of {pulse_vpp:g} Vpp, limits.max_drive_vpp = {max_vpp:g} Vpp"
     remedy = f"generators.tracking_pulser.amplitude_vpp of at most {max_vpp:g}"
     yield pass_or_refuse("drive", pulse_vpp <= max_vpp, text, remedy)
+
+
+def transducer_limits(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield the limits of each output at a transducer that no other check covers.
+
+    All limits are compared once more with the settings read back, before an output is enabled.
+    """
+    drives = {drive for shot in plan.shots for drive in _drives(shot) if drive.role in bench.generators.by_role}
+    found = [(drive.role, *mistake) for drive in drives for mistake in drive_mistakes(bench, drive)]
+    texts = dict.fromkeys(text for role, key, text in found if key in _LIMITS[role])
+    remedy = "fewer cycles, a lower rate, or a carrier in the band"
+    refused = [CheckResult("transducer limits", "refused", text, remedy) for text in sorted(texts)]
+    yield from refused or [CheckResult("transducer limits", "passed", "carriers and tracking pulses are within them")]
+
+
+_LIMITS = {
+    "toneburst": ("carrier_band_hz",),
+    "tracking_pulser": ("max_duty", "max_burst_length_s", "carrier_band_hz"),
+}
+"""Limits by role that the checks of excitation and drive do not cover."""
+
+
+def _drives(shot: Shot) -> Iterator[Drive]:
+    """Yield the drives of ``shot`` at its transducers."""
+    for role, burst, train in (
+        ("tracking_pulser", shot.tracking_pulser, shot.tracking_train),
+        ("toneburst", shot.toneburst, shot.burst_train),
+    ):
+        if burst is not None and train is not None:
+            bursts = train.count if role == "toneburst" else 0
+            yield Drive(role, burst.carrier_hz, burst.cycles, burst.amplitude_vpp, train.rate_hz, bursts)

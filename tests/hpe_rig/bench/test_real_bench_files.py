@@ -20,7 +20,7 @@ TITLE = read_bench().bench.title
 
 def real(path: Path, *edits: tuple[str, str]) -> Path:
     text = read_bench().text
-    addressed = ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n')
+    addressed = ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\nserial = "none"\n')
     for old, new in (("simulated = true", "simulated = false"), addressed, *edits):
         assert old in text
         text = text.replace(old, new)

@@ -1,0 +1,39 @@
+"""Check of whether the generators of a real bench are known by serial number, and what an exchange would do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hpe_rig.bench import BenchFile
+from hpe_rig.plan.checks.check_result import CheckResult, Level
+from hpe_rig.plan.shots import Plan
+from hpe_rig.scene import Scene
+
+
+def identity(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield whether exchanged generators would be noticed before tonebursts are triggered at the pulse rate.
+
+    Settings read back cannot show an exchange: every generator reports the settings of the role at its address. The
+    plan is refused where an exchange exceeds ``limits.max_duty``, and a generator's ``serial`` is not stated.
+    """
+    if bench.simulated or scene.excitation is None:
+        return
+    generators = bench.generators.by_role
+    missing = [role for role in plan.roles if role in generators and generators[role].serial is None]
+    unknown = [role for role in plan.roles if role in generators and role not in bench.serials]
+    if not unknown:
+        yield CheckResult("identity", "passed", "every generator is known by its serial number or label")
+        return
+    rates = [
+        (shot.toneburst.cycles / shot.toneburst.carrier_hz, shot.tracking_train.rate_hz)
+        for shot in plan.shots
+        if shot.toneburst is not None
+    ]
+    duty = max((length_s * rate_hz for length_s, rate_hz in rates), default=0.0)
+    text = (
+        f"generators without serial: {', '.join(unknown)}; two of them exchanged, tonebursts at the pulse rate would "
+        f"have duty {duty:.3g}, limits.max_duty = {bench.limits.max_duty:g}"
+    )
+    remedy = 'hpe-rig bench BENCH --identify, or serial = "none" for an instrument that keeps no label'
+    level: Level = "refused" if missing and duty > bench.limits.max_duty else "warning"
+    yield CheckResult("identity", level, text, remedy if missing else "hpe-rig bench before every run")
