@@ -362,6 +362,16 @@ class BenchFile(Section):
         serials["digitizer"] = self.digitizer.serial
         return {role: serial for role, serial in serials.items() if serial and serial != NO_SERIAL}
 
+    def without_serials(self) -> BenchFile:
+        """Return the bench without serial numbers, which identify its instruments and change no measurement."""
+        roles = self.generators.by_role
+        generators = {role: generator.model_copy(update={"serial": None}) for role, generator in roles.items()}
+        without = {
+            "generators": self.generators.model_copy(update=generators),
+            "digitizer": self.digitizer.model_copy(update={"serial": None}),
+        }
+        return self.model_copy(update=without)
+
     def address_text(self, role: str) -> str:
         """Return in words how the instrument of ``role`` is reached."""
         if role == "digitizer":

@@ -68,7 +68,7 @@ def parse_bench(name: str, text: str) -> BenchText:
         bench = BenchFile.model_validate(tables)
         # Only a file with valid sections is checked as a whole.
         mistakes = _missing_addresses(bench) + _missing_cables(bench) + _crossed_cables(bench)
-        mistakes += _wrong_transducer(bench)
+        mistakes += _wrong_transducer(bench) + _repeated_serials(bench)
     if mistakes:
         raise SettingsError(f"bench {name}", mistakes)
     return BenchText(name, text, bench)
@@ -90,6 +90,20 @@ def _missing_addresses(bench: BenchFile) -> list[Mistake]:
         if not generator.address:
             mistakes.append(Mistake(f"generators.{role}.address", what, remedy))
     return mistakes
+
+
+def _repeated_serials(bench: BenchFile) -> list[Mistake]:
+    roles: dict[str, list[str]] = {}
+    for role, serial in bench.serials.items():
+        # The number of a board may equal that of a generator.
+        if role != "digitizer":
+            roles.setdefault(serial, []).append(role)
+    remedy = "hpe-rig bench BENCH --identify, which enters the right ones"
+    return [
+        Mistake(f"generators.{repeated[-1]}.serial", f"{serial} is stated for {' and '.join(repeated)}", remedy)
+        for serial, repeated in roles.items()
+        if len(repeated) > 1
+    ]
 
 
 def _missing_cables(bench: BenchFile) -> list[Mistake]:

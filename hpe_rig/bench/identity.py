@@ -1,4 +1,4 @@
-"""Which instrument answers in which role: serial numbers and labels, compared with those of the bench file."""
+"""Identity of the instruments: serial numbers and labels, compared with those of the bench file."""
 
 from __future__ import annotations
 
@@ -38,11 +38,12 @@ def serial_mistakes(bench: BenchFile, serials: Mapping[str, str]) -> dict[str, s
     for role, serial in serials.items():
         if stated.get(role, serial) == serial:
             continue
-        found = f"serial number {serial}" if serial else "an instrument without serial number and label"
+        instrument = f"serial number {serial}" if serial else "an instrument without serial number and label"
         owner = f", which is that of {roles_stated[serial]}," if serial in roles_stated else ""
-        text = f"{found}{owner} answers at {bench.address_text(role)}, expected {stated[role]}"
-        where = [f"{other} ({bench.address_text(other)})" for other, item in serials.items() if item == stated[role]]
-        mistakes[role] = text + (f", which answers as {' and '.join(where)}" if where else "")
+        text = f"{instrument}{owner} answers at {bench.address_text(role)}, expected {stated[role]}"
+        roles = [name for name, number in serials.items() if number == stated[role]]
+        addresses = " and ".join(f"{name} ({bench.address_text(name)})" for name in roles)
+        mistakes[role] = text + (f", which answers as {addresses}" if roles else "")
     return mistakes
 
 

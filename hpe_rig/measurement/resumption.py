@@ -97,13 +97,13 @@ def _count_sound_shots(stored: StoredRun) -> int:
 
 
 def _refuse_differences(earlier: StoredRun, earlier_setup: Setup, setup: Setup) -> None:
-    """Raise ``StoreError`` if scene, bench or scan differ; comments and the order of keys do not matter."""
+    """Raise ``StoreError`` if scene, bench or scan differ; comments, the order of keys and serial numbers do not."""
     if earlier_setup.scene.scene != setup.scene.scene:
         raise StoreError(
             f"{earlier.path} was measured with another scene than {setup.scene.name} is now. "
             "Try: resume without a scene, which uses the scene of the run, or measure anew."
         )
-    if earlier_setup.bench.bench != setup.bench.bench:
+    if earlier_setup.bench.bench.without_serials() != setup.bench.bench.without_serials():
         raise StoreError(
             f"{earlier.path} was measured on bench {earlier.bench_name}, which differs from bench {setup.bench.name}. "
             "Try: --bench with the bench file of that run, or measure anew."

@@ -1,4 +1,4 @@
-"""Check of whether the generators of a real bench are known by serial number, and what an exchange would do."""
+"""Check of whether the generators of a real bench are known by serial number, and the duty after an exchange."""
 
 from __future__ import annotations
 

@@ -65,8 +65,8 @@ def transducer_limits(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Ch
     All limits are compared once more with the settings read back, before an output is enabled.
     """
     drives = {drive for shot in plan.shots for drive in _drives(shot) if drive.role in bench.generators.by_role}
-    found = [(drive.role, *mistake) for drive in drives for mistake in drive_mistakes(bench, drive)]
-    texts = dict.fromkeys(text for role, key, text in found if key in _LIMITS[role])
+    mistakes = [(drive.role, *mistake) for drive in drives for mistake in drive_mistakes(bench, drive)]
+    texts = {text for role, key, text in mistakes if key in _LIMITS[role]}
     remedy = "fewer cycles, a lower rate, or a carrier in the band"
     refused = [CheckResult("transducer limits", "refused", text, remedy) for text in sorted(texts)]
     yield from refused or [CheckResult("transducer limits", "passed", "carriers and tracking pulses are within them")]

@@ -438,3 +438,8 @@ def test_recheck_reports_a_foreign_change_and_the_next_task_starts_from_reset(sc
 def test_a_swing_of_exactly_max_vpp_is_programmed(scripted, role_type, program) -> None:
     swing_v = getattr(program, "high_v", None) or program.amplitude_vpp
     role_type(scripted(), "x", max_vpp=swing_v).configure(program)
+
+
+@pytest.mark.parametrize("reply", ["", "STATE_4", '"STATE_4"'])
+def test_an_unnamed_state_is_no_label(scripted, reply: str) -> None:
+    assert Agilent33250A(scripted(replies={"MEM:STAT:NAME": reply}), "toneburst").serial_number() == ""

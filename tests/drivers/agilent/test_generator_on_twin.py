@@ -13,6 +13,7 @@ from drivers.agilent.limits import load_divider, mistakes
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.generator.models import MODELS
 from sim_backend.transports.emulator import TRANSPORTS
 from sim_backend.wiring import SimulatedClock
 
@@ -228,3 +229,50 @@ def test_a_self_test_has_the_output_off_and_forgets_the_programmed_settings(line
     assert not line.instrument.registers.output
     with pytest.raises(InstrumentError, match="before configure"):
         generator.verify()
+
+
+@pytest.mark.parametrize("line", TRANSPORTS, indirect=True)
+def test_a_label_is_the_serial_number_of_a_model_without_one_and_survives_a_reset(line) -> None:
+    generator = Agilent33250A(line.connection, "toneburst")
+    assert (generator.identify().serial, generator.serial_number()) == ("0", "")
+    generator.store_label("HPE_3F9A1C")
+    generator.configure(BURST)
+    assert generator.serial_number() == "HPE_3F9A1C"
+    assert generator.snapshot()["output_on"] is False
+
+
+def test_a_sibling_is_known_by_the_serial_number_of_its_identity() -> None:
+    sibling = Agilent33250A(Generator33250A(SimulatedClock(), 0.0, MODELS["33500B"]))
+    assert sibling.serial_number() == "MY52000001"
+
+
+def test_a_label_that_the_instrument_refuses_is_an_error() -> None:
+    with pytest.raises(InstrumentError, match=r"label.*-112 Program mnemonic too long"):
+        Agilent33250A(twin(), "master").store_label("LONGER_THAN_TWELVE")
+
+
+@pytest.mark.parametrize("line", TRANSPORTS, indirect=True)
+def test_the_front_panel_shows_a_text_until_it_is_cleared(line) -> None:
+    generator = Agilent33250A(line.connection, "toneburst")
+    generator.display("TONEBURST")
+    assert line.instrument.registers.display_text == "TONEBURST"
+    generator.display("")
+    assert line.instrument.registers.display_text == ""
+    assert not line.instrument.registers.output
+
+
+def test_an_instrument_that_does_not_know_names_of_states_has_no_label() -> None:
+    class WithoutNames:
+        def __init__(self) -> None:
+            self.twin = twin()
+
+        def write(self, message: str) -> None:
+            self.twin.write(message.replace("MEM:STAT:NAME?", "MEM:STAT:NONE?"))
+
+        def read(self) -> str:
+            return self.twin.read()
+
+    generator = Agilent33250A(WithoutNames(), "toneburst")
+    assert generator.serial_number() == ""
+    generator.configure(BURST)
+    assert generator.verify()["output_on"] is False
