@@ -52,7 +52,7 @@ def test_checking_a_scene_for_a_real_bench_loads_neither_twin_nor_visa(tmp_path:
         ("simulated = true", "simulated = false"),
         ("Simulated bench, wired as Fig. 2 of the paper", "Bench on metal"),
         ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
-        ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n'),
+        ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\nserial = "none"\n'),
     ):
         bench = bench.replace(simulated, real)
     path = tmp_path / "metal.toml"

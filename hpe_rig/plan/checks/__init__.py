@@ -4,7 +4,8 @@
     simulation        settings of the twin against those of scene and bench
     tracking          whether the twin's echoes and motion can be tracked
     excitation        tonebursts against the bench's limits, and against pulses and gates
-    output            tasks against the limits of the generators
+    output            tasks against the limits of the generators and transducers
+    identity          generators of a real bench that are known by serial number
     acoustic_output   estimated output at the focus against its limits
     timing            periods, record and depth
     sampling          aliasing, window, resolution and size of the fit
