@@ -53,9 +53,10 @@ class BeamWidths:
         return self.tracking_width_m[0] ** 2 / 2
 
     def gaussian_averaging(self, width_scale: float = 1.0) -> float:
-        """Return tracked over peak displacement of a Gaussian motion among many scatterers, eq. (12) of the paper.
+        """Return tracked over peak displacement for a Gaussian motion among many scatterers, eq. (12) of the paper.
 
-        The sigmas E of the motion are those of the force times ``width_scale``.
+        The tracking beam and gate average over the motion, so the ratio is below 1. The sigmas of the motion (E in the
+        paper) are those of the force times ``width_scale``.
         """
         # Sigmas S of the echo energy. The energy is the beam's amplitude squared, hence T / sqrt(2) across;
         # ``depth_sd_m`` is a standard deviation of the energy already.
@@ -65,13 +66,16 @@ class BeamWidths:
         return float(np.prod([1 / np.hypot(1, echo_m / motion_m) for echo_m, motion_m in axes]))
 
     def gaussian_steepness(self) -> float:
-        """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area."""
+        """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area.
+
+        It scales the effect of speckle, which changes the effective area.
+        """
         pairs = zip(self.tracking_width_m[:2], self.force_width_m[:2], strict=True)
         squares = [width**2 / 2 / motion**2 for width, motion in pairs]
         return -sum(square / (1 + square) for square in squares) / 2
 
     def width_scale(self, averaging: float) -> float:
-        """Return the width scale, within ``WIDTH_SCALES``, for which ``gaussian_averaging`` is ``averaging``."""
+        """Return the factor on the force's widths, within ``WIDTH_SCALES``, that gives this ``gaussian_averaging``."""
         from scipy.optimize import brentq
 
         def excess(log_scale: float) -> float:
@@ -91,10 +95,11 @@ changes."""
 
 
 def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
-    """Return the motion (frequency,) under the Gaussian force of ``beams``, at the lateral offset of ``beams``.
+    """Return tracked motion, peak motion and derivative of the tracked one, complex (frequency,), in ``medium``.
 
-    Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a wider force: T^2 / 2 is added to
-    the force's variance, and its spectrum over wave numbers keeps its height.
+    The force is Gaussian, and the beam is at the lateral offset of ``beams``. The derivative is by the logarithm of the
+    tracking beam's area. Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a wider force:
+    T^2 / 2 is added to the force's variance, and its spectrum over wave numbers keeps its height.
     """
     if beams.lateral_offset_m:
         tracked, peak, steepness = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
@@ -115,9 +120,8 @@ def _tracked_and_peak(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return tracked and peak motion times the modulus, and their derivatives by ``across_m2``, each (2, frequency).
 
-    ``shear_k2``: the bytes of a complex array (frequency,), because arrays are not hashable. ``across_m2`` and
-    ``along_m2``: squared widths of the force for the tracked and for the peak motion.
-
+    ``shear_k2``: squared wave number of shear waves (frequency,), as the bytes of a complex array, because arrays are
+    not hashable. ``across_m2`` and ``along_m2``: squared widths of the force for the tracked and for the peak motion.
     Cached: the prediction of a scene needs the motion of all harmonics several times.
     """
     k2 = np.frombuffer(shear_k2, np.complex128)
@@ -125,14 +129,16 @@ def _tracked_and_peak(
 
 
 def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:
-    """Return the motion (frequency, offset) per body force at ``lateral_m`` off the force's axis.
+    """Return tracked motion, peak motion and derivative (frequency, offset) at ``lateral_m`` off the force's axis.
 
-    Speckle moves the tracked region as well as changing its area, each by the same fraction of its radius. The
-    steepness is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
+    They are per unit of body force. Speckle moves the tracked region as well as changing its area, each by the same
+    fraction of its radius. The derivative is the root sum of squares of both effects, with the real part along the
+    tracked phasor and the imaginary part across.
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from hpe_rig.medium.shear_field import focal_plane_motion
 
+    # Averaging over the beam equals a force that is wider by the beam's variances across and along.
     (x, _, z), area_m2 = beams.force_width_m, beams.tracking_area_m2
     tracked, by_area, by_offset = focal_plane_motion(
         medium, (x, z), x**2 + area_m2, z**2 + beams.depth_sd_m**2, lateral_m
@@ -159,7 +165,10 @@ def _tracked_ratio(
     force: PushForce,
     beams: BeamWidths,
 ) -> tuple[complex, ...]:
-    """Return the ratio of ``tracked_ratio``; its arguments and result are tuples so that they can be cached."""
+    """Return tracked over peak displacement (frequency,) under ``force`` in a medium of moduli ``modulus_pa``.
+
+    Arguments and result are tuples so that they can be cached.
+    """
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
     medium, offset_m = HarmonicMedium(np.array(frequency_hz), np.array(modulus_pa), density), beams.lateral_offset_m
@@ -174,10 +183,11 @@ def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_
     """Return the expected tracked over peak displacement of a Gaussian motion, for coaxial beams focused mid-gate.
 
     ``force_width_m`` and the gate's tracking widths are the sigmas E and T of eqs. (12) and (8) of the paper. Each
-    scatterer has the energy of its echo as weight: factors 1/sqrt(1 + T^2 / 2 E^2) across, a quadrature over depth. Two
+    scatterer has the energy of its echo as weight: factors 1/sqrt(1 + T^2 / 2 E^2) across, a sum over depths along. Two
     corrections of leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their
     density is finite.
     """
+    # Echo envelopes (instant of the gate, depth).
     depth_m, echo = gate.echoes()
     # Number of independent speckles: squared trace of the energy matrix over the trace of its square.
     overlap = (echo.T @ echo) ** 2
@@ -185,6 +195,7 @@ def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_
     speckles = energy.sum() ** 2 / overlap.sum()
     # The correction of a ratio of sums halves for one speckle and is complete for many.
     completeness = 1 - 1 / (2 * speckles)
+    # Mean motion over all scatterers, weighted by echo energy; I is the tracking beam's intensity across.
     axial_motion = np.asarray(np.exp(-(depth_m**2) / (2 * force_width_m[2] ** 2)))
     squared_ratios = [(t / e) ** 2 for e, t in zip(force_width_m[:2], gate.tracking_width_m[:2], strict=True)]
     lateral_mean = _lateral_mean(squared_ratios, 2)

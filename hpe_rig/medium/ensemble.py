@@ -69,9 +69,10 @@ class RigidSphere:
     density_kg_per_m3: float
 
     def response(self, modulus_pa: ComplexArray, density_kg_per_m3: float, s_per_s: ComplexArray) -> ComplexArray:
-        """Return displacement over force, m/N, for moduli (..., frequency) of the medium at ``s_per_s`` (frequency,).
+        """Return the sphere's displacement over the force on it, m/N, in media of moduli (..., frequency).
 
-        Oestreicher's impedance in an incompressible medium: docs/explanation/medium.md, section 8.
+        ``s_per_s`` (frequency,) is the complex frequency, j w for vibration. Oestreicher's impedance in an
+        incompressible medium: docs/explanation/medium.md, section 8.
         """
         relative_radius = self.radius_m * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
         mass_kg = 4 / 3 * np.pi * self.radius_m**3 * self.density_kg_per_m3
@@ -97,7 +98,10 @@ class Ensemble:
     exact_nodes: int = 0
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the matrix (frequency, node) that interpolates node values at ``frequency_hz``, within their range."""
+        """Return the matrix (frequency, node) from responses at the ensemble's nodes to those at ``frequency_hz``.
+
+        The first nodes are harmonics and are used as they are; between the others it interpolates.
+        """
         exact = np.isclose(frequency_hz[:, None], self.node_hz[: self.exact_nodes])
         smooth_nodes_hz = self.node_hz[self.exact_nodes :]
         if not smooth_nodes_hz.size:
@@ -109,9 +113,10 @@ class Ensemble:
         return matrix
 
     def driven_spectrum(self, harmonics: int, burst_rate_hz: float, burst_length_s: float) -> ComplexArray:
-        """Return the matrix (harmonic, node) from responses at the nodes to A exp(j phase) of harmonics 1, 2, ...
+        """Return the matrix (harmonic, node) from a medium's responses at the nodes to its motion under tonebursts.
 
-        The force is a train of rectangular tonebursts, eq. (18) of the paper.
+        The motion is A exp(j phase) of harmonics 1 to ``harmonics`` of the burst rate. The force is a train of
+        rectangular tonebursts, eq. (18) of the paper.
         """
         harmonic, duty = np.arange(1.0, harmonics + 1), burst_rate_hz * burst_length_s
         # A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient of exp(jwt).
@@ -138,7 +143,7 @@ class _EnsembleSpec:
         return _nodes(self.lowest_hz, self.highest_hz, count)
 
     def modulus(self, s: ComplexArray) -> ComplexArray:
-        """Return the complex modulus (member, frequency) at ``s`` (frequency,)."""
+        """Return the complex modulus (member, frequency) of every medium at complex frequencies ``s`` (frequency,)."""
         return (
             prior_modulus(s, self.members)
             if self.known_medium is None
@@ -150,7 +155,10 @@ class _EnsembleSpec:
         return np.ones(self.members, bool) if self.known_medium else np.arange(self.members) % len(FAMILIES) == 0
 
     def width_factors(self, width_log_sd: float) -> tuple[FloatArray, FloatArray]:
-        """Return each member's factors (member,) on the declared force widths across and along."""
+        """Return each member's factors (member,) on the declared widths of the force, across and along the beam.
+
+        They are log-normal with the standard deviation ``width_log_sd``: the widths are not measured in the medium.
+        """
         from scipy.special import ndtri
 
         # The first three coordinates of the sequence vary the medium.
@@ -166,10 +174,11 @@ def medium_ensemble(
     density_kg_per_m3: float = 1000.0,
     members: int = MEMBERS,
 ) -> Ensemble:
-    """Return the ensemble between two frequencies, of Voigt media near ``known_medium`` if that is given.
+    """Return the responses of an ensemble of media to a push, between two frequencies: the basis of the medium prior.
 
-    ``pushed``: the medium itself in beams of these widths, or a sphere in it that is tracked as a whole. A
-    low-discrepancy sequence fills the parameter ranges evenly, so there is no random seed.
+    ``pushed``: the medium itself in beams of these widths, or a sphere in it that is tracked as a whole. The media
+    cover soft tissue, or are Voigt media near ``known_medium`` if that is given. A low-discrepancy sequence fills the
+    parameter ranges evenly, so there is no random seed.
     """
     spec = _EnsembleSpec(
         lowest_hz=lowest_hz,
@@ -205,7 +214,7 @@ def _sphere_ensemble(sphere: RigidSphere, spec: _EnsembleSpec) -> Ensemble:
 
 @functools.lru_cache(maxsize=32)
 def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
-    """Return the ensemble of media tracked on the axis of the force, from the closed form of ``focal_displacement``."""
+    """Return the responses of the media of ``spec``, tracked on the axis of the force, from a closed form."""
     node_hz = spec.nodes(NODES_PER_E_FOLD)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = spec.modulus(s)
@@ -217,7 +226,7 @@ def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
     area_m2 = beams.tracking_area_m2
     tracked, by_area = focal_displacement(shear_k2, across_m2 + area_m2, along_m2 + beams.depth_sd_m**2)
     peak, _ = focal_displacement(shear_k2, across_m2, along_m2)
-    # A force of another shape changes tracked and peak motion alike: their ratio remains that of the Gaussian.
+    # The factor of a force that is not Gaussian applies to tracked and peak motion: their ratio is the Gaussian's.
     shape = 1.0 if beams.force is None else _shape_ratio(beams, shear_k2, width_factor)
     tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape / modulus_pa)
     ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness, voigt=spec.are_voigt())
@@ -255,7 +264,10 @@ def _shape_ratio(beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatA
 def _shape_ratio_at_nodes(
     beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]
 ) -> ComplexArray:
-    """Return the ratio of ``_shape_ratio`` at wave numbers |q| and loss angles of the modulus, (wave, loss)."""
+    """Return the motion under ``beams.force`` over that under the Gaussian, (wave, loss), on a grid of media.
+
+    ``wave_per_m``: wave numbers |q| of shear waves. ``loss_rad``: loss angles of the modulus.
+    """
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
     region = TrackedRegion(lateral_m=np.zeros(1), across_m2=beams.tracking_area_m2, along_m2=beams.depth_sd_m**2)
@@ -302,7 +314,11 @@ def _off_axis_ensembles(beams: BeamWidths, spec: _EnsembleSpec) -> tuple[Ensembl
 
 
 def _off_axis_nodes(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
-    """Return the nodes (node,) of an off-axis ensemble, Hz, and the number of leading ones that are harmonics."""
+    """Return the frequencies (node,) of an off-axis ensemble, Hz, and how many of the first are harmonics.
+
+    Off the axis the response changes fast with frequency at the low harmonics, which are therefore nodes themselves;
+    smooth interpolation suffices above ``TRAVELLED_WAVE_MAX_HZ``.
+    """
     harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
     exact = int(np.sum(harmonic_hz <= TRAVELLED_WAVE_MAX_HZ))
     if harmonic_hz.size - exact <= SMOOTH_NODES:
@@ -311,7 +327,10 @@ def _off_axis_nodes(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, in
 
 
 def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
-    """Return the complex modulus (member, frequency) of the members at ``s`` (frequency,), by ``FAMILIES``."""
+    """Return the complex modulus (member, frequency) of an ensemble of soft media at ``s`` (frequency,).
+
+    ``s`` is the complex frequency, j w for vibration. The material laws of ``FAMILIES`` alternate over the members.
+    """
     # Points of the unit cube (member, 5): stiffness, viscosity, third parameter, widths of the force.
     cube = _even_sequence(members, 5)
     modulus = _log_uniform(cube[:, 0], "modulus_pa")
@@ -339,7 +358,10 @@ def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> Complex
 
 
 def _known_modulus(known_medium: VoigtParameters, s: ComplexArray, members: int) -> ComplexArray:
-    """Return the complex modulus (member, frequency) of Voigt media near ``known_medium`` at ``s`` (frequency,)."""
+    """Return the complex modulus (member, frequency) of Voigt media near ``known_medium`` at ``s`` (frequency,).
+
+    The parameters (Pa, Pa s) are log-normal about the known ones, with the deviations ``KNOWN_MEDIUM_LOG_SD``.
+    """
     from scipy.special import ndtri
 
     deviates = ndtri(_even_sequence(members, 5)[:, :2])
@@ -355,8 +377,12 @@ def _log_uniform(quantile: FloatArray, parameter: str) -> FloatArray:
 
 
 def _even_sequence(count: int, dimensions: int) -> FloatArray:
-    """Return points (count, dimension) that fill the unit cube: multiples of 1/g^i, g^(d+1) = g + 1, modulo 1."""
+    """Return points (count, dimension) that fill the unit cube evenly, without randomness: a low-discrepancy sequence.
+
+    They are multiples of 1/g^i, modulo 1, with g^(d+1) = g + 1 for d dimensions.
+    """
     g = 1.5
+    # Fixed-point iteration of g.
     for _ in range(64):
         g = (1 + g) ** (1 / (dimensions + 1))
     return np.asarray((0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, dimensions + 1))) % 1)
@@ -369,7 +395,7 @@ def _nodes(lowest: float, highest: float, count: int) -> FloatArray:
 
 
 def _interpolation(frequency_hz: FloatArray, node_hz: FloatArray) -> FloatArray:
-    """Return the matrix (frequency, node) of the polynomial in the logarithm of frequency through the nodes."""
+    """Return the matrix (frequency, node) of the interpolating polynomial in log frequency through the nodes."""
     order = node_hz.size - 1
     position, node = (_log_position(hz, node_hz[0], node_hz[-1]) for hz in (frequency_hz, node_hz))
     return np.asarray(np.linalg.solve(chebvander(node, order).T, chebvander(position, order).T).T)

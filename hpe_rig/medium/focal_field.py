@@ -27,10 +27,11 @@ legendre_nodes = functools.cache(np.polynomial.legendre.leggauss)
 def focal_displacement(
     shear_k2: ComplexArray, across_m2: FloatArray, along_m2: FloatArray, directions: int = DIRECTIONS
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return displacement times modulus at the focus up to a real factor, and its derivative by ``across_m2``.
+    """Return displacement times modulus at the focus of a Gaussian force, up to a real factor, and its derivative.
 
-    Both are (member, frequency). ``shear_k2`` (member, frequency) is q^2; ``across_m2`` and ``along_m2`` (member,) are
-    sx^2 and sz^2.
+    Both are (member, frequency); the derivative is by ``across_m2``. ``shear_k2`` (member, frequency): squared wave
+    number q^2 of shear waves. ``across_m2`` and ``along_m2`` (member,): squared sigmas of the force. The result is an
+    integral over m, the cosine between a wave and the beam, by quadrature with ``directions`` nodes.
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from scipy.special import wofz

@@ -43,10 +43,10 @@ class TrackingGate:
         return depth_m, np.sum(echo**2, axis=0)
 
     def depth_moments(self, focus_offset_m: float = 0.0) -> tuple[float, float]:
-        """Return the mean and standard deviation (m) of echo depth relative to the gate's centre.
+        """Return the energy-weighted mean and standard deviation (m) of echo depth relative to the gate's centre.
 
-        ``focus_offset_m``: the gate's centre behind the focus. The tracking beam is stronger on the focal side: weights
-        are those of a gate at the focus times exp(-2 z_c z / T_z^2).
+        ``focus_offset_m``: the gate's centre behind the focus, z_c. The tracking beam is stronger on the focal side:
+        weights are those of a gate at the focus times exp(-2 z_c z / T_z^2), with T_z the beam's sigma along its axis.
         """
         depth_m, energy = self.energy()
         exponent = -2 * focus_offset_m * depth_m / self.tracking_width_m[2] ** 2
@@ -60,11 +60,11 @@ class TrackingGate:
         return float(np.sqrt(energy @ depth_m**2 / energy.sum()))
 
     def carrier_spread(self, wave_number_per_m: float) -> float:
-        """Return the standard deviation of the echo's mean frequency about the carrier, relative to the carrier.
+        """Return the standard deviation over speckle of the echo's mean frequency, relative to the carrier.
 
-        For fully developed speckle g, complex normal: the mean is k + g^H B g / g^H A g. A is the energy of the gate's
-        echoes, B its derivative by depth, k = ``wave_number_per_m`` = 4 pi f / c. The variance of the quotient is
-        int_0^inf t tr(B M B M) / det(1 + t A) dt with M = (1 + t A)^-1, from the mean of exp(-t g^H A g).
+        For fully developed speckle g, complex normal, the mean is k + g^H B g / g^H A g. A is the energy matrix of the
+        gate's echoes over depth, B its derivative by depth, k = ``wave_number_per_m`` = 4 pi f / c. The variance of the
+        quotient is int_0^inf t tr(B M B M) / det(1 + t A) dt with M = (1 + t A)^-1, from the mean of exp(-t g^H A g).
         """
         depth_m = self._depths(INSTANTS)
         echo, slope = (self._envelopes(depth_m, pulse) for pulse in (_pulse, _pulse_slope))
@@ -83,7 +83,10 @@ class TrackingGate:
         return midpoints(self.gate_length_m + self.pulse_length_m, count)
 
     def _envelopes(self, depth_m: FloatArray, pulse: Callable[[FloatArray, float], FloatArray]) -> FloatArray:
-        """Return the echo (instant, depth) of scatterers at ``depth_m``, by the window, ``pulse`` and tracking beam."""
+        """Return the echo amplitude (instant, depth) of scatterers at ``depth_m`` over the instants of the gate.
+
+        It is the product of the gate window, the ``pulse`` delayed by depth, and the tracking beam on its axis.
+        """
         envelope = pulse(midpoints(self.gate_length_m, INSTANTS)[:, None] - depth_m, self.pulse_length_m)
         window = np.sin(np.pi * (np.arange(INSTANTS) + 0.5) / INSTANTS) ** 2 if self.hann_window else np.ones(INSTANTS)
         beam = np.exp(-(depth_m**2) / (2 * self.tracking_width_m[2] ** 2))
@@ -93,7 +96,8 @@ class TrackingGate:
 def echo_power(gate_length_m: float, pulse_length_m: float, tracking_depth_m: float) -> float:
     """Return the mean echo power in a gate around the focus, relative to the power at the focus.
 
-    For a Hann pulse and scatterers weighted by the tracking beam of sigma ``tracking_depth_m`` along the axis.
+    The pulse is a Hann pulse; scatterers are weighted by the tracking beam of sigma ``tracking_depth_m`` along its
+    axis.
     """
     points = (np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5
     depth_m = points * gate_length_m + points[:, None] * pulse_length_m

@@ -53,7 +53,7 @@ class Parameter:
 
     @classmethod
     def linear(cls, name: str, limits: tuple[float, float], starts: tuple[float, ...]) -> Parameter:
-        """Return a parameter that is its own coordinate, for example an exponent."""
+        """Return a parameter that a fit varies as it is, without a transformation: an exponent, for example."""
         return cls(
             name=name,
             limits=limits,
@@ -138,7 +138,10 @@ def _identity(value: FloatArray | float) -> FloatArray:
 
 
 def _viscosity(starts: tuple[float, ...]) -> Parameter:
-    """Return a viscosity with the coordinate arcsinh(value / SMALL_VISCOSITY_PA_S): logarithmic, but finite at zero."""
+    """Return the parameter viscosity, which a fit varies as arcsinh(value / SMALL_VISCOSITY_PA_S).
+
+    This coordinate is logarithmic, but finite at zero viscosity.
+    """
     small = SMALL_VISCOSITY_PA_S
     return Parameter(
         name="viscosity_pa_s",
@@ -151,7 +154,10 @@ def _viscosity(starts: tuple[float, ...]) -> Parameter:
 
 
 def _voigt(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return G = mu1 + s mu2 and its derivatives by (mu1, mu2), in the shapes that ``Law`` states."""
+    """Return the modulus G = mu1 + s mu2 (..., frequency) and its derivatives by (mu1, mu2), (..., frequency, 2).
+
+    ``s`` (frequency,): complex frequency, j w for vibration. ``values`` (..., 2): mu1 in Pa, mu2 in Pa s.
+    """
     mu1, mu2 = (values[..., i, None] for i in range(2))
     modulus = mu1 + s * mu2
     return modulus, np.stack(np.broadcast_arrays(np.ones_like(modulus), s + 0 * modulus), axis=-1)
@@ -160,13 +166,20 @@ def _voigt(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexAr
 def _spring_and_dashpot(
     s: ComplexArray, spring: FloatArray, dashpot: FloatArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return the modulus of a spring in series with a dashpot, and its derivatives by both."""
+    """Return the modulus s eta k / (k + s eta) of a spring k in series with a dashpot eta, and its derivatives by both.
+
+    ``s``: complex frequency, j w for vibration.
+    """
     ratio = s * dashpot / spring
     return s * dashpot / (1 + ratio), (ratio / (1 + ratio)) ** 2, s / (1 + ratio) ** 2
 
 
 def _zener(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the modulus of a spring parallel to a spring and dashpot in series, and its derivatives."""
+    """Return the modulus of a spring parallel to a spring and dashpot in series, (..., frequency), and its derivatives.
+
+    ``s`` (frequency,): complex frequency. ``values`` and derivatives: along the last axis, in the order spring, spring
+    of the branch, dashpot.
+    """
     mu1, spring, dashpot = (values[..., i, None] for i in range(3))
     branch, by_spring, by_dashpot = _spring_and_dashpot(s, spring, dashpot)
     return mu1 + branch, np.stack([np.ones_like(branch), by_spring, by_dashpot], axis=-1)
@@ -179,7 +192,10 @@ def _maxwell(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, Complex
 
 
 def _power_law(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return G = mu (s / 2 pi POWER_REFERENCE_HZ)^p and its derivatives by (mu, p)."""
+    """Return the modulus G = mu (s / w_0)^p (..., frequency) and its derivatives by (mu, p), (..., frequency, 2).
+
+    w_0 = 2 pi POWER_REFERENCE_HZ. ``s`` (frequency,): complex frequency. ``values`` (..., 2): mu in Pa, p.
+    """
     relative_s = s / (2 * np.pi * POWER_REFERENCE_HZ)
     powers = relative_s ** values[..., 1, None]
     modulus = values[..., 0, None] * powers
@@ -210,7 +226,7 @@ def law_names() -> tuple[MediumLaw, ...]:
 
 @cache
 def law_of(name: MediumLaw) -> Law:
-    """Return the law of that name; raise ``ValueError`` if there is none or its package fails."""
+    """Return the material law ``name``, built in or from a plug-in; raise ``ValueError`` without a valid one."""
     if name in LAWS:
         return LAWS[name]
     if name not in law_names():
@@ -224,7 +240,7 @@ def law_of(name: MediumLaw) -> Law:
 
 
 def _with_shape_check(modulus: Modulus, parameters: int, source: str) -> Modulus:
-    """Return ``modulus`` with errors that name its package: on an exception and on wrong shapes."""
+    """Wrap the ``modulus`` of a plug-in's law: its errors name ``source``, and results of a wrong shape are errors."""
 
     def checked(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the result of ``modulus``; raise ``ExtensionError`` if it fails."""
@@ -244,7 +260,10 @@ def _with_shape_check(modulus: Modulus, parameters: int, source: str) -> Modulus
 
 
 def _require_true_derivatives(law: Law, source: str) -> None:
-    """Raise ``ExtensionError`` if a derivative differs from a central difference: a fit would not converge."""
+    """Raise ``ExtensionError`` if a derivative of a plug-in's law differs from a central difference of its modulus.
+
+    A fit with wrong derivatives would not converge.
+    """
     s = 2j * np.pi * np.array([50.0, 400.0])
     values = np.array([parameter.starts[len(parameter.starts) // 2] for parameter in law.parameters])
     modulus, slopes = law.modulus(s, values)

@@ -80,7 +80,7 @@ class PushForce:
         return len(self.centre_m) == 1
 
     def scaled(self, width_factor: float, length_factor: float) -> PushForce:
-        """Return the force scaled in width and length."""
+        """Return the force scaled across the beam by ``width_factor`` and along it by ``length_factor``."""
         return replace(
             self,
             across_m=tuple(width * width_factor for width in self.across_m),
@@ -89,7 +89,7 @@ class PushForce:
         )
 
     def changed(self, deviations: Mapping[str, float]) -> PushForce:
-        """Return the force with its ``unsure`` properties changed by ``deviations``, in standard uncertainties."""
+        """Return the force with its uncertain properties changed by ``deviations`` (name: standard uncertainties)."""
         weights = np.array(self.weights)
         for name, change in self.unsure:
             weights = weights + deviations.get(name, 0.0) * np.array(change)
@@ -104,7 +104,7 @@ def aperture_force(
     sound_speed_m_per_s: float,
     attenuation_db_per_cm_mhz: float | None = None,
 ) -> PushForce:
-    """Return the force of a focused bowl driven at ``frequency_hz``.
+    """Return the force of a focused bowl driven at ``frequency_hz``, as a sum of Gaussians; it follows the intensity.
 
     The default attenuation is that of soft tissue. Raises ``ValueError`` for a bowl wider than its sphere.
     """
@@ -130,7 +130,7 @@ def aperture_force(
 def scanned_force(
     intensity: Intensity, frequency_hz: float, attenuation_db_per_cm_mhz: float | None = None
 ) -> PushForce:
-    """Return the force of a beam with the scanned round ``intensity``.
+    """Return the force of a beam with the scanned round ``intensity``, as a sum of Gaussians.
 
     The scan is attenuated along the axis in both directions from the focus. Without a declared attenuation the scan
     counts as measured in the specimen, with an uncertainty of half of soft tissue's attenuation. Raises ``ValueError``
@@ -156,7 +156,7 @@ def scanned_force(
 
 
 def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], FloatArray]) -> float:
-    """Return the first distance where ``profile`` is below half its first value.
+    """Return the first of the rising ``distance_m`` where ``profile``, intensity over distance, is below half its peak.
 
     Evaluates from near to far in blocks and stops early: far points of a bowl's field are the slowest.
     """
@@ -171,12 +171,14 @@ def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], Fl
 def _fitted_force(
     intensity: Intensity, spot_m: float, f_number: float, sigma_m: float, loss_uncertainty_np_per_m: float
 ) -> PushForce:
-    """Return the sum of Gaussians fitted to ``intensity``, with its end and attenuation as uncertain properties.
+    """Return the sum of Gaussians fitted to ``intensity``; its end and its attenuation are uncertain properties.
 
-    ``spot_m`` is lambda F / D, ``sigma_m`` the sigma of the beam along its axis.
+    ``spot_m`` is lambda F / D, ``sigma_m`` the sigma of the beam along its axis. The Gaussians are at stations along
+    the axis, with several widths each.
     """
     from scipy.special import ndtr
 
+    # Ends of the force along the axis, and radius of the geometric beam there.
     reach_m = MAX_REACH * sigma_m
     rim_m = max(reach_m / (2 * f_number), 3 * spot_m)
     across_m = np.geomspace(NARROWEST * spot_m, WIDEST * rim_m, WIDTHS)
@@ -213,9 +215,10 @@ def _fitted_force(
 def _fitted_weights(
     value: FloatArray, lateral_m: FloatArray, axial_m: FloatArray, across_m: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """Return the weights (station, width) of the Gaussians closest to ``value`` (axial, lateral) over the volume.
+    """Return the weights (station, width) of the Gaussians closest to ``value`` (axial, lateral), in least squares.
 
-    ``value`` is padded with zeros beyond the ends of ``axial_m``, because Gaussians there would be undetermined.
+    ``across_m`` (width,): sigmas across. ``centre_m`` (station,): positions along the axis. The squares are integrated
+    over the volume. ``value`` is padded with zeros beyond its ends, because Gaussians there would be undetermined.
     """
     step_m, spacing_m = centre_m[1] - centre_m[0], axial_m[1] - axial_m[0]
     padding = math.ceil(3 * step_m / spacing_m)
@@ -238,7 +241,7 @@ def _rows(matrix: FloatArray) -> Weights:
 def bowl_pressure(
     diameter_m: float, focal_length_m: float, wave_number_per_m: complex, lateral_m: FloatArray, axial_m: FloatArray
 ) -> ComplexArray:
-    """Return the Rayleigh integral over a bowl up to a factor, (axial, lateral).
+    """Return the pressure of a uniformly vibrating bowl up to a factor, (axial, lateral): its Rayleigh integral.
 
     ``lateral_m`` and ``axial_m`` count from the axis and the focus. The nodes resolve the phase k d over the bowl with
     a margin: error 1e-6 of the pressure at the focus.

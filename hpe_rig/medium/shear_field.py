@@ -80,13 +80,13 @@ class ShearMotion:
 
 
 def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion, quick: bool = False) -> ShearMotion:
-    """Return the field of ``force`` in ``medium`` (moduli (frequency,)) as tracked in ``region``.
+    """Return the displacement of ``medium`` under ``force`` as tracked in ``region``, with its derivatives.
 
     Error: 1e-10 of the largest displacement, 1e-8 if the waves are a tenth of the force's width. Tested for 0.5 to
     500 kPa, 0 to 50 Pa s, distances to 20 mm, and wavelengths from 0.1 to some 1000 force widths. ``quick``: error
     ``QUICK_ERROR`` in a third of the time.
     """
-    # All Gaussians of the force share one path: that of the narrowest.
+    # All Gaussians of the force share one integration path over wave numbers across: that of the narrowest.
     narrowest_m2, along_m2 = min(force.across_m) ** 2, force.along_m**2 + region.along_m2
     path = _Waves.of(medium, narrowest_m2 + region.across_m2, along_m2, region.lateral_m, QUICK if quick else FULL)
     prefactor = force.along_m / path.denominator
@@ -94,7 +94,8 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
     kernels = [prefactor[:, None] * total for total in sums]
     value, by_kappa2, by_axial, by_length, by_width, *by_unsure = kernels
     k2 = path.k[:, None] ** 2
-    # By the modulus: kappa^2 = k^2 - q^2 and q^2 = rho w^2 / G. By A: the waves contain exp(-A k^2 / 2).
+    # Each product with the waves is the integral over k. By the modulus: kappa^2 = k^2 - q^2 and q^2 = rho w^2 / G.
+    # By the squared width across, A: the waves contain exp(-A k^2 / 2).
     return ShearMotion(
         value=value @ path.waves,
         by_modulus=(path.q2 / medium.modulus_pa)[:, None] * by_kappa2 @ path.waves,
@@ -115,15 +116,17 @@ def focal_plane_motion(
     along_m2: float,
     lateral_m: FloatArray,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return ``value``, ``by_across`` and ``by_lateral`` of ``shear_motion`` in the focal plane, (frequency, point).
+    """Return displacement, and its derivatives by squared width and by lateral distance, in the focal plane.
 
-    One Gaussian force of sigmas ``force_width_m`` (across, along); ``across_m2`` and ``along_m2`` are A and B. Error:
-    ``QUICK_ERROR`` in a fraction of the time, for ensembles of media.
+    All are complex (frequency, point), at ``lateral_m`` (point,). The force is one Gaussian of sigmas ``force_width_m``
+    (across, along). ``across_m2`` and ``along_m2``: its squared widths plus the variances of the tracking beam. The
+    error is ``QUICK_ERROR``, for ensembles of media.
     """
     path = _Waves.of(medium, across_m2, along_m2, lateral_m, QUICK)
     prefactor = force_width_m[0] ** 2 * force_width_m[1] / path.denominator
     root_a = np.sqrt(along_m2 / 2)
-    # At z = 0 both terms of V are equal: V = pi / kappa erfcx(kappa sqrt(a)), and erfcx(x) = w(jx).
+    # V, the integral along the axis, has two equal terms at z = 0: V = pi / kappa erfcx(kappa sqrt(a)), with
+    # erfcx(x) = w(jx). The static part is that of k instead of kappa.
     dynamic, static = (np.pi / kappa * wofz(1j * root_a * kappa) for kappa in (path.kappa, path.k[None]))
     kernel = prefactor[:, None] * (dynamic - static)
     return kernel @ path.waves, kernel @ (-(path.k**2)[:, None] / 2 * path.waves), kernel @ path.lateral_slopes
@@ -151,7 +154,12 @@ class _Waves:
         lateral_m: FloatArray,
         quality: tuple[int, float],
     ) -> _Waves:
-        """Return the integrand at ``lateral_m`` (point,); ``quality`` is ``FULL`` or ``QUICK``."""
+        """Return the integrand over wave numbers k across the axis, at ``lateral_m`` (point,).
+
+        The integral along the axis is left out. It is k^3 J0(k r) exp(-A k^2 / 2) with A = ``across_m2``, and its slope
+        by r, times quadrature weights. ``quality``: nodes per panel and exponent of the spectrum at the end of the
+        path.
+        """
         q2 = medium.shear_k2
         max_distance_m = float(np.max(np.abs(lateral_m), initial=0.0))
         k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, max_distance_m, quality)
@@ -171,10 +179,12 @@ class _Waves:
 def _sum_over_stations(
     path: _Waves, force: PushForce, narrowest_m2: float, along_m2: float, axial_m: float
 ) -> ComplexArray:
-    """Return the sums over the force's Gaussians of their spectra across times V - V_static, (kind, frequency, k).
+    """Return the integrals along the axis of all Gaussians of ``force`` times their spectra, (kind, frequency, k).
 
-    Kinds: value; derivatives by kappa^2, by z, by the logarithms of length and of width; one for each uncertainty.
+    Each is V(kappa) - V(k), dynamic minus static. Kinds: value; derivatives by kappa^2, by z, by the logarithms of
+    length and of width; one for each uncertain property of the force. ``axial_m``: distance from the focal plane.
     """
+    # Widths a_i across (width, 1) and stations along the axis (station,).
     k2, area_m2, centre_m = path.k**2, np.square(force.across_m)[:, None], np.array(force.centre_m)
     # Spectra across of each station (station, k). The waves of the path already hold the narrowest Gaussian.
     across = area_m2 * np.exp(-k2 * (area_m2 - narrowest_m2) / 2)
@@ -216,7 +226,11 @@ class _AxialIntegral(NamedTuple):
 
 
 def _axial_integral(kappa: ComplexArray, half_m2: float, axial_m: float) -> _AxialIntegral:
-    """Return V at z = ``axial_m`` >= 0, with a = ``half_m2``."""
+    """Return the integral V over wave numbers along the axis, at the distance ``axial_m`` >= 0, with its derivatives.
+
+    V = pi / (2 kappa) exp(-b^2) [erfcx(kappa sqrt(a) + b) + erfcx(kappa sqrt(a) - b)], with ``kappa`` (..., k) the
+    decay rate along the axis, a = ``half_m2`` half the squared width along it, b = z / 2 sqrt(a).
+    """
     root = np.sqrt(half_m2)
     b = axial_m / (2 * root)
     plus, minus = kappa * root + b, kappa * root - b
@@ -237,7 +251,7 @@ def _axial_integral(kappa: ComplexArray, half_m2: float, axial_m: float) -> _Axi
 
 
 def _damped_erfcx(x: ComplexArray, b: float) -> ComplexArray:
-    """Return exp(-b^2) erfcx(x); for Re x < 0 by erfcx(-x) = 2 exp(x^2) - erfcx(x), which does not overflow."""
+    """Return exp(-b^2) erfcx(x) without overflow: for Re x < 0 from erfcx(x) = 2 exp(x^2) - erfcx(-x)."""
     mirrored = x.real < 0
     right_half = np.exp(-(b**2)) * wofz(1j * np.where(mirrored, -x, x))
     return np.asarray(np.where(mirrored, 2 * np.exp(np.where(mirrored, x**2 - b**2, 0)) - right_half, right_half))
@@ -246,10 +260,10 @@ def _damped_erfcx(x: ComplexArray, b: float) -> ComplexArray:
 def _path(
     q: FloatArray, across_m2: float, along_m2: float, max_distance_m: float, quality: tuple[int, float]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return wave numbers (k,) and weights on a path from 0 to the end of the force's spectrum.
+    """Return complex wave numbers (k,) and quadrature weights on a path from 0 to the end of the force's spectrum.
 
-    The path runs above the poles |q| (frequency,). Its parameters are rounded to the safe side, so that all iterations
-    of a fit share one cached path.
+    The path runs above the poles of the integrand, the shear wave numbers ``q`` (frequency,). Its parameters are
+    rounded to the safe side, so that all iterations of a fit share one cached path.
     """
     # The force's length limits the spectrum along the axis to 1 / sz; the first panel must resolve that.
     low = 2 ** np.floor(np.log2(min(q.min(), 1 / np.sqrt(along_m2))))
@@ -263,7 +277,11 @@ def _path(
 def _cached_path(
     lowest: float, highest: float, across_m2: float, max_distance_m: float, quality: tuple[int, float]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the path of ``_path`` for poles from ``lowest`` to ``highest``, as Gauss-Legendre panels."""
+    """Return wave numbers (k,) and quadrature weights on a path above the poles from ``lowest`` to ``highest``.
+
+    It consists of Gauss-Legendre panels. ``across_m2``: squared width of the force, which limits its spectrum.
+    ``quality``: nodes per panel, and exponent of the spectrum at the end of the path.
+    """
     panel_nodes, end_exponent = quality
     end = np.sqrt(2 * end_exponent / across_m2)
     clearance = min(MAX_BESSEL_EXPONENT / max_distance_m, CLEARANCE / np.sqrt(across_m2))

@@ -26,7 +26,10 @@ class FittedVibrations(Protocol):
 
 
 def moduli_figure(result: FittedVibrations) -> Figure:
-    """Return amplitude and phase over frequency: measured points with bars of 2 u, lines of the most likely medium."""
+    """Return a figure of amplitude and phase over frequency, one colour for each lateral offset.
+
+    Measured points have bars of two standard uncertainties; lines are those of the most likely medium.
+    """
     from matplotlib.figure import Figure
 
     from hpe_rig.result import mark

@@ -43,7 +43,7 @@ class ModuliForecast:
     gates: int = 0
 
     def __str__(self) -> str:
-        """Return the line that ``hpe-rig check`` prints."""
+        """Return the line that ``hpe-rig check`` prints: expected uncertainties of mu1 and mu2, assumed medium."""
         mu1, mu2 = (100 * u / value for u, value in zip(self.uncertainty, self.values, strict=True))
         gates = f", {self.gates} gates" if self.gates > self.places else ""
         return (
@@ -54,7 +54,7 @@ class ModuliForecast:
 
 
 def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliForecast:
-    """Return the expected uncertainties of the moduli of a Voigt medium from ``plan``.
+    """Return the expected uncertainties of the moduli of a Voigt medium from the shots of ``plan``: a Cramer-Rao bound.
 
     Raises ``SettingsError`` if the scene states no push, and ``ValueError`` if no noise is known or too few harmonics
     exceed it.
@@ -75,16 +75,16 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
     for at_offset, offset_plan in offsets:
         gates = gates_at_depths(at_offset, offset_plan, [])
         expected = [_expected_vibration(gate, push, medium, peak_m, noise_m) for gate in gates]
-        visible = [one.at_frequencies(detected(one)) for one in expected if detected(one).any()]
+        visible = [vibration.at_frequencies(detected(vibration)) for vibration in expected if detected(vibration).any()]
         vibrations += with_shared_noise(visible, correlation)
     # Two numbers for each harmonic, against the parameters and the common amplitude.
-    if sum(2 * one.frequency_hz.size for one in vibrations) <= len(values) + 1:
+    if sum(2 * vibration.frequency_hz.size for vibration in vibrations) <= len(values) + 1:
         raise ValueError("too few harmonics are expected to exceed the noise")
     u1, u2 = np.sqrt(np.diag(bound(vibrations, push, "voigt", values))).tolist()
     return ModuliForecast(
         values=values,
         uncertainty=(u1, u2),
-        places=len({one.position for one in vibrations}),
+        places=len({vibration.position for vibration in vibrations}),
         medium_source=medium_source,
         gates=len(vibrations),
     )
@@ -103,7 +103,10 @@ def moduli_text(scene: Scene, plan: Plan, simulated: bool = True) -> Iterator[st
 
 
 def _voigt_medium(scene: Scene, frequency_hz: FloatArray, simulated: bool) -> tuple[tuple[float, float], str]:
-    """Return a Voigt medium with the mean stiffness and loss of the known one, and the name of its source."""
+    """Return the Voigt medium that a forecast assumes (modulus in Pa, viscosity in Pa s), and its source in words.
+
+    It has the mean stiffness and loss, over ``frequency_hz``, of the declared or simulated medium, else typical ones.
+    """
     medium = medium_of(scene, frequency_hz, simulated)
     if medium is None:
         return TYPICAL_VOIGT, "a typical medium"
@@ -124,7 +127,7 @@ def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> tuple[FloatArray, flo
     The noise is that of all usable shots at one lateral offset. Trigger jitter is common to all depths.
     """
     shots = [shot for shot in plan.shots if has_strongest_push(shot, plan)]
-    # The floor is that of the worst frequency; other frequencies have less noise by their gain.
+    # The detection floor states the noise at the worst frequency; at others it is less, in proportion to the gain.
     gain = noise_gain(scene, shots[0])
     floor = detection_floor(scene, simulated, shots[0])
     noise_m = floor.quadrature_m * gain / gain.max() / np.sqrt(len(shots))
@@ -136,13 +139,17 @@ def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> tuple[FloatArray, flo
 def _expected_vibration(
     gate: GateAtDepth, push: Push, medium: HarmonicMedium, peak_m: float, noise_m: FloatArray
 ) -> Vibration:
-    """Return the vibration in ``gate`` if the focus moves by ``peak_m`` at the first frequency."""
+    """Return the vibration of ``medium`` expected in ``gate``, if the focus moves by ``peak_m`` at the first frequency.
+
+    ``noise_m`` (frequency,): standard deviation of a quadrature.
+    """
     scene, estimator = gate.scene, gate.scene.processing.estimator
     covariance_m2 = np.diag(np.repeat(noise_m**2, 2))
     unmoved = medium.frequency_hz, np.zeros_like(medium.modulus_pa), covariance_m2
     vibration = vibration_at(scene, estimator, "", unmoved, gate.axial_m)
 
     def motion(region: TrackedRegion) -> ComplexArray:
+        """Return the phasors (frequency,) of the displacement tracked in ``region``, per unit of force."""
         return np.asarray(push.spectrum(medium.frequency_hz) * shear_motion(medium, push.force, region).value[:, 0])
 
     # The field is per unit force: scale it to the expected amplitude at the focus.

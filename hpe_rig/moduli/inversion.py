@@ -93,9 +93,9 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
     Raises ``ValueError`` for fewer data than free parameters and for an offset beyond ``MAX_LATERAL_M``.
     """
     problem = Problem.of(vibrations, push, law_of(law))
-    if problem.data_count <= problem.free:
+    if problem.data_count <= problem.free_count:
         raise ValueError(
-            f"{problem.data_count} numbers do not determine {problem.free} unknowns of a {law} medium and their "
+            f"{problem.data_count} numbers do not determine {problem.free_count} unknowns of a {law} medium and their "
             "uncertainty. Try: measure at more lateral offsets or frequencies"
         )
     best, *candidates = _minima(problem)
@@ -105,9 +105,10 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
 def compare_media(
     vibrations: Sequence[Vibration], push: Push, laws: Sequence[MediumLaw] | None = None
 ) -> tuple[tuple[Moduli, ...], FloatArray]:
-    """Return the fit of every law, the most likely first, and the laws' probabilities (law,), from equal priors.
+    """Return the fit of every material law, the most likely first, and the laws' probabilities (law,).
 
-    A law with a parameter at the end of its range has become a simpler law; it is sorted after the candidates.
+    Without data all laws are equally probable. Laws that the data exclude come last. A law with a parameter at the end
+    of its range has become a simpler law, and comes after those without.
     """
     fits = [fit_medium(vibrations, push, law) for law in laws or law_names()]
     fits.sort(key=lambda fit: (fit.excluded, bool(fit.at_limit), -fit.log_evidence))
@@ -127,8 +128,9 @@ def bound(vibrations: Sequence[Vibration], push: Push, law: MediumLaw, values: S
 
 
 def _starts(problem: Problem) -> list[FloatArray]:
-    """Return the unknowns at the best points of a coarse grid, without neighbours."""
-    count = problem.free - 1
+    """Return starting points of the fit: the best of a coarse grid that are at least ``START_DISTANCE`` apart."""
+    # Unknowns: the coordinates of the law, the amplitude, nuisances.
+    count = problem.free_count - 1
     points, costs = zip(*(problem.start(coordinates) for coordinates in problem.law.starts()), strict=True)
     starts: list[FloatArray] = []
     for index in np.argsort(costs):
@@ -141,9 +143,10 @@ def _starts(problem: Problem) -> list[FloatArray]:
 
 
 def _minima(problem: Problem) -> list[_Minimum]:
-    """Return the best minimum, then candidates that may be nearly as good.
+    """Return the best minimum of chi-square, then other minima that may be nearly as good.
 
-    Every start is followed roughly with the quick field; only candidates for a second minimum are refined.
+    The fit is run from every starting point with a quick, less exact field. Only candidates for a second minimum are
+    then refined.
     """
     quick = problem.with_quick_field()
     rough = sorted((_solve(quick, start, ROUGH) for start in _starts(quick)), key=lambda minimum: minimum.chi_square)
@@ -158,12 +161,16 @@ def _minima(problem: Problem) -> list[_Minimum]:
 
 
 def _differ(problem: Problem, first: _Minimum, second: _Minimum) -> bool:
-    difference = (first.unknown - second.unknown)[: problem.free - 1]
+    """Return whether two minima are at different parameters of the material law."""
+    difference = (first.unknown - second.unknown)[: problem.free_count - 1]
     return bool(np.abs(difference).max() > MINIMUM_DISTANCE)
 
 
 def _solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
-    """Return the minimum next to ``start``, to a relative ``change`` of chi-square."""
+    """Return the minimum of chi-square next to the unknowns ``start``, within the limits of the law's parameters.
+
+    The solver stops at a relative ``change`` of chi-square.
+    """
     limits = problem.law.bounds()
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[: len(limits)], high[: len(limits)] = limits.T
@@ -187,24 +194,31 @@ def _solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
 def _second_minimum(
     problem: Problem, best: _Minimum, candidates: Sequence[_Minimum]
 ) -> tuple[dict[str, float], float] | None:
-    """Return values and chi-square above the best of another minimum that is nearly as good, or None."""
+    """Return parameters by name, and chi-square above the best, of another nearly as good minimum; else None."""
     for candidate in candidates:
         excess = candidate.chi_square - best.chi_square
         if excess < SECOND_MINIMUM and _differ(problem, candidate, best):
-            return _by_name(problem.law, problem.law.values(candidate.unknown[: problem.free - 1])), excess
+            return _by_name(problem.law, problem.law.values(candidate.unknown[: problem.free_count - 1])), excess
     return None
 
 
 def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], float] | None) -> Moduli:
-    """Return the result at the ``best`` minimum; ``second`` from ``_second_minimum``."""
-    count, law, vibrations = problem.free - 1, problem.law, problem.vibrations
+    """Return parameters, covariance and goodness of fit at the ``best`` minimum.
+
+    ``second``: another minimum that is nearly as good, as parameters and chi-square above the best, or None.
+    """
+    count, law, vibrations = problem.free_count - 1, problem.law, problem.vibrations
     coordinates, jacobian = best.unknown[:count], problem.jacobian(best.unknown)
     coordinate_covariance = problem.coordinate_covariance(jacobian)
     covariance = problem.in_values(best.unknown, coordinate_covariance)
-    freedom = problem.data_count - problem.free
+    freedom = problem.data_count - problem.free_count
     # Each datum belongs to one vibration and one frequency.
-    vibration = np.repeat(np.arange(len(vibrations)), [one.frequency_hz.size for one in vibrations])
-    frequencies, frequency = np.unique(np.concatenate([one.frequency_hz for one in vibrations]), return_inverse=True)
+    vibration_of_datum = np.repeat(
+        np.arange(len(vibrations)), [vibration.frequency_hz.size for vibration in vibrations]
+    )
+    frequencies, frequency_of_datum = np.unique(
+        np.concatenate([vibration.frequency_hz for vibration in vibrations]), return_inverse=True
+    )
     variances = np.diag(coordinate_covariance)
     at_limit = np.any(np.abs(coordinates[:, None] - law.bounds()) < 1e-3, axis=1).tolist()
     return Moduli(
@@ -218,20 +232,25 @@ def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], fl
         log_evidence=_log_evidence(law, best.chi_square, coordinate_covariance),
         modelled_m=tuple(problem.modelled(best.unknown)),
         adjusted={
-            _nuisance_name(nuisance, vibrations): float(best.unknown[problem.free + i])
+            _nuisance_name(nuisance, vibrations): float(best.unknown[problem.free_count + i])
             for i, nuisance in enumerate(problem.nuisances)
         },
         second=second,
         at_limit=tuple(parameter.name for parameter, at in zip(law.parameters, at_limit, strict=True) if at),
-        by_place=_contributions([one.label for one in vibrations], vibration, problem, jacobian, variances),
-        by_frequency=_contributions([f"{hz:g} Hz" for hz in frequencies], frequency, problem, jacobian, variances),
+        by_place=_contributions(
+            [vibration.label for vibration in vibrations], vibration_of_datum, problem, jacobian, variances
+        ),
+        by_frequency=_contributions(
+            [f"{hz:g} Hz" for hz in frequencies], frequency_of_datum, problem, jacobian, variances
+        ),
     )
 
 
 def _log_evidence(law: Law, chi_square: float, covariance: FloatArray) -> float:
-    """Return the logarithm of the law's evidence: likelihood times posterior over prior volume (Laplace).
+    """Return the logarithm of the law's evidence, which compares laws: likelihood times posterior over prior volume.
 
-    The variance of a uniform distribution over the range limits the posterior volume.
+    This is Laplace's approximation. ``covariance`` (parameter, parameter) is that of the law's coordinates. The
+    variance of a uniform distribution over the range limits the posterior volume.
     """
     span = np.ptp(law.bounds(), axis=1)
     # 12 / span^2 is the inverse variance of a uniform distribution.
@@ -240,7 +259,7 @@ def _log_evidence(law: Law, chi_square: float, covariance: FloatArray) -> float:
 
 
 def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
-    """Return the kind of ``nuisance`` and the gate or lateral offset that it belongs to."""
+    """Return the name of an unknown that is not wanted: its kind, and the gate or lateral offset it belongs to."""
     if nuisance.vibration == COMMON:
         return nuisance.kind
     vibration = vibrations[nuisance.vibration]
@@ -252,7 +271,11 @@ def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
 def _contributions(
     labels: Sequence[str], part_of_datum: IndexArray, problem: Problem, jacobian: FloatArray, variances: FloatArray
 ) -> tuple[Contribution, ...]:
-    """Return the contribution of each part of the data; ``part_of_datum`` (vibration and frequency,) indexes labels."""
+    """Return, for each gate or frequency, the factor on the uncertainties if its data are left out.
+
+    ``labels`` name the gates or frequencies; ``part_of_datum`` (datum,) is the index of each datum's. ``variances``
+    (parameter,): those with all data.
+    """
     if len(labels) < 2:
         return ()
     # The Jacobian at the minimum gives the variances without another fit.

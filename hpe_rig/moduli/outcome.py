@@ -75,7 +75,7 @@ class ModuliResult:
         return "\n".join(_lines(self))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
+        """Return the result as a dictionary of plain values for JSON, with the keys of ``moduli_schema``."""
         wave = self.plane_wave
         pairs = zip(self.fits, self.probability, strict=True)
         modelled = zip(self.vibrations, self.best.modelled_m, strict=True)
@@ -87,16 +87,16 @@ class ModuliResult:
                 "fits": [_fit_as_dict(fit, probability) for fit, probability in pairs],
                 "places": [
                     {
-                        "label": one.label,
-                        "lateral_m": one.lateral_m,
-                        "axial_m": one.axial_m,
-                        "frequency_hz": one.frequency_hz.tolist(),
-                        "amplitude_m": np.abs(one.phasor_m).tolist(),
-                        "phase_rad": np.angle(one.phasor_m).tolist(),
+                        "label": vibration.label,
+                        "lateral_m": vibration.lateral_m,
+                        "axial_m": vibration.axial_m,
+                        "frequency_hz": vibration.frequency_hz.tolist(),
+                        "amplitude_m": np.abs(vibration.phasor_m).tolist(),
+                        "phase_rad": np.angle(vibration.phasor_m).tolist(),
                         "modelled_amplitude_m": np.abs(model_m).tolist(),
                         "modelled_phase_rad": np.angle(model_m).tolist(),
                     }
-                    for one, model_m in modelled
+                    for vibration, model_m in modelled
                 ],
                 "plane_wave": wave and {"shear_modulus_pa": wave.elasticity_pa, "viscosity_pa_s": wave.viscosity_pa_s},
             }
@@ -105,7 +105,7 @@ class ModuliResult:
 
 
 def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
-    """Return one fit as ``moduli_schema`` describes it."""
+    """Return the fit of one law as a dictionary for JSON, with the keys of ``moduli_schema``."""
     names = "law", "values", "uncertainty", "chi_square", "freedom", "significance"
     return {
         **{name: getattr(fit, name) for name in names},
@@ -169,7 +169,7 @@ def moduli_of(
     width_uncertainty: float = WIDTH_UNCERTAINTY,
     common_amplitude: bool = True,
 ) -> ModuliResult:
-    """Return the moduli of the medium from the vibrations in ``sources``.
+    """Return the moduli of the medium from the vibrations measured in the runs ``sources``.
 
     ``width_uncertainty``: relative, of the widths of the force. ``common_amplitude``: the force was equally strong at
     all lateral offsets. Raises ``SettingsError`` if a scene states no push or scenes push differently, and
@@ -178,7 +178,7 @@ def moduli_of(
     push = push_of([source.scene for source in sources], width_uncertainty)
     vibrations, omitted = vibrations_of(sources, estimator)
     if not common_amplitude:
-        vibrations = [replace(one, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for one in vibrations]
+        vibrations = [replace(vibration, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for vibration in vibrations]
     if not vibrations:
         raise ValueError("no vibration exceeds its noise: " + "; ".join(omitted))
     # Every law is fitted, because the user needs to know which ones the data exclude.
@@ -197,17 +197,23 @@ def moduli_of(
 
 
 def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
-    """Return the moduli from the phase gradient at the frequencies common to all vibrations; None and why it fails."""
-    common_hz = sorted(set.intersection(*(set(one.frequency_hz.tolist()) for one in vibrations)))
+    """Return Voigt moduli from the shear wave's phase over lateral offset, for comparison; else None and the reason.
+
+    They use the frequencies common to all vibrations. Near the push the wave is not plane, so they are biased.
+    """
+    common_hz = sorted(set.intersection(*(set(vibration.frequency_hz.tolist()) for vibration in vibrations)))
     at_common = [
-        one.at_frequencies(np.isin(one.frequency_hz, common_hz))
-        for one in sorted(vibrations, key=lambda one: abs(one.lateral_m))
+        vibration.at_frequencies(np.isin(vibration.frequency_hz, common_hz))
+        for vibration in sorted(vibrations, key=lambda vibration: abs(vibration.lateral_m))
     ]
     # The noise across the phasor is nearly that of A cos(phase); it only weights the phases.
-    sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in at_common]
+    sigma = [np.sqrt(np.diag(vibration.covariance_m2)[::2]) / np.abs(vibration.phasor_m) for vibration in at_common]
     try:
         frequency_hz = at_common[0].frequency_hz
-        offset_m, phase_rad = [abs(one.lateral_m) for one in at_common], [np.angle(one.phasor_m) for one in at_common]
+        offset_m, phase_rad = (
+            [abs(vibration.lateral_m) for vibration in at_common],
+            [np.angle(vibration.phasor_m) for vibration in at_common],
+        )
         speed = shear_speed(offset_m, frequency_hz, np.array(phase_rad), np.array(sigma))
         return fit_voigt(frequency_hz, *speed, density_kg_per_m3), ""
     except ValueError as error:
@@ -215,7 +221,7 @@ def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> 
 
 
 def _lines(result: ModuliResult) -> Iterator[str]:
-    """Yield the text of a result: data, every law with its fit, plane wave, and omitted vibrations."""
+    """Yield the lines of a result's text: data, every law with its fit, plane wave, and omitted vibrations."""
     yield result.title
     yield _data_line(result)
     yield ""
@@ -237,17 +243,17 @@ def _lines(result: ModuliResult) -> Iterator[str]:
 
 
 def _data_line(result: ModuliResult) -> str:
-    """Return the number of lateral offsets, gates and fitted numbers in words."""
-    numbers = sum(2 * one.frequency_hz.size for one in result.vibrations)
+    """Return the line with the numbers of lateral offsets, gates and fitted numbers."""
+    numbers = sum(2 * vibration.frequency_hz.size for vibration in result.vibrations)
     source, gates = "SIMULATED, " if result.simulated else "", len(result.vibrations)
     # Several gates over depth belong to one lateral offset.
-    offsets = len({(one.position, one.lateral_m) for one in result.vibrations})
+    offsets = len({(vibration.position, vibration.lateral_m) for vibration in result.vibrations})
     gate_count = f", {gates} gates" if gates > offsets else ""
     return f"{source}{offsets} lateral offset{'s' * (offsets > 1)}{gate_count}, {numbers} numbers"
 
 
 def _fit_lines(fit: Moduli) -> Iterator[str]:
-    """Yield the parameters of one law, its second minimum, warnings, and the most important data."""
+    """Yield the lines on one law: parameters, second minimum, warnings, and the data that contribute most."""
     for name, value in fit.values.items():
         relative = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
         yield f"{_name(name)} {_with_uncertainty(fit, name)}{relative}"
@@ -281,7 +287,7 @@ def _name(parameter: str) -> str:
 
 
 def _with_uncertainty(fit: Moduli, parameter: str, sign: str = "+-") -> str:
-    """Return a parameter with its uncertainty and unit, to two digits of the uncertainty."""
+    """Return the text of a parameter with its uncertainty and unit, to two digits of the uncertainty."""
     factor, unit = _unit(parameter)
     value, uncertainty = fit.values[parameter] * factor, fit.uncertainty[parameter] * factor
     if not 0 < uncertainty < math.inf:

@@ -60,17 +60,22 @@ class Problem:
 
     @staticmethod
     def of(vibrations: Sequence[Vibration], push: Push, law: Law) -> Problem:
-        """Return the problem; raise ``ValueError`` without vibrations and beyond ``MAX_LATERAL_M``."""
+        """Return the least-squares problem of fitting ``law`` to ``vibrations`` under ``push``.
+
+        Raises ``ValueError`` without vibrations, and for one farther than ``MAX_LATERAL_M`` from the axis.
+        """
         if not vibrations:
             raise ValueError("there is no vibration to explain")
-        if too_far := [one.label for one in vibrations if abs(one.lateral_m) > MAX_LATERAL_M]:
+        if too_far := [vibration.label for vibration in vibrations if abs(vibration.lateral_m) > MAX_LATERAL_M]:
             raise ValueError(
                 f"{', '.join(too_far)}: the field is tested to {MAX_LATERAL_M * 1e3:g} mm from the axis. "
                 "Try: smaller lateral offsets"
             )
-        # Whitened data have unit variance: chi-square is their sum of squares.
-        whitening = tuple(np.linalg.inv(np.linalg.cholesky(_data_covariance_m2(one, push))) for one in vibrations)
-        unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
+        # Whitened data have unit variance: chi-square is their sum of squares. ``unit_m``: typical amplitude.
+        whitening = tuple(
+            np.linalg.inv(np.linalg.cholesky(_data_covariance_m2(vibration, push))) for vibration in vibrations
+        )
+        unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(vibration.phasor_m) ** 2 for vibration in vibrations]))))
         return Problem(
             vibrations=tuple(vibrations),
             push=push,
@@ -81,32 +86,34 @@ class Problem:
         )
 
     def with_quick_field(self) -> Problem:
-        """Return the problem with the quick field if its error is hidden by the noise, else ``self``."""
-        peak_m = max(float(np.abs(one.phasor_m).max()) for one in self.vibrations)
-        min_noise_m = min(float(np.sqrt(np.diag(one.covariance_m2).min())) for one in self.vibrations)
+        """Return the problem with the faster, less exact field if noise far exceeds its error, else as it is."""
+        peak_m = max(float(np.abs(vibration.phasor_m).max()) for vibration in self.vibrations)
+        min_noise_m = min(float(np.sqrt(np.diag(vibration.covariance_m2).min())) for vibration in self.vibrations)
         return replace(self, quick=QUICK_ERROR * peak_m < NEGLIGIBLE_ERROR * min_noise_m)
 
     @cached_property
     def data_count(self) -> int:
         """Number of measured real numbers."""
-        return sum(2 * one.frequency_hz.size for one in self.vibrations)
+        return sum(2 * vibration.frequency_hz.size for vibration in self.vibrations)
 
     @cached_property
-    def free(self) -> int:
+    def free_count(self) -> int:
         """Number of unknowns without prior knowledge: the law's parameters and the amplitude."""
         return len(self.law.parameters) + 1
 
     def start(self, coordinates: FloatArray) -> tuple[FloatArray, float]:
-        """Return the unknowns at the law's ``coordinates`` with the best amplitude and zero nuisances; chi-square."""
-        # Nuisances start at zero, their most likely value.
-        unknown = np.zeros(self.free + len(self.nuisances))
-        unknown[: self.free - 1] = coordinates
+        """Return a start of the fit at the law's ``coordinates``, and its chi-square.
+
+        It has the best amplitude for them; nuisances are zero, their most likely value.
+        """
+        unknown = np.zeros(self.free_count + len(self.nuisances))
+        unknown[: self.free_count - 1] = coordinates
         model = self._whitened(self.modelled(unknown))
-        data = self._whitened([one.phasor_m for one in self.vibrations])
+        data = self._whitened([vibration.phasor_m for vibration in self.vibrations])
         # The best amplitude is a projection; at least 1e-6 of the data, because its logarithm is the unknown.
         projection = float(model @ data) / float(model @ model)
         amplitude = max(projection, 1e-6 * float(np.sqrt((data @ data) / (model @ model))))
-        unknown[self.free - 1] = np.log(amplitude)
+        unknown[self.free_count - 1] = np.log(amplitude)
         return unknown, float(np.sum((data - amplitude * model) ** 2))
 
     def modelled(self, unknown: FloatArray) -> list[ComplexArray]:
@@ -114,28 +121,28 @@ class Problem:
         return [value for value, _ in self._model(unknown.tobytes())]
 
     def residual(self, unknown: FloatArray) -> FloatArray:
-        """Return data minus model in standard deviations, nuisances last."""
+        """Return data minus model (datum,) in standard deviations, then minus each nuisance, expected to be zero."""
         pairs = zip(self.vibrations, self.modelled(unknown), strict=True)
-        errors_m = [one.phasor_m - value for one, value in pairs]
-        return np.concatenate([self._whitened(errors_m), -unknown[self.free :]])
+        errors_m = [vibration.phasor_m - value for vibration, value in pairs]
+        return np.concatenate([self._whitened(errors_m), -unknown[self.free_count :]])
 
     def jacobian(self, unknown: FloatArray) -> FloatArray:
-        """Return the derivatives of ``residual`` by the unknowns."""
+        """Return the derivatives (datum, unknown) of ``residual`` by the unknowns."""
         # Real and imaginary parts of each frequency are neighbouring rows, like the states of a vibration.
         blocks = [
             root @ np.stack([slopes.real, slopes.imag], axis=1).reshape(-1, unknown.size)
             for root, (_, slopes) in zip(self.whitening, self._model(unknown.tobytes()), strict=True)
         ]
         count = len(self.nuisances)
-        return -np.vstack([*blocks, np.hstack([np.zeros((count, self.free)), np.eye(count)])])
+        return -np.vstack([*blocks, np.hstack([np.zeros((count, self.free_count)), np.eye(count)])])
 
     def covariance(self, unknown: FloatArray) -> FloatArray:
         """Return the covariance of the law's parameter values, (parameter, parameter)."""
         return self.in_values(unknown, self.coordinate_covariance(self.jacobian(unknown)))
 
     def coordinate_covariance(self, jacobian: FloatArray) -> FloatArray:
-        """Return the covariance of the law's coordinates, (parameter, parameter)."""
-        count = self.free - 1
+        """Return the covariance (parameter, parameter) of the law's coordinates; ``jacobian`` (datum, unknown)."""
+        count = self.free_count - 1
         # Columns of unit length: parameters of very different sensitivity lose no digits.
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(np.float64).tiny)
         # Of (J'J)^-1 only the block of the law: the nuisances are marginalised.
@@ -144,7 +151,7 @@ class Problem:
 
     def in_values(self, unknown: FloatArray, covariance: FloatArray) -> FloatArray:
         """Return a ``covariance`` of coordinates as one of parameter values."""
-        slope = self.law.slopes(self.law.values(unknown[: self.free - 1]))
+        slope = self.law.slopes(self.law.values(unknown[: self.free_count - 1]))
         return np.asarray(covariance * np.outer(slope, slope))
 
     def variances_without(self, dropped: BoolArray, jacobian: FloatArray) -> FloatArray:
@@ -160,10 +167,14 @@ class Problem:
 
     @lru_cache(maxsize=2)  # noqa: B019 (a solver asks for residual and jacobian at the same unknowns)
     def _model(self, unknown_bytes: bytes) -> list[tuple[ComplexArray, ComplexArray]]:
-        """Return the modelled phasors (frequency,) and their derivatives (frequency, unknown) of every vibration."""
+        """Return the modelled phasors (frequency,) and their derivatives (frequency, unknown) of every vibration.
+
+        ``unknown_bytes``: the unknowns, as bytes that can be a cache key.
+        """
         unknown = np.frombuffer(unknown_bytes)
+        # Nuisances by kind and vibration, in their own units instead of standard uncertainties.
         deviations = {
-            (kind, vibration): uncertainty * unknown[self.free + i]
+            (kind, vibration): uncertainty * unknown[self.free_count + i]
             for i, (kind, vibration, uncertainty) in enumerate(self.nuisances)
         }
         # One field for each group; its columns are vibrations.
@@ -178,15 +189,17 @@ class Problem:
     def _slopes_by_kind(
         self, unknown: FloatArray, deviations: dict[tuple[str, int], float], group: tuple[int, ...]
     ) -> dict[str, ComplexArray]:
-        """Return the derivatives (frequency, vibration) of the phasors by every kind of unknown.
+        """Return the derivatives (frequency, vibration) of the modelled phasors by every kind of unknown.
 
-        The derivative by "gain" is the phasors themselves.
+        ``group``: indices of vibrations that share one field. ``deviations``: nuisances by kind and vibration. The
+        derivative by the logarithm "gain" is the phasors themselves.
         """
-        push, count, vibrations = self.push, self.free - 1, [self.vibrations[i] for i in group]
+        push, count, vibrations = self.push, self.free_count - 1, [self.vibrations[i] for i in group]
         # Vibrations of a group share frequencies, depth, averaging along the beam and travel time.
         frequency_hz, axial_m, travel_s = vibrations[0].frequency_hz, vibrations[0].axial_m, vibrations[0].travel_s
 
         def of_group(kind: str) -> list[float]:
+            """Return the nuisances of one kind for the vibrations of the group."""
             return [deviations.get((kind, i), 0.0) for i in group]
 
         # Force and tracked region with their deviations. A logarithmic deviation keeps the area positive.
@@ -194,11 +207,11 @@ class Problem:
             float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along")
         )
         force = push.force.changed({kind: value for (kind, _), value in deviations.items()})
-        mean_area_m2 = np.array([one.tracking_m2[0] for one in vibrations])
+        mean_area_m2 = np.array([vibration.tracking_m2[0] for vibration in vibrations])
         area_m2 = mean_area_m2 * np.exp(of_group("area"))
         stage_m = (deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group)
         shift_m = [speckle + stage for speckle, stage in zip(of_group("lateral"), stage_m, strict=True)]
-        lateral_m = np.array([one.lateral_m for one in vibrations]) + shift_m
+        lateral_m = np.array([vibration.lateral_m for vibration in vibrations]) + shift_m
         # The field of the medium.
         omega, values = 2 * np.pi * frequency_hz, self.law.values(unknown[:count])
         modulus_pa, by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
@@ -215,7 +228,8 @@ class Problem:
         # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
         lead_s = travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
         prefactor = (push.spectrum(frequency_hz) * onset * np.exp(1j * omega * lead_s))[:, None] * scale
-        # Second mode of speckle: weight moves from in-between to the centre and the edge, at the same area.
+        # Speckle changes the area of the tracked region ("area") and, at the same area, its shape ("shape"): weight
+        # moves from in-between to the centre and the edge.
         by_shape = prefactor * field.by_across_twice * mean_area_m2**2 / 2
         by_depth = np.array(of_group("axial")) * field.by_axial
         value = prefactor * (field.value + by_depth) + np.array(of_group("shape")) * by_shape
@@ -237,24 +251,27 @@ class Problem:
         }
 
     def _slopes_by_unknown(self, by_kind: dict[str, ComplexArray], unknowns: int, vibration: int) -> ComplexArray:
-        """Return the derivatives (frequency, unknown) of one vibration's phasors."""
+        """Return the derivatives (frequency, unknown) of the phasors of the vibration with index ``vibration``.
+
+        ``by_kind``: derivatives (frequency,) by every kind of unknown.
+        """
         columns = np.zeros((by_kind["gain"].size, unknowns), np.complex128)
-        for i in range(self.free - 1):
+        for i in range(self.free_count - 1):
             columns[:, i] = by_kind[f"law {i}"]
-        columns[:, self.free - 1] = by_kind["gain"]
+        columns[:, self.free_count - 1] = by_kind["gain"]
         for i, (kind, index, uncertainty) in enumerate(self.nuisances):
             # All gates at one position move with the stage.
             shared_stage = kind == "stage" and index == self.first_at_position[vibration]
             if index in (COMMON, vibration) or shared_stage:
-                columns[:, self.free + i] = uncertainty * by_kind[kind]
+                columns[:, self.free_count + i] = uncertainty * by_kind[kind]
         return columns
 
     @cached_property
     def groups_sharing_field(self) -> tuple[tuple[int, ...], ...]:
         """Vibrations with the same frequencies, depth and averaging along the beam: one field computes them all."""
         groups: dict[tuple[object, ...], list[int]] = {}
-        for index, one in enumerate(self.vibrations):
-            key = one.frequency_hz.tobytes(), one.axial_m, one.tracking_m2[1], one.travel_s
+        for index, vibration in enumerate(self.vibrations):
+            key = vibration.frequency_hz.tobytes(), vibration.axial_m, vibration.tracking_m2[1], vibration.travel_s
             groups.setdefault(key, []).append(index)
         return tuple(tuple(group) for group in groups.values())
 
@@ -265,7 +282,7 @@ class Problem:
 
 
 def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, ...]:
-    """Return the nuisances that have an uncertainty: of the push, of positions, of vibrations."""
+    """Return the unknowns that are not wanted but have an uncertainty: of the push, of positions, of each vibration."""
     across, along = push.width_uncertainty
     nuisances = [
         Nuisance("across", COMMON, across),
@@ -273,34 +290,36 @@ def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, .
         Nuisance("onset", COMMON, push.onset_uncertainty_s),
         *(Nuisance(name, COMMON, 1.0) for name, _ in push.force.unsure),
     ]
-    if any(one.travel_s for one in vibrations):
+    if any(vibration.travel_s for vibration in vibrations):
         nuisances.append(Nuisance("travel", COMMON, TRAVEL_FRACTION_UNCERTAINTY))
     first = _first_at_position(vibrations)
-    for index, one in enumerate(vibrations):
+    for index, vibration in enumerate(vibrations):
         # A single gate at a position needs no stage unknown: its lateral unknown covers both errors.
         is_single = first.count(first[index]) == 1
         if first[index] == index and not is_single:
-            nuisances.append(Nuisance("stage", index, one.stage_uncertainty_m))
-        lateral_m = float(np.hypot(one.lateral_uncertainty_m, one.stage_uncertainty_m * is_single))
+            nuisances.append(Nuisance("stage", index, vibration.stage_uncertainty_m))
+        lateral_m = float(np.hypot(vibration.lateral_uncertainty_m, vibration.stage_uncertainty_m * is_single))
         nuisances += [
             Nuisance("lateral", index, lateral_m),
-            Nuisance("axial", index, one.axial_uncertainty_m),
-            Nuisance("gain", index, one.gain_uncertainty),
-            Nuisance("phase", index, one.phase_uncertainty_rad),
-            Nuisance("area", index, one.area_uncertainty),
-            Nuisance("shape", index, one.area_uncertainty),
+            Nuisance("axial", index, vibration.axial_uncertainty_m),
+            Nuisance("gain", index, vibration.gain_uncertainty),
+            Nuisance("phase", index, vibration.phase_uncertainty_rad),
+            Nuisance("area", index, vibration.area_uncertainty),
+            Nuisance("shape", index, vibration.area_uncertainty),
         ]
     return tuple(nuisance for nuisance in nuisances if nuisance.uncertainty > 0)
 
 
-def _data_covariance_m2(one: Vibration, push: Push) -> FloatArray:
+def _data_covariance_m2(vibration: Vibration, push: Push) -> FloatArray:
     """Return the covariance of noise and of the model error of the force's shape."""
     # The error of the force's shape is proportional to the amplitude and counts as independent between frequencies.
-    model_error_m = push.shape_relative * np.repeat(np.abs(one.phasor_m), 2)
-    return np.asarray(one.covariance_m2 + np.diag(model_error_m**2))
+    model_error_m = push.shape_relative * np.repeat(np.abs(vibration.phasor_m), 2)
+    return np.asarray(vibration.covariance_m2 + np.diag(model_error_m**2))
 
 
 def _first_at_position(vibrations: Sequence[Vibration]) -> tuple[int, ...]:
     """Return for every vibration the index of the first one at its position; its own if it names none."""
     first: dict[str, int] = {}
-    return tuple(first.setdefault(one.position, i) if one.position else i for i, one in enumerate(vibrations))
+    return tuple(
+        first.setdefault(vibration.position, i) if vibration.position else i for i, vibration in enumerate(vibrations)
+    )

@@ -51,7 +51,7 @@ class Source:
 
 
 def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tuple[list[Vibration], list[str]]:
-    """Return the vibrations of all runs at every lateral offset and depth, and the omissions in words.
+    """Return the vibrations of all runs at every lateral offset and depth, and a list of omitted data in words.
 
     ``estimator`` defaults to each scene's own. Gates over depth that share echoes with another are omitted.
     """
@@ -72,6 +72,7 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
 
 
 def _label(gate: GateAtDepth) -> str:
+    """Return the lateral offset of a gate and, off the focus, its depth, in words."""
     offset = f"{gate.scene.tracking.lateral_offset_m * 1e3:g} mm"
     return f"{offset}, {gate.axial_m * 1e3:+.3g} mm deep" if abs(gate.axial_m) > 1e-9 else offset
 
@@ -79,7 +80,7 @@ def _label(gate: GateAtDepth) -> str:
 def _detected_vibration(
     gate: GateAtDepth, source: Source, estimator: str | None, label: str, omitted: list[str]
 ) -> Iterator[Vibration]:
-    """Yield the vibration in one gate at its detected frequencies, if there are any."""
+    """Yield the vibration in one gate at its detected frequencies, if there are any; add the others to ``omitted``."""
     estimator = estimator or gate.scene.processing.estimator
     fits = list(_fits(gate, source, estimator, label, omitted))
     if not fits:
@@ -95,7 +96,10 @@ def _detected_vibration(
 
 
 def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted: list[str]) -> Iterator[HarmonicFit]:
-    """Yield the fit of every usable shot: complete, trusted, good, of the strongest force and first burst length."""
+    """Yield the harmonic fit of every usable shot of a gate; add the other shots, with the reason, to ``omitted``.
+
+    Usable shots are complete, trusted, not marked bad, of the strongest force and the first burst length.
+    """
     beams = beam_widths(gate.scene, estimator, off_axis_offsets_m(source.plan))
     for shot in gate.plan.shots:
         reason = _unusable(shot, source.stored, gate.plan)
@@ -121,7 +125,7 @@ def _unusable(shot: Shot, stored: StoredRun, plan: Plan) -> str:
 
 
 def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:
-    """Return the mean of ``fits``, weighted by the inverse of their covariances."""
+    """Return the vibration in ``gate`` as the mean of its shots' ``fits``, weighted by their inverse covariances."""
     frequency_hz = fits[0].frequency_hz
     # The wanted harmonics are the first states: A cos(phase), A sin(phase), frequency by frequency.
     wanted_states = slice(2 * frequency_hz.size)
@@ -135,7 +139,10 @@ def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], 
 
 
 def _residual_correlation(scene: Scene, plan: Plan, stored: StoredRun) -> float:
-    """Return the mean correlation of residuals of gates without common echoes, from the first complete good shot."""
+    """Return the mean correlation of the displacement noise between gates, from the first complete good shot.
+
+    Trigger jitter, for example, is common to all gates. The gates share no echoes.
+    """
     gates = without_shared_echoes(depth_gates(scene, plan.shots[0]), scene.gate_depth_m)
     sound_speed_m_per_s = scene.acquisition.sound_speed_m_per_s
     for index, shot in enumerate(plan.shots):

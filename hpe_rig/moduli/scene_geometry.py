@@ -33,7 +33,10 @@ class GateAtDepth:
 
 
 def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINTY) -> Push:
-    """Return the push that all ``scenes`` share; raise ``SettingsError`` if one states none or pushes differ."""
+    """Return the force of the tonebursts that all ``scenes`` share.
+
+    ``width_uncertainty``: relative, of its widths. Raises ``SettingsError`` if a scene states none or they differ.
+    """
     mistakes = [mistake for scene in scenes for mistake in _push_mistakes(scene)]
     # All mistakes are reported at once, so scenes with mistakes contribute their push as well if they state one.
     stated = (scene for scene in scenes if scene.excitation is not None and scene.beams is not None)
@@ -67,7 +70,7 @@ def _push_mistakes(scene: Scene) -> Iterator[Mistake]:
 
 
 def _stated_push(scene: Scene, width_uncertainty: float) -> Push:
-    """Return the push that ``scene`` states, with relative ``width_uncertainty`` across and along."""
+    """Return the force of the tonebursts that ``scene`` states; ``width_uncertainty`` is relative, across and along."""
     excitation = scene.excitation
     assert excitation is not None  # noqa: S101 (the caller selects scenes with tonebursts)
     return Push(
@@ -80,9 +83,9 @@ def _stated_push(scene: Scene, width_uncertainty: float) -> Push:
 
 
 def gates_at_depths(scene: Scene, plan: Plan, omitted: list[str]) -> Iterator[GateAtDepth]:
-    """Yield every gate that can be fitted, or the scene's own gate without gates over depth.
+    """Yield every gate over depth that the moduli can be fitted to, or the scene's own gate if it has no others.
 
-    Gates must lie near the focus and share no echoes. Omissions are added to ``omitted`` in words.
+    Gates must be near the focus and share no echoes. Omissions are added to ``omitted`` in words.
     """
     gates, focus_m = depth_gates(scene, plan.shots[0]) if plan.shots else (), _focus_depth_m(scene)
     if not gates:
@@ -107,6 +110,7 @@ def _depths_mm(gates: Sequence[DepthGate]) -> str:
 
 
 def _focus_depth_m(scene: Scene) -> float:
+    """Return the depth of the tracking focus; that of the gate if none is declared."""
     declared = scene.beams.focus_depth_m if scene.beams else None
     return scene.acquisition.gate_depth_m if declared is None else declared
 
@@ -118,10 +122,10 @@ def vibration_at(
     measured: tuple[FloatArray, ComplexArray, FloatArray],
     axial_m: float = 0.0,
 ) -> Vibration:
-    """Return the vibration in the gate of ``scene`` with the uncertainties of its position; the scene has [beams].
+    """Return the vibration measured in the gate of ``scene``, with the uncertainties of the tracked position.
 
     ``measured``: frequencies (Hz), phasors (m) and covariance (m^2) as in ``Vibration``; ``axial_m`` the gate's
-    distance from the focus.
+    distance from the focus. The scene has [beams].
     """
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of requires them)
@@ -158,7 +162,7 @@ def with_shared_noise(depths: Sequence[Vibration], correlation: float) -> list[V
     jitter moves all depths of a record alike.
     """
     variance_factor = 1 + (len(depths) - 1) * max(correlation, 0.0)
-    return [replace(one, covariance_m2=one.covariance_m2 * variance_factor) for one in depths]
+    return [replace(vibration, covariance_m2=vibration.covariance_m2 * variance_factor) for vibration in depths]
 
 
 def has_strongest_push(shot: Shot, plan: Plan) -> bool:

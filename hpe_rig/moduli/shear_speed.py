@@ -31,14 +31,14 @@ def shear_speed(
     phase_rad: FloatArray,
     uncertainty_rad: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the speed (frequency,) and its uncertainty, m/s, from a line through the phase over the lateral offset.
+    """Return the shear wave speed (frequency,) and its uncertainty, m/s, from the phase over lateral offset.
 
-    ``position_m`` (offset,); ``phase_rad`` and ``uncertainty_rad`` (offset, frequency). Phases are unwrapped in order
-    of offset, so neighbours must be less than half a wavelength apart. The wave runs away from the focus: the phase
-    falls with distance. The uncertainty covers the phases only. Within a wavelength or two of the push the wave is not
-    plane and the speed is biased: a sixth too low at 100 Hz in 9 kPa, 1 to 4 mm off the axis, without noise. Raises
-    ``ValueError`` for fewer than two different offsets and if a phase does not fall. Source: Chen, Fatemi, Greenleaf
-    (2004), phase gradient.
+    The speed follows from the slope of a line through the phases. ``position_m`` (offset,); ``phase_rad`` and
+    ``uncertainty_rad`` (offset, frequency). Phases are unwrapped in order of offset, so neighbours must be less than
+    half a wavelength apart. The wave runs away from the focus: the phase falls with distance. The uncertainty covers
+    the phases only. Within a wavelength or two of the push the wave is not plane and the speed is biased: a sixth too
+    low at 100 Hz in 9 kPa, 1 to 4 mm off the axis, without noise. Raises ``ValueError`` for fewer than two different
+    offsets and if a phase does not fall. Source: Chen, Fatemi, Greenleaf (2004), phase gradient.
     """
     offset, frequency = np.asarray(position_m, dtype=np.float64), np.asarray(frequency_hz, dtype=np.float64)
     if np.unique(offset).size < 2:
@@ -75,9 +75,9 @@ def voigt_speed(
 def fit_voigt(
     frequency_hz: FloatArray, speed_m_per_s: FloatArray, uncertainty_m_per_s: FloatArray, density_kg_per_m3: float = 1e3
 ) -> Voigt:
-    """Return the moduli, at least zero, that fit the speeds (frequency,) best, weighted by their uncertainties.
+    """Return the Voigt moduli, at least zero, that fit shear wave speeds (frequency,) best.
 
-    Raises ``ValueError`` for fewer than two frequencies.
+    Speeds are weighted by their uncertainties. Raises ``ValueError`` for fewer than two frequencies.
     """
     if frequency_hz.size < 2:
         raise ValueError("one frequency does not separate elasticity from viscosity. Try: at least two")

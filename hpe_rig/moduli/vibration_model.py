@@ -42,7 +42,7 @@ class Push:
         return APERTURE_SHAPE if self.force.unsure else 0.0
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return S (frequency,): A exp(j phase) of a force that is 1 during every burst and 0 between bursts.
+        """Return A exp(j phase) (frequency,) of the tonebursts' force, 1 during each burst and 0 between bursts.
 
         A and phase are those of A sin(wt + phase), with t from the onset of a burst.
         """

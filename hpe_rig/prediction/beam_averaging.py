@@ -53,10 +53,10 @@ logarithm, the steepness a root mean square."""
 def predicted_averaging(
     scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[float, ...] = ()
 ) -> tuple[Averaging | None, ...]:
-    """Return the averaging over the tracking beam at every wanted frequency; None without beams and sphere.
+    """Return the predicted tracked over peak displacement, with uncertainties, at every wanted frequency.
 
-    ``check``, report, design and the error budget of a result use this one prediction. ``offsets_of_joint_fit_m``: see
-    ``BeamWidths``.
+    None without beams and sphere. ``check``, report, design and the error budget of a result use this one prediction.
+    ``offsets_of_joint_fit_m``: all lateral offsets of a run; their ensembles are computed at once.
     """
     frequency_hz = np.array(scene.wanted_frequencies_hz)
     if scene.sphere is not None:
@@ -65,6 +65,7 @@ def predicted_averaging(
     beams, resting = beam_widths(scene, estimator, offsets_of_joint_fit_m), resting_conditions(scene)
     if beams is None or resting is None:
         return (None,) * frequency_hz.size
+    # A Gaussian motion, for which finite numbers of speckles and scatterers are known, and its spread over speckle.
     gaussian = beam_averaging_factor(beams.force_width_m, tracking_gate(scene, estimator), resting.scatterers_per_m3)
     spread, carrier = speckle_spread(resting, estimator)
     if scene.excitation is None:
@@ -96,7 +97,11 @@ def predicted_averaging(
 
 
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return the ratio in the declared medium, else its statistics over the ensemble of media."""
+    """Return tracked over peak motion (frequency,), its deviation over media, and its change with the beam's area.
+
+    They are those of the declared medium, else statistics over the ensemble of media. Deviation and change have
+    relative amplitude as real part and phase (rad) as imaginary part.
+    """
     medium = medium_of(scene, frequency_hz, simulated=False)
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
@@ -107,7 +112,11 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return the statistics of the ratio over the ensemble of the medium prior."""
+    """Return tracked over peak motion (frequency,), its deviation, and its change with the beam's area, over all media.
+
+    The media are those of the medium prior. Mean and standard deviation are those of the logarithm of the ratio, real
+    and imaginary part; the change is a root mean square.
+    """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
@@ -121,6 +130,7 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     log_ratio, steepness = np.log(tracked / peak), bounded_steepness(slope / tracked, power / power.mean(axis=0))
 
     def rms(values: FloatArray) -> FloatArray:
+        """Return the root mean square over members, axis 0."""
         return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
     deviation = log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0)
@@ -138,7 +148,7 @@ def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
 
 def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> list[complex]:
-    """Return the tracked over peak motion under the declared aperture's force, relative to the Gaussian force.
+    """Return the factor (frequency,) on tracked over peak motion that the true shape of the force has over a Gaussian.
 
     The medium is the declared one, else a typical one. The paper's aperture has 1.005 at 100 Hz and less above,
     and 0.1 deg of lag at all frequencies, nearly independent of the medium.
@@ -156,7 +166,10 @@ def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArr
 
 
 def _times(averaging: Averaging, correction: complex, **errors: float) -> Averaging:
-    """Return ``averaging`` with ratio and rule multiplied by ``correction``, and with these ``errors`` (its fields)."""
+    """Return ``averaging`` with ratio and rule multiplied by the complex ``correction``, and with ``errors`` set.
+
+    ``errors``: values of fields of ``Averaging`` by name.
+    """
     size, angle = abs(correction), cmath.phase(correction)
     rule = replace(
         averaging.rule,
@@ -173,7 +186,7 @@ def _with_scene_offsets(scene: Scene, averaging: Averaging) -> Averaging:
 
 
 def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
-    """Return ``averaging`` for the oblique waves of the declared aperture; unchanged if no aperture is declared."""
+    """Return ``averaging`` times the loss from the oblique waves of the declared aperture; unchanged without one."""
     if scene.beams is None or scene.beams.transducer_diameter_m is None:
         return averaging
     focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m
@@ -184,7 +197,7 @@ def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
 def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
     """Return ``averaging`` for a gate off the declared focus; unchanged if neither focus nor offset is declared.
 
-    A gate aligned to the focus by its echoes stays there for any sound speed. A gate placed by its distance has the
+    A gate aligned to the focus by its echoes stays there for any sound speed. A gate placed by its depth is off by the
     error of the sound speed.
     """
     if scene.beams is None or (scene.beams.focus_depth_m is None and not scene.tracking.axial_offset_m):

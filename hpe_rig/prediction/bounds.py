@@ -21,14 +21,15 @@ def echo_bound(
     columns: FloatArray,
     sound_speed_m_per_s: float,
 ) -> FloatArray:
-    """Return the bound of the covariance (..., state, state) of states x.
+    """Return the smallest covariance (..., state, state) that any unbiased estimator of the motion can have.
 
-    The echo ``resting_v`` (..., sample) shifts by the displacement ``columns`` (pulse, state) @ x. It is unknown
+    The echo ``resting_v`` (..., sample) shifts by the displacement ``columns`` (pulse, state) @ states. It is unknown
     itself, which costs the part that the columns have in common with a constant. ``noise_v`` is the rms of white noise.
-    Source: Fisher information with the resting echo as nuisance parameter.
+    Source: Fisher information (Cramer-Rao bound) with the resting echo as nuisance parameter.
     """
     sample_s = np.arange(resting_v.shape[-1]) / sample_rate_hz
-    # A quintic spline, since an FFT would treat the gate's ends as a jump that moves.
+    # Change of voltage with displacement: the slope in time times 2 / c, by a quintic spline, since an FFT would treat
+    # the gate's ends as a jump that moves.
     slope = make_interp_spline(sample_s, resting_v, 5, axis=-1)(sample_s, 1) * 2 / sound_speed_m_per_s
     information = np.sum(slope**2, axis=-1) / np.square(noise_v)
     centred = columns - columns.mean(axis=0)

@@ -67,9 +67,9 @@ class Conditions:
 
 
 def resting_conditions(scene: Scene) -> Conditions | None:
-    """Return the conditions of echoes at rest without noise; None without beams or wanted frequencies.
+    """Return beams, gate and scatterers for the prediction of speckle, without motion and noise.
 
-    Speckle is fully developed unless the twin states a scatterer density.
+    None without beams or wanted frequencies. Speckle is fully developed unless the twin states a scatterer density.
     """
     if scene.beams is None or not scene.wanted_frequencies_hz:
         return None
@@ -93,7 +93,7 @@ def resting_conditions(scene: Scene) -> Conditions | None:
 
 
 def expected_snr_db(scene: Scene) -> float | None:
-    """Return the SNR in the gate that the scene expects or its twin simulates; None if neither states one."""
+    """Return the SNR in the gate, dB, that the scene expects or its twin simulates; None if neither states one."""
     if scene.processing.expected_snr_db is not None:
         return scene.processing.expected_snr_db
     twin = twin_of(scene)
@@ -108,7 +108,7 @@ def expected_snr_db(scene: Scene) -> float | None:
 
 
 def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
-    """Return the amplitude at ``frequency_hz`` that the scene expects, else that of its twin's motion.
+    """Return the peak displacement at ``frequency_hz`` that the scene expects, else that of its twin, else a default.
 
     ``shot`` gives force and burst length (default: the scene's first).
     """
@@ -125,7 +125,10 @@ def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = 
 
 
 def relative_drive(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
-    """Return the amplitude of the force at ``frequency_hz`` over F_0; 0 if nothing drives it."""
+    """Return the force's amplitude at ``frequency_hz`` over the full force F_0 of a toneburst; 0 if nothing drives it.
+
+    ``shot`` gives force and burst length (default: the scene's first).
+    """
     excitation = scene.excitation
     if excitation is None:
         return 0.0

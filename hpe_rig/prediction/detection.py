@@ -48,7 +48,7 @@ class Floor:
 
     @property
     def detected_m(self) -> float:
-        """The amplitude that noise alone exceeds with the probability ``FALSE_ALARMS``."""
+        """The displacement amplitude that noise alone exceeds with the probability ``FALSE_ALARMS``, m."""
         if self.quadrature_m == 0:
             return 0.0
         noise_m2 = np.array(self.relative_variances) * self.noise_m**2
@@ -57,12 +57,13 @@ class Floor:
 
 
 def amplitude_quantile(larger_quadrature: float, relative_variances: tuple[float, ...] = (1.0,)) -> float:
-    """Return the floor over the rms noise of the two quadratures.
+    """Return the amplitude that noise alone exceeds in the fraction ``FALSE_ALARMS``, over the rms of a quadrature.
 
-    ``larger_quadrature`` = 1 gives the Rayleigh distribution, sqrt(2) that of the magnitude of one normal number.
-    ``relative_variances``: noise variances of groups of equally many measurements, over their mean; if they differ, the
-    largest exceed the floor more often.
+    ``larger_quadrature``: noise of the larger principal quadrature over the rms of both. 1 gives the Rayleigh
+    distribution, sqrt(2) that of the magnitude of one normal number. ``relative_variances``: noise variances of groups
+    of equally many measurements, over their mean; if they differ, the largest exceed the floor more often.
     """
+    # Variance over directions of the phasor, (group, direction); the quantile averages over both.
     largest = larger_quadrature**2
     sine2 = np.sin(np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS) ** 2
     variance = np.multiply.outer(relative_variances, largest + (2 - 2 * largest) * sine2)
@@ -77,7 +78,7 @@ def amplitude_quantile(larger_quadrature: float, relative_variances: tuple[float
 
 
 def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Floor:
-    """Return the floor at the worst wanted frequency, from echo noise and trigger jitter.
+    """Return the noise that limits detection at the worst wanted frequency: echo noise and trigger jitter.
 
     ``shot`` gives the used pulses and so the cost of fitting the other driven harmonics; without it every frequency
     counts as the only one fitted to all pulses. Echo noise is that of the error model (``predict``) for echoes at rest
@@ -105,7 +106,7 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
 
 
 def _gain_and_larger_quadrature(scene: Scene, shot: Shot | None) -> tuple[FloatArray, FloatArray]:
-    """Return noise gain and relative noise of the larger quadrature, each (frequency,).
+    """Return noise of a quadrature over that of a pulse, and of the larger quadrature over the rms, (frequency,) each.
 
     They are those of a single fitted sinusoid if no plan or no fit is known.
     """

@@ -55,8 +55,12 @@ class EstimatorErrors:
 def estimator_errors(
     conditions: Conditions, estimator: str, speckle: Speckle, generator: np.random.Generator
 ) -> EstimatorErrors:
-    """Return bias and jitter of ``estimator`` for ``speckle`` drawn under the same conditions."""
+    """Return the predicted bias and jitter of amplitude and phase by ``estimator``.
+
+    ``speckle``: random draws of echoes under the same ``conditions``.
+    """
     spec = spec_of(estimator)
+    # Tracked over peak displacement in every draw, and phase variances (rad^2) of a pulse and of a step.
     if spec.reads_peak:
         ratio, variances = peak_statistics(conditions, speckle, generator)
     else:
@@ -84,28 +88,31 @@ def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) 
 def _whole_gate_ratio(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
     """Return tracked over peak displacement (draw,) from the phase of the whole gate, and the band's energy fraction.
 
-    A displaced echo a(t - 2u/c) exp(j w (t - 2u/c)) turns by its derivative times the conjugate echo at rest. The
-    tracked displacement is that over the mean frequency in the gate, or ``by_carrier`` over the carrier. Derivatives
-    are those of echoes that continue outside the gate, so its ends are no step.
+    A displacement u changes an echo a(t - 2u/c) exp(j w (t - 2u/c)) in proportion to its slope; the change of phase is
+    the sum over the gate of the slope times the conjugate echo at rest. The tracked displacement is this phase over the
+    mean frequency in the gate, or ``by_carrier`` over the carrier. Slopes are those of echoes that continue outside the
+    gate, so its ends are no step.
     """
     carrier_rad_per_s = 2 * np.pi * conditions.carrier_hz
 
-    def turning(envelope: ComplexArray) -> FloatArray:
+    def phase_rate(envelope: ComplexArray) -> FloatArray:
+        """Return the change of phase (draw,) with delay, times the echo energy."""
         slope = np.gradient(envelope, instant_s(conditions), axis=-1) + 1j * carrier_rad_per_s * envelope
         return np.asarray(np.sum(np.conj(speckle.resting) * slope, axis=-1).imag)
 
     energy = np.sum(np.abs(speckle.resting) ** 2, axis=-1)
-    ratio = turning(speckle.displaced) / (carrier_rad_per_s * energy if by_carrier else turning(speckle.resting))
+    ratio = phase_rate(speckle.displaced) / (carrier_rad_per_s * energy if by_carrier else phase_rate(speckle.resting))
     band_energy = np.sum(np.abs(matmul(speckle.resting, to_band(conditions, INSTANTS))) ** 2)
     return np.asarray(ratio), float(band_energy / (INSTANTS * energy.sum()))
 
 
 def _step_variance(conditions: Conditions, pulse: float) -> float:
-    """Return the phase variance of a step that the next step does not return, for correlation over the whole band.
+    """Return the phase variance of a step that the next step does not cancel, for correlation over the whole band.
 
-    With M independent numbers in the gate and ``pulse`` = 1/(2 M s) for white noise, it is 2 M ``pulse``^2. For noise
-    limited to the band B before a gate of duration T cuts it, M is the sum of the squared eigenvalues of time and band
-    limiting (Slepian and Pollak, 1961). It is below B T, since neighbours at the gate's ends are correlated.
+    With M independent samples in the gate and ``pulse`` = 1 / (2 M SNR) the phase variance of a pulse in white noise,
+    it is 2 M ``pulse``^2. For noise limited to the band B before a gate of duration T cuts it, M is the sum of the
+    squared eigenvalues of time and band limiting (Slepian and Pollak, 1961). It is below B T, since neighbours at the
+    gate's ends are correlated.
     """
     lag_s = instant_s(conditions) * np.subtract.outer(np.arange(INSTANTS), np.arange(INSTANTS))
     band_hz = BAND_OVER_CARRIER * conditions.carrier_hz
@@ -114,19 +121,22 @@ def _step_variance(conditions: Conditions, pulse: float) -> float:
 
 
 def _quadrature_sd_m(conditions: Conditions, spec: EstimatorSpec, pulse: float, step: float) -> float:
-    """Return the standard deviation of a quadrature from the phase variances of a pulse and of a step."""
+    """Return the standard deviation of a fitted quadrature, m, from phase variances of a ``pulse`` and a ``step``.
+
+    The variance of a step is the part that the next step does not cancel.
+    """
     if spec.fits_all_at_once:
         return conditions.fit_gain * _fitted_sd_m(conditions, pulse, step)
-    # A window over steps has the noise factor N sum w^2 / (sum w)^2.
+    # The slow-time window w over steps raises the noise by N sum w^2 / (sum w)^2, ``slow_time_noise``.
     level = pulse + step / (4 * conditions.half_step**2)
     return float(conditions.metres_per_radian * np.sqrt(2 * spec.slow_time_noise * level / conditions.pulses))
 
 
 def _fitted_sd_m(conditions: Conditions, pulse: float, step: float) -> float:
-    """Return the standard deviation of a quadrature fitted to the pulses with a constant, by least squares.
+    """Return the standard deviation of a quadrature, m, fitted to the pulses with a constant by least squares.
 
-    The steps' noise adds up to a random walk. A random walk has most power at low frequency; without a window it leaks
-    into both quadratures.
+    ``pulse``, ``step``: phase variances (rad^2) of a pulse and of a step. The steps' noise adds up to a random walk,
+    which has most power at low frequency; without a window it leaks into both quadratures.
     """
     if step == 0:
         return float(conditions.metres_per_radian * np.sqrt(2 * pulse / conditions.pulses))
@@ -141,7 +151,11 @@ def _fitted_sd_m(conditions: Conditions, pulse: float, step: float) -> float:
 def _with_rice_statistics(
     conditions: Conditions, estimator: str, ratio: FloatArray, noise_m: float, relative_variances: tuple[float, ...]
 ) -> EstimatorErrors:
-    """Return the errors for amplitudes ``ratio`` (draw,) with noise ``noise_m`` in both quadratures."""
+    """Return bias and jitter of amplitude and phase for amplitudes ``ratio`` (draw,) with noise in both quadratures.
+
+    ``ratio``: tracked over peak displacement in each draw of speckle. ``noise_m``: standard deviation of a quadrature.
+    The amplitude of a phasor with such noise has a Rice distribution.
+    """
     # Double precision: the variance is a small difference.
     amplitude_m = np.abs(ratio, dtype=np.float64) * conditions.amplitude_m
     mean_m = _rice_mean(amplitude_m, noise_m)
@@ -162,7 +176,10 @@ def _with_rice_statistics(
 
 
 def _rice_mean(amplitude_m: FloatArray, noise_m: float) -> FloatArray:
-    """Return the mean length of a vector of length ``amplitude_m`` with noise ``noise_m`` in both components."""
+    """Return the mean of a Rice distribution: the length of a phasor ``amplitude_m`` with noise in both components.
+
+    ``noise_m``: standard deviation of each component.
+    """
     if noise_m == 0:
         return amplitude_m
     if not amplitude_m.any():

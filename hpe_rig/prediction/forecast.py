@@ -52,10 +52,10 @@ class Prediction:
 def conditions_of(
     scene: Scene, shot: Shot | None = None, frequency_hz: float | None = None, estimator: str | None = None
 ) -> Conditions | None:
-    """Return the conditions of a wanted frequency (default: the first); None without beams or SNR.
+    """Return the conditions for which errors at one wanted frequency (default: the first) are predicted.
 
-    ``shot`` gives the used pulses, the force, and the cost of fitting the other driven harmonics; that cost is left out
-    if the plan resolves no frequencies.
+    None without beams or SNR. ``shot`` gives the used pulses, the force, and the cost of fitting the other driven
+    harmonics; that cost is left out if the plan resolves no frequencies.
     """
     snr_db, resting = expected_snr_db(scene), resting_conditions(scene)
     if snr_db is None or resting is None:
@@ -78,7 +78,11 @@ def conditions_of(
 
 
 def _fit_gain(scene: Scene, shot: Shot, frequency_hz: float, pulses: int, estimator: str | None) -> float:
-    """Return the noise of a quadrature over that of one sinusoid fitted to all used pulses; 1 without such a fit."""
+    """Return the noise of a fitted quadrature over that of one sinusoid fitted to all used pulses.
+
+    It is 1 for an estimator without such a fit, and exceeds 1 if the pulses hardly separate the frequency from the
+    other fitted harmonics.
+    """
     if not spec_of(estimator or scene.processing.estimator).fits_all_at_once:
         return 1.0
     # A plan with conflicts may have no fit.
@@ -116,7 +120,7 @@ def forecast_of(
 
 
 def as_averaged(errors: EstimatorErrors, conditions: Conditions, averaging: Averaging | None) -> EstimatorErrors:
-    """Return ``errors`` with bias and speckle of ``averaging``, as in the error budget of a result.
+    """Return ``errors`` with bias and speckle jitter taken from ``averaging``, as in the error budget of a result.
 
     The error model's own bias and speckle are those of a Gaussian motion and of a finite number of draws.
     """
@@ -138,7 +142,7 @@ def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, dr
 
 
 def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErrors:
-    """Return the errors of ``estimator``, predicted from ``draws`` draws of speckle.
+    """Return bias and jitter of ``estimator`` under ``conditions``, predicted from ``draws`` random draws of speckle.
 
     An estimator that reads the phase at a spectral peak gets more draws, by ``PEAK_DRAW_FACTOR``.
     """
@@ -152,7 +156,7 @@ def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErro
 
 
 def remedies(prediction: Prediction, target_m: float, estimator: str = "coherent") -> tuple[float, float, float]:
-    """Return N_c, f_prf (Hz) and SNR (dB) that each bring the noise jitter of ``estimator`` to ``target_m``.
+    """Return cycles N_c, pulse rate (Hz) and SNR (dB) that each bring ``estimator``'s noise jitter to ``target_m``.
 
     The noise variance is proportional to 1 / (N_c f_prf SNR) if a pulse's phase is well above noise. SNR does not
     reduce trigger jitter: the SNR is inf if jitter alone exceeds the target, -inf if there is nothing else.

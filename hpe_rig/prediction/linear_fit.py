@@ -44,7 +44,7 @@ LOBES = 10
 
 
 def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
-    """Return the noise of a quadrature of each wanted frequency (frequency,) over that of a pulse, rms of the two.
+    """Return the noise of a fitted quadrature over the noise of a pulse, (frequency,), rms of the two quadratures.
 
     It is sqrt(2/N) for a single sinusoid fitted to N pulses over whole cycles, and more if skipped pulses hardly
     separate the wanted from the other fitted harmonics. ``estimator`` defaults to the scene's. Raises ``ValueError`` if
@@ -60,7 +60,7 @@ def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatA
 
 
 def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
-    """Return the noise of the larger principal quadrature of each wanted frequency (frequency,) over the rms of both.
+    """Return the noise of the larger principal quadrature over the rms of both, (frequency,).
 
     It is 1 if all phases are equally certain, up to sqrt(2) if skipped pulses leave one of the two uncertain.
     """
@@ -74,7 +74,10 @@ def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) ->
 
 
 def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArray, FloatArray]:
-    """Return the weights (frequency, 2, pulse) of the used pulses' displacement, and the pulses' times (pulse,)."""
+    """Return the weights (frequency, 2, pulse) of the pulses in the fitted quadratures, and their times (pulse,), s.
+
+    They are those of the later fit, with the prior of media or by least squares, at the pulses that it will use.
+    """
     pulses = select(scene, shot)
     prior = shot_prior(scene, shot, spec.name, beam_widths(scene, spec.name))
     if prior is not None:
@@ -87,7 +90,7 @@ def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArr
 
 
 def fit_noise_free(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatArray) -> ComplexArray:
-    """Return the fitted A exp(j phase) (frequency,) of a noise-free displacement at every pulse of the window."""
+    """Return the fitted A exp(j phase) (frequency,), m, of a noise-free displacement at every pulse of the window."""
     pulses = select(scene, shot)
     if spec.fits_all_at_once:
         states = fit_weights(scene, shot, spec)[0] @ displacement_m[pulses.used]
@@ -104,7 +107,10 @@ def fit_noise_free(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m
 
 
 def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumPrior) -> FloatArray:
-    """Return the weights (2 * frequency, pulse) of the medium prior with its expected scale and noise."""
+    """Return the weights (2 * frequency, pulse) of the pulses in the quadratures of a fit with the prior of media.
+
+    The scale of the motion and the noise, which the fit would estimate, are those that the scene expects.
+    """
     pulses = select(scene, shot)
     projected = project_prior(prior, pulses.time_s, pulses.used, pulses.wanted_hz, scene.processing.background_order)
     unit_m = math.sqrt(float(np.mean(np.sum(projected.wanted_members[:, :2] ** 2, axis=1))))
@@ -119,9 +125,9 @@ def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumP
 
 
 def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:
-    """Return the noise of one pulse's displacement, m, from echo noise: phase variance 1 / (gate samples x SNR).
+    """Return the displacement noise of one pulse, m, from echo noise: phase variance 1 / (gate samples x SNR).
 
-    Twice that variance with a reference gate: its echoes are assumed to be as noisy.
+    Twice that variance with a reference gate: its echoes are assumed to be as noisy. 0 if no SNR is known.
     """
     acquisition, snr_db = scene.acquisition, expected_snr_db(scene)
     if snr_db is None:
@@ -133,7 +139,7 @@ def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:
 
 
 def trigger_noise_m(scene: Scene, simulated: bool = True) -> float:
-    """Return the apparent displacement of one pulse by trigger jitter, m.
+    """Return the apparent displacement of one pulse caused by trigger jitter, rms, m.
 
     0 on a real bench, where it is not known, and with a reference gate, which removes it.
     """
@@ -148,8 +154,8 @@ def fitted_over_true(
 ) -> ComplexArray | None:
     """Return the fitted over the true phasor of each wanted harmonic (frequency,), without noise.
 
-    ``estimator`` defaults to the scene's. None if no medium is known, nothing pushes, or the wanted frequencies are no
-    multiples of the burst rate.
+    It is 1 without aliasing. ``estimator`` defaults to the scene's. None if no medium is known, nothing pushes, or the
+    wanted frequencies are no multiples of the burst rate.
     """
     return fitted_over_true_by_estimator(scene, shot, (estimator or scene.processing.estimator,), simulated)[0]
 
@@ -175,9 +181,10 @@ def _over_true(
 
 
 def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexArray, FloatArray] | None:
-    """Return A exp(j phase) of the wanted harmonics (frequency,), m, and the displacement at every pulse (pulse,), m.
+    """Return the steady motion under the tonebursts: phasors (frequency,) and displacement at every pulse (pulse,), m.
 
-    None if no medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
+    The phasors A exp(j phase) are those of the wanted harmonics; the displacement contains all harmonics. None if no
+    medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
     """
     if scene.excitation is None or shot.toneburst is None or not scene.wanted_frequencies_hz:
         return None

@@ -55,7 +55,7 @@ def focal_distortion(
 
 
 def dose_text(scene: Scene) -> Iterator[str]:
-    """Yield the twin's push, the motion at the FDA's track-3 limit for each burst length, and a linearity warning."""
+    """Yield lines on the twin's push: output, motion at the FDA's track-3 limit for each burst length, linearity."""
     excitation, twin = scene.excitation, twin_of(scene)
     if excitation is None or twin is None:
         return
@@ -79,7 +79,7 @@ def dose_text(scene: Scene) -> Iterator[str]:
 
 
 def _push_text(twin: TwinDeclaration, excitation: Excitation) -> Iterator[str]:
-    """Yield pressures, output and heating of the tonebursts at full drive if they propagate nonlinearly."""
+    """Yield pressures, acoustic output and heating of the twin's tonebursts, if they propagate nonlinearly."""
     push, specimen = twin.push(excitation.carrier_hz), twin.settings.specimen
     if push is None or specimen is None:
         return
@@ -114,7 +114,7 @@ def _push_text(twin: TwinDeclaration, excitation: Excitation) -> Iterator[str]:
 
 
 def _linearity_text(twin: TwinDeclaration, excitation: Excitation, intensity_w_per_m2: float) -> Iterator[str]:
-    """Yield a warning if the twin propagates a push linearly that is too strong for it."""
+    """Yield a warning if the twin propagates a push linearly that is too strong for linear propagation."""
     if twin.settings.propagation is not None:
         return
     beams, sound_speed = twin.settings.beams, twin.sound_speed_m_per_s
@@ -129,9 +129,10 @@ def _linearity_text(twin: TwinDeclaration, excitation: Excitation, intensity_w_p
 
 
 def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
-    """Yield a contradiction between the bench file's calibration and the twin's force.
+    """Yield a warning if the calibrated intensity in the bench file contradicts the force of the twin.
 
-    The force is 2 a I / c, as in the twin; the calibrated intensity is derated as for the limits.
+    The force is 2 a I / c, as in the twin, with a the attenuation; the calibrated intensity is derated as for the
+    limits.
     """
     drive = None if bench.calibration is None else bench.calibration.toneburst
     if not bench.simulated or bench.calibration is None or drive is None or scene.excitation is None:
@@ -153,7 +154,7 @@ def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
 
 
 def extrapolation_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
-    """Yield that the calibrated output is scaled to another drive, and the error of that scaling by shocks."""
+    """Yield a warning if the calibrated output is scaled to another drive, with the error of that scaling by shocks."""
     calibration, excitation = bench.calibration, scene.excitation
     drive = None if calibration is None else calibration.toneburst
     if calibration is None or drive is None or excitation is None:
@@ -187,7 +188,7 @@ def extrapolation_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
 
 
 def _push_diameter_m(scene: Scene, simulated: bool) -> float | None:
-    """Return the diameter of the aperture that pushes; None if it is unknown."""
+    """Return the diameter of the transducer that pushes, m; None if it is unknown."""
     beams, twin = scene.beams, twin_of(scene) if simulated else None
     # With two transducers the declared aperture is the one that tracks.
     if beams is not None and beams.transducer_diameter_m is not None and beams.push_focus_depth_m is None:

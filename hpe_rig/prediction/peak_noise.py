@@ -33,7 +33,10 @@ NEGLIGIBLE_SINGULAR_VALUE = 1e-6
 
 
 def peak_ratio(conditions: Conditions, speckle: Speckle) -> FloatArray:
-    """Return tracked over peak displacement (draw,) at the peak of the spectrum, without noise."""
+    """Return tracked over peak displacement (draw,) of an estimator that reads the phase at the spectral peak.
+
+    Without noise, for each draw of speckle: the displaced over the resting spectrum, at the peak of the resting one.
+    """
     matrix = to_band(conditions, PADDED_INSTANTS, hann(INSTANTS))
     resting, displaced = matmul(speckle.resting, matrix), matmul(speckle.displaced, matrix)
     peak = np.argmax(np.abs(resting), axis=-1)[:, None]
@@ -43,12 +46,13 @@ def peak_ratio(conditions: Conditions, speckle: Speckle) -> FloatArray:
 def peak_statistics(
     conditions: Conditions, speckle: Speckle, generator: np.random.Generator
 ) -> tuple[FloatArray, list[tuple[float, float]]]:
-    """Return tracked over peak (draw,) at the noisy peaks, and the variances (v, w), rad^2, of each group of draws.
+    """Return tracked over peak (draw,) at the noisy peaks, and phase variances (v, w), rad^2, of each group of draws.
 
-    Groups are of equal size, from the weakest echo to the strongest.
+    v is the variance of a pulse, w the part of a step's variance that the next step does not cancel. Groups of draws
+    are of equal size, from the weakest echo to the strongest.
     """
     matrix = to_band(conditions, PADDED_INSTANTS, hann(INSTANTS))
-    # The noise of the real signal's band as sampled by the gate: its share in INSTANTS samples of the envelope.
+    # Standard deviation of noise in each of INSTANTS samples of the envelope, for the SNR in the gate's real samples.
     power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)
     scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
     clean, displaced = matmul(speckle.resting, matrix), matmul(speckle.displaced, matrix)
@@ -78,9 +82,9 @@ def peak_statistics(
 def _two_steps(
     clean: ComplexArray, scale: FloatArray, matrix: ComplexArray, generator: np.random.Generator
 ) -> tuple[Int64Array, Int64Array, FloatArray, FloatArray]:
-    """Return both peaks (draw, 1), and estimates (draw,) of a pulse's variance v beyond its linear form and of w.
+    """Return both peaks (draw, 1), and estimates (draw,) of a pulse's variance v beyond its linear form, and of w.
 
-    Each draw has three noisy pulses, hence two steps. w is the part of a step that the next step does not return.
+    Each draw has three noisy pulses, hence two phase steps. w is the part of a step that the next step does not cancel.
     ``scale`` (draw, 1): noise of a sample. ``matrix``: from samples to the bins of ``clean`` (draw, bin).
     """
     shape = (len(clean), 3, clean.shape[1])
@@ -89,7 +93,8 @@ def _two_steps(
     level = noisy.real**2 + noisy.imag**2
     first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
     steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
-    # Control variate for w: steps at f_1 against the clean echo.
+    # Control variates have a known mean; subtracted, they reduce the scatter of few draws. For w: steps read at the
+    # first peak against the clean echo, for which w is 0.
     phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
     unreturned = _unreturned_variance(*steps) - _unreturned_variance(phases[1] - phases[0], phases[2] - phases[1])
     # Control variate for v: the linear form of the phases at the clean peak.
@@ -108,8 +113,9 @@ def _unreturned_variance(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _band_noise(matrix: ComplexArray, count: int, generator: np.random.Generator) -> ComplexArray:
-    """Return ``count`` draws of white noise, variance 1 in real and imaginary part, after ``matrix``.
+    """Return ``count`` draws (draw, bin) of the noise of a spectrum, from white noise of the samples.
 
+    ``matrix`` (sample, bin) leads from samples to bins. The white noise has variance 1 in real and imaginary part.
     Neighbouring bins are strongly correlated: some sixteen singular directions carry all of the noise.
     """
     _, size, direction = np.linalg.svd(matrix, full_matrices=False)

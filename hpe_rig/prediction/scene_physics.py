@@ -25,10 +25,10 @@ TYPICAL_VOIGT = (9e3, 2.0)
 def force_spectrum(
     harmonic: Int64Array | int, burst_rate_hz: float, burst_length_s: float, amplitude: float = 1.0
 ) -> ComplexArray:
-    """Return the complex Fourier coefficients F_n of the force pulse train, time from a burst's onset.
+    """Return the complex Fourier coefficients F_n of a train of tonebursts' force, with time from a burst's onset.
 
-    ``harmonic`` is n and may be negative; the result has the unit of ``amplitude``. The sinusoid at n f_r has the peak
-    2 |F_n|. Source: eq. (18) of the paper.
+    ``harmonic`` is n and may be negative; the result has the unit of ``amplitude``. The sinusoid at n times the burst
+    rate has the peak 2 |F_n|. Source: eq. (18) of the paper.
     """
     duty = burst_rate_hz * burst_length_s
     n = np.asarray(harmonic)
@@ -36,7 +36,10 @@ def force_spectrum(
 
 
 def medium_of(scene: Scene, frequency_hz: FloatArray, simulated: bool = True) -> HarmonicMedium | None:
-    """Return the declared medium at ``frequency_hz``, else the twin's if ``simulated``; None if neither is known."""
+    """Return the complex shear modulus of the declared medium at ``frequency_hz``, else the twin's if ``simulated``.
+
+    None if neither is known.
+    """
     if scene.medium is not None:
         loss_pa = 2 * np.pi * frequency_hz * scene.medium.shear_viscosity_pa_s
         modulus_pa = np.asarray(scene.medium.shear_modulus_pa + 1j * loss_pa)
@@ -47,7 +50,7 @@ def medium_of(scene: Scene, frequency_hz: FloatArray, simulated: bool = True) ->
 
 
 def push_force(scene: Scene) -> PushForce:
-    """Return the shape of the push: as scanned, else of the declared aperture, else a Gaussian.
+    """Return the shape of the force that pushes: as scanned, else of the declared aperture, else a Gaussian.
 
     The scene has [beams]. Raises ``SettingsError`` if the scan cannot be read.
     """
@@ -90,9 +93,9 @@ def tracking_gate(scene: Scene, estimator: str | None = None) -> TrackingGate:
 
 
 def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[float, ...] = ()) -> BeamWidths | None:
-    """Return the widths of force and tracking beam for the ensemble of media; None without beams.
+    """Return the widths of force and tracking beam that beam averaging depends on; None without beams.
 
-    ``offsets_of_joint_fit_m``: see ``BeamWidths``.
+    ``offsets_of_joint_fit_m``: all lateral offsets of a run; their ensembles of media are computed at once.
     """
     if scene.beams is None:
         return None
@@ -111,9 +114,9 @@ def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[floa
 def focal_motion(
     scene: Scene, frequency_hz: FloatArray, simulated: bool = True
 ) -> tuple[ComplexArray, ComplexArray] | None:
-    """Return tracked and peak displacement (frequency,) in the scene's medium up to a factor; None if it is unknown.
+    """Return tracked and peak displacement (frequency,) at the focus, up to a common factor, in the scene's medium.
 
-    The motion is that on the axis under a Gaussian force, averaged over a gate without window.
+    None if the medium is unknown. The force is Gaussian, the gate on its axis and without window.
     """
     medium = medium_of(scene, frequency_hz, simulated)
     if scene.beams is None or medium is None:
@@ -125,7 +128,10 @@ def focal_motion(
 
 
 def gaussian_motion_width_m(scene: Scene, frequency_hz: float) -> tuple[float, float, float]:
-    """Return the sigmas of the Gaussian motion with the same tracked over peak ratio as the scene's motion."""
+    """Return the sigmas of a Gaussian motion with the same tracked over peak ratio as the motion at ``frequency_hz``.
+
+    The error model draws speckle for a Gaussian motion. In an unknown medium these are the force's sigmas.
+    """
     assert scene.beams is not None  # noqa: S101 (callers check)
     x, y, z = force_width_m = scene.beams.excitation_width_m
     motion = focal_motion(scene, np.array([frequency_hz]))

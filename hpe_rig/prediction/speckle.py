@@ -54,7 +54,7 @@ class Scattering:
     depth_m: FloatArray
 
     def speckle(self, gate_length_m: float, pulse_length_m: float) -> Speckle:
-        """Return the envelopes in a gate around the focus for a Hann pulse.
+        """Return the complex envelopes (draw, instant) of the echoes in a gate around the focus, for a Hann pulse.
 
         Draws without an echo in the gate, which sparse scatterers have, carry no information and are left out.
         """
@@ -71,14 +71,17 @@ class Scattering:
 def draw_speckle(
     conditions: Conditions, generator: np.random.Generator, draws: int = 1000, displacement: Displacement | None = None
 ) -> Speckle:
-    """Return envelopes of ``draws`` independent speckles; ``displacement`` as in ``draw_scattering``."""
+    """Return the echo envelopes of ``draws`` random draws of scatterers, at rest and weighted by their displacement.
+
+    ``displacement``: function of position (default: the Gaussian of the paper).
+    """
     scattering = draw_scattering(conditions, generator, draws, *_cells(conditions), displacement)
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
 
 
 @functools.lru_cache(maxsize=4)
 def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacement | None = None) -> Speckle:
-    """Return speckle like ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene.
+    """Return echo envelopes as ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene.
 
     Conditions with equal echoes share the same scatterers for any displacement, and a larger number of draws begins
     with the same ones. Draws are cached unless they are too many.
@@ -103,7 +106,7 @@ def draw_scattering(
     cells: int,
     displacement: Displacement | None = None,
 ) -> Scattering:
-    """Return ``draws`` draws of scatterers in ``cells`` cells within ``depth_m`` around the focus.
+    """Return ``draws`` random draws of scatterers within ``depth_m`` around the focus, summed into ``cells`` of depth.
 
     The default ``displacement`` is the Gaussian of the paper. The echo depends on tracking beam and density only: the
     same draws serve any gate and pulse within ``depth_m``. A draw has at most ``MAX_SCATTERERS``, because predictions
@@ -140,7 +143,7 @@ def _seeded_block(echoes: Conditions, number: int, draws: int) -> _Block:
 def _draw_block(
     conditions: Conditions, generator: np.random.Generator, draws: int, depth_m: float, cells: int
 ) -> _Block:
-    """Draw scatterers for ``draws`` echoes in a box ``depth_m`` deep, and sum them into ``cells`` over its depth."""
+    """Return random scatterers for ``draws`` echoes in a box ``depth_m`` deep, summed into ``cells`` over its depth."""
     count = generator.poisson(_mean_scatterers(conditions, depth_m), draws)
     # Positions are uniform in the box and phases uniform over a turn: fully random interference.
     unit_position, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
@@ -159,7 +162,7 @@ def _draw_block(
 def _scattering(
     blocks: Iterable[_Block], conditions: Conditions, depth_m: float, displacement: Displacement | None
 ) -> Scattering:
-    """Return the draws of all ``blocks``; the default ``displacement`` is the Gaussian of ``conditions``."""
+    """Return the draws of all ``blocks`` together, with echoes weighted by ``displacement`` (default: Gaussian)."""
     displacement = displacement or functools.partial(_gaussian, conditions.excitation_width_m)
     echo, displaced = zip(*((block.echo, block.displaced(displacement)) for block in blocks), strict=True)
     cells = echo[0].shape[1]
@@ -210,9 +213,10 @@ def instant_s(conditions: Conditions) -> float:
 
 
 def to_band(conditions: Conditions, bins: int, window: FloatArray | float = 1.0) -> ComplexArray:
-    """Return the matrix (instant, bin in the band) from envelopes times ``window`` to their spectrum of ``bins``.
+    """Return the matrix (instant, bin) from envelopes to their spectrum in the transmitted band.
 
-    The band has a sixth of the bins: the product takes a third of the time of a full Fourier transform.
+    The envelopes are multiplied by ``window``; the whole spectrum would have ``bins``. The band has a sixth of them:
+    the product takes a third of the time of a full Fourier transform.
     """
     frequency_hz = np.fft.fftfreq(bins, instant_s(conditions))
     band_hz = frequency_hz[np.abs(frequency_hz) <= conditions.carrier_hz * BAND_OVER_CARRIER / 2]

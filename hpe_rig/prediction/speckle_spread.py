@@ -27,13 +27,14 @@ def tracked_region_spread(scene: Scene, estimator: str) -> tuple[float, float, f
 
 @functools.lru_cache(maxsize=16)
 def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
-    """Return standard deviations over speckle of the tracked region: relative area, lateral and axial centre, m.
+    """Return the standard deviations over speckle of the tracked region: relative area, lateral and axial centre, m.
 
-    The estimator's ratio is linear in the displacement. Displacements (x^2 + y^2) / 2, x and z give the area and the
-    centre that the echoes weight.
+    The ratio of tracked to peak displacement is linear in the displacement. For the displacements (x^2 + y^2) / 2, x
+    and z it is the area and the centre that the echoes weight.
     """
 
     def statistics(displacement: Displacement) -> tuple[float, float]:
+        """Return mean and standard deviation over speckle of the tracked ``displacement``."""
         ratio = tracked_over_peak(resting, estimator, seeded_speckle(resting, SPECKLE_DRAWS, displacement))
         return float(ratio.mean()), float(ratio.std())
 

@@ -19,7 +19,7 @@ from hpe_rig.scene import Scene
 
 
 def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Iterator[str]:
-    """Yield the detection floor and, on the twin, its dose."""
+    """Yield the smallest amplitude that can be detected and, on the twin, the output and motion of its push."""
     floor = detection_floor(scene, simulated, shot)
     if floor.quadrature_m == 0:
         yield "detection floor: none, neither noise nor trigger jitter is known"
@@ -34,7 +34,10 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
 
 
 def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[str]:
-    """Yield the largest change of the wanted harmonics by aliased ones."""
+    """Yield the largest change of the wanted harmonics by unresolved ones, which alias onto them.
+
+    Nothing is printed if no medium is known.
+    """
     ratio = fitted_over_true(scene, shot, simulated)
     if ratio is not None:
         amplitude, phase = np.abs(np.abs(ratio) - 1).max(), np.degrees(np.abs(np.angle(ratio)).max())
@@ -45,7 +48,7 @@ def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[
 
 
 def averaging_text(scene: Scene) -> Iterator[str]:
-    """Yield the tracked fraction of the peak, in the known medium or ensemble, and for a Gaussian motion."""
+    """Yield the tracked fraction of the peak displacement, in the known medium or ensemble."""
     estimator = scene.processing.estimator
     averagings = [averaging for averaging in predicted_averaging(scene, estimator) if averaging is not None]
     if not averagings or scene.beams is None:
@@ -107,7 +110,10 @@ def _estimator_line(prediction: Prediction, index: int) -> str:
 
 
 def _target_line(prediction: Prediction, target_m: float, depth_m: float, estimator: str) -> str:
-    """Return whether the noise reaches ``target_m``, and the settings that each reach it; ``depth_m`` of the gate."""
+    """Return the line that states whether the noise reaches ``target_m``, and cycles, pulse rate or SNR that would.
+
+    ``depth_m``: of the gate, which limits the pulse rate.
+    """
     cycles, pulse_rate_hz, snr_db = remedies(prediction, target_m, estimator)
     errors = prediction.errors_of(estimator)
     is_reached = errors.noise_jitter_m <= target_m

@@ -49,7 +49,7 @@ def refuse_unwritable(path: Path) -> None:
 
 
 def unwritable(path: Path) -> str:
-    """Return why ``path`` cannot be written, "" if it can: creates a draft and deletes it."""
+    """Return why ``path`` cannot be written, or "" if it can: a draft in its folder is created and deleted."""
     try:
         if not path.name or path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))

@@ -48,7 +48,7 @@ AT_ONCE: Final = ("run_time/run_time_s", "provenance/ended")
 
 
 def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
-    """Return the checksum of ``contents``, the bytes of dataset ``name`` at ``index``; never zero."""
+    """Return the checksum of ``contents``, the bytes in row or chunk ``index`` of dataset ``name``; never zero."""
     # Name and index are part of the checksum, so that exchanged rows or chunks are detected.
     checksum = blake2b(f"{name} {index}".encode(), digest_size=8)
     for content in contents:
@@ -67,7 +67,11 @@ def blank(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def add_checksums(file: h5py.File) -> None:
-    """Create the checksum datasets of a new run file, and the checksums of all datasets that never change."""
+    """Create the checksum datasets of a new run file, and write the checksums of all datasets that never change.
+
+    Data that are written during the run have one checksum for each shot, for each chunk, or for the whole dataset.
+    """
+    # Number of shots, and of chunks (pieces that HDF5 stores at once) in each.
     shots = file["records/echo"].shape[0]
     chunks = -(-file["records/echo"].shape[1] // file["records/echo"].chunks[1])
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(BY_SHOT, (shots,))
@@ -83,16 +87,17 @@ def add_checksums(file: h5py.File) -> None:
 
 
 def seal(file: h5py.File, changing: set[str] | None = None) -> None:
-    """Write the checksum attribute of every dataset of ``file`` except the ``changing`` ones."""
+    """Write the checksum of every dataset of ``file`` as its attribute, except of those in ``changing``."""
     for name, dataset in datasets(file):
         if name not in (changing or ()):
             dataset.attrs[ATTRIBUTE] = np.uint64(digest(name, (), stored_bytes(dataset[()], dataset.dtype)))
 
 
 def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
-    """Write the attribute with offset, length and checksum of each part of the heap, uint64 (part, 3).
+    """Write the checksums of the heap, where HDF5 keeps texts of variable length, as an attribute of the file.
 
-    ``memory``: the bytes of the file, if the library writes to memory; otherwise the library makes a copy.
+    It holds offset, length and checksum of each part, uint64 (part, 3). ``memory``: the bytes of the file, if it is in
+    memory; otherwise the library makes a copy.
     """
     file.flush()
     if memory is None:
@@ -105,7 +110,10 @@ def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
 
 
 def _heap_sums(image: memoryview) -> list[tuple[int, int, int]]:
-    """Return offset, length and checksum of each part of the heap in ``image``, the bytes of an HDF5 file."""
+    """Return offset, length and checksum of each part of the heap in ``image``, the bytes of an HDF5 file.
+
+    HDF5 keeps texts of variable length there.
+    """
     # Signature and version of a global heap collection; no other content of a new file has these bytes.
     offsets = [match.start() for match in re.finditer(rb"GCOL\x01\0\0\0", image)]
     lengths = [int.from_bytes(image[offset + 8 : offset + 16], "little") for offset in offsets]
@@ -116,7 +124,10 @@ def _heap_sums(image: memoryview) -> list[tuple[int, int, int]]:
 
 
 def heap_is_sound(file: h5py.File, path: Path) -> bool:
-    """Return whether the heap of ``file`` at ``path`` matches its checksums; True for a file without any."""
+    """Return whether the heap of ``file`` at ``path`` matches its checksums; True for a file without any.
+
+    HDF5 keeps texts of variable length in the heap, and writes no checksums there.
+    """
     heap_sums = np.asarray(file.attrs.get(HEAP, np.zeros((0, 3), "<u8")))
     if heap_sums.dtype != np.dtype("<u8") or heap_sums.shape[1:] != (3,):
         return False

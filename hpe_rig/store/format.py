@@ -98,7 +98,7 @@ def result_path(run_path: Path, estimator: str) -> Path:
 
 
 def reason(error: BaseException) -> str:
-    """Return the cause of ``error`` in the operating system's words or plain words, never in the HDF5 library's."""
+    """Return the cause of ``error`` in the operating system's words or plain words, not in the HDF5 library's."""
     text = str(error)
     if system_message := re.search(r"error message = '([^']*)'", text):
         return system_message.group(1)

@@ -50,7 +50,10 @@ class Journal:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open and lock ``path``; raise ``StoreError`` if another program is writing it, and ``OSError``."""
+        """Open and lock the file ``path``, and start the thread that writes to it.
+
+        Raises ``StoreError`` if another program is writing it, and ``OSError`` if it cannot be opened.
+        """
         self.path = path
         self._file = path.open("r+b", buffering=0)
         try:
@@ -77,7 +80,7 @@ class Journal:
     # Methods that HDF5 calls.
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move to ``offset`` from the start, the current position or the end."""
+        """Move the position of the next read or write to ``offset`` from the start, the current position or the end."""
         start = {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: self._end}[whence]
         self._position = start + offset
         return self._position
@@ -87,7 +90,7 @@ class Journal:
         return self._position
 
     def readinto(self, buffer: memoryview) -> int:
-        """Fill ``buffer`` as if all pending writes were in the file; zeros beyond its end."""
+        """Fill ``buffer`` from the current position as if all pending writes were in the file; zeros beyond its end."""
         self._view.seek(self._position)
         filled = 0
         # One read may return fewer bytes than requested, over a network or beyond 2 GB; zero bytes mark the file's end.
@@ -103,7 +106,7 @@ class Journal:
         return len(buffer)
 
     def write(self, data: memoryview) -> int:
-        """Add ``data`` to the next commit."""
+        """Collect ``data`` for the next commit; nothing is written to the disk yet. Return its length."""
         self._pending.append((self._position, bytes(data)))
         self._position += len(data)
         self._end = max(self._end, self._position)
@@ -170,7 +173,7 @@ class Journal:
         self._tasks.put(None)
 
     def _do(self, task: Callable[[], None]) -> None:
-        """Run ``task`` in the thread and wait for it; an interrupt ends the wait and not the task."""
+        """Run ``task`` in the writing thread and wait for it; an interrupt ends the wait and not the task."""
         with contextlib.suppress(Exception):
             # The error of an earlier commit is stored; the next commit raises it.
             self._wait_for_task()
@@ -178,13 +181,17 @@ class Journal:
         self._wait_for_task()
 
     def _start(self, task: Callable[[], None]) -> None:
+        """Give ``task`` to the writing thread; raise ``OSError`` if the disk has stopped responding."""
         if self._stuck:
             raise OSError(errno.ETIMEDOUT, "the disk does not answer")
         self._done = Future()
         self._tasks.put((task, self._done))
 
     def _wait_for_task(self) -> None:
-        """Wait for the last task and raise its error."""
+        """Wait until the writing thread has finished its last task, and raise its error.
+
+        If the disk does not respond in time, this and all later calls raise ``OSError``.
+        """
         if self._done is None:
             return
         done, timeout_s = self._done, LAST_STEP_TIMEOUT_S if self._interrupted else STEP_TIMEOUT_S
@@ -202,7 +209,7 @@ class Journal:
         done.result()
 
     def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
-        """Write a batch in an order that leaves the file readable after each write, and set its length to ``end``."""
+        """Write ``batch`` in an order that leaves the file readable after each write, and set its length to ``end``."""
         try:
             self._refuse_another_file()
             # Writes beyond the old end come first: nothing in the file refers to them yet.
@@ -229,6 +236,7 @@ class Journal:
             raise
 
     def _overwrite(self, writes: tuple[Write, ...]) -> None:
+        """Write over existing bytes of the file and flush the disk; writes beyond the file's end are left out."""
         size = os.fstat(self._file.fileno()).st_size
         for offset, data in writes:
             if offset + len(data) <= size:
@@ -236,6 +244,7 @@ class Journal:
         os.fsync(self._file.fileno())
 
     def _write_at(self, offset: int, data: bytes) -> None:
+        """Write all of ``data`` at ``offset``; one call of the system may write only a part."""
         self._file.seek(offset)
         remaining = memoryview(data)
         while remaining:
@@ -268,6 +277,7 @@ def run_with_timeout(make: Callable[[threading.Event], Product], undo: Callable[
     stuck = False
 
     def undo_results(_: Future[None]) -> None:
+        """Undo the result of a task that was no longer waited for."""
         for result in results:
             undo(result)
 
@@ -306,6 +316,7 @@ def _finishes_within(done: Future[None], timeout_s: float) -> bool:
 
 
 def _lost_file_error(path: Path, what: str) -> StoreError:
+    """Return the error that the file of a run was moved, replaced or changed while the run wrote it."""
     return StoreError(
         f"{path} {what} while the run wrote it. Wherever it is now, hpe-rig verify lists its content. "
         "Try: measure again, and leave a run file alone until its run has ended."
@@ -344,6 +355,7 @@ def lookup3(data: bytes) -> int:
     a = b = c = (0xDEADBEEF + len(data)) & mask
 
     def rotated(value: int, bits: int) -> int:
+        """Return the 32-bit ``value`` rotated left by ``bits``."""
         return ((value << bits) | (value >> (32 - bits))) & mask
 
     for start in range(0, len(words) - 3, 3):

@@ -67,7 +67,7 @@ def empty_run(
     run_id: str = "",
     provenance: Provenance | None = None,
 ) -> bytes:
-    """Return the bytes of a run file without records; equal arguments give equal bytes."""
+    """Return the bytes of a new run file, with all datasets but no records; equal arguments give equal bytes."""
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _write_header(file, scene, bench, plan, predecessor or Predecessor())
         file.attrs.create("run_id", np.bytes_(run_id.encode("ascii")), dtype=f"S{RUN_ID_BYTES}")
@@ -94,7 +94,7 @@ def empty_run(
 
 
 def sha256_of_scan(scene: Scene) -> str | None:
-    """Return the SHA-256 of the file ``beams.excitation_scan``, None without one.
+    """Return the SHA-256 of the beam scan in ``beams.excitation_scan``, None without one.
 
     The results depend on the scan, and the run file does not contain it.
     """
@@ -114,7 +114,10 @@ def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[
 
 
 def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
-    """Write the units of every dataset of ``group``, and attach the dimension ``scales`` to its axes, in this order."""
+    """Attach named axes to every dataset of ``group``, and write their units.
+
+    ``scales``: values along each axis by name, in the order of the axes. ``units``: by dataset; others have the unit 1.
+    """
     datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
     for name, values in scales.items():
         group[name] = values
@@ -128,7 +131,10 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
 
 
 def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
-    """Write the attributes and texts of the run, and create the datasets ``snapshot`` and ``untrusted``."""
+    """Write the attributes of the run, scene and bench as text, and empty datasets for settings read back and distrust.
+
+    ``snapshot``: the instruments' settings in each shot. ``untrusted``: why a shot cannot be relied on.
+    """
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -165,6 +171,7 @@ def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
 
 
 def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
+    """Create dataset ``name`` (shot, pulse), filled with ``fill``; a very large one is filled when it is read."""
     shape = (len(plan.shots), plan.shots[0].capture.record_count)
     rows = group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
     if rows.nbytes <= MAX_PREALLOCATED_BYTES:
@@ -172,7 +179,7 @@ def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any],
 
 
 def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence[float]) -> None:
-    """Create the true harmonics (shot, frequency), NaN until the simulation provides them."""
+    """Create datasets for the simulated harmonics (shot, frequency), NaN until the simulation provides them."""
     group = file.create_group("true_harmonics")
     for name in TRUE_HARMONICS:
         group[name] = np.full((shots, len(frequencies_hz)), math.nan)
@@ -184,7 +191,10 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
 def _create_codes(
     group: h5py.Group, name: str, input_range_v: float, code_limits: tuple[int, int], plan: Plan, compress: bool
 ) -> None:
-    """Create the digitizer codes ``name`` (shot, pulse, sample) of one input, with their conversion to volts."""
+    """Create dataset ``name`` (shot, pulse, sample) of one input's digitizer codes, with their conversion to volts.
+
+    Each chunk, the piece that HDF5 reads and writes at once, holds whole records of one shot.
+    """
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
@@ -200,6 +210,7 @@ def _create_codes(
 
 
 def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
+    """Write start, host, user and driver versions of the run; its end is written later."""
     group = file.create_group("provenance")
     for name in ("started", "host", "user", "drivers"):
         group[name] = _fixed(printable(getattr(provenance, name)))
@@ -221,7 +232,7 @@ def _filter() -> Mapping[str, Any]:
 
 
 def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], compress: bool) -> None:
-    """Create the group ``records``: echoes, monitor records, and values by pulse and by shot, each with its axes."""
+    """Create the group ``records``: echoes, monitor records, and values by pulse and by shot, with axes and units."""
     shots, capture = plan.shots, plan.shots[0].capture
     group = file.create_group("records")
     _create_codes(group, "echo", capture.input_range_v, code_limits, plan, compress)

@@ -59,7 +59,7 @@ class RunEntry:
     shots_marked_bad: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the entry as JSON values."""
+        """Return the entry of a run in ``hpe-rig list --json``, as JSON values."""
         names = (
             "title",
             "status",
@@ -78,7 +78,7 @@ class RunEntry:
         return {"date": date, "file": str(self.path), **fields, "lead": lead, "notes": notes}
 
     def words(self) -> str:
-        """Return the text that a search matches, one item per line."""
+        """Return the text that ``hpe-rig list`` searches for words, one item per line."""
         kind = "imported" if self.imported else "simulated" if self.simulated else "measured"
         notes = [f"{name}: {note}" for name, note in self.notes.items()]
         return "\n".join([self.path.name, self.title, self.status, kind, self.imported, self.user, self.host, *notes])
@@ -94,9 +94,10 @@ def listing_schema() -> dict[str, Any]:
 
 
 def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[str]]:
-    """Return the runs in ``folder`` by date (with ``below`` also in its subfolders), and why files are unreadable.
+    """Return the runs in ``folder``, sorted by date, and a message for each unreadable file.
 
-    Result files and files of other programs are skipped. Raises ``StoreError`` if ``folder`` is not a folder.
+    ``below``: also runs in subfolders. Result files and files of other programs are skipped. Raises ``StoreError`` if
+    ``folder`` is not a folder.
     """
     if not folder.is_dir():
         raise StoreError(f"{folder} is no folder. Try: the folder that holds the run files.")
@@ -125,7 +126,7 @@ def matching_runs(
 
 
 def _entry(stored: StoredRun) -> RunEntry:
-    """Return the entry of a run, with the strongest harmonic of its latest result."""
+    """Return the entry of a run in the list of runs, with the strongest harmonic of its latest result."""
     scene = _scene_tables(stored)
     notes = scene.get("notes")
     return RunEntry(
@@ -140,6 +141,7 @@ def _entry(stored: StoredRun) -> RunEntry:
         user=stored.provenance.user,
         host=stored.provenance.host,
         notes=notes if isinstance(notes, dict) else {},
+        # Strongest harmonic of the latest result.
         lead=_lead(stored.path, stored.marks),
         shots_marked_bad=len(stored.marks),
     )
@@ -160,7 +162,7 @@ def _source(stored: StoredRun) -> str:
 
 
 def _parsed(text: str, name: str) -> Mapping[str, Any]:
-    """Return the tables of a scene or bench in TOML, none if it cannot be parsed."""
+    """Return the tables of a scene or bench file from its TOML ``text``; no tables if it cannot be parsed."""
     try:
         return parse_toml(text, name)
     except SettingsError:
@@ -176,7 +178,7 @@ def _date(stored: StoredRun) -> datetime:
 
 
 def _format(path: Path) -> str | None:
-    """Return the attribute ``format`` of an HDF5 file, "" without it; None if the file cannot be opened."""
+    """Return the kind of an HDF5 file, its attribute ``format``: "" without it, None if the file cannot be opened."""
     if not path.is_file():
         # Opening a named pipe would block.
         return None
@@ -189,7 +191,11 @@ def _format(path: Path) -> str | None:
 
 
 def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
-    """Return the strongest harmonic of the latest result of the run file; None without a result of the same marks."""
+    """Return the strongest harmonic of the latest result of the run file ``run``; None without a result.
+
+    Also None if shots were marked bad, or unmarked, after that result. ``marks``: the reason by shot. Raises
+    ``StoreError`` if that result file cannot be read.
+    """
     results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if _format(path) == RESULT_FORMAT]
     if not results:
         return None

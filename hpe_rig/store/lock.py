@@ -32,7 +32,7 @@ def acquire(file: IO[bytes]) -> bool:
 
 
 def is_locked(path: Path) -> bool | None:
-    """Return whether a program is writing the file ``path``; None if unknown."""
+    """Return whether another program is writing the file ``path``; None if unknown, as on a disk without locks."""
     try:
         with path.open("rb") as file:
             _lock(file.fileno(), exclusive=False)

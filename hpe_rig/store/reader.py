@@ -82,7 +82,10 @@ class StoredShot:
         return self.valid.size, self.samples.stop - self.samples.start
 
     def block(self, pulses: slice) -> Int16Array:
-        """Return the codes of ``pulses``, (pulse, sample), which were compared with their checksums before."""
+        """Return the codes of ``pulses``, (pulse, sample), from the temporary copy or else from the run file.
+
+        They were compared with their checksums before. Missing and damaged records hold the code for missing ones.
+        """
         codes: Int16Array
         if self.copy is not None and self.copy.complete:
             codes = self.copy.block(*pulses.indices(self.valid.size)[:2])
@@ -99,6 +102,7 @@ class CodesCopy:
     """Codes of records of ``samples`` each in a temporary file; ``complete`` is False if its disk is full."""
 
     def __init__(self, samples: int) -> None:
+        """Create the temporary file; without room for it ``complete`` is False and the copy is not used."""
         self._samples, self.complete = samples, True
         try:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115
@@ -109,7 +113,7 @@ class CodesCopy:
             weakref.finalize(self, self._file.close)
 
     def add(self, codes: Int16Array) -> None:
-        """Append the next records, (pulse, sample)."""
+        """Append the next records, (pulse, sample); after an error of the disk ``complete`` is False."""
         if self.complete:
             try:
                 self._file.write(np.ascontiguousarray(codes).data)
@@ -148,6 +152,7 @@ class StoredRecords(Sequence[ShotRecords]):
     def __getitem__(self, shot: slice) -> tuple[ShotRecords, ...]: ...
 
     def __getitem__(self, shot: int | slice) -> ShotRecords | tuple[ShotRecords, ...]:
+        """Return all records of ``shot``, or of each shot in a slice."""
         if isinstance(shot, slice):
             return tuple(self[index] for index in range(*shot.indices(len(self))))
         return self.gated(shot, slice(0, self.shape[2]))
@@ -161,6 +166,7 @@ class StoredRecords(Sequence[ShotRecords]):
 
     def gated(self, shot: int, gate: slice, name: str = "echo", margin: int = 0) -> ShotRecords:
         """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample)."""
+        # While a run writes the file, records can look damaged for a moment: they are read again.
         for attempt in range(READ_ATTEMPTS):
             with open_checked(self.path) as checked:
                 stored, offset, arrival = self._of_shot(checked, shot, gate, name, margin)
@@ -181,7 +187,7 @@ class StoredRecords(Sequence[ShotRecords]):
         max_samples: int = MAX_SAMPLES_IN_MEMORY,
         visit: Callable[[Int16Array], None] | None = None,
     ) -> GatedRecords:
-        """Return the records as ``gated`` does; with more samples than ``max_samples`` the codes stay in the file.
+        """Return the records of ``shot`` in ``gate``; if they exceed ``max_samples`` their codes stay in the file.
 
         Codes that stay in the file are read once and compared with their checksums. Meanwhile ``visit`` is called with
         the codes in the gate, block by block, and the codes in the gate and its margins are copied to a temporary file.
@@ -195,6 +201,7 @@ class StoredRecords(Sequence[ShotRecords]):
         copy = CodesCopy(samples) if 2 * pulses * samples <= MAX_COPY_BYTES else None
 
         def copy_and_visit(codes: Int16Array) -> None:
+            """Copy a block of codes (pulse, sample) to the temporary file; call ``visit`` with those in the gate."""
             if copy is not None:
                 copy.add(codes)
             if visit is not None:
@@ -206,7 +213,10 @@ class StoredRecords(Sequence[ShotRecords]):
     def _of_shot(
         self, checked: CheckedFile, shot: int, gate: slice, name: str, margin: int
     ) -> tuple[StoredShot, float, _Arrival]:
-        """Return the records of ``shot`` with intact marks, their offset in volts and their arrival."""
+        """Return the records of ``shot`` without reading their codes, their offset in volts, and which of them arrived.
+
+        ``gate``: samples wanted, with up to ``margin`` around it. ``name``: dataset of the input.
+        """
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
@@ -270,7 +280,7 @@ class StoredRecords(Sequence[ShotRecords]):
             return _arrival(checked, self.shape, shot).recorded
 
     def unverified(self, shot: int) -> BoolArray:
-        """Return which records of ``shot`` have a mark without a checksum, (pulse,)."""
+        """Return which records of ``shot`` are marked as recorded but have no checksum, (pulse,)."""
         with open_checked(self.path) as checked:
             marked: BoolArray = _rows(checked, "records/recorded", self.shape, "u1")[shot] == 1
             arrival = _arrival(checked, self.shape, shot)
@@ -285,6 +295,7 @@ class StoredGroundTruth:
     shape: Shape
 
     def __getitem__(self, shot: int) -> FloatArray:
+        """Return the true displacement at every record of ``shot``, m; NaN if missing or damaged."""
         name = "truth/displacement_m"
         with open_checked(self.path) as checked:
             row_m: FloatArray
@@ -365,7 +376,7 @@ class StoredRun:
         return write_marks(self.path, self.identity, marks if why is None else marks | dict.fromkeys(shots, why))
 
     def rows(self, shot: int) -> ShotRows:
-        """Return ``shot`` without its echoes; values that are missing or damaged are blank."""
+        """Return the values of ``shot`` other than its echoes, to copy them; missing or damaged values are blank."""
         shape = self.records.shape
         with open_checked(self.path) as checked:
             arrival = _arrival(checked, shape, shot)
@@ -415,7 +426,10 @@ def read_run(path: Path) -> StoredRun:
 
 
 def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...]:
-    """Return the settings of each acquired shot as read back, by role; raise ``StoreError`` as ``read_run`` does."""
+    """Return the instruments' settings of each acquired shot, as read back, by role of the instrument.
+
+    Raises ``StoreError`` if the file is no readable run file.
+    """
     with open_checked(path) as checked:
         dataset = checked.dataset("snapshot", f"S{SNAPSHOT_BYTES}", (None,))
         texts = [_row(checked, "snapshot", dataset, shot)[0].item() for shot in range(dataset.shape[0])]
@@ -423,7 +437,10 @@ def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...
 
 
 def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
-    """Return a shot's settings by role from their JSON; raise ``InvalidContentError`` for any other content."""
+    """Return the instruments' settings of a shot by role, from their JSON ``text``.
+
+    Raises ``InvalidContentError`` for any other content.
+    """
     try:
         roles = json.loads(text)
     except (ValueError, RecursionError):
@@ -436,7 +453,7 @@ def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
 
 
 def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
-    """Return the run in the file, with a message for each damaged part that is left out."""
+    """Return the content of a run file, without its echoes, and with a message for each damaged part left out."""
     simulated = checked.attribute("simulated", bool)
     shape = _checked_shape(checked, simulated)
     status = checked.attribute("status", str)
@@ -478,7 +495,10 @@ def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
 
 
 def _checked_shape(checked: CheckedFile, simulated: bool) -> Shape:
-    """Return the shape of the echoes; raise ``InvalidContentError`` unless all datasets by pulse fit it."""
+    """Return the shape (shot, pulse, sample) of the echoes.
+
+    Raises ``InvalidContentError`` unless all datasets with a value for each pulse have the same shots and pulses.
+    """
     shape: Shape = checked.dataset("records/echo", "<i2", (None, None, None)).shape
     if min(shape) < 1 or shape[0] > MAX_SHOTS:
         raise InvalidContentError(f"/records/echo has shape {shape}")
@@ -491,7 +511,10 @@ def _checked_shape(checked: CheckedFile, simulated: bool) -> Shape:
 
 
 def _flags(checked: CheckedFile, shape: Shape, name: str, consequence: str) -> tuple[BoolArray, list[str]]:
-    """Return the flag ``name`` of each shot and a message for each flag that fails its checksum."""
+    """Return the flag ``name`` of each shot (shot,), and a message for each that fails its checksum.
+
+    ``consequence``: the end of that message.
+    """
     values, intact = _all_rows(checked, f"records/{name}", checked.dataset(f"records/{name}", "u1", shape[:1]))
     damage = [
         f"shot {shot + 1}: /records/{name} fails its checksum: the shot {consequence}"
@@ -501,7 +524,7 @@ def _flags(checked: CheckedFile, shape: Shape, name: str, consequence: str) -> t
 
 
 def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
-    """Return the generator's setting as read back, (shot,), NaN if unknown."""
+    """Return the relative force that the generator was set to in each shot, as read back, (shot,), NaN if unknown."""
     if not checked.has("records/force_set"):
         # Early releases did not read the generator's setting back.
         return np.full(shots, np.nan)
@@ -509,7 +532,7 @@ def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
 
 
 def _untrusted_shots(checked: CheckedFile, shape: Shape) -> dict[int, str]:
-    """Return, by shot, why its settings cannot be relied on; shots without such a reason are absent."""
+    """Return, by shot, the reason why its settings cannot be relied on; shots without such a reason are absent."""
     if not checked.has("untrusted"):
         # Early releases did not read settings back after a shot.
         return {}
@@ -521,7 +544,7 @@ def _untrusted_shots(checked: CheckedFile, shape: Shape) -> dict[int, str]:
 
 
 def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], bool]:
-    """Return the run times by stage, and whether they match their checksum."""
+    """Return the time that each stage of the run took, s, and whether the times match their checksum."""
     if not checked.has("run_time"):
         # The earliest run files of this version have none.
         return {}, True
@@ -536,7 +559,7 @@ def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], bool]:
 
 
 def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
-    """Return the provenance, and whether the time of the end matches its checksum."""
+    """Return start, end, host, user and drivers of the run, and whether the end matches its checksum."""
     if not checked.has("provenance"):
         return Provenance(), True
     texts = {name: checked.text(f"provenance/{name}") for name in ("started", "host", "user", "drivers")}
@@ -546,7 +569,7 @@ def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
 
 
 def _damaged_truth(checked: CheckedFile, shape: Shape) -> Iterator[str]:
-    """Yield a message for each shot and dataset of the ground truth that fails its checksum."""
+    """Yield a message for each shot and dataset of the simulated truth that fails its checksum."""
     for name, dataset in _datasets_by_shot(checked, shape):
         if name.startswith("tru"):
             for shot in np.flatnonzero(~_all_rows(checked, name, dataset)[1]):
@@ -554,7 +577,7 @@ def _damaged_truth(checked: CheckedFile, shape: Shape) -> Iterator[str]:
 
 
 def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
-    """Return a message for each dataset in ``BY_SHOT`` that fails its checksum in the row of ``shot``."""
+    """Return a message for each dataset with one checksum per shot that fails it in the row of ``shot``."""
     with open_checked(stored.path) as checked:
         datasets = _datasets_by_shot(checked, stored.records.shape)
         names = [name for name, dataset in datasets if not _row(checked, name, dataset, shot)[1]]
@@ -584,7 +607,10 @@ def _datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str,
 
 
 def _row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None) -> tuple[Any, bool]:
-    """Return row ``row`` of a dataset (None: all of it) and whether it is intact; blank if unwritten or damaged."""
+    """Return row ``row`` of a dataset (None: all of it), and whether it matches its checksum.
+
+    Values that were never written or are damaged are blank. ``name``: path of the dataset.
+    """
     index = () if row is None else (row,)
     values = np.asarray(dataset[index], dataset.dtype)
     if not checked.has_checksums:
@@ -595,7 +621,10 @@ def _row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None
 
 
 def _all_rows(checked: CheckedFile, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], BoolArray]:
-    """Return every row of a dataset, blank if unwritten or damaged, and which rows are intact."""
+    """Return every row of a dataset, and which rows match their checksums, (row,).
+
+    Rows that were never written or are damaged are blank.
+    """
     values: NDArray[Any] = dataset[()]
     if not checked.has_checksums:
         return values, np.ones(values.shape[0], bool)
@@ -617,7 +646,10 @@ class _Arrival:
 
 
 def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
-    """Return which records of ``shot`` are in the file; those with a missing or wrong checksum do not count."""
+    """Return which records of ``shot`` are in the file, with their trigger times.
+
+    The marks of each chunk of records have a checksum; records with a missing or wrong one do not count.
+    """
     marks = _rows(checked, "records/recorded", shape, "u1")[shot]
     time_s = _rows(checked, "records/trigger_time_s", shape)[shot]
     recorded, damaged = marks == 1, np.zeros(shape[1], bool)
@@ -685,7 +717,7 @@ def _chunk(
 ) -> Int16Array | None:
     """Return the codes of chunk ``number`` of a shot, (pulse, sample), None if it is damaged.
 
-    ``sums`` (shot, chunk) is None in a file without checksums.
+    A chunk is the piece that HDF5 stores at once. ``sums`` (shot, chunk): checksums, None in a file without.
     """
     rows, uncompressed = echo.chunks[1], echo.id.get_create_plist().get_nfilters() == 0
     first = number * rows
@@ -711,7 +743,10 @@ def _chunk(
 
 
 def _refuse_excessive_size(echo: h5py.Dataset, recorded: BoolArray, shape: Shape, samples: int) -> None:
-    """Raise ``InvalidContentError`` if the declared records need far more memory than their bytes in the file."""
+    """Raise ``InvalidContentError`` if the declared records need far more memory than the file has bytes for them.
+
+    ``samples``: number of samples that are read from each record.
+    """
     size, uncompressed = echo.id.get_storage_size(), echo.id.get_create_plist().get_nfilters() == 0
     if uncompressed and int(recorded.sum()) * shape[2] * 2 > size:
         raise InvalidContentError(f"it declares {int(recorded.sum())} stored records in {size} bytes")
@@ -720,7 +755,11 @@ def _refuse_excessive_size(echo: h5py.Dataset, recorded: BoolArray, shape: Shape
 
 
 def _echo(checked: CheckedFile, shape: Shape, name: str = "echo") -> h5py.Dataset:
-    """Return the records ``name``; raise ``InvalidContentError`` unless a chunk holds whole records of one shot."""
+    """Return the dataset of the records at input ``name``.
+
+    Raises ``InvalidContentError`` unless each chunk, the piece that HDF5 stores at once, holds whole records of one
+    shot.
+    """
     echo = checked.dataset(f"records/{name}", "<i2", shape)
     if echo.chunks is None:
         raise InvalidContentError(f"/records/{name} is in one piece")
@@ -730,7 +769,7 @@ def _echo(checked: CheckedFile, shape: Shape, name: str = "echo") -> h5py.Datase
 
 
 def _code_limits(checked: CheckedFile, name: str) -> tuple[int, int]:
-    """Return the lowest and the highest code of the records at ``name``."""
+    """Return the lowest and the highest code of the digitizer for the records in dataset ``name``."""
     if "valid_min" not in checked.file[name].attrs:
         return CODE_LIMITS_UNSTATED
     lowest, highest = (checked.attribute(key, int, name) for key in ("valid_min", "valid_max"))

@@ -96,11 +96,11 @@ class LastRecord:
 
 
 def pulse_indices(block: RecordBlock, previous: LastRecord | None, shot: Shot) -> tuple[Int64Array, LastRecord | None]:
-    """Return the tracking pulse of each record of ``block``, (record,), -1 if none fits, and the latest such record.
+    """Return the tracking pulse of each record of ``block`` (record,), -1 if none fits, and the last such record.
 
-    The index follows from the board's trigger times relative to the previous block's last record. So a lost trigger
-    shifts no later record, and a board with a clock error of up to 100 ppm loses none in blocks of up to 2000. The
-    first record is assumed to belong to the first pulse, because no time reveals triggers lost before it. Records
+    The pulse follows from the board's trigger time relative to the last record of the ``previous`` block. So a lost
+    trigger shifts no later record, and a board with a clock error of up to 100 ppm loses none in blocks of up to 2000.
+    The first record is assumed to belong to the first pulse, because no time reveals triggers lost before it. Records
     without a time are counted from the latest record with a known pulse, or from the first record if there is none.
     """
     record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
@@ -116,7 +116,11 @@ def pulse_indices(block: RecordBlock, previous: LastRecord | None, shot: Shot) -
 def _indices_by_time(
     record: Int64Array, trigger_time_s: FloatArray, previous: LastRecord | None, shot: Shot
 ) -> tuple[Int64Array, LastRecord | None]:
-    """Return the pulse of each record by its trigger time, -1 for a stray trigger, and the last record with a pulse."""
+    """Return the tracking pulse of each record by its trigger time, and the last record with a pulse.
+
+    A stray trigger gets -1. ``record`` and ``trigger_time_s`` (record,): number within the shot, and time. Pulses are
+    counted from ``previous``, the last record of the block before.
+    """
     anchor = previous or LastRecord(0, float(trigger_time_s[0]), int(record[0]))
     pulses = anchor.pulse + (trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
     index = np.round(pulses).astype(np.int64)
@@ -130,7 +134,10 @@ def _indices_by_time(
 
 
 def assemble(blocks: Iterable[RecordBlock], shot: Shot) -> ShotRecords:
-    """Return the records of ``blocks``, each at the index of its pulse."""
+    """Return all records of ``shot`` as one array (pulse, sample), from ``blocks`` of records as they arrived.
+
+    Pulses without a record hold the code for missing records.
+    """
     codes = np.full((shot.capture.record_count, shot.capture.record_samples), MISSING)
     trigger_time_s = np.full(shot.capture.record_count, np.nan)
     scale, offset, limits, latest = np.nan, np.nan, (0, 0), None

@@ -32,7 +32,7 @@ def write_result(path: Path, result: Result) -> None:
     stays unchanged then.
     """
     try:
-        # Written to memory first, because the library must not meet disk errors (journal.py).
+        # Written to memory first: a disk error inside the HDF5 library can crash the program.
         memory = io.BytesIO()
         with h5py.File(memory, "w", libver=LIBVER) as file:
             _write(file, result)
@@ -47,7 +47,7 @@ def write_result(path: Path, result: Result) -> None:
 
 
 def _replace(path: Path, image: memoryview, cancelled: threading.Event) -> None:
-    """Write ``image`` to ``path``, unless the program stopped waiting."""
+    """Write the bytes ``image`` to ``path`` atomically, unless ``cancelled`` says that the program no longer waits."""
     _refuse_foreign(path)
     with atomic_file(path) as draft:
         with draft.open("xb") as disk:
@@ -59,7 +59,7 @@ def _replace(path: Path, image: memoryview, cancelled: threading.Event) -> None:
 
 
 def _write(file: h5py.File, result: Result) -> None:
-    """Write the result as JSON, and its estimates, motion and profile as datasets with axes."""
+    """Write the result into the HDF5 file: as JSON, and its estimates, motion and depth profile with axes."""
     file.attrs["format"] = RESULT_FORMAT
     for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
         file.attrs[name] = getattr(result, name)
@@ -89,7 +89,11 @@ def _write(file: h5py.File, result: Result) -> None:
 
 
 def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) -> None:
-    """Write groups ``profile`` and ``burst_period``; NaN for shots without a gate at this depth."""
+    """Write group ``profile`` (estimates over depth) and group ``burst_period`` (mean motion over a burst period).
+
+    Rows are shots and slow-time windows, columns depths. NaN for shots without a gate at a depth. ``frequency_hz``:
+    values of the frequency axis.
+    """
     rows = list(dict.fromkeys(_row_key(gate.shot) for gate in result.profile))
     depth_m = np.unique([gate.depth_m for gate in result.profile])
     # Row (shot and slow-time window) and column (depth) of each gate.

@@ -53,7 +53,7 @@ class CheckedFile:
         return GROUP in self.file
 
     def text(self, name: str) -> str:
-        """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is none or is damaged."""
+        """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is damaged or no text."""
         dataset = self._dataset(name)
         _refuse_external_storage(dataset, name)
         _refuse_no_text(dataset, f"/{name}")
@@ -66,7 +66,7 @@ class CheckedFile:
             raise InvalidContentError(f"/{name} fails its checksum")
 
     def matches_checksum(self, name: str, dataset: h5py.Dataset) -> bool:
-        """Return whether ``dataset``, which never changes after the start, matches its checksum."""
+        """Return whether ``dataset``, which never changes after the start, matches the checksum in its attribute."""
         stated = dataset.attrs.get(ATTRIBUTE)
         return isinstance(stated, np.uint64) and int(stated) == digest(
             name, (), stored_bytes(dataset[()], dataset.dtype)
@@ -148,9 +148,10 @@ def open_checked(path: Path) -> Iterator[CheckedFile]:
 
 
 def _open(path: Path) -> h5py.File:
-    """Open ``path`` for reading while it may grow (SWMR): echoes are never read in a state older than their marks.
+    """Return the run file ``path`` opened for reading, also while another program writes it (HDF5's SWMR mode).
 
-    A full disk can leave a file shorter than it declares; HDF5 opens such a file only in this mode.
+    In this mode echoes are never read in a state older than their marks. A full disk can leave a file shorter than it
+    declares; HDF5 opens such a file only in this mode.
     """
     arguments = os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, _access_properties()
     for _ in range(OPEN_ATTEMPTS):
@@ -179,7 +180,10 @@ def _access_properties() -> h5p.PropFAID:
 
 
 def _declared_size(path: Path) -> int:
-    """Return the length stated in the superblock; raise ``InvalidContentError`` if it is not that of a run file."""
+    """Return the length of the file that its superblock (HDF5's header) states.
+
+    Raises ``InvalidContentError`` if the header is not that of a run file.
+    """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
         raise StoreError(f"{path} {problem}. Try: a file written by hpe-rig run, here or with its folder's name.")
@@ -209,7 +213,10 @@ def _refuse_format(checked: CheckedFile) -> None:
 
 
 def _refuse_no_text(holder: Any, where: str) -> None:
-    """Raise ``InvalidContentError`` unless ``holder`` is a single text of fixed, bounded length."""
+    """Raise ``InvalidContentError`` unless ``holder``, a dataset or attribute, is one text of fixed, bounded length.
+
+    ``where`` names it in the message.
+    """
     if holder.shape != ():
         raise InvalidContentError(f"{where} is not a single text")
     information = h5py.check_string_dtype(holder.dtype)

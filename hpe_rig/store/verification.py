@@ -35,6 +35,7 @@ class Damage:
     records: tuple[tuple[int, int], ...] = ()
 
     def __str__(self) -> str:
+        """Return the damage in words, with the shot and the damaged records counted from 1."""
         where = "" if self.shot is None else f"shot {self.shot + 1}: "
         if not self.records:
             return f"{where}{self.what}"
@@ -66,9 +67,9 @@ def verification_schema() -> dict[str, Any]:
 
 
 def verify(path: Path) -> Verification:
-    """Compare everything in the run or result file ``path`` with its checksums, in bounded memory.
+    """Return the damage in the run or result file ``path``, by comparison of its content with its checksums.
 
-    Raises ``StoreError`` if it is neither kind of file or cannot be opened.
+    It needs little memory for any file. Raises ``StoreError`` if it is neither kind of file or cannot be opened.
     """
     if _is_result(path):
         return _verified_result(path)
@@ -87,6 +88,7 @@ def verify(path: Path) -> Verification:
 
 
 def _damaged_records(stored: StoredRun, shot: int) -> Iterator[Damage]:
+    """Yield the damage of the records of ``shot``: those that fail checksums, and those marked without a checksum."""
     pulses = MAX_ECHO_BYTES // (2 * stored.records.shape[2])
     if (damaged := stored.records.damaged(shot, pulses)).any():
         yield Damage("fail their checksums or lie beyond the end of the file", shot, ranges(damaged))
@@ -95,7 +97,7 @@ def _damaged_records(stored: StoredRun, shot: int) -> Iterator[Damage]:
 
 
 def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:
-    """Yield the damage of the heap and of the datasets that never change after the start."""
+    """Yield the damage of the datasets that never change after the start, and of the heap, where HDF5 keeps texts."""
     if not heap_is_sound(file, path):
         yield Damage("units or axes of datasets fail their checksum")
     for name, dataset in datasets(file):
@@ -122,7 +124,7 @@ def _is_result(path: Path) -> bool:
 
 
 def _verified_result(path: Path) -> Verification:
-    """Return the verification of a result file; raise ``StoreError`` if it cannot be read."""
+    """Return the damage in a result file; raise ``StoreError`` if it cannot be read."""
     try:
         with h5py.File(path, "r") as file:
             shots = int(file["results/shot"].shape[0])

@@ -82,7 +82,10 @@ class RunWriter:
         options: WriteOptions = WriteOptions(),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Create ``path``; raise ``StoreError`` if it exists, cannot be written or would not hold the records."""
+        """Create the run file ``path``, without records.
+
+        Raises ``StoreError`` if it exists, cannot be written, or the disk has no room for the records.
+        """
         self.path = path
         self._clock = clock
         self._checkpoint_s = self._checked_s = self._started_s = clock()
@@ -129,6 +132,7 @@ class RunWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Write the remaining data and the status (complete, aborted or failed), and close the file."""
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
         if kind is not None and failed == "aborted":
             self._journal.shorten_timeout()
@@ -141,7 +145,7 @@ class RunWriter:
                 raise
 
     def check_file(self) -> None:
-        """Raise ``StoreError`` if the path no longer names this file; checks once per ``CHECK_INTERVAL_S``."""
+        """Raise ``StoreError`` if the run file was moved or replaced; it is checked once per ``CHECK_INTERVAL_S``."""
         if self._clock() - self._checked_s >= CHECK_INTERVAL_S:
             with self._committing():
                 pass
@@ -226,7 +230,7 @@ class RunWriter:
             self._checkpoint_s = self._clock()
 
     def copy_shots(self, earlier: StoredRun, shots: int) -> None:
-        """Copy the first ``shots`` shots of another run of the same plan, chunk by chunk.
+        """Copy the first ``shots`` shots of another run of the same plan into this file, to resume that run.
 
         Raises ``StoreError`` if one of them is damaged.
         """
@@ -246,7 +250,7 @@ class RunWriter:
                 self._tables["records/shot_complete"].put(shot, 1)
 
     def _rows_of(self, shot: Shot) -> _ShotRows:
-        """Return the rows of ``shot`` in progress; a new shot first writes those of the one before."""
+        """Return the marks and times of ``shot`` in progress; for a new shot, write those of the one before."""
         if self._shot is None or self._shot.index != shot.index:
             self._write_chunk()
             self._write_checksums()
@@ -260,7 +264,10 @@ class RunWriter:
         codes: tuple[Int16Array, ...],
         time_s: FloatArray,
     ) -> None:
-        """Write records of one shot to their chunks; ``index`` and ``time_s`` (record,): pulse and trigger time."""
+        """Add records of one shot to the chunks that hold their pulses; full chunks go to the file.
+
+        ``index`` and ``time_s`` (record,): pulse and trigger time. ``codes`` (record, sample) of each input.
+        """
         # The records of a block can span several chunks, and a delayed record can belong to an earlier chunk.
         for number, selection in self._by_chunk(index):
             if (rows.index, number) != self._chunk.place:
@@ -278,7 +285,10 @@ class RunWriter:
                 self._write_chunk()
 
     def _by_chunk(self, index: Int64Array) -> Iterator[tuple[int, slice | BoolArray]]:
-        """Yield the number of each chunk that contains pulses of ``index`` (record,), and the selection of these."""
+        """Yield the number of each chunk that holds pulses of ``index`` (record,), and the selection of these records.
+
+        A chunk is the piece of the dataset that HDF5 stores at once: records of consecutive pulses.
+        """
         rows = self._chunk.rows
         if index.size and bool(np.all(np.diff(index) == 1)):
             # Consecutive, the usual case: slices copy nothing.
@@ -290,7 +300,7 @@ class RunWriter:
             yield number, index // rows == number
 
     def _write_chunk(self) -> None:
-        """Write the current chunk; do nothing if no record was added since."""
+        """Write the current chunk of records to the file; do nothing if no record was added since the last time."""
         if not self._chunk.unwritten:
             return
         for chunk in self._chunks:
@@ -299,7 +309,7 @@ class RunWriter:
             self._write_checksums()
 
     def _write_checksums(self) -> None:
-        """Write marks and checksums of the chunks written since the last call."""
+        """Write checksums of the chunks written since the last call, and the marks that their records are present."""
         if self._shot is None or not self._chunk.unverified:
             return
         # The library's index of the chunks must be in the file before the marks.
@@ -310,14 +320,17 @@ class RunWriter:
         self._arrivals.put(self._shot.index, numbers, self._shot.recorded, self._shot.trigger_time_s)
 
     def _write_end(self) -> None:
-        """Write the end time: start time plus the duration by the monotonic clock, which is never adjusted."""
+        """Write the end time of the run: start plus duration by the monotonic clock, which is never adjusted."""
         if self._provenance is not None and self._provenance.started:
             duration = timedelta(seconds=round(self._clock() - self._started_s))
             ended = datetime.fromisoformat(self._provenance.started) + duration
             self._tables["provenance/ended"].put(None, ended.isoformat(timespec="seconds").encode("ascii"))
 
     def _end(self, status: str) -> None:
-        """Write the remaining data and the status, and close the file; raise the first ``StoreError`` at the end."""
+        """Write the remaining data and ``status``, and close the file.
+
+        Every step is tried; the first error is raised at the end.
+        """
         failure = self._write_remaining()
         try:
             self._file.close()
@@ -332,7 +345,7 @@ class RunWriter:
             raise failure
 
     def _write_remaining(self) -> StoreError | None:
-        """Write the last chunk, its checksums and the end time; return the error."""
+        """Write the last chunk, its checksums and the end time; return the error, if any."""
         if self._broken:
             return None
         try:
@@ -346,7 +359,10 @@ class RunWriter:
         return None
 
     def _write_status(self, status: str, failure: StoreError | None) -> StoreError | None:
-        """Write ``status``, or "failed" after a ``failure``, without the library; return the first error."""
+        """Write ``status``, or "failed" after a ``failure``, and return the first error.
+
+        The bytes are written without the HDF5 library, which may have failed.
+        """
         try:
             # An empty commit checks the file: before the status is written, and for the last time after it.
             if failure is None and not self._broken:
@@ -361,6 +377,7 @@ class RunWriter:
         return failure
 
     def _refuse_other_volts(self, block: RecordBlock) -> None:
+        """Raise ``StoreError`` if the digitizer's conversion of codes to volts is not that of the planned range."""
         if not np.allclose((block.volts_per_code, block.volts_offset), self._volts, rtol=1e-9, atol=0):
             raise StoreError(
                 f"the digitizer reports {block.volts_per_code:g} V per code, its range implies {self._volts[0]:g}: its "
@@ -369,7 +386,7 @@ class RunWriter:
 
     @contextlib.contextmanager
     def _committing(self, always: bool = True, sync: bool = False, wait: bool = True) -> Iterator[None]:
-        """Commit the writes of the block; unless ``always`` only if it wrote anything."""
+        """Commit the writes of the block to the disk when it ends; unless ``always`` only if it wrote anything."""
         with self._writing():
             yield
         if always or self._journal.pending:
@@ -390,7 +407,7 @@ class RunWriter:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Delay signals while the library works, because an interrupt would corrupt its state."""
+        """Delay signals while the HDF5 library works in the block: an interrupt would corrupt its state."""
         try:
             with uninterrupted():
                 yield
@@ -399,7 +416,7 @@ class RunWriter:
             raise self._cannot_be_written(error) from error
 
     def _cannot_be_written(self, error: Exception) -> StoreError:
-        """Return ``error`` as a ``StoreError`` that names the file and the remedy."""
+        """Return the error that the run file cannot be written any further, with its cause and the remedy."""
         if isinstance(error, StoreError):
             return error
         return StoreError(
@@ -439,6 +456,7 @@ class _ChunkSums:
     """
 
     def __init__(self, file: h5py.File, name: str, journal: Journal) -> None:
+        """Find the checksums of the chunks of dataset ``name`` in the file; they are written through ``journal``."""
         sums = file[f"{GROUP}/{name}"]
         self._start, self._journal, self.count = sums.id.get_offset(), journal, int(sums.shape[1])
 
@@ -453,12 +471,16 @@ class _Arrivals:
     """Marks and trigger times of the records, written for each chunk of echoes, and their checksums."""
 
     def __init__(self, file: h5py.File, rows: int, sums: _ChunkSums) -> None:
+        """Open the marks and trigger times of the records; ``rows`` is the number of records in a chunk."""
         self._recorded, self._time_s = file["records/recorded"], file["records/trigger_time_s"]
         self._sums, self._rows = sums, rows
         self.count = sums.count
 
     def put(self, shot: int, numbers: Sequence[int], recorded: BoolArray, time_s: FloatArray) -> None:
-        """Write marks and times of the chunks ``numbers``, given those of the whole shot, each (pulse,)."""
+        """Write the marks and trigger times of the records in chunks ``numbers`` of a shot, then their checksums.
+
+        ``recorded`` and ``time_s`` (pulse,): those of the whole shot.
+        """
         chunks = [slice(number * self._rows, (number + 1) * self._rows) for number in numbers]
         times_s = [np.ascontiguousarray(time_s[rows], self._time_s.dtype) for rows in chunks]
         marks = [np.ascontiguousarray(recorded[rows], self._recorded.dtype) for rows in chunks]
@@ -473,7 +495,7 @@ class _Arrivals:
 
 
 def _write_slices(dataset: h5py.Dataset, shot: int, starts: Sequence[int], slices: Sequence[NDArray[Any]]) -> None:
-    """Write each of ``slices`` (pulse,), of the dataset's type, from its start in ``starts``, and flush.
+    """Write each of ``slices`` (pulse,) into the row ``shot`` of ``dataset``, from its start in ``starts``, and flush.
 
     Uses the library's low-level interface: h5py takes ten times as long to interpret an index as to write.
     """
@@ -497,6 +519,7 @@ class _Chunk:
     """
 
     def __init__(self, file: h5py.File, name: str, sums: _ChunkSums, executor: Executor) -> None:
+        """Prepare the current chunk of dataset ``name``: records are collected in it and written at once."""
         self._name, self.short_name, self._executor = name, name.rpartition("/")[2], executor
         self._echo = echo = file[name]
         self._sums = sums
@@ -510,7 +533,8 @@ class _Chunk:
         self.unverified: dict[int, Future[int]] = {}
 
     def start(self, shot: int, number: int) -> None:
-        """Start another chunk with all records missing."""
+        """Start chunk ``number`` of ``shot`` with all records missing."""
+        # The checksum of the chunk before may still be computed from its memory: another buffer is used.
         if self.unverified:
             self._lent.append(self._codes)
             self._codes = self._spare.pop() if self._spare else np.empty_like(self._codes)
@@ -518,7 +542,7 @@ class _Chunk:
         self.place = (shot, number)
 
     def reload(self, recorded: BoolArray) -> None:
-        """Read the ``recorded`` (pulse,) records of the chunk from the file, to add a delayed record."""
+        """Read the ``recorded`` (pulse,) records of the current chunk from the file, to add a delayed one."""
         if self.place is None or not recorded.any():
             return
         shot, number = self.place
@@ -527,7 +551,7 @@ class _Chunk:
         self._filled[: recorded.size] = recorded
 
     def put(self, rows: Int64Array, codes: Int16Array) -> None:
-        """Put ``codes`` (row, sample) into the rows ``rows``."""
+        """Put ``codes`` (record, sample) into the rows ``rows`` (record,) of the current chunk, in memory."""
         # A slice, the usual case, takes half the time.
         selection = slice(rows[0], rows[-1] + 1) if bool(np.all(np.diff(rows) == 1)) else rows
         self._codes[selection] = codes
@@ -535,13 +559,13 @@ class _Chunk:
         self.unwritten = True
 
     def write(self, shot: int, first: int, codes: Int16Array) -> None:
-        """Write a chunk of ``codes`` (pulse, sample) that starts at pulse ``first``."""
+        """Write ``codes`` (pulse, sample), a whole chunk that starts at pulse ``first``, to the file."""
         self.start(shot, first // self.rows)
         self.put(np.arange(codes.shape[0]), codes)
         self.flush()
 
     def flush(self) -> None:
-        """Write the chunk to the file; it stays in memory."""
+        """Write the current chunk to the file and start the computation of its checksum; it stays in memory."""
         if self.place is None:
             return
         shot, number = self.place
@@ -562,7 +586,7 @@ class _Chunk:
         self.unwritten = False
 
     def write_checksums(self) -> None:
-        """Write the checksums of the chunks written since the last call."""
+        """Wait for the checksums of the chunks written since the last call, and write them."""
         if self.place is None:
             return
         self._sums.put(self.place[0], {number: checksum.result() for number, checksum in self.unverified.items()})
@@ -575,6 +599,7 @@ class _ShotRows:
     """Marks and trigger times of the current shot's records, (pulse,), and the latest record with a known pulse."""
 
     def __init__(self, shot: Shot) -> None:
+        """Start a shot: no record has arrived."""
         self.index = shot.index
         self.latest: LastRecord | None = None
         self.recorded = np.zeros(shot.capture.record_count, bool)
@@ -616,6 +641,7 @@ def _new_file(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> J
         return Journal(path)
 
     def undo(journal: Journal) -> None:
+        """Close and delete a new file that is no longer wanted."""
         # Closed first: Windows deletes no open file.
         journal.close()
         with contextlib.suppress(OSError):
@@ -631,7 +657,7 @@ def _new_file(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> J
 
 
 def refuse_to_replace(path: Path) -> None:
-    """Raise ``StoreError`` if ``path`` is not a run file, or is one of a running run."""
+    """Raise ``StoreError`` unless ``path`` is a run file that no run is writing, so that it may be replaced."""
     try:
         read_run(path)
     except StoreError:
@@ -643,7 +669,7 @@ def refuse_to_replace(path: Path) -> None:
 
 
 def open_on(journal: Journal) -> h5py.File:
-    """Open the run file behind ``journal`` with the HDF5 library."""
+    """Return the run file of ``journal``, opened with the HDF5 library; all its writes go through the journal."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_libver_bounds(*(h5f.LIBVER_V110 for _ in LIBVER))
     access.set_fileobj_driver(h5fd.fileobj_driver, journal)
@@ -655,9 +681,9 @@ def open_on(journal: Journal) -> h5py.File:
 
 
 def _endings(file: h5py.File, journal: Journal) -> Mapping[str, tuple[Write, ...]]:
-    """Return the library's writes for each status, so that the journal can write the status without the library.
+    """Return, for each status of a run, the bytes that the HDF5 library would write to the file to store it.
 
-    The attribute has a fixed size and offset, so this also works on a full disk.
+    The journal can then write the status without the library, also on a full disk: its size and offset are fixed.
     """
     endings = {}
     # The last one, "running", stays in the file.
