@@ -117,6 +117,7 @@ class Acoustics:
     """
 
     def __init__(self, settings: SimulationSettings, lateral_offset_m: float = 0.0) -> None:
+        """Draw the scatterers of ``settings``, and prepare noise, gain and motion of the medium."""
         x, y = settings.beams.lateral_offset_m
         beams = settings.beams.model_copy(update={"lateral_offset_m": (x + lateral_offset_m, y)})
         self._settings = settings = settings.model_copy(update={"beams": beams})
@@ -125,7 +126,7 @@ class Acoustics:
         self._travel_s = settings.beams.tracked_from_m / settings.sound_speed_m_per_s
         self._push_delay_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s - self._travel_s
         push_travel_s = self._travel_s + self._push_delay_s
-        # Around the focus the specimen attenuates, if its depth is stated.
+        # Around the focus the specimen attenuates echoes, if its depth is stated.
         loss = {"attenuation_db_per_cm_mhz": settings.echo_attenuation_db_per_cm_mhz}
         scatterers = settings.scatterers.model_copy(update=loss)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
@@ -135,6 +136,7 @@ class Acoustics:
         self._aperture_views: dict[Pulse, _ScattererView] = {}
         # For each pulse the echoes of the latest records, if they were few, with the numbers that define them.
         self._stored_echoes: dict[Pulse, tuple[tuple[FloatArray, FloatArray, Int64Array], FloatArray]] = {}
+        # The gain gives the echoes of the reference pulse the signal-to-noise ratio that the settings state.
         reference_pulse = echo_pulse(settings, settings.receiver.reference_carrier_hz)
         reference = self._view(reference_pulse, self._field.tracking_weight)
         self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.response)
@@ -178,7 +180,7 @@ class Acoustics:
         return noise()
 
     def _add_tracking_echoes(self, volts: NoiseSource, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
-        """Add the echoes of the tracking pulses, one carrier after another."""
+        """Add the echoes of the tracking pulses to the records that ``volts`` returns, one carrier after another."""
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
         strength_v *= transmitted_fraction(pulses.amplitude_vpp, self._settings)
         # Sets instead of np.unique, which loads NumPy's masked arrays.
@@ -189,7 +191,10 @@ class Acoustics:
             self._add_echoes(volts, capture, view, passage, strength_v[selected], tonebursts)
 
     def _add_toneburst_echoes(self, volts: NoiseSource, tonebursts: Bursts, capture: Capture) -> None:
-        """Add the echoes of the tonebursts; the motion of a scatterer during its burst is neglected."""
+        """Add the echoes of the tonebursts to the records that ``volts`` returns.
+
+        The motion of a scatterer during its burst is neglected.
+        """
         bursts = near(tonebursts, capture)
         strength_v = self._gain_v * toneburst_echo_strength(bursts, self._settings.receiver)
         length_s = (bursts.end_ps - bursts.onset_ps) / PS_PER_S
@@ -202,7 +207,10 @@ class Acoustics:
             self._add_echoes(volts, capture, view, passage, strength_v[selected], tonebursts)
 
     def _view(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> _ScattererView:
-        """Return the scatterers through a Gaussian beam of ``gaussian_weight``, or through the settings' aperture."""
+        """Return the weight of every scatterer's echo for ``pulse``, in a Gaussian beam or in the settings' aperture.
+
+        ``gaussian_weight`` (scatterer,): weights in the Gaussian beam. ``of_push``: the beam is that of the tonebursts.
+        """
         if self._settings.beams.field == "gaussian":
             return _ScattererView(pulse, gaussian_weight)
         if pulse not in self._aperture_views:
@@ -226,11 +234,12 @@ class Acoustics:
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
 
     def _passage(self, onset_ps: Int64Array, capture: Capture) -> _FocusPassage:
-        """Return the passage of bursts with ``onset_ps`` (burst,) through the focus, as moved by the background."""
+        """Return when bursts with ``onset_ps`` (burst,) pass the focus, and how background motion delays their echoes."""
         time_ps = onset_ps + to_ps(self._travel_s)
         if self._background_m is None:
             return _FocusPassage(onset_ps, time_ps, None)
-        # The moved focus is reached some us later, and in that time the background moves by less than a sample.
+        # The background moves the specimen, so that a burst reaches the focus some us later or earlier. In that time
+        # the background moves by less than a sample.
         moved_m = self._background_m(time_ps - capture.origin_ps)
         later_s = moved_m / self._settings.sound_speed_m_per_s
         time_ps = time_ps + np.rint(later_s * PS_PER_S).astype(np.int64)
@@ -238,7 +247,10 @@ class Acoustics:
         return _FocusPassage(onset_ps, time_ps, moved_m * (2 / self._settings.sound_speed_m_per_s))
 
     def _motion_amplitudes_m(self, tonebursts: Bursts, passage_ps: Int64Array, capture: Capture) -> FloatArray:
-        """Return the amplitude of each motion shape at ``passage_ps`` (burst,), (burst, shape)."""
+        """Return the amplitude of each spatial shape of the motion when bursts pass the focus, m (burst, shape).
+
+        The displacement of a scatterer is the sum of amplitude times shape. ``passage_ps`` (burst,): time at the focus.
+        """
         if self._medium is not None:
             return self._medium.amplitudes_m(tonebursts, passage_ps)
         if self._focus_motion is None:
@@ -254,7 +266,11 @@ class Acoustics:
         strength_v: FloatArray,
         tonebursts: Bursts,
     ) -> None:
-        """Add the echoes of equal bursts to the records that they reach."""
+        """Add the echoes of equal bursts to the records that ``volts`` returns.
+
+        ``view``: weights of the scatterers. ``passage`` and ``strength_v`` (burst,): times at the focus, and amplitudes
+        of the echoes. ``tonebursts`` move the specimen.
+        """
         motion_m = self._motion_amplitudes_m(tonebursts, passage.time_ps, capture)
         relevant = noticeable(view.weight)
         if not (strength_v.any() and relevant.any()):
@@ -273,7 +289,11 @@ class Acoustics:
         strength_v: FloatArray,
         motion_m: FloatArray,
     ) -> _EchoTrain:
-        """Return the delays of the ``relevant`` scatterers and the interval that their echoes can occupy."""
+        """Return the echoes of equal bursts: weights and delays of the ``relevant`` scatterers, arrival interval.
+
+        ``motion_m`` (burst, shape): amplitudes of the motion's spatial shapes.
+        """
+        # Spatial shapes of the motion, (shape, scatterer).
         shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, relevant]
         if view.delay_ratio is not None:
             shapes = shapes * view.delay_ratio[relevant]
@@ -285,17 +305,20 @@ class Acoustics:
         early_s = arrival_s + delay_s.min() + view.pulse.start_s - margin_s
         late_s = arrival_s + delay_s.max() + view.pulse.end_s + margin_s
         return _EchoTrain(
-            view.pulse,
-            passage,
-            strength_v,
-            view.weight[relevant],
-            EchoDelays.of_motion(delay_s, shapes, motion_m, sound_speed_m_per_s, response),
-            math.floor(early_s * PS_PER_S),
-            math.ceil(late_s * PS_PER_S),
+            pulse=view.pulse,
+            passage=passage,
+            strength_v=strength_v,
+            weight=view.weight[relevant],
+            delays=EchoDelays.of_motion(delay_s, shapes, motion_m, sound_speed_m_per_s, response),
+            early_ps=math.floor(early_s * PS_PER_S),
+            late_ps=math.ceil(late_s * PS_PER_S),
         )
 
     def _add_aligned_echoes(self, volts: NoiseSource, capture: Capture, train: _EchoTrain) -> None:
-        """Add echoes that start within some ns of one grid of sample times."""
+        """Add echoes to the records, for records that sample them at nearly the same times after the onset of a burst.
+
+        Those times differ by some ns at most, so all echoes are computed on one grid of sample times.
+        """
         onset_ps, early_ps, late_ps = train.passage.onset_ps, train.early_ps, train.late_ps
         burst, record = burst_record_pairs(onset_ps + early_ps, onset_ps + late_ps, capture)
         if len(burst) == 0:
@@ -321,8 +344,9 @@ class Acoustics:
     ) -> tuple[FloatArray, Int64Array]:
         """Return each distinct echo once, (group, sample), and the group of each pair of burst and record, (pair,).
 
-        ``burst`` and ``shift_s`` (pair,); ``sample_ps`` (sample,) after the onset. Echoes are reused if the latest
-        records had the same.
+        ``burst`` and ``shift_s`` (pair,): index of the burst, and delay of the record's samples from the grid.
+        ``sample_ps`` (sample,): grid of sample times after the onset. Echoes are reused if the latest records had the
+        same.
         """
         delays = train.delays
         tolerance = self._settings.scatterers.echo_tolerance or (
@@ -348,7 +372,7 @@ class Acoustics:
     def _add_shifted_echoes(
         self, volts: FloatArray, capture: Capture, train: _EchoTrain, background_delay_s: FloatArray
     ) -> None:
-        """Add echoes that the background delays by any number of samples.
+        """Add echoes to the records, for a background motion that delays them by any number of samples.
 
         Each echo is computed on a grid of samples that moves with the specimen, and added to its record so many samples
         later. The remainder of the delay, less than half a sample, shifts the sample times.
@@ -387,10 +411,11 @@ def _add_to_records(volts: FloatArray, block: FloatArray, group: Int64Array, str
 
 
 def transmitted_fraction(amplitude_vpp: FloatArray, settings: SimulationSettings) -> FloatArray:
-    """Return the amplitude of tracking pulses (burst,) after hybrid, amplifier and diodes, over the reference pulse's.
+    """Return the amplitude of tracking pulses (burst,) after the transmit path, over that of the reference pulse.
 
-    Both at the same amplitude at the generator, and of the carrier alone: its harmonics are outside the receive band.
-    A separate tracking transducer has a linear path.
+    The path is hybrid, amplifier and diodes, which saturate. Both pulses have the same amplitude at the generator, and
+    only their carrier counts: its harmonics are outside the receive band. A separate tracking transducer has a linear
+    path.
     """
     if settings.transmitter.linear or settings.beams.tracking_focus_depth_m is not None:
         return np.ones_like(amplitude_vpp)
@@ -425,7 +450,11 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
 
 
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
-    """Return the motion of the focus, or None; a medium's transient response is tabulated once, in this call."""
+    """Return the displacement of the focus as a function of tonebursts, time and master trigger; None without motion.
+
+    The response of a medium to a step of force is tabulated once, in this call. ``travel_s``: from the pushing
+    transducer to the focus.
+    """
     if settings.specimen is not None:
         from sim_backend.motion import (
             focus_response,

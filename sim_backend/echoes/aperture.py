@@ -56,15 +56,17 @@ def beam_response(
     at_nodes, delay_ratio = pulse_echo_beam(settings, node_hz, *reach_m, mixture, of_push).at(lateral_m, axial_m)
     response = nodes_to_lines @ at_nodes
     weight = np.abs(response).max(axis=0)
-    return BeamResponse(weight, response / np.where(weight > 0, weight, 1.0), delay_ratio)
+    relative_response = response / np.where(weight > 0, weight, 1.0)
+    return BeamResponse(weight=weight, response=relative_response, delay_ratio=delay_ratio)
 
 
 def _band(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, FloatArray]:
-    """Return the frequencies and the mixture of them to tabulate, and the matrix (exponential, table) to the pulse.
+    """Return frequencies for the computation of an aperture's beam for ``pulse``, and how to interpolate between them.
 
-    For a window of up to three exponentials: the least squares straight line in frequency, weighted by energy, since
-    any other function would make steps where the window ends. For more: the polynomial through the Chebyshev points of
-    the band.
+    The mixture (table, frequency), if any, sums the computed beams to fewer tables; the matrix (exponential, table)
+    leads from the tables to each exponential of the pulse. For a window of up to three exponentials, this is a straight
+    line in frequency, fitted with energy as weight, since any other function would make steps where the window ends.
+    For more, it is the polynomial through the Chebyshev points of the band.
     """
     line_hz, amplitude = np.array(pulse.frequency_hz), np.abs(pulse.amplitude)
     if len(line_hz) == 1:

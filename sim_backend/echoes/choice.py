@@ -29,7 +29,10 @@ _MIN_SCATTERERS_TO_OMIT = 64
 def method_times_s(
     delays: EchoDelays, pulse: Pulse, sample_time_s: FloatArray, tolerance: float
 ) -> dict[Method, float]:
-    """Return the estimated run time, s, of each method that meets the tolerance."""
+    """Return the estimated run time, s, of each method of echo synthesis that meets the tolerance.
+
+    The times of single operations are measured ones.
+    """
     samples, scatterers, frequencies = len(sample_time_s), len(delays.rest_s), len(pulse.frequency_hz)
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     blocks = max(1, math.ceil(duration_s / (pulse.end_s - pulse.start_s)))
@@ -52,7 +55,7 @@ def method_times_s(
 
 
 def reachable_scatterers(delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> Int64Array:
-    """Return the indices of scatterers with an echo that can touch a sample."""
+    """Return the indices of scatterers with an echo that overlaps a sample time."""
     early_s, late_s = delays.range_s()
     touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])
     touches &= weight != 0
@@ -72,7 +75,7 @@ def negligible_weight(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArra
 
 
 def incoherent_rms(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> float:
-    """Return the rms in the gate of echoes with independent phases."""
+    """Return the expected rms over the gate of the echoes' sum, for independent random phases of the scatterers."""
     power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
     pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])
     return math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))

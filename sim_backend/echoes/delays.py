@@ -48,10 +48,11 @@ class EchoDelays:
         sound_speed_m_per_s: float,
         response: ComplexArray | None = None,
     ) -> EchoDelays:
-        """Return the delays of a motion, eq. (11) of the paper.
+        """Return the echo delays of scatterers in motion, eq. (11) of the paper: rest delay plus 2 displacement / c.
 
-        ``motion_weight`` (scatterer,) and ``displacement_m`` (echo,) at the focus; with several shapes (shape,
-        scatterer) and (echo, shape).
+        ``motion_weight`` (scatterer,): displacement over that of the focus. ``displacement_m`` (echo,): of the focus.
+        With several spatial shapes they are (shape, scatterer) and (echo, shape). ``response``: of the beam at each
+        frequency.
         """
         shape = np.atleast_2d(motion_weight)
         displacement_m = displacement_m.reshape(len(displacement_m), len(shape))
@@ -69,7 +70,7 @@ class EchoDelays:
         return self.rest_s - max_change_s, self.rest_s + max_change_s
 
     def of(self, scatterers: Int64Array) -> EchoDelays:
-        """Return the delays of some scatterers."""
+        """Return the delays of the scatterers with the indices ``scatterers``."""
         response = None if self.response is None else self.response[:, scatterers]
         return EchoDelays(
             rest_s=self.rest_s[scatterers],
@@ -138,7 +139,7 @@ def distinct_echoes(
 
 
 def check_delays(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for arrays that do not fit each other and for unusable numbers."""
+    """Raise ValueError for arrays of delays that do not fit each other or hold unusable numbers."""
     axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
     arrays = {name: getattr(delays, name) for name in axes} | {"weight": weight}
     check_axes(arrays, axes | {"weight": "scatterer"})

@@ -71,7 +71,7 @@ def synthesise(
     tolerance: float = DEFAULT_TOLERANCE,
     method: Method | None = None,
 ) -> Synthesis:
-    """Return the echoes, float64 (echo, sample), with an rms error within ``tolerance`` of their rms.
+    """Return the sum of all scatterers' echoes, float64 (echo, sample), with an error within ``tolerance`` (both rms).
 
     ``weight`` (scatterer,), any sign; ``sample_time_s`` (sample,), ascending, with the origin of the delays. Without
     ``method`` the faster one is used, at tolerance 0 the exact one. Raises ValueError, with the argument's name, for
@@ -108,7 +108,10 @@ def _synthesise(
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
-    """Return the echoes without checks, summed over the scatterers that matter to the tolerance."""
+    """Return the sum of the echoes of all scatterers that matter to the tolerance; arguments as in ``synthesise``.
+
+    Scatterers are left out if their echoes miss the gate or are too weak together.
+    """
     if min(delays.echo_count, len(weight), len(sample_time_s)) == 0:
         return Synthesis(np.zeros((delays.echo_count, len(sample_time_s))), method or "running_sum", 0, 0)
     # Leave out scatterers that cannot reach the gate, then those too weak to matter to the tolerance.
@@ -135,8 +138,8 @@ def _to_tolerance(
 ) -> Synthesis:
     """Return the echoes to ``tolerance`` of their rms, also where scatterers nearly cancel each other.
 
-    The error of the series is proportional to the parts of the sum. If the sum is far smaller, it is computed again
-    with a tolerance that is finer by the ratio of the two, and exactly where that is below rounding.
+    The error of the power series is proportional to the parts of the sum. If the sum is far smaller, it is computed
+    again with a tolerance that is finer by the ratio of the two, and exactly where that is below rounding.
     """
     synthesis = _evaluate(delays, weight, pulse, sample_time_s, tolerance, method)
     if synthesis.method != "series":
@@ -165,7 +168,10 @@ def _evaluate(
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
-    """Return the echoes by ``method``, or by the faster one that meets the tolerance."""
+    """Return the echoes by ``method``: by the power series, or exactly by running sums.
+
+    Without a method the faster one that meets the tolerance is used.
+    """
     if len(weight) == 0:
         return Synthesis(np.zeros((delays.echo_count, len(sample_time_s))), method or "running_sum", 0, 0)
     if method != "running_sum" and _usable_method(delays, pulse, sample_time_s, tolerance, method) == "series":
@@ -181,7 +187,10 @@ def _evaluate(
 def _usable_method(
     delays: EchoDelays, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, method: Method | None
 ) -> Method:
-    """Return ``method``, or the faster one without it. Raises ValueError if it cannot meet the tolerance."""
+    """Return ``method``, or the faster method that meets the tolerance if it is None.
+
+    Raises ValueError if ``method`` cannot meet the tolerance.
+    """
     times_s = method_times_s(delays, pulse, sample_time_s, tolerance)
     if method is None:
         return min(times_s, key=times_s.__getitem__)
@@ -198,7 +207,7 @@ def _series_by_blocks(
 ) -> FloatArray:
     """Return the echoes (echo, sample) by the power series, computed for one block of samples after another.
 
-    A block lasts at most one pulse length, the longest time that `series` accepts.
+    A block is at most as long as the pulse, the longest time that `series` accepts.
     """
     # `series` needs ascending delays.
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
@@ -217,7 +226,7 @@ def _series_by_blocks(
             delays.rest_s, [time_s[0] - pulse.end_s - max_change_s, time_s[-1] - pulse.start_s + max_change_s]
         )
         near = slice(max(0, int(first) - 1), int(end) + 1)
-        scene = ScattererRows(
+        scatterer_rows = ScattererRows(
             row=np.zeros(len(delays.rest_s[near]), dtype=np.int64),
             rest_s=delays.rest_s[near] - origin_s,
             weight=weight[near],
@@ -225,6 +234,6 @@ def _series_by_blocks(
             amplitude_s=delays.amplitude_s[None],
             response=None if delays.response is None else delays.response[:, near],
         )
-        series(scene, pulse, time_s - origin_s, tolerance, out[:, :, block])
+        series(scatterer_rows, pulse, time_s - origin_s, tolerance, out[:, :, block])
     echo: FloatArray = out[0]
     return echo

@@ -45,9 +45,10 @@ def running_sum(
     sample_time_s: FloatArray,
     response: ComplexArray | None = None,
 ) -> FloatArray:
-    """Return the echoes of `direct_sum`, exact to rounding; ``sample_time_s`` must ascend.
+    """Return the echoes of `direct_sum` (echo, sample), exact to rounding but far faster for many samples.
 
-    ``response`` (frequency, scatterer) multiplies each exponential of a scatterer's pulse; None: 1.
+    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,); ``sample_time_s`` (sample,) must ascend. ``response``
+    (frequency, scatterer) multiplies each exponential of a scatterer's pulse; None: 1.
     """
     out = np.zeros((len(delay_s), len(sample_time_s)))
     if min(delay_s.shape) == 0:
@@ -74,7 +75,10 @@ def running_sum(
 
 
 def blocks(sample_time_s: FloatArray, pulse: Pulse) -> list[slice]:
-    """Return slices that divide the samples into blocks no longer than the pulse."""
+    """Return slices that divide the samples into blocks no longer than the pulse.
+
+    A scatterer's echo then does not both begin and end within a block.
+    """
     slices, start = [], 0
     while start < len(sample_time_s):
         end = int(np.searchsorted(sample_time_s, sample_time_s[start] + (pulse.end_s - pulse.start_s), side="left"))
@@ -97,7 +101,10 @@ def _add_block(
     sample_time_s: FloatArray,
     response: ComplexArray | None,
 ) -> None:
-    """Add the echoes of one block to ``out`` (echo, sample), some echoes and scatterers at a time."""
+    """Add the echoes in one block of samples to ``out`` (echo, sample), some echoes and scatterers at a time.
+
+    ``delay_s`` (echo, scatterer), ``sample_time_s``: of the block. Arguments as in ``running_sum``.
+    """
     origin_s = local_origin_s(sample_time_s, pulse)
     time_s = sample_time_s - origin_s
     # (frequency, sample): c_m exp(j w_m t).
@@ -120,7 +127,11 @@ def _block(
     rotation: ComplexArray,
     response: ComplexArray | None,
 ) -> FloatArray:
-    """Return the echoes of one block, (echo, sample); ``tau`` (echo, scatterer), ``rotation`` (frequency, sample)."""
+    """Return the echoes in one block of samples, (echo, sample), by running sums over the scatterers.
+
+    ``tau`` (echo, scatterer): delays. ``rotation`` (exponential m, sample): c_m exp(j w_m t) of the pulse. A scatterer
+    contributes while its pulse lasts ("alive"); the sum over these changes only where a pulse begins or ends.
+    """
     echo_count, samples = len(tau), len(sample_time_s)
     row = np.arange(echo_count)[:, None]
     # First samples at or after start and end of each support, (echo, scatterer).

@@ -22,31 +22,37 @@ DRAWS_AT_ONCE = 16
 
 
 def batch(
-    scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float = DEFAULT_TOLERANCE
+    scatterer_rows: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float = DEFAULT_TOLERANCE
 ) -> FloatArray:
-    """Return the echoes of every row of ``scene``, (row, echo, sample), with the rms error of all within ``tolerance``.
+    """Return the echoes of many independent sets of scatterers at once, (row, echo, sample).
 
     A row is a draw, a gate (its start subtracted from ``rest_s``) or a parameter value (its own weights or
-    ``amplitude_s``). Scatterers must ascend in row and within a row in delay. Raises ValueError, with the argument's
-    name, for numbers that are not finite, arrays that do not fit, and scatterers out of order.
+    ``amplitude_s``). The rms error of all is within ``tolerance``. Scatterers must ascend in row and within a row in
+    delay. Raises ValueError, with the argument's name, for numbers that are not finite, arrays that do not fit, and
+    scatterers out of order.
     """
     sample_time_s = np.asarray(sample_time_s, dtype=np.float64)
-    _check_rows(scene, sample_time_s, tolerance)
+    _check_rows(scatterer_rows, sample_time_s, tolerance)
     check_sample_rate(pulse, sample_time_s)
-    out = np.empty((*scene.amplitude_s.shape[:2], len(sample_time_s)))
+    out = np.empty((*scatterer_rows.amplitude_s.shape[:2], len(sample_time_s)))
     if out.size == 0:
         return out
-    angles_rad = shape_angles_rad(pulse, scene.shape, scene.amplitude_s)
+    angles_rad = shape_angles_rad(pulse, scatterer_rows.shape, scatterer_rows.amplitude_s)
     if tolerance > 0 and series_exponents(angles_rad, tolerance) is not None:
         for block in blocks(sample_time_s, pulse):
-            series(scene, pulse, sample_time_s[block], tolerance, out[:, :, block])
+            series(scatterer_rows, pulse, sample_time_s[block], tolerance, out[:, :, block])
         return out
     # The motion is too large for the series: row by row.
-    for row, (first, last) in enumerate(itertools.pairwise(scene.row_bounds)):
+    for row, (first, last) in enumerate(itertools.pairwise(scatterer_rows.row_bounds)):
         scatterers = slice(first, last)
-        response = None if scene.response is None else scene.response[:, scatterers]
-        delays = EchoDelays(scene.rest_s[scatterers], scene.shape[:, scatterers], scene.amplitude_s[row], response)
-        out[row] = synthesise(delays, scene.weight[scatterers], pulse, sample_time_s, tolerance).echo
+        response = None if scatterer_rows.response is None else scatterer_rows.response[:, scatterers]
+        delays = EchoDelays(
+            scatterer_rows.rest_s[scatterers],
+            scatterer_rows.shape[:, scatterers],
+            scatterer_rows.amplitude_s[row],
+            response,
+        )
+        out[row] = synthesise(delays, scatterer_rows.weight[scatterers], pulse, sample_time_s, tolerance).echo
     return out
 
 
@@ -79,25 +85,30 @@ def drawn_echoes(
         if settings.beams.field != "gaussian":
             beam = beam_response(settings, field.offset_m, pulse)
             weight, shape, response = beam.weight * field.reflectivity, beam.delay_ratio * shape, beam.response
-        scene = ScattererRows(field.row, field.delay_s, weight, shape[None], amplitude_s[row], response)
-        yield batch(scene, pulse, sample_time_s, tolerance)[: draws - first]
+        scatterer_rows = ScattererRows(field.row, field.delay_s, weight, shape[None], amplitude_s[row], response)
+        yield batch(scatterer_rows, pulse, sample_time_s, tolerance)[: draws - first]
 
 
-def _check_rows(scene: ScattererRows, sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for unusable numbers, arrays that do not fit, and scatterers out of order."""
+def _check_rows(scatterer_rows: ScattererRows, sample_time_s: FloatArray, tolerance: float) -> None:
+    """Raise ValueError for unusable numbers, arrays that do not fit, and scatterers not sorted by row and delay."""
     axes = {
         "rest_s": "scatterer",
         "weight": "scatterer",
         "shape": "shape, scatterer",
         "amplitude_s": "row, echo, shape",
     }
-    arrays = {name: getattr(scene, name) for name in axes}
-    check_axes(arrays | {"row": scene.row}, axes | {"row": "scatterer"})
+    arrays = {name: getattr(scatterer_rows, name) for name in axes}
+    check_axes(arrays | {"row": scatterer_rows.row}, axes | {"row": "scatterer"})
     check_numbers(arrays, sample_time_s, tolerance)
-    if len(scene.row) == 0:
+    if len(scatterer_rows.row) == 0:
         return
-    step, rows = np.diff(scene.row), len(scene.amplitude_s)
-    if scene.row[0] < 0 or scene.row[-1] >= rows or (step < 0).any() or (np.diff(scene.rest_s)[step == 0] < 0).any():
+    step, rows = np.diff(scatterer_rows.row), len(scatterer_rows.amplitude_s)
+    if (
+        scatterer_rows.row[0] < 0
+        or scatterer_rows.row[-1] >= rows
+        or (step < 0).any()
+        or (np.diff(scatterer_rows.rest_s)[step == 0] < 0).any()
+    ):
         raise ValueError(
             f"row must ascend from 0 to less than the {rows} rows of amplitude_s and rest_s within each row: order the "
             "scatterers by numpy.lexsort((rest_s, row))"

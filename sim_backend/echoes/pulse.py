@@ -60,6 +60,7 @@ def attenuated_to_focus(settings: SimulationSettings, pulse: Pulse) -> Pulse:
 
 @functools.lru_cache(maxsize=64)
 def _ideal_pulse(kind: str, carrier_hz: float, bandwidth: float, band_centre_hz: float) -> Pulse:
+    """Return the echo of one scatterer for a pulse of the named ``kind``: "gaussian", "burst" or "hann"."""
     if kind == "gaussian":
         return gaussian_pulse(carrier_hz, bandwidth)
     if kind == "burst":
@@ -68,9 +69,10 @@ def _ideal_pulse(kind: str, carrier_hz: float, bandwidth: float, band_centre_hz:
 
 
 def hann_pulse(carrier_hz: float, bandwidth: float) -> Pulse:
-    """Return the echo of eq. (9): a cosine under a Hann window of length 1/(BW f), centred on its arrival."""
+    """Return the echo of eq. (9) of the paper: a cosine under a Hann window of length 1/(BW f), centred at 0."""
     half = 0.5 / (bandwidth * carrier_hz)
     frequency_hz = (carrier_hz * (1 - bandwidth), carrier_hz, carrier_hz * (1 + bandwidth))
+    # The Hann window is 1/2 plus two half cosines: three exponentials.
     return Pulse(-half, half, frequency_hz, (0.25, 0.5, 0.25))
 
 
@@ -88,6 +90,7 @@ def gaussian_pulse(carrier_hz: float, bandwidth: float, tolerance: float = 1e-10
     half = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
 
     def spectrum(frequency_hz: FloatArray) -> ComplexArray:
+        """Return the Fourier transform of the pulse: Gaussians at the carrier and at minus the carrier."""
         upper = np.exp(-0.5 * np.square((frequency_hz - carrier_hz) / width_hz))
         lower = np.exp(-0.5 * np.square((frequency_hz + carrier_hz) / width_hz))
         return np.asarray((upper + lower) / (2 * math.sqrt(2 * math.pi) * width_hz), dtype=np.complex128)
@@ -113,6 +116,7 @@ def band_limited_burst(
         band = np.exp(-0.5 * np.square(upper)) + np.exp(-0.5 * np.square(lower))
 
         def rectangle(offset_hz: FloatArray) -> ComplexArray:
+            """Return the Fourier transform of the rectangular window of the burst."""
             delay = np.exp(-1j * np.pi * offset_hz * duration_s)
             return np.asarray(duration_s * np.sinc(offset_hz * duration_s) * delay)
 
@@ -124,9 +128,10 @@ def band_limited_burst(
 def from_spectrum(
     spectrum: Callable[[FloatArray], ComplexArray], start_s: float, end_s: float, tolerance: float
 ) -> Pulse:
-    """Return the pulse with the Fourier transform ``spectrum(frequency_hz)``, which is zero outside start and end.
+    """Return the pulse with the Fourier transform ``spectrum(frequency_hz)``, as a sum of exponentials.
 
-    The terms are those of the Fourier series of the support, without the ones that add up to less than ``tolerance``.
+    It is zero before ``start_s`` and after ``end_s``. The exponentials are those of the Fourier series of this
+    interval, without the ones that add up to less than ``tolerance``.
     """
     period_s = end_s - start_s
     # Double the number of terms until the last eighth of them is negligible.
@@ -185,7 +190,7 @@ def waveform(pulse: Pulse, time_s: FloatArray) -> FloatArray:
 
 
 def extended(pulse: Pulse, time_s: FloatArray) -> FloatArray:
-    """Return the sum of the pulse's exponentials at ``time_s``, any shape, without regard to the support."""
+    """Return the sum of the pulse's exponentials at ``time_s``, any shape, also where the pulse itself has ended."""
     value = np.zeros(time_s.shape)
     for frequency_hz, amplitude in zip(pulse.frequency_hz, pulse.amplitude, strict=True):
         angle = 2 * np.pi * frequency_hz * time_s
@@ -196,7 +201,7 @@ def extended(pulse: Pulse, time_s: FloatArray) -> FloatArray:
 
 
 def phasors(pulse: Pulse, time_s: FloatArray, sign: int) -> ComplexArray:
-    """Return exp(sign j w_m t), (frequency, *time).
+    """Return the exponentials exp(sign j w_m t) of the pulse's angular frequencies w_m, (frequency, *time).
 
     Evenly spaced frequencies need two exponentials; the others follow by multiplication.
     """
@@ -216,7 +221,7 @@ def phasors(pulse: Pulse, time_s: FloatArray, sign: int) -> ComplexArray:
 
 @functools.lru_cache(maxsize=32)
 def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
-    """Return the angular frequencies, rad/s, and their step, or None if they are not evenly spaced."""
+    """Return the angular frequencies of the pulse, rad/s, and their step, None if they are not evenly spaced."""
     rate = 2 * np.pi * np.array(pulse.frequency_hz)
     step = float(rate[-1] - rate[0]) / max(1, len(rate) - 1)
     even = len(rate) < 3 or bool(np.abs(np.diff(rate) - step).max() <= 1e-14 * np.abs(rate).max())
@@ -226,7 +231,10 @@ def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
 def _strong_terms(
     start_s: float, end_s: float, frequency_hz: FloatArray, amplitude: ComplexArray, tolerance: float
 ) -> Pulse:
-    """Return the pulse of the neighbouring terms that hold all but ``tolerance`` of the summed amplitude."""
+    """Return a pulse of consecutive exponentials that hold all but ``tolerance`` of the summed amplitude.
+
+    ``frequency_hz`` and ``amplitude`` (exponential,): those of the complete Fourier series.
+    """
     size = np.abs(amplitude)
     budget = tolerance * size.sum() / 2
     first = int(np.searchsorted(np.cumsum(size), budget))

@@ -65,7 +65,7 @@ def draw_field(
     lateral_offset_m: float = 0.0,
     rng_of: Callable[[int], np.random.Generator] | None = None,
 ) -> ScattererField:
-    """Return scatterers drawn uniformly in the box around the focus, and the reflectors.
+    """Return scatterers drawn uniformly in the box around the focus, and the reflectors, with their beam weights.
 
     The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is drawn from
     ``rng`` and box n from ``rng_of(n)``, so overlapping positions share scatterers.
@@ -105,9 +105,10 @@ def draw_reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generat
 
 
 def depth_loss(scatterers: Scatterers, depth_m: FloatArray) -> FloatArray | None:
-    """Return the two-way amplitude loss from the focus to ``depth_m`` beyond it at the band's centre, or None.
+    """Return the two-way amplitude factor (scatterer,) of attenuation between the focus and ``depth_m`` beyond it.
 
-    `pulse.echo_pulse` includes the loss up to the focus and the shift of the centre frequency.
+    It is that at the band's centre; None without attenuation. `pulse.echo_pulse` includes the loss up to the focus and
+    the shift of the centre frequency.
     """
     if scatterers.attenuation_db_per_cm_mhz == 0:
         return None
@@ -116,7 +117,7 @@ def depth_loss(scatterers: Scatterers, depth_m: FloatArray) -> FloatArray | None
 
 
 def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, FloatArray]:
-    """Return offsets (point, 3), m, and reflectivities (point,) of a reflector.
+    """Return offsets (point, 3), m, and reflectivities (point,) of the scatterers that represent a reflector.
 
     A plane is the Gauss-Hermite rule of its integral over the tracking beam, so its motion may vary across the plane.
     """
@@ -133,9 +134,9 @@ def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, Fl
 def field_at(
     offset_m: FloatArray, beams: Beams, reflectivity: FloatArray | None = None, motion_share: FloatArray | None = None
 ) -> ScattererField:
-    """Return the field of scatterers at ``offset_m`` (scatterer, 3) from the focus.
+    """Return the weights of scatterers at ``offset_m`` (scatterer, 3) from the focus, in the beams and in the motion.
 
-    ``reflectivity`` and ``motion_share`` (scatterer,) default to 1.
+    ``reflectivity`` and ``motion_share`` (scatterer,) default to 1; the share is 0 for a reflector at rest.
     """
     # In ascending depth the running sums find their samples in order.
     order = np.argsort(offset_m[:, 2], kind="stable")
@@ -144,12 +145,12 @@ def field_at(
     motion_share = np.ones(len(order)) if motion_share is None else motion_share[order]
     from_axis_m = offset_m - np.array([*beams.lateral_offset_m, 0.0])
     return ScattererField(
-        offset_m,
-        gaussian_weight(from_axis_m, beams.tracking_width_m) * reflectivity,
-        gaussian_weight(offset_m, beams.motion_width_m()) * motion_share,
-        gaussian_weight(offset_m, beams.excitation_width_m) * reflectivity,
-        motion_share,
-        reflectivity,
+        offset_m=offset_m,
+        tracking_weight=gaussian_weight(from_axis_m, beams.tracking_width_m) * reflectivity,
+        motion_weight=gaussian_weight(offset_m, beams.motion_width_m()) * motion_share,
+        excitation_weight=gaussian_weight(offset_m, beams.excitation_width_m) * reflectivity,
+        motion_share=motion_share,
+        reflectivity=reflectivity,
     )
 
 
@@ -187,10 +188,11 @@ def draw_thinned(
     rng: np.random.Generator,
     draws: int,
 ) -> ThinnedDraws:
-    """Return draws of the scatterers with a delay within ``reach_s`` and a weight that matters to ``tolerance``.
+    """Return draws of only those scatterers that reach the gate and are strong enough for ``tolerance``.
 
-    Scatterers are independent, so the number that falls into a smaller box is binomial. The statistics of the echoes
-    are those of `draw_field`, the random numbers are not. Reflectors are in every draw.
+    ``reach_s``: earliest and latest delay that counts. Scatterers are independent, so the number that falls into a
+    smaller box is binomial. The statistics of the echoes are those of `draw_field`, the random numbers are not.
+    Reflectors are in every draw.
     """
     scatterers, beams = settings.scatterers, settings.beams
     count = scatterer_count(scatterers, beams)
@@ -215,7 +217,12 @@ def draw_thinned(
     delay_per_m = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
     offset_m = np.stack([x_m, y_m, z_m], axis=1)
     scatterer_draws = ThinnedDraws(
-        row[strong], delay_per_m * z_m, tracking_weight, motion_weight, offset_m, reflectivity
+        row=row[strong],
+        delay_s=delay_per_m * z_m,
+        tracking_weight=tracking_weight,
+        motion_weight=motion_weight,
+        offset_m=offset_m,
+        reflectivity=reflectivity,
     )
     return _with_reflectors(scatterer_draws, settings, draws) if scatterers.reflectors else scatterer_draws
 
@@ -223,7 +230,10 @@ def draw_thinned(
 def _relevant_box(
     settings: SimulationSettings, reach_s: tuple[float, float], limit: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the corners (3,), m, of the box with all delays within ``reach_s`` and all weights above ``limit``."""
+    """Return two opposite corners (3,), m, of the box outside which no scatterer matters.
+
+    Inside it the echo delay is within ``reach_s`` and the weight in the tracking beam above ``limit``.
+    """
     scatterers, beams = settings.scatterers, settings.beams
     box = np.array(scatterers.volume_m)
     low, high = -box / 2, box / 2
@@ -237,17 +247,17 @@ def _relevant_box(
 
 
 def _with_reflectors(scatterer_draws: ThinnedDraws, settings: SimulationSettings, draws: int) -> ThinnedDraws:
-    """Add the reflectors of the settings to every draw."""
+    """Return the draws with the reflectors of the settings added to every draw."""
     only_reflectors = settings.scatterers.model_copy(update={"per_cell": 0.0})
     field = draw_field(only_reflectors, settings.beams, np.random.default_rng(0))
     delay_s = depth_delay_s(field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
     reflectors = ThinnedDraws(
-        np.repeat(np.arange(draws), len(field.reflectivity)),
-        np.tile(delay_s, draws),
-        np.tile(field.tracking_weight, draws),
-        np.tile(field.motion_weight, draws),
-        np.tile(field.offset_m, (draws, 1)),
-        np.tile(field.reflectivity, draws),
+        row=np.repeat(np.arange(draws), len(field.reflectivity)),
+        delay_s=np.tile(delay_s, draws),
+        tracking_weight=np.tile(field.tracking_weight, draws),
+        motion_weight=np.tile(field.motion_weight, draws),
+        offset_m=np.tile(field.offset_m, (draws, 1)),
+        reflectivity=np.tile(field.reflectivity, draws),
     )
     merged = [np.concatenate(pair) for pair in zip(scatterer_draws.arrays(), reflectors.arrays(), strict=True)]
     order = np.lexsort((merged[1], merged[0]))  # by row, then by delay
@@ -255,12 +265,13 @@ def _with_reflectors(scatterer_draws: ThinnedDraws, settings: SimulationSettings
 
 
 def _gaussian(offset_m: tuple[FloatArray, FloatArray, FloatArray], width_m: tuple[float, float, float]) -> FloatArray:
+    """Return exp(-sum x_i^2 / 2 width_i^2) (scatterer,) for offsets x, y, z (scatterer,) from its centre."""
     x, y, z = (np.square(axis_m) * (-0.5 / width**2) for axis_m, width in zip(offset_m, width_m, strict=True))
     return np.asarray(np.exp(x + y + z))
 
 
 def _sorted_uniform(counts: Int64Array, rng: np.random.Generator) -> FloatArray:
-    """Return ``counts`` (draw,) uniform numbers in [0, 1) for each draw, in ascending order, without sorting.
+    """Return ``counts`` (draw,) uniform numbers in [0, 1) for each draw, ascending within a draw, without sorting.
 
     Sums of exponential spacings, divided by the sum with one more spacing, are distributed as sorted uniform numbers.
     """

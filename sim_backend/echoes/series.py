@@ -77,10 +77,11 @@ class ScattererRows:
 
 
 def shape_angles_rad(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -> tuple[float, ...]:
-    """Return, for each shape of the motion, a bound on its change of the phase of the pulse's highest frequency.
+    """Return, for each spatial shape of the motion, the largest phase change that it can cause, rad (shape,).
 
-    ``shape`` (shape, scatterer): spatial shapes g_rn. ``amplitude_s`` (..., echo, shape): amplitudes b_kr, as delays.
-    The bound is the product of the largest magnitudes of both and the angular frequency.
+    The phase is that of the pulse's highest frequency. ``shape`` (shape, scatterer), ``amplitude_s`` (..., echo,
+    shape): the delay of a scatterer changes by amplitude times shape. The bound is the product of the largest
+    magnitudes of both and the angular frequency.
     """
     if shape.size == 0 or amplitude_s.size == 0:
         return (0.0,) * len(shape)
@@ -92,10 +93,11 @@ def shape_angles_rad(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -
 
 @functools.lru_cache(maxsize=32)
 def series_exponents(angles_rad: tuple[float, ...], tolerance: float) -> Exponents | None:
-    """Return the exponents a of the terms that matter to ``tolerance``, in ascending |a|.
+    """Return the terms of the power series that matter to ``tolerance``, as exponents for each shape of the motion.
 
-    A term adds at most prod_r angle_r^a_r / a_r!; terms with a bound below a fraction of the tolerance are left out.
-    Returns None for a motion of more than ``MAX_ANGLE_RAD`` or a series of more than ``MAX_TERMS`` terms.
+    ``angles_rad`` (shape,): largest phase change by each shape. A term with the exponents a_r adds at most prod_r
+    angle_r^a_r / a_r!; terms with a bound below a fraction of the tolerance are left out. The order is that of the sum
+    of exponents. None for a motion of more than ``MAX_ANGLE_RAD`` or a series of more than ``MAX_TERMS`` terms.
     """
     if sum(angles_rad) > MAX_ANGLE_RAD:
         return None
@@ -115,7 +117,7 @@ def series_exponents(angles_rad: tuple[float, ...], tolerance: float) -> Exponen
 
 
 def _power_bounds(angle_rad: float, limit: float) -> list[float]:
-    """Return the largest angle^q / q! of all powers q >= p, for each p from 0 until it falls to ``limit``.
+    """Return, for each power p from 0, the largest angle^q / q! of all powers q >= p, until it falls to ``limit``.
 
     The bounds fall with the power, so the exponents that exceed a limit have no gaps.
     """
@@ -125,13 +127,15 @@ def _power_bounds(angle_rad: float, limit: float) -> list[float]:
     return list(itertools.accumulate(reversed(sizes), max))[::-1]
 
 
-def series(scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, out: FloatArray) -> None:
-    """Write the echoes to ``out``, float64 (row, echo, sample), with an rms error of ``tolerance`` of their rms.
+def series(
+    scatterer_rows: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, out: FloatArray
+) -> None:
+    """Write the echoes to ``out``, float64 (row, echo, sample), by a power series in the amplitudes of the motion.
 
-    ``sample_time_s`` (sample,) lasts at most one pulse length. Raises ValueError for too large a motion or too many
-    terms (see `series_exponents`).
+    The rms error is ``tolerance`` of their rms. ``sample_time_s`` (sample,) is at most as long as the pulse. Raises
+    ValueError for too large a motion or too many terms.
     """
-    angles_rad = shape_angles_rad(pulse, scene.shape, scene.amplitude_s)
+    angles_rad = shape_angles_rad(pulse, scatterer_rows.shape, scatterer_rows.amplitude_s)
     exponents = series_exponents(angles_rad, tolerance)
     if exponents is None:
         raise ValueError(
@@ -141,16 +145,16 @@ def series(scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolera
     steps = _power_steps(exponents)
     degrees = [sum(exponent) for exponent in exponents]
     tables = _tables(pulse, sample_time_s.tobytes(), degrees[-1] + 1)
-    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
-    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
-    # U_a(t) of the scatterers at rest.
-    sums = _rest_sums(scene, enter, leave, steps, np.array(degrees), tables, pulse)
-    # sum_a (b_k^a / a!) U_a(t).
-    np.matmul(_coefficients(scene.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
-    # Samples that a moving end of a support crosses.
+    # For each scatterer, the first samples at or after the start and the end of its pulse.
+    enter = sample_time_s.searchsorted(scatterer_rows.rest_s + pulse.start_s)
+    leave = sample_time_s.searchsorted(scatterer_rows.rest_s + pulse.end_s)
+    # Term a is a sum U_a(t) over the scatterers at rest, times the amplitudes b_k^a / a! of echo k.
+    sums = _rest_sums(scatterer_rows, enter, leave, steps, np.array(degrees), tables, pulse)
+    np.matmul(_coefficients(scatterer_rows.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
+    # The series moves the pulses but not their ends: correct the samples that a moving end crosses.
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     budget = _CROSSING_FRACTION * tolerance * rms * math.sqrt(len(sample_time_s))
-    _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
+    _correct_crossings(out, scatterer_rows, (enter, leave), tables, pulse, sample_time_s, budget)
 
 
 class _PowerStep(NamedTuple):
@@ -165,7 +169,10 @@ class _PowerStep(NamedTuple):
 
 
 def _power_steps(exponents: Exponents) -> list[_PowerStep]:
-    """Return the step that leads to each term but the first, from a term of lower degree |a|."""
+    """Return, for each term of the series but the first, the multiplication that computes it from a lower term.
+
+    A term has one exponent for each shape of the motion; the lower term has an exponent smaller by 1 for one shape.
+    """
     index = {exponent: position for position, exponent in enumerate(exponents)}
     steps = []
     for exponent in exponents[1:]:
@@ -191,7 +198,11 @@ class _Tables:
 
 @functools.lru_cache(maxsize=32)
 def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
-    """Return the tables for degrees 0 to ``degrees`` - 1; cached, since records and studies share few gates."""
+    """Return the factors of the series that depend on pulse and sample times only, for term degrees below ``degrees``.
+
+    ``sample_times``: the bytes of an array, which can be a cache key. Cached, since records and studies share few
+    gates.
+    """
     hz, amplitude = np.array(pulse.frequency_hz), np.array(pulse.amplitude)
     slope = amplitude[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], np.arange(degrees))
     carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(amplitude)))]
@@ -204,7 +215,10 @@ def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
 
 
 def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int) -> ComplexArray:
-    """Return derivative over factorial of each exponential at ``end_s``, (frequency, order), ``removed_hz`` removed."""
+    """Return derivative over factorial of each exponential of the pulse at one of its ends, (frequency, order).
+
+    ``end_s``: start or end of the pulse. ``removed_hz``: a frequency removed from all exponentials before.
+    """
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
     rate = 1j * (omega - 2 * np.pi * removed_hz)
     derivatives = np.empty((len(omega), orders), dtype=np.complex128)
@@ -215,9 +229,10 @@ def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int)
 
 
 def _coefficients(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatArray:
-    """Return b_k^a / a!, (row, echo, term): each term is a lower one times b_kr / a_r.
+    """Return the amplitude factors b_k^a / a! of the series, (row, echo, term).
 
-    ``amplitude_rad`` (row, echo, shape): b_kr times the pulse's highest angular frequency.
+    ``amplitude_rad`` (row, echo, shape): motion b_kr of echo k in shape r, times the pulse's highest angular frequency.
+    Each term is a lower one times b_kr / a_r, as ``steps`` say.
     """
     coefficients = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
     coefficients[0] = 1.0
@@ -227,10 +242,10 @@ def _coefficients(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatAr
 
 
 def _moments(weight: FloatArray, shape: FloatArray, steps: list[_PowerStep]) -> FloatArray:
-    """Return I_n g_n^a, (term, scatterer): each term is a lower one times g_rn.
+    """Return weight times powers of the motion's shapes, I_n g_n^a (term, scatterer).
 
     ``weight`` (scatterer,): I_n. ``shape`` (shape, scatterer): g_rn. The exponents a are those that ``steps`` lead to;
-    the first term has exponents 0.
+    the first term has exponents 0. Each term is a lower one times g_rn.
     """
     moments = np.empty((len(steps) + 1, len(weight)))
     moments[0] = weight
@@ -240,7 +255,7 @@ def _moments(weight: FloatArray, shape: FloatArray, steps: list[_PowerStep]) -> 
 
 
 def _rest_sums(
-    scene: ScattererRows,
+    scatterer_rows: ScattererRows,
     enter: Int64Array,
     leave: Int64Array,
     steps: list[_PowerStep],
@@ -248,16 +263,17 @@ def _rest_sums(
     tables: _Tables,
     pulse: Pulse,
 ) -> FloatArray:
-    """Return U_a(t), float64 (row, term, sample), of the scatterers at rest.
+    """Return the sums over the scatterers at rest for every term of the series, U_a(t), float64 (row, term, sample).
 
-    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each support. Scatterers alive at
-    the first sample are summed backwards from the sample they leave at, the others forwards from the sample they enter
-    at. Nothing is subtracted, since that would cost digits.
+    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each scatterer's pulse. Scatterers
+    with a pulse that has begun at the first sample are summed backwards from the sample they leave at, the others
+    forwards from the sample they enter at. Nothing is subtracted, since that would cost digits. ``degree`` (term,): sum
+    of exponents.
     """
     frequencies, _, samples = tables.rotation.shape
     rotation = tables.rotation[:, degree]
-    sums = np.empty((len(scene.amplitude_s), len(degree), samples))
-    row_bounds = scene.row_bounds
+    sums = np.empty((len(scatterer_rows.amplitude_s), len(degree), samples))
+    row_bounds = scatterer_rows.row_bounds
     rows_per_chunk = max(1, _VALUES_PER_CHUNK // (frequencies * len(degree) * 2 * samples))
     for first_row in range(0, len(sums), rows_per_chunk):
         rows = slice(first_row, min(first_row + rows_per_chunk, len(sums)))
@@ -268,9 +284,9 @@ def _rest_sums(
         # Two halves of cells a row: by the sample they leave at, backwards, and by the sample they enter at.
         at_first = enter[alive] == 0
         position = np.where(at_first, samples - leave[alive], samples + enter[alive])
-        cell = (scene.row[alive] - rows.start) * (2 * samples) + position
+        cell = (scatterer_rows.row[alive] - rows.start) * (2 * samples) + position
         cells = np.zeros((frequencies, len(degree), rows.stop - rows.start, 2, samples), dtype=np.complex128)
-        _add_to_cells(cells.reshape(frequencies, len(degree), -1), scene, alive, cell, steps, pulse)
+        _add_to_cells(cells.reshape(frequencies, len(degree), -1), scatterer_rows, alive, cell, steps, pulse)
         np.cumsum(cells, axis=-1, out=cells)
         inner = cells[..., 1, :] + cells[..., 0, ::-1]
         # Re sum_m c_m (-j w_m)^|a| exp(j w_m t) (inner sum over the alive scatterers).
@@ -280,15 +296,15 @@ def _rest_sums(
 
 def _add_to_cells(
     cells: ComplexArray,
-    scene: ScattererRows,
+    scatterer_rows: ScattererRows,
     scatterers: Int64Array,
     cell: Int64Array,
     steps: list[_PowerStep],
     pulse: Pulse,
 ) -> None:
-    """Add I_n g_n^a exp(-j w_m tau_n) of some scatterers to ``cells`` (frequency, term, cell), in place.
+    """Add I_n g_n^a exp(-j w_m tau_n) of some scatterers n to ``cells`` (frequency m, term a, cell), in place.
 
-    ``cell`` (scatterer,); scatterers of one cell are neighbours.
+    I_n: weight, g_n: shape of the motion, tau_n: delay at rest. ``cell`` (scatterer,): cell of each, in order.
     """
     frequencies, terms, _ = cells.shape
     chunk_length = max(_MIN_SCATTERERS_PER_CHUNK, _VALUES_PER_CHUNK // (frequencies * terms))
@@ -297,10 +313,10 @@ def _add_to_cells(
         starts = np.flatnonzero(np.diff(cell[first : first + chunk_length], prepend=-1))
         target = cell[first + starts]
         # exp(-j w_m tau_n), times the beam's response, and I_n g_n^a.
-        phasor = phasors(pulse, scene.rest_s[chunk], -1)
-        if scene.response is not None:
-            phasor *= scene.response[:, chunk]
-        moments = _moments(scene.weight[chunk], scene.shape[:, chunk], steps)
+        phasor = phasors(pulse, scatterer_rows.rest_s[chunk], -1)
+        if scatterer_rows.response is not None:
+            phasor *= scatterer_rows.response[:, chunk]
+        moments = _moments(scatterer_rows.weight[chunk], scatterer_rows.shape[:, chunk], steps)
         # Some terms at a time: their products with all phasors fit the cache.
         terms_per_group = max(1, _VALUES_PER_CHUNK // (frequencies * len(chunk)))
         for first_term in range(0, terms, terms_per_group):
@@ -322,7 +338,7 @@ class _Crossings:
     sample_count: Int64Array
 
     def of(self, selection: slice) -> _Crossings:
-        """Return a selection of the ends."""
+        """Return those ends of pulses that ``selection`` selects."""
         return _Crossings(
             scatterer=self.scatterer[selection],
             end=self.end[selection],
@@ -334,27 +350,27 @@ class _Crossings:
 
 def _correct_crossings(
     out: FloatArray,
-    scene: ScattererRows,
+    scatterer_rows: ScattererRows,
     rest_sample: tuple[Int64Array, Int64Array],
     tables: _Tables,
     pulse: Pulse,
     sample_time_s: FloatArray,
     budget: float,
 ) -> None:
-    """Correct ``out`` (row, echo, sample), in place, at samples that an end of a support crosses as it moves.
+    """Correct ``out`` (row, echo, sample), in place, at samples that the end of a moving pulse crosses.
 
-    ``rest_sample``: for start and end, the first sample (scatterer,) at or after it at rest. Ends that together change
-    an echo by less than ``budget`` are left out.
+    The power series moves the pulses but not their ends. ``rest_sample``: for start and end, the first sample
+    (scatterer,) at or after it at rest. Ends that together change an echo by less than ``budget`` are left out.
     """
-    reach_s = np.abs(scene.amplitude_s).max(axis=(0, 1)) @ np.abs(scene.shape)
-    max_reach_s, max_weight = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
+    reach_s = np.abs(scatterer_rows.amplitude_s).max(axis=(0, 1)) @ np.abs(scatterer_rows.shape)
+    max_reach_s, max_weight = float(reach_s.max(initial=0.0)), float(np.abs(scatterer_rows.weight).max(initial=0.0))
     if max_reach_s == 0 or max_weight == 0:
         return
     # Each end may cross at most ``crossed`` samples, and every crossing gets an equal fraction of the budget.
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     crossed = 1 + (2 * max_reach_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
     limit = budget / (2 * len(reach_s) * crossed)
-    crossings = _significant_ends(scene, tables, pulse, sample_time_s, reach_s, limit)
+    crossings = _significant_ends(scatterer_rows, tables, pulse, sample_time_s, reach_s, limit)
     orders = _taylor_orders(
         tables.scale_rad_per_s * max_reach_s, limit / max_weight / max(1.0, float(np.abs(pulse.amplitude).sum()))
     )
@@ -362,26 +378,31 @@ def _correct_crossings(
     ends_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
     for first in range(0, len(crossings.end), ends_per_chunk):
         _correct_ends(
-            out, scene, rest_sample, crossings.of(slice(first, first + ends_per_chunk)), taylor, sample_time_s
+            out, scatterer_rows, rest_sample, crossings.of(slice(first, first + ends_per_chunk)), taylor, sample_time_s
         )
 
 
 def _significant_ends(
-    scene: ScattererRows,
+    scatterer_rows: ScattererRows,
     tables: _Tables,
     pulse: Pulse,
     sample_time_s: FloatArray,
     reach_s: FloatArray,
     limit: float,
 ) -> _Crossings:
-    """Return the ends that reach a sample and may change it by more than ``limit``; ``reach_s`` (scatterer,)."""
+    """Return the ends of pulses that cross a sample as they move and may change it by more than ``limit``.
+
+    ``reach_s`` (scatterer,): largest change of the delay by the motion.
+    """
     scatterers = [
-        np.flatnonzero(np.abs(scene.weight) * _pulse_bound_near_end(scene.response, jump, reach_s) > limit)
+        np.flatnonzero(
+            np.abs(scatterer_rows.weight) * _pulse_bound_near_end(scatterer_rows.response, jump, reach_s) > limit
+        )
         for jump in tables.jump
     ]
     scatterer = np.concatenate(scatterers)
     end = np.repeat([0, 1], [len(indices) for indices in scatterers])
-    time_s = scene.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[end]
+    time_s = scatterer_rows.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[end]
     first_sample = sample_time_s.searchsorted(time_s - reach_s[scatterer])
     sample_count = sample_time_s.searchsorted(time_s + reach_s[scatterer], side="right") - first_sample
     crossing = np.flatnonzero(sample_count)
@@ -410,13 +431,16 @@ def _pulse_bound_near_end(response: ComplexArray | None, jump: ComplexArray, rea
 
 def _correct_ends(
     out: FloatArray,
-    scene: ScattererRows,
+    scatterer_rows: ScattererRows,
     rest_sample: tuple[Int64Array, Int64Array],
     ends: _Crossings,
     taylor: ComplexArray,
     sample_time_s: FloatArray,
 ) -> None:
-    """Add the corrections of some ends to ``out`` (row, echo, sample), in place; ``taylor`` (end, frequency, order)."""
+    """Add to ``out`` (row, echo, sample), in place, the corrections at samples crossed by ``ends`` of pulses.
+
+    ``taylor`` (end, frequency, order): Taylor coefficients of each exponential at start and end of the pulse.
+    """
     # (pair,): every end with every sample within its reach.
     count = ends.sample_count
     pair = np.repeat(np.arange(len(count)), count)
@@ -425,14 +449,14 @@ def _correct_ends(
     after_end_s = sample_time_s[sample] - ends.time_s[pair]
     after_at_rest = sample >= np.where(end == 0, rest_sample[0][scatterer], rest_sample[1][scatterer])
     # Taylor coefficients (pair, order), common to all scatterers or with each one's beam response.
-    if scene.response is None:
+    if scatterer_rows.response is None:
         coefficients = taylor.sum(axis=1).real[end]
     else:
-        per_end = np.einsum("fs,sfq->sq", scene.response[:, ends.scatterer], taylor[ends.end], optimize=True)
+        per_end = np.einsum("fs,sfq->sq", scatterer_rows.response[:, ends.scatterer], taylor[ends.end], optimize=True)
         coefficients = per_end.real[pair]
-    change = _crossing_change(scene, scatterer, after_end_s, after_at_rest, coefficients)
+    change = _crossing_change(scatterer_rows, scatterer, after_end_s, after_at_rest, coefficients)
     # Pairs of one row and sample are summed first, since fancy indexing adds to each element only once.
-    row = scene.row[scatterer]
+    row = scatterer_rows.row[scatterer]
     target = row * out.shape[2] + sample
     order = np.argsort(target, kind="stable")
     starts = np.flatnonzero(np.diff(target[order], prepend=-1))
@@ -441,23 +465,24 @@ def _correct_ends(
 
 
 def _crossing_change(
-    scene: ScattererRows,
+    scatterer_rows: ScattererRows,
     scatterer: Int64Array,
     after_end_s: FloatArray,
     after_at_rest: BoolArray,
     coefficients: FloatArray,
 ) -> FloatArray:
-    """Return the change of the echoes at each pair of end and sample, (pair, echo).
+    """Return the change of the echoes at each pair of a pulse's end and a sample near it, (pair, echo).
 
-    ``after_end_s`` (pair,) is the sample's time after the end at rest, ``coefficients`` (pair, order) the pulse's
-    Taylor coefficients there, their sign negative for the end of a support.
+    It is the pulse, where the motion moves the end past the sample; 0 where it does not. ``after_end_s`` (pair,): the
+    sample's time after the end at rest. ``coefficients`` (pair, order): Taylor coefficients of the pulse there,
+    negative for the end of a pulse.
     """
     # Time of the sample after the moved end, (pair, echo).
-    if len(scene.amplitude_s) == 1:
-        moved_s = scene.shape[:, scatterer].T @ scene.amplitude_s[0].T
+    if len(scatterer_rows.amplitude_s) == 1:
+        moved_s = scatterer_rows.shape[:, scatterer].T @ scatterer_rows.amplitude_s[0].T
     else:
-        amplitude_s = scene.amplitude_s[scene.row[scatterer]]
-        moved_s = np.matmul(amplitude_s, scene.shape[:, scatterer].T[:, :, None])[:, :, 0]
+        amplitude_s = scatterer_rows.amplitude_s[scatterer_rows.row[scatterer]]
+        moved_s = np.matmul(amplitude_s, scatterer_rows.shape[:, scatterer].T[:, :, None])[:, :, 0]
     after_s = np.subtract(after_end_s[:, None], moved_s, out=moved_s)
     # The pulse there by Horner's rule.
     change = np.zeros_like(after_s)
@@ -466,16 +491,16 @@ def _crossing_change(
         change *= after_s
     change += coefficients[:, :1]
     # +1 where the motion moves the sample past the end, -1 where it moves it before the end, 0 without a crossing.
-    weight = scene.weight[scatterer]
+    weight = scatterer_rows.weight[scatterer]
     entering, leaving = np.where(after_at_rest, 0.0, weight), np.where(after_at_rest, -weight, 0.0)
     change *= np.where(after_s >= 0, entering[:, None], leaving[:, None])
     return np.asarray(change)
 
 
 def _taylor_orders(angle_rad: float, tolerance: float) -> int:
-    """Return the number of Taylor coefficients that keep the remainder below ``tolerance``.
+    """Return the number of Taylor coefficients that represent a pulse near its ends to ``tolerance``.
 
-    ``angle_rad`` is the phase of the highest frequency over the longest time that an end of a support moves.
+    ``angle_rad`` is the phase of the highest frequency over the longest time that an end moves.
     """
     remainder, orders = angle_rad, 1
     while remainder > tolerance and orders < _TAYLOR_ORDERS:
