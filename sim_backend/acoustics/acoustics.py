@@ -234,7 +234,7 @@ class Acoustics:
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
 
     def _passage(self, onset_ps: Int64Array, capture: Capture) -> _FocusPassage:
-        """Return when bursts with ``onset_ps`` (burst,) pass the focus, and how background motion delays their echoes."""
+        """Return when bursts with ``onset_ps`` (burst,) pass the focus, and the delay of their echoes by background."""
         time_ps = onset_ps + to_ps(self._travel_s)
         if self._background_m is None:
             return _FocusPassage(onset_ps, time_ps, None)

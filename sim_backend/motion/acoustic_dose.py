@@ -51,17 +51,25 @@ def dose(
     sound_speed_m_per_s: float,
     carrier_hz: float = 3.0e6,
 ) -> Dose:
-    """Return the acoustic output of a train, with limits at ``frequency_hz`` (frequency,), multiples of the burst rate.
+    """Return the intensity of a train of tonebursts, and the motion at the regulatory limits of intensity.
 
-    ``force`` is the shape of the push.
+    ``frequency_hz`` (frequency,): multiples of the burst rate, for the motion at the focus. ``force``: shape of the
+    push.
     """
     attenuation_np_per_m = specimen.attenuation_db_per_cm_mhz * 100 / _DB_PER_NEPER * carrier_hz * 1e-6
     duty = burst_rate_hz * burst_length_s
     limit = min(SPPA_LIMIT_W_PER_M2, SPTA_LIMIT_W_PER_M2 / duty)
+    # Radiation force density 2 alpha I / c.
     force_limit = 2 * attenuation_np_per_m * limit / sound_speed_m_per_s
     # Amplitude of a harmonic of the rectangular train, eq. (18) of the paper, times the response of the medium.
     relative_force = 2 * duty * np.abs(np.sinc(frequency_hz * burst_length_s))
     response = np.abs(focus_transfer(specimen, force, frequency_hz))
     intensity = specimen.force_density_n_per_m3 * sound_speed_m_per_s / (2 * attenuation_np_per_m)
     displacement_m = np.asarray(force_limit * relative_force * response)
-    return Dose(intensity, limit, force_limit, specimen.reference_drive_vpp, displacement_m)
+    return Dose(
+        intensity_w_per_m2=intensity,
+        limit_w_per_m2=limit,
+        force_limit_n_per_m3=force_limit,
+        reference_drive_vpp=specimen.reference_drive_vpp,
+        displacement_limit_m=displacement_m,
+    )

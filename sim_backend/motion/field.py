@@ -91,7 +91,11 @@ class FocusField:
     """Whether the field differs before and behind the focal plane; the axial series is then in the depth itself."""
 
     def shapes(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
-        """Return the shape of every mode at points (point,), given by distance from axis and depth: (point, mode)."""
+        """Return the spatial shape of every mode of the motion at points around the focus, (point, mode).
+
+        ``lateral_m``, ``axial_m`` (point,): distance from the axis, and depth. Raises ``ValueError`` outside the
+        tabulated region.
+        """
         reach, inner = (self.lateral_reach_m, self.axial_reach_m), (self.lateral_inner_m, 0.0)
         outside = lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001)
         if outside or lateral_m.min(initial=inner[0]) < inner[0] * 0.9999:
@@ -107,6 +111,7 @@ class FocusField:
             positions[1] = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
         lateral = chebvander(positions[0], self.shape.shape[1] - 1)
         axial = chebvander(positions[1], self.shape.shape[2] - 1)
+        # p: point, m: mode, l and a: lateral and axial Chebyshev degree.
         return np.asarray(np.einsum("pl,mla,pa->pm", lateral, self.shape, axial, optimize=True))
 
 
@@ -118,11 +123,12 @@ def focus_field(
     tolerance: float = 1e-5,
     lateral_inner_m: float = 0.0,
 ) -> FocusField:
-    """Return the field of ``specimen`` around the focus, exact to ``tolerance`` of the static displacement there.
+    """Return the motion of ``specimen`` around the focus after a step of force, as a few modes: shapes times responses.
 
-    For a medium that creeps without end the tolerance is relative to the displacement so far, or to that after the
-    first millisecond if that is larger. The field covers ``lateral_inner_m`` to ``lateral_reach_m`` off the axis.
-    Raises ``ValueError`` for a force of unequal lateral widths.
+    The error is ``tolerance`` of the static displacement at the focus. For a medium that creeps without end the
+    tolerance is relative to the displacement so far, or to that after the first millisecond if that is larger. The
+    field covers ``lateral_inner_m`` to ``lateral_reach_m`` off the axis. Raises ``ValueError`` for a force of unequal
+    lateral widths.
     """
     gaussians = _gaussians(force)
     width_m = _length_scales_m(gaussians)[0]
@@ -149,11 +155,21 @@ def focus_field(
     shape = np.einsum("la,cb,mab->mlc", *matrices, grid, optimize=True)
     # Changes below the tolerance are errors of the quadrature, so a response has ended there.
     response = StepResponse(memory_s(specimen, responses, 0.1 * tolerance), responses)
-    return FocusField(lateral_reach_m, axial_reach_m, response, shape, lateral_inner_m, asymmetric)
+    return FocusField(
+        lateral_reach_m=lateral_reach_m,
+        axial_reach_m=axial_reach_m,
+        response=response,
+        shape=shape,
+        lateral_inner_m=lateral_inner_m,
+        asymmetric=asymmetric,
+    )
 
 
 def focus_response(specimen: Specimen, force: Force) -> StepResponse:
-    """Return the step response at the focus: for a Gaussian in closed form, for a sum of Gaussians to 1e-7."""
+    """Return the displacement at the focus after a step of force, tabulated over time.
+
+    It is in closed form for a Gaussian force, and to 1e-7 for a sum of Gaussians.
+    """
     if isinstance(force, GaussianSum):
         return _sum_response(specimen, force)
     return tabulate_step_response(specimen, force)
@@ -161,13 +177,14 @@ def focus_response(specimen: Specimen, force: Force) -> StepResponse:
 
 @lru_cache(maxsize=8)
 def _sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
+    """Return the displacement at the focus after a step of a force that is a sum of Gaussians, tabulated over time."""
     spectrum = _focus_spectrum(force)
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _rotated_contour(spectrum.ray / _RAY))
     return StepResponse(memory_s(specimen, panels), panels)
 
 
 def focus_transfer(specimen: Specimen, force: Force, frequency_hz: FloatArray) -> ComplexArray:
-    """Return displacement over body force at the focus, complex (frequency,), as `frequency_response` does."""
+    """Return displacement over body force at the focus, complex (frequency,), for steady vibration."""
     if not isinstance(force, GaussianSum):
         return frequency_response(specimen, force, frequency_hz)
     s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
@@ -207,7 +224,7 @@ class MediumMotion:
         return self._transients(self.field.response, tonebursts, time_ps)
 
     def displacement_m(self, tonebursts: Bursts, time_ps: Int64Array, lateral_m: float) -> FloatArray:
-        """Return the displacement at ``time_ps`` (time,) in the focal plane, ``lateral_m`` off the axis."""
+        """Return the displacement in the focal plane, ``lateral_m`` off the axis, at ``time_ps`` (time,), m."""
         shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
         # Sum the modes first, so that one response replaces as many as there are modes.
         response = self.field.response
@@ -215,6 +232,7 @@ class MediumMotion:
         return self._transients(at_point, tonebursts, time_ps)[:, 0]
 
     def _transients(self, response: StepResponse, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:
+        """Return the tabulated responses to the force of ``tonebursts`` as they pass, (time, response)."""
         force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.force_scale)
         return transients(response, force, time_ps)
 
@@ -222,9 +240,10 @@ class MediumMotion:
 def medium_motion(
     settings: SimulationSettings, offset_m: FloatArray, travel_s: float, lateral_offset_m: float = 0.0
 ) -> MediumMotion:
-    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus.
+    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus, as modes of the medium's field.
 
-    Needs ``settings.specimen``. The field also covers the point ``lateral_offset_m`` off the axis.
+    Needs ``settings.specimen``. ``travel_s``: of a burst to the focus. The field also covers the point
+    ``lateral_offset_m`` off the axis.
     """
     specimen = settings.specimen or Specimen()
     lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), offset_m[:, 2]
@@ -240,7 +259,14 @@ def medium_motion(
     shell_inner_m = inner_m if inner_m > width_m[0] else 0.0
     field = _cached_field(specimen, force, lateral_reach_m, axial_reach_m, lateral_inner_m=shell_inner_m)
     shape = field.shapes(lateral_m, axial_m).T
-    return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_scale(settings))
+    return MediumMotion(
+        shape=shape,
+        field=field,
+        specimen=specimen,
+        transmitter=settings.transmitter,
+        travel_s=travel_s,
+        force_scale=force_scale(settings),
+    )
 
 
 # The field depends only on settings and scatterers, so repeated measurements of a scene share it.
@@ -250,7 +276,10 @@ _cached_field = lru_cache(maxsize=8)(focus_field)
 def field_transfer(
     specimen: Specimen, force: Force, lateral_m: FloatArray, axial_m: FloatArray, frequency_hz: FloatArray
 ) -> ComplexArray:
-    """Return displacement over body force on a grid, (frequency, lateral, axial), m per N/m³, factor exp(+jwt)."""
+    """Return displacement over body force on a grid, complex (frequency, lateral, axial), m per N/m³.
+
+    The time factor is exp(+jwt).
+    """
     s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
     value = _Spectrum(_gaussians(force), lateral_m, axial_m).transfer(specimen, s)
     return value.reshape(len(s), len(lateral_m), len(axial_m))
@@ -279,15 +308,16 @@ class _Spectrum:
     """Spectrum of the force at all points, for all wave numbers on the ray; computed once for a geometry."""
 
     def __init__(self, force: GaussianSum, lateral_m: FloatArray, axial_m: FloatArray) -> None:
+        """Compute the spectrum of ``force`` at all points of a grid, for wave numbers along a complex ray."""
         directions = _Directions(force)
         self.ray = _ray_angle(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
         self._k2, weighted = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
         self._k2_weighted = self._k2[:, None] * weighted
 
     def transfer(self, specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
-        """Return U(r, s) / f0, (s, point).
+        """Return the displacement over the force density, (s, point), at complex frequencies ``s_per_s``.
 
-        The sum over wave numbers is that of k² / (k² + pole), with pole = rho s² / mu.
+        It is a sum over wave numbers k of k² / (k² + pole), with pole = rho s² / mu, times the spectrum of the force.
         """
         modulus = shear_modulus(specimen, s_per_s)
         pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
@@ -316,6 +346,7 @@ class _Directions:
     """Spectrum of the force along directions with cosine ``m`` (direction,) to the axis."""
 
     def __init__(self, force: GaussianSum) -> None:
+        """Prepare the spectrum of ``force`` along wave directions: widths, weights and positions of its Gaussians."""
         widths = np.array(force.lateral_width_m)
         # The nodes of the narrowest Gaussian, with the spectrum most concentrated at m = 0, serve all Gaussians.
         self.m, self.min_a_m2, self.weight = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
@@ -325,12 +356,16 @@ class _Directions:
         self.max_centre_m = float(np.abs(self._centre_m).max())
 
     def spectra(self, k: ComplexArray, selected: BoolArray) -> tuple[ComplexArray, ComplexArray | None]:
-        """Return the even and odd parts along the ``selected`` directions, (k, direction); None without odd part."""
+        """Return the force's spectrum at wave numbers ``k`` along the ``selected`` directions, (k, direction).
+
+        It has an even part in depth, and an odd part: None if the force is symmetric about the focal plane.
+        """
         # (k, direction, width)
         gaussian = np.exp(-(k**2)[:, None, None] * self._a_m2[selected]) * self.weight[selected, None]
         if not self._centre_m.any():
             return np.asarray(gaussian @ self._strength[0]), None
         phase = np.multiply.outer(np.outer(k, self.m[selected]), self._centre_m)
+        # j: position along the axis, i: width, k: wave number, m: direction.
         at_centre = np.einsum("ji,kmi->kmj", self._strength, gaussian, optimize=True)
         even, odd = (np.asarray((wave(phase) * at_centre).sum(axis=2)) for wave in (np.cos, np.sin))
         return even, odd
@@ -341,7 +376,10 @@ class _Directions:
 
 
 def _ray_angle(directions: _Directions, lateral_reach_m: float, axial_reach_m: float) -> float:
-    """Return the largest angle of the ray with waves that grow at most to ``_MAX_GROWTH_EXPONENT`` at any point."""
+    """Return the angle of the integration ray to the real axis of wave numbers, as large as the reach allows.
+
+    Waves grow along the ray, at any point to at most exp(``_MAX_GROWTH_EXPONENT``).
+    """
     reach_m, a_m2 = directions.reach_m(lateral_reach_m, axial_reach_m), directions.min_a_m2
     # exp(|k| r sin(ray) - a |k|² cos(2 ray)) has its maximum at the exponent r² sin(ray)² / (4 a cos(2 ray)).
     largest = float((reach_m**2 / (4 * a_m2)).max())
@@ -349,7 +387,10 @@ def _ray_angle(directions: _Directions, lateral_reach_m: float, axial_reach_m: f
 
 
 def _rotated_contour(angle_ratio: float) -> Contour:
-    """Return the field's contour with its angle times ``angle_ratio``; as exact, with more nodes."""
+    """Return the field's contour of the inverse Laplace transform with its angle times ``angle_ratio``.
+
+    It is as exact, with more nodes.
+    """
     contour = FIELD_CONTOUR
     if angle_ratio == 1.0:
         return contour
@@ -414,6 +455,7 @@ class _BesselOnRay:
     """
 
     def __init__(self, rotation: complex, max_distance: float) -> None:
+        """Tabulate J0 along a ray in the complex plane: from 0 to ``max_distance`` in the direction ``rotation``."""
         # Imported here, so that scenes without a field do not load it.
         from scipy.special import jv
 

@@ -52,11 +52,11 @@ def radiation_force(
     transmitter: Transmitter | None = None,
     force_scale: ForceScale | None = None,
 ) -> ForcePulses:
-    """Return a force pulse for each toneburst while it passes the focus, eq. (17) of the paper.
+    """Return the pulses of body force at the focus, one while each toneburst passes it, eq. (17) of the paper.
 
     ``travel_time_s`` is z_F/c. The force is the mean over the carrier, so a burst that the generator cuts short gives a
     shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. With nonlinear propagation
-    ``force_scale`` replaces the square of the pressure (`force_scale`).
+    ``force_scale``, a function of relative pressure and carrier, replaces the square of the pressure.
     """
     pressure = relative_pressure(tonebursts.amplitude_vpp, specimen, transmitter)
     pressure *= transmit_response(tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
@@ -70,7 +70,7 @@ def radiation_force(
 
 
 def force_scale(settings: SimulationSettings) -> ForceScale | None:
-    """Return the function from relative pressure to relative force; None if the force is the square.
+    """Return the function from relative pressure to relative force; None if it is the square (linear propagation).
 
     The nonlinear push is computed once for each carrier, when its first toneburst comes.
     """
@@ -79,6 +79,7 @@ def force_scale(settings: SimulationSettings) -> ForceScale | None:
         return None
 
     def scale(pressure: FloatArray, carrier_hz: FloatArray) -> FloatArray:
+        """Return the relative force (burst,) of bursts with these relative pressures and carriers."""
         from sim_backend.transducer import push_of
 
         relative_force = np.zeros_like(pressure)
@@ -92,7 +93,10 @@ def force_scale(settings: SimulationSettings) -> ForceScale | None:
 
 
 def relative_pressure(drive_vpp: FloatArray, specimen: Specimen, transmitter: Transmitter | None = None) -> FloatArray:
-    """Return the pressure at resonance over that of the reference drive, shape of ``drive_vpp``."""
+    """Return the pressure at resonance over that of the reference drive, in the shape of ``drive_vpp``.
+
+    Without ``transmitter`` the amplifier is linear.
+    """
     relative = drive_vpp / specimen.reference_drive_vpp
     if transmitter is None or transmitter.linear:
         return relative
@@ -114,9 +118,10 @@ def harmonic_v(drive_vpp: FloatArray, transmitter: Transmitter, harmonic: int = 
 
 
 def _distorted_v(amplitude_v: FloatArray, transmitter: Transmitter, harmonic: int) -> FloatArray:
-    """Return the Fourier sine coefficient of a sine after the ceilings of hybrid and amplifier and the diodes.
+    """Return the amplitude of a harmonic of a sine after hybrid, amplifier and diodes, V, shape of ``amplitude_v``.
 
-    A ceiling is the Rapp law v / (1 + |v / ceiling|^2p)^(1/2p). The diodes subtract their threshold.
+    Hybrid and amplifier saturate by the Rapp law v / (1 + |v / ceiling|^2p)^(1/2p). The diodes subtract their
+    threshold. The amplitude is a Fourier sine coefficient.
     """
     # The midpoint rule over a half period; the other half has the same odd harmonics.
     phases = _PHASES if transmitter.diode_threshold_v == 0 else _PHASES_WITH_DIODES

@@ -64,7 +64,7 @@ class Panels:
         return float(_FIRST_S * _PANEL_RATIO ** self.coefficient.shape[1])
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return the responses at ``time_s``, (*time, response).
+        """Return the tabulated step responses at ``time_s``, (*time, response).
 
         They are exactly 0 up to the onset. Before the first panel only inertia acts, so they grow with the square of
         time. After the last panel they keep their last value.
@@ -84,10 +84,10 @@ class Panels:
 def panels_of(
     transfer: Callable[[ComplexArray], ComplexArray], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
 ) -> Panels:
-    """Return the table of step responses from 1 ps to 10^4 s.
+    """Return step responses from 1 ps to 10^4 s, tabulated in panels of time, from their Laplace transform.
 
-    ``transfer`` returns U, (frequency, response), at complex frequencies (frequency,). ``degrees`` is the number of
-    Chebyshev coefficients of a panel.
+    ``transfer`` returns the transform U, (frequency, response), at complex frequencies (frequency,). ``contour``: of
+    the inverse transform. ``degrees``: number of Chebyshev coefficients of a panel.
     """
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_PANEL_RATIO)))
     begin_s = _FIRST_S * _PANEL_RATIO ** np.arange(count)
@@ -97,6 +97,7 @@ def panels_of(
     # Chebyshev points in units of a panel's begin, 1 to 4, so that exp(s t) is common to all panels.
     time = 1 + (_PANEL_RATIO - 1) * (chebpts1(degrees) + 1) / 2
     to_time = np.exp(np.outer(time, s)) * weight
+    # t: time in a panel, n: node of the contour, p: panel, r: response, d: Chebyshev degree.
     samples = np.einsum("tn,pnr->tpr", to_time, value, optimize=True).real
     return Panels(np.einsum("dt,tpr->dpr", chebyshev_matrix(degrees), samples, optimize=True))
 
@@ -109,7 +110,7 @@ def chebyshev_matrix(count: int) -> FloatArray:
 
 
 def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
-    """Return the nodes s and the weights of U(s) of an inverse Laplace transform along a hyperbola, (node,) each.
+    """Return nodes s and weights, (node,) each, of an inverse Laplace transform along a hyperbola.
 
     The step response is S(t) = Re sum of weight exp(s t) U(s). Times are in units of the begin t0 of a panel, and s in
     units of 1/t0: one hyperbola serves times 1 to 4. Nodes lie only above the real axis; the weights include the
@@ -124,9 +125,10 @@ def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
 
 
 def _chebyshev_sum(coefficient: FloatArray, panel: Int64Array, position: FloatArray) -> FloatArray:
-    """Return each panel's Chebyshev series at ``position`` by Clenshaw's recurrence, (*panel, response).
+    """Return the value of each panel's Chebyshev series at ``position`` (-1 to 1), (*panel, response).
 
-    Degree by degree, since numpy's chebval would need (degree, time, response) at once.
+    ``coefficient`` (degree, panel, response), ``panel``: index of the panel for each position. By Clenshaw's
+    recurrence, degree by degree, since numpy's chebval would need (degree, time, response) at once.
     """
     upper, second_upper, doubled = np.zeros_like(position), np.zeros_like(position), 2 * position
     for row in coefficient[:0:-1]:

@@ -21,7 +21,7 @@ _TIMES_PER_CHUNK = 1 << 16
 
 
 def motion_at(components: Sequence[MotionComponent], time_ps: Int64Array) -> FloatArray:
-    """Return the displacement D(t), m, at ``time_ps`` (time,) after the master trigger.
+    """Return the prescribed displacement, a sum of sinusoids, at ``time_ps`` (time,) after the master trigger, m.
 
     The phase is exact to 1e-12 rad after 1e5 s.
     """
@@ -50,7 +50,7 @@ def _components(background: BackgroundMotion) -> Iterator[MotionComponent]:
 
 
 def cycles_at(frequency_hz: float, time_ps: Int64Array) -> FloatArray:
-    """Return f t up to a whole number of cycles, exact to 1e-13 cycles for up to 1e6 Hz and 1e5 s.
+    """Return frequency times time, up to a whole number of cycles, exact to 1e-13 for up to 1e6 Hz and 1e5 s.
 
     Whole hertz times whole seconds are whole cycles, so they are dropped as integers before rounding.
     """

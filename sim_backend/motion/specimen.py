@@ -45,10 +45,11 @@ _FAR, _FAR_TERMS = 6.0, 16
 
 
 def shear_modulus(specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
-    """Return the modulus mu(s) in Pa, shape of ``s_per_s``; analytic away from the negative real axis.
+    """Return the complex shear modulus mu(s) in Pa at complex frequencies ``s_per_s``, in their shape.
 
     Voigt ``mu1 + s mu2``; Maxwell ``s mu1 mu2 / (mu1 + s mu2)``; Zener ``mu1`` parallel to a Maxwell branch of
-    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. See docs/explanation/medium.md, section 1.
+    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. All are analytic away from the negative real
+    axis. See docs/explanation/medium.md, section 1.
     """
     mu1, mu2 = specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s
     match specimen.medium:
@@ -93,14 +94,16 @@ def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: FloatA
 
 
 def transfer(specimen: Specimen, width_m: Triple, s_per_s: ComplexArray) -> ComplexArray:
-    """Return U(s) / f0 at complex frequencies ``s_per_s`` (frequency,), also in the left half plane.
+    """Return displacement at the focus over force density, complex (frequency,), at complex frequencies ``s_per_s``.
 
-    With a rigid sphere it is the displacement of the sphere over the body force that represents the same drive.
+    It holds in the left half plane too. With a rigid sphere it is the displacement of the sphere over the body force
+    that represents the same drive.
     """
     modulus = shear_modulus(specimen, s_per_s)
     if specimen.sphere is not None:
         response = sphere_response(specimen.sphere, modulus, specimen.density_kg_per_m3, s_per_s)
         return np.asarray(sphere_force_volume_m3(specimen, specimen.sphere) * response)
+    # A mean over wave directions, with a half the squared width of the force along each; q: shear wave number.
     a, weight = _directions(width_m)
     q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
     # (frequency, direction) @ (direction,): the inertia factor times the static contribution of each direction.
@@ -109,11 +112,11 @@ def transfer(specimen: Specimen, width_m: Triple, s_per_s: ComplexArray) -> Comp
 
 
 def inertia_factor(z: ComplexArray) -> ComplexArray:
-    """Return ``1 + j sqrt(pi) z w(z)``, any shape, to 1e-12 for Im z >= 0; w is the Faddeeva function.
+    """Return ``1 + j sqrt(pi) z w(z)``, any shape, to 1e-12 for Im z >= 0: the response over the static response.
 
-    It is the response of a Gaussian source relative to its static response: 1 at rest, -1/(2 z²) at large |z|. There
-    the two terms cancel, so Laplace's continued fraction replaces their difference. For Im z < 0,
-    w(z) = 2 exp(-z²) - w(-z), which overflows where the function does. See docs/explanation/medium.md, section 3.
+    The response is that to a Gaussian force, w the Faddeeva function. The factor is 1 at rest and -1/(2 z²) at large
+    |z|, where the two terms cancel, so Laplace's continued fraction replaces their difference. For Im z < 0, w(z) = 2
+    exp(-z²) - w(-z), which overflows where the function does. See docs/explanation/medium.md, section 3.
     """
     # Imported here, so that scenes without a specimen do not load it.
     from scipy.special import wofz
@@ -163,6 +166,7 @@ def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
     """
 
     def response(s_per_s: ComplexArray) -> ComplexArray:
+        """Return displacement over force density at complex frequencies, (frequency, 1)."""
         return transfer(specimen, width_m, s_per_s)[:, None]
 
     if specimen.sphere is None:
@@ -173,10 +177,10 @@ def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
 
 
 def memory_s(specimen: Specimen, panels: Panels, tolerance: float = _MEMORY_TOLERANCE) -> float:
-    """Return the time (s) after which every response stays within ``tolerance`` of its static displacement.
+    """Return the time (s) after a step of force when every response has reached its static displacement.
 
-    ``tolerance`` is relative to the largest static displacement among the responses in ``panels``. The time is the
-    begin of a panel, or the end of the table for a medium that creeps without end.
+    From then on it stays within ``tolerance`` of it, relative to the largest static displacement among the responses in
+    ``panels``. The time is the begin of a panel, or the end of the table for a medium that creeps without end.
     """
     if creeps_for_ever(specimen):
         return panels.end_s
@@ -196,7 +200,7 @@ def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: 
 
 
 def transients(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
-    """Return all tabulated responses at ``time_ps`` (time,) under all ``force`` pulses, (time, response).
+    """Return the motion at ``time_ps`` (time,) under all pulses of ``force``, one column for each tabulated response.
 
     A pulse is a step up and a step down. They cancel once both are older than the medium's memory, so a pulse is only
     evaluated at the times between its onset and the end of its memory.
@@ -231,7 +235,10 @@ def force_volume(width_m: Triple) -> float:
 
 
 def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
-    """Return ``a``, half the squared width of the force along each direction, and the weight of it, (direction,)."""
+    """Return wave directions of a Gaussian force: half its squared width along each, a (m²), and their weights.
+
+    Both (direction,). ``width_m``: sigmas of the force in x, y, z.
+    """
     wide, narrow = max(width_m[:2]), min(width_m[:2])
     # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, with r the ratio of the lateral widths.
     count = 1 if wide == narrow else 8 * math.ceil(wide / narrow) + 8
@@ -243,11 +250,12 @@ def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
 
 
 def polar_nodes(lateral_m2: float, axial_m2: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return cosine m, half the squared width ``a`` and weight of the directions of one azimuth, (direction,) each.
+    """Return wave directions in one plane through the axis: cosine m to the axis, half squared width, weight.
 
-    ``lateral_m2`` and ``axial_m2`` are squared widths. The weight is that of the divergence-free part of the force,
-    1 - m², times the quadrature's. Gauss-Legendre nodes lie in the variable that makes the width a smooth function:
-    asinh for a force longer than wide, asin for a disc (docs/explanation/medium.md, section 2).
+    All are (direction,). ``lateral_m2`` and ``axial_m2`` are squared widths of a Gaussian force; its width is that
+    along the direction. The weight is that of the divergence-free part of the force, 1 - m², times the quadrature's.
+    Gauss-Legendre nodes lie in the variable that makes the width a smooth function: asinh for a force longer than wide,
+    asin for a disc (docs/explanation/medium.md, section 2).
     """
     node, weight = legendre(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2

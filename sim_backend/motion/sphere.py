@@ -36,7 +36,11 @@ def sphere_mass_kg(sphere: Sphere) -> float:
 def sphere_response(
     sphere: Sphere, modulus_pa: ComplexArray, density_kg_per_m3: float, s_per_s: ComplexArray
 ) -> ComplexArray:
-    """Return displacement over force, m/N (frequency,), in a medium of complex shear modulus (frequency,)."""
+    """Return the displacement of a rigid sphere over the force on it, m/N (frequency,).
+
+    ``modulus_pa`` (frequency,): complex shear modulus of the medium at complex frequencies ``s_per_s`` (frequency,).
+    Oestreicher's impedance in an incompressible medium: drag plus inertia of the sphere.
+    """
     a = sphere.radius_m
     relative_radius = a * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
     drag = 6 * math.pi * a * modulus_pa * (1 + relative_radius + relative_radius**2 / 9)

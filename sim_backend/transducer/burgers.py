@@ -53,7 +53,10 @@ class Layer:
         return np.asarray(loss_np_per_m * (frequency_hz * 1e-6) ** self.attenuation_power)
 
     def wave_number(self, frequency_hz: FloatArray, reference_hz: float) -> ComplexArray:
-        """Return k - j alpha, any shape, with the dispersion required by causality; c applies at ``reference_hz``."""
+        """Return the complex wave number k - j alpha, in the shape of ``frequency_hz``.
+
+        It has the dispersion required by causality; the layer's sound speed applies at ``reference_hz``.
+        """
         w, w0 = 2 * np.pi * frequency_hz, 2 * np.pi * reference_hz
         y = self.attenuation_power
         # alpha = a0 w^y, w in rad/s.
@@ -68,15 +71,17 @@ class Layer:
 def advance(
     pressure_pa: ComplexArray, step_m: float, frequency_hz: float, layer: Layer
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return the harmonics after ``step_m``, (point, harmonic), and the loss of intensity, W/m² (point,).
+    """Return the harmonics of a plane wave after it has steepened over ``step_m``, and its loss of intensity in shocks.
 
-    ``pressure_pa`` (point, harmonic) are complex amplitudes of harmonics 1 to N; each row is a separate plane wave.
+    ``pressure_pa`` (point, harmonic) are complex amplitudes of harmonics 1 to N; each row is a separate plane wave. The
+    result has the same shape; the loss is (point,), W/m².
     """
     harmonics = pressure_pa.shape[1]
     n = np.arange(1, harmonics + 1)
     rate = layer.nonlinearity * 2 * np.pi * frequency_hz / (layer.density_kg_per_m3 * layer.sound_speed_m_per_s**3)
     size = np.sqrt((np.abs(pressure_pa) ** 2).sum(axis=1))
-    # Runge-Kutta steps short enough for the last harmonic.
+    # Harmonic n changes in proportion to n times harmonic n of the squared wave. The Runge-Kutta steps are short enough
+    # for the last harmonic.
     steps = max(1, math.ceil(1.5 * rate * size.max() * harmonics * abs(step_m) / _STEP))
     h = step_m / steps
     factor = 0.5j * rate * n
@@ -98,7 +103,7 @@ def advance(
 
 
 def _squared(pressure: ComplexArray) -> ComplexArray:
-    """Return the harmonics of the squared wave without aliasing, shape of ``pressure``."""
+    """Return the harmonics of the squared wave, shape of ``pressure`` (point, harmonic), by an FFT without aliasing."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     harmonics = pressure.shape[1]

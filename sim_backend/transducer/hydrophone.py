@@ -53,7 +53,10 @@ def read_scan(path: str) -> Scan:
 
 @lru_cache(maxsize=8)
 def _read_version(path: str, file: Path, _modified_ns: int, _size: int) -> Scan:
-    """Return the scan in ``file``; time and size of the file are part of the cache's key."""
+    """Return the hydrophone scan in ``file``; raise ``ValueError`` with all its mistakes.
+
+    Time of modification and size of the file are part of the cache's key, so that a changed file is read again.
+    """
     if file.suffix.lower() not in FORMATS:
         raise ValueError(f"the scan {path} ends in {file.suffix!r}: .csv, .h5, .hdf5 or .mat")
     try:
@@ -75,7 +78,7 @@ def _read_version(path: str, file: Path, _modified_ns: int, _size: int) -> Scan:
 
 
 def _column_mistakes(columns: Mapping[str, FloatArray]) -> list[str]:
-    """Return the mistakes in the columns."""
+    """Return the mistakes in the columns of a hydrophone scan, in words."""
     mistakes = [f"{name} is missing" for name in COLUMNS if name not in columns]
     sizes = {name: column.size for name, column in columns.items()}
     if len(set(sizes.values())) > 1:
@@ -129,6 +132,7 @@ def _rings(radius_m: FloatArray, pressure: ComplexArray) -> tuple[FloatArray, Co
 
 
 def _scan(columns: Mapping[str, FloatArray]) -> Scan:
+    """Return the scan from its columns: positions, and complex pressures, real without a column of phases."""
     position_m = np.stack([columns[name] for name in COLUMNS[:3]], axis=1)
     phase = columns.get(PHASE)
     phasor = 1.0 if phase is None else np.exp(1j * phase)
@@ -136,7 +140,7 @@ def _scan(columns: Mapping[str, FloatArray]) -> Scan:
 
 
 def _geometry_mistakes(scan: Scan) -> list[str]:
-    """Return why the points of the scan do not determine a field."""
+    """Return the reasons why the points of a scan do not determine a field, in words."""
     depth = np.round(scan.position_m[:, 2] / _RESOLUTION_M).astype(np.int64)
     planes = np.unique(depth)
     if len(planes) < MIN_PLANES:
@@ -168,7 +172,7 @@ def _geometry_mistakes(scan: Scan) -> list[str]:
 
 
 def _columns(path: Path) -> dict[str, FloatArray]:
-    """Return the named columns of the file, by its suffix."""
+    """Return the known columns of a hydrophone scan by name, from a CSV, HDF5 or MATLAB file."""
     if not path.stat().st_size:
         raise ValueError("it is empty")
     names = (*COLUMNS, PHASE)
@@ -189,6 +193,7 @@ def _columns(path: Path) -> dict[str, FloatArray]:
 
 
 def _hdf5(path: Path) -> dict[str, Any]:
+    """Return the datasets of an HDF5 file by name."""
     import h5py
 
     with h5py.File(path) as file:

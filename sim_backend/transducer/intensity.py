@@ -55,14 +55,18 @@ class GaussianSum:
     """C_ji, one row a centre, one column a width"""
 
     def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
-        """Return the sum at points (point,) off the axis and the focal plane, (point,)."""
+        """Return the sum of Gaussians at points (point,) at these distances from the axis and from the focal plane."""
         across = np.exp(-0.5 * np.square(lateral_m[:, None] / np.array(self.lateral_width_m)))
         along = np.exp(-0.5 * np.square((axial_m[:, None] - np.array(self.centre_m)) / self.axial_width_m))
+        # p: point, j: position along the axis, i: width across.
         return np.asarray(np.einsum("pj,ji,pi->p", along, np.array(self.amplitude), across))
 
 
 def push_intensity(settings: SimulationSettings) -> GaussianSum:
-    """Return the shape of the push's intensity, computed at the transducer's resonance or measured by a scan."""
+    """Return the shape of the push's intensity as a sum of Gaussians.
+
+    It is computed for the aperture at the transducer's resonance, or measured by a scan.
+    """
     specimen, scan = settings.specimen or Specimen(), None
     if settings.beams.field == "measured" and settings.beams.excitation_scan is not None:
         # Imported here, so that settings without a scan do not load it.
@@ -126,10 +130,10 @@ def push_extent(transducer: Transducer, frequency_hz: float, sound_speed_m_per_s
 def gaussian_sum(
     lateral_m: FloatArray, axial_m: FloatArray, value: FloatArray, widths_m: FloatArray, step_m: float, fade_m: float
 ) -> GaussianSum:
-    """Return the sum of Gaussians nearest to ``value`` (axial, lateral), faded out over ``fade_m`` at both ends.
+    """Return the sum of Gaussians closest to ``value`` (axial, lateral), faded out over ``fade_m`` at both ends.
 
-    ``widths_m`` (width,) are across the beam; ``step_m`` is the distance of the stations and their width. The fit
-    minimises the squared error integrated over the volume. ``lateral_m`` is evenly spaced, without 0.
+    ``widths_m`` (width,) are sigmas across the beam; along it Gaussians of sigma ``step_m`` are ``step_m`` apart. The
+    fit minimises the squared error integrated over the volume. ``lateral_m`` is evenly spaced, without 0.
     """
     reach_m = float(np.abs(axial_m).max())
     # Smooth step from the ends.
@@ -150,7 +154,12 @@ def gaussian_sum(
     amplitude = np.linalg.solve(_regularised(along.T @ along), along.T @ (faded * root_area.T) @ across)
     amplitude = np.linalg.solve(_regularised(across.T @ across), amplitude.T).T
     rows = tuple(tuple(row) for row in amplitude.tolist())
-    return GaussianSum(tuple(widths_m.tolist()), step_m, tuple(centre_m.tolist()), rows)
+    return GaussianSum(
+        lateral_width_m=tuple(widths_m.tolist()),
+        axial_width_m=step_m,
+        centre_m=tuple(centre_m.tolist()),
+        amplitude=rows,
+    )
 
 
 def _regularised(normal: FloatArray) -> FloatArray:

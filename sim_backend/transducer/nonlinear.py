@@ -70,7 +70,7 @@ class Beam:
     """Depth, distance from the axis, volume and force density in N/m³ of each node, (4, node)."""
 
     def extremes_pa(self) -> tuple[FloatArray, FloatArray]:
-        """Return the peak positive and peak negative pressure, both positive, (depth,)."""
+        """Return the peak positive and peak negative pressure on the axis, both as positive numbers, (depth,)."""
         samples = 32 * self.harmonic_pa.shape[1]
         spectrum = np.zeros((len(self.depth_m), samples // 2 + 1), dtype=np.complex128)
         spectrum[:, 1 : self.harmonic_pa.shape[1] + 1] = self.harmonic_pa * (samples / 2)
@@ -89,10 +89,11 @@ def nonlinear_beam(
     surface_pa: float,
     accuracy: Accuracy | None = None,
 ) -> Beam:
-    """Return the beam of a bowl with the pressure amplitude ``surface_pa`` = rho c u0 at its surface.
+    """Return the beam of a bowl through layers that attenuate and steepen it: pressures, heat and force.
 
-    ``layers`` start at the bowl; the last one is as thick as necessary. The march ends 12 mm behind the focus.
-    Interfaces transmit as for a plane wave at normal incidence; reflections are neglected.
+    ``surface_pa`` = rho c u0 is the pressure amplitude at the bowl's surface. ``layers`` start at the bowl; the last
+    one is as thick as necessary. The march ends 12 mm behind the focus. Interfaces transmit as for a plane wave at
+    normal incidence; reflections are neglected.
     """
     march = _March(transducer, layers[0], frequency_hz, surface_pa, accuracy or Accuracy())
     interface_m = np.cumsum([layer.thickness_m for layer in layers[:-1]])
@@ -126,6 +127,11 @@ class _March:
     def __init__(
         self, transducer: Transducer, layer: Layer, frequency_hz: float, surface_pa: float, accuracy: Accuracy
     ) -> None:
+        """Start the march at the bowl: choose nodes over lateral wave numbers, and compute the fundamental's spectrum.
+
+        Attributes with a 1 (q1, w1, kz1, first) belong to the fundamental, those without (q, w, kz, higher) to the
+        harmonics.
+        """
         self.transducer, self.layer, self.frequency_hz = transducer, layer, frequency_hz
         self.surface_pa, self.accuracy = surface_pa, accuracy
         self.depth_m, self.active_harmonics = 0.0, 4
@@ -153,14 +159,14 @@ class _March:
         self.first = self._bowl()
 
     def _wave_numbers(self) -> None:
-        """Set wave numbers and axial wave numbers of all harmonics in the present layer."""
+        """Set the wave numbers, and their components along the axis, of all harmonics in the present layer."""
         n = np.arange(1, self.accuracy.harmonics + 1)
         self.k = self.layer.wave_number(np.asarray(n * self.frequency_hz, dtype=np.float64), self.frequency_hz)
         self.kz1 = np.sqrt(self.k[0] ** 2 - self.q1**2)
         self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.length, strict=True)]
 
     def _bowl(self) -> ComplexArray:
-        """Return the spectrum of the fundamental at depth 0, with the waves of every ring of the bowl moved there."""
+        """Return the spectrum of the fundamental at depth 0, from the waves of every ring of the bowl."""
         from scipy.special import j0
 
         bowl = self.transducer
@@ -212,7 +218,7 @@ class _March:
         self.depth_m += step_m
 
     def _open_window(self) -> None:
-        """Set the nodes across the beam at the present depth, and the Bessel functions from the spectra to them."""
+        """Set the nodes across the beam at the present depth, and the tables of J0 from spectra to pressures there."""
         from scipy.special import j0
 
         bowl = self.transducer
@@ -236,7 +242,7 @@ class _March:
             row[:] = j0(r_m * self.q[: len(row)])
 
     def _pressure(self) -> ComplexArray:
-        """Return the harmonics at the nodes of the window, (node, harmonic)."""
+        """Return the pressure of the harmonics at the nodes across the beam, (node, harmonic), from their spectra."""
         first = self.bessel1 @ (self.first * self.w1)
         size = self.length[self.active_harmonics - 1]
         spectra = np.zeros((size, self.active_harmonics - 1), dtype=np.complex64)
@@ -246,7 +252,10 @@ class _March:
         return np.column_stack([first, higher.astype(np.complex128)])
 
     def _add_change(self, change: ComplexArray) -> None:
-        """Add the change by steepening (node, harmonic), weighted for the integral over nodes, to the spectra."""
+        """Add the change of pressure by steepening, (node, harmonic), to the spectra of the harmonics.
+
+        ``change`` has the weights of the integral over nodes.
+        """
         self.first += (self.bessel1.T @ change[:, 0]) * (self.k[0] / self.kz1)
         higher = np.ascontiguousarray(change[:, 1:], dtype=np.complex64).view(np.float32)
         spectra = (self.bessel.T @ higher).view(np.complex64)
@@ -254,7 +263,7 @@ class _March:
             self.higher[n] += spectra[: self.length[n], n - 1] * (self.k[n] / self.kz[n])
 
     def _record(self, pressure: ComplexArray, shock_heat_w_per_m3: FloatArray, step_m: float) -> None:
-        """Store pressure and heat on the axis and the force at the nodes."""
+        """Store pressure and heat on the axis, and the force at the nodes across the beam, at the present depth."""
         frequency_hz = np.asarray(np.arange(1, self.active_harmonics + 1) * self.frequency_hz, dtype=np.float64)
         loss = self.layer.attenuation_np_per_m(frequency_hz)
         heat = np.abs(pressure) ** 2 @ loss / self.layer.impedance + shock_heat_w_per_m3
@@ -264,13 +273,17 @@ class _March:
         self.force_results.append(np.stack([np.full(len(self.r), self.depth_m), self.r, volume, force]))
 
     def beam(self) -> Beam:
-        """Return the beam at the depths so far."""
+        """Return the results at all depths so far."""
         depth_m, pressure, heat, impedance = zip(*self.axis_results, strict=True)
         on_axis = np.zeros((len(depth_m), self.accuracy.harmonics), dtype=np.complex128)
         for row, harmonics in zip(on_axis, pressure, strict=True):
             row[: len(harmonics)] = harmonics
         return Beam(
-            np.array(depth_m), on_axis, np.array(heat), np.array(impedance), np.concatenate(self.force_results, axis=1)
+            depth_m=np.array(depth_m),
+            harmonic_pa=on_axis,
+            heat_w_per_m3=np.array(heat),
+            layer_impedance=np.array(impedance),
+            force_at=np.concatenate(self.force_results, axis=1),
         )
 
 
@@ -287,6 +300,7 @@ def _gauss(low: float, high: float, count: int) -> tuple[FloatArray, FloatArray]
 
 @lru_cache(maxsize=64)
 def _legendre_nodes(count: int) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights of Gauss-Legendre quadrature on -1 to 1."""
     from scipy.special import roots_legendre
 
     node, weight = roots_legendre(count)

@@ -52,7 +52,11 @@ class PulseEchoBeam:
     """Delay caused by a displacement, over 2 u / c, at the middle frequency, (axial, lateral)."""
 
     def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return G (table, point) and the delay ratio (point,) at points (point,)."""
+        """Return the relative echo (table, point) of scatterers at points (point,), and the delay by their motion.
+
+        The echo is relative to that of a scatterer at the focus. The delay (point,) is that of a displacement u, over 2
+        u / c.
+        """
         from scipy.ndimage import map_coordinates
 
         index = np.stack([(axial_m + self.axial_reach_m) / self.axial_step_m, lateral_m / self.lateral_step_m])
@@ -70,10 +74,11 @@ def pulse_echo_beam(
     mixture: Mixture | None = None,
     of_push: bool = False,
 ) -> PulseEchoBeam:
-    """Return the beam at ``frequency_hz``, or weighted sums over it, to ``lateral_reach_m`` off its axis.
+    """Return the pulse-echo beam at ``frequency_hz``: the relative echo of a scatterer at any point around the focus.
 
-    The beam is computed in the attenuating medium of ``settings``, or measured by a scan and then equal at all
-    frequencies. ``of_push`` selects the scan of the push. Tables are cached by transducer, medium and band.
+    With ``mixture`` (table, frequency) it is weighted sums over the frequencies. The beam is computed in the
+    attenuating medium of ``settings``, or measured by a scan and then equal at all frequencies. ``of_push`` selects the
+    scan of the push. Tables are cached by transducer, medium and band.
     """
     scan = settings.beams.excitation_scan if of_push else settings.beams.tracking_scan
     return _tabulated_beam(
@@ -106,7 +111,7 @@ def _tabulated_beam(
     axial_reach_m: float,
     mixture: Mixture | None,
 ) -> PulseEchoBeam:
-    """Return the pulse-echo response tabulated over the given reach, at each frequency or mixed by ``mixture``."""
+    """Return the pulse-echo beam tabulated over the given reach, at each frequency or mixed by ``mixture``."""
     from scipy.ndimage import spline_filter
 
     width_m = diffraction_width_m(transducer, max(frequency_hz), sound_speed_m_per_s)
@@ -116,7 +121,7 @@ def _tabulated_beam(
     lateral_m = np.asarray(np.arange(lateral_steps) * lateral_step_m, np.float64)
     steps = math.ceil(axial_reach_m / axial_step_m) + _MARGIN_STEPS
     axial_m = np.asarray(np.arange(-steps, steps + 1) * axial_step_m, np.float64)
-    # G at each frequency, (axial, lateral).
+    # Relative echo G at each frequency, (axial, lateral): pressure squared, by reciprocity.
     tables = []
     for hz in frequency_hz:
         k = wave_number(hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
@@ -134,11 +139,11 @@ def _tabulated_beam(
     if mixture is not None:
         tables = list(np.tensordot(np.array(mixture), np.stack(tables), axes=1))
     return PulseEchoBeam(
-        frequency_hz,
-        lateral_step_m,
-        axial_step_m,
-        steps * axial_step_m,
+        frequency_hz=frequency_hz,
+        lateral_step_m=lateral_step_m,
+        axial_step_m=axial_step_m,
+        axial_reach_m=steps * axial_step_m,
         # The mirror condition at the axis is the symmetry of the beam.
-        np.stack([spline_filter(table, order=3, output=np.complex128, mode="mirror") for table in tables]),
-        np.clip(delay_ratio, MIN_DELAY_RATIO, MAX_DELAY_RATIO),
+        coefficient=np.stack([spline_filter(table, order=3, output=np.complex128, mode="mirror") for table in tables]),
+        delay_ratio=np.clip(delay_ratio, MIN_DELAY_RATIO, MAX_DELAY_RATIO),
     )

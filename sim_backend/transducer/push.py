@@ -48,7 +48,10 @@ class Push:
     """Largest heating rate during a toneburst."""
 
     def at(self, surface_pa: FloatArray) -> Push:
-        """Return the push at these surface pressures (level,): monotone cubics of logarithms, power laws outside."""
+        """Return force, pressures and heat of the push at ``surface_pa`` (level,), interpolated from the table.
+
+        Monotone cubics of logarithms; power laws outside the table.
+        """
         from scipy.interpolate import PchipInterpolator
 
         log_table, log_surface = np.log(self.surface_pa), np.log(surface_pa)
@@ -56,6 +59,7 @@ class Push:
         first, last = log_table[1] - log_table[0], log_table[-1] - log_table[-2]
 
         def interpolated(name: str) -> FloatArray:
+            """Return the field ``name`` at the surface pressures."""
             value = np.log(getattr(self, name))
             slopes = (value[1] - value[0]) / first, (value[-1] - value[-2]) / last
             outside = np.where(log_surface < inside, slopes[0], slopes[1]) * (log_surface - inside)
@@ -64,14 +68,17 @@ class Push:
         return Push(*(interpolated(field.name) for field in fields(self)))
 
     def relative_force(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
-        """Return the force over ``force_density_n_per_m3``; ``pressure`` is over the pressure that gives that force."""
+        """Return the force over ``force_density_n_per_m3``, as a function of relative pressure.
+
+        ``pressure`` is relative to the pressure that gives that force.
+        """
         reference_pa = self.surface_for(force_density_n_per_m3)
         with np.errstate(divide="ignore"):
             log_force = self._log_force(np.log(pressure * reference_pa))
         return np.asarray(np.exp(log_force) / force_density_n_per_m3)
 
     def surface_for(self, force_density_n_per_m3: float) -> float:
-        """Return the surface pressure that gives this force. Raises ``ValueError`` for a force that no drive reaches.
+        """Return the surface pressure that gives this force density; raise ``ValueError`` if no drive reaches it.
 
         Loss in shocks can limit the force.
         """
@@ -87,7 +94,7 @@ class Push:
         return math.exp(brentq(lambda x: float(self._log_force(np.array(x))) - target, low, high, xtol=1e-12))
 
     def exponent(self, force_density_n_per_m3: float) -> float:
-        """Return d ln force / d ln drive² at this force; 1 for linear propagation."""
+        """Return the power of the force as a function of drive², at this force; 1 for linear propagation."""
         log_surface, step = math.log(self.surface_for(force_density_n_per_m3)), 0.05
         low, high = (float(self._log_force(np.array(log_surface + side * step))) for side in (-1, 1))
         return (high - low) / (4 * step)
@@ -105,7 +112,7 @@ class Push:
 
 
 def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | None:
-    """Return the push of a scene over drive; None without nonlinear propagation.
+    """Return force, pressures and heat of the push over drive; None without nonlinear propagation.
 
     Computed once for the same arguments. Raises ``ValueError`` if it would take too much memory.
     """
@@ -131,9 +138,9 @@ class WaterOutput:
 
 
 def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: float = 3.0e6) -> WaterOutput:
-    """Return the output of a scene's transducer in water at a surface pressure of ``surface_pa``.
+    """Return peak pressures and intensity of the transducer in water, at a surface pressure of ``surface_pa``.
 
-    It includes harmonics and shocks, in the water of ``settings.propagation``, and is computed once for a pressure.
+    They include harmonics and shocks, in the water of ``settings.propagation``, and are computed once for a pressure.
     Raises ``ValueError`` without nonlinear propagation in the settings.
     """
     if settings.propagation is None:
@@ -172,11 +179,15 @@ def _push(
     width_m: Triple,
     carrier_hz: float,
 ) -> Push:
-    """Return force, heat and peak pressures at several surface pressures around the reference force."""
+    """Return force, heat and peak pressures of the push at several surface pressures around the reference force.
+
+    ``force_density_n_per_m3``: reference force. ``width_m``: sigmas of the Gaussian force that replaces the beam's.
+    """
     _check_memory(transducer, layers[0].sound_speed_m_per_s / carrier_hz, harmonics)
     start_m, speed_m_per_s = layers[0].thickness_m, layers[-1].sound_speed_m_per_s
 
     def force(beam: Beam) -> float:
+        """Return the force density of the Gaussian force that moves the focus as the beam does."""
         return equivalent_force(beam, transducer.focal_length_m, width_m, start_m)
 
     # Surface pressures relative to the one that gives the reference force in linear propagation.
@@ -206,23 +217,30 @@ def path(specimen: Specimen, propagation: Propagation, speed_m_per_s: float, foc
     """Return the layers that the push crosses: water, then the specimen, with the twin's common sound speed."""
     water = _water_layer(propagation, speed_m_per_s, focus_m - propagation.specimen_depth_m)
     medium = Layer(
-        math.inf,
-        speed_m_per_s,
-        specimen.density_kg_per_m3,
-        propagation.nonlinearity,
-        specimen.attenuation_db_per_cm_mhz,
-        propagation.attenuation_power,
+        thickness_m=math.inf,
+        sound_speed_m_per_s=speed_m_per_s,
+        density_kg_per_m3=specimen.density_kg_per_m3,
+        nonlinearity=propagation.nonlinearity,
+        attenuation_db_per_cm_mhz=specimen.attenuation_db_per_cm_mhz,
+        attenuation_power=propagation.attenuation_power,
     )
     return [water, medium]
 
 
 def _water_layer(propagation: Propagation, speed_m_per_s: float, thickness_m: float) -> Layer:
-    density_kg_per_m3, loss = propagation.water_density_kg_per_m3, propagation.water_attenuation_db_per_cm_mhz2
-    return Layer(thickness_m, speed_m_per_s, density_kg_per_m3, propagation.water_nonlinearity, loss, 2.0)
+    """Return a layer of the water that couples transducer and specimen; it attenuates with the frequency squared."""
+    return Layer(
+        thickness_m=thickness_m,
+        sound_speed_m_per_s=speed_m_per_s,
+        density_kg_per_m3=propagation.water_density_kg_per_m3,
+        nonlinearity=propagation.water_nonlinearity,
+        attenuation_db_per_cm_mhz=propagation.water_attenuation_db_per_cm_mhz2,
+        attenuation_power=2.0,
+    )
 
 
 def equivalent_force(beam: Beam, focus_m: float, width_m: Triple, start_m: float) -> float:
-    """Return the force density of a Gaussian of ``width_m`` with the static displacement at the focus of ``beam``.
+    """Return the density of the Gaussian force of ``width_m`` with the static displacement at the focus of ``beam``.
 
     A point force along z at a distance R displaces an incompressible elastic medium by (1 + z²/R²) / R (Kelvin). Both
     forces are summed over the same nodes from ``start_m`` on, so the error at the pole is common to both.

@@ -39,11 +39,12 @@ def wave_number(frequency_hz: float, sound_speed_m_per_s: float, attenuation_db_
 def bowl_pressure(
     transducer: Transducer, wave_number_per_m: complex, lateral_m: FloatArray, axial_m: FloatArray
 ) -> ComplexArray:
-    """Return the pressure over rho c u0 on a grid around the focus, complex (axial, lateral), time factor exp(+jwt).
+    """Return the pressure of a focused bowl over rho c u0 on a grid around the focus, complex (axial, lateral).
 
-    ``lateral_m`` are distances from the axis, ``axial_m`` from the focus (the bowl's centre of curvature), positive
-    away from the transducer; u0 is the velocity of the surface where the apodisation is 1. Exact for the Rayleigh
-    integral, to 1e-12 of the pressure at the focus. Raises ``ValueError`` for points as far from the focus as the bowl.
+    Time factor exp(+jwt). ``lateral_m`` are distances from the axis, ``axial_m`` from the focus (the bowl's centre of
+    curvature), positive away from the transducer; u0 is the velocity of the surface where the apodisation is 1. Exact
+    for the Rayleigh integral, to 1e-12 of the pressure at the focus. Raises ``ValueError`` for points as far from the
+    focus as the bowl.
     """
     k = wave_number_per_m
     reach_m = float(np.hypot(np.abs(lateral_m).max(initial=0.0), np.abs(axial_m).max(initial=0.0)))
@@ -70,7 +71,7 @@ def _bessel(k: complex, distance_m: FloatArray) -> FloatArray | ComplexArray:
 
 
 def apodisation(transducer: Transducer, relative_radius: FloatArray) -> FloatArray:
-    """Return the velocity over the aperture relative to its middle, at fractions of its radius from 0 to 1."""
+    """Return the surface velocity relative to that in the middle of the aperture, at fractions of its radius."""
     match transducer.apodisation:
         case "parabolic":
             return np.asarray(1 - relative_radius**2)
@@ -80,7 +81,10 @@ def apodisation(transducer: Transducer, relative_radius: FloatArray) -> FloatArr
 
 
 def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: FloatArray) -> ComplexArray:
-    """Return A(m) at ``cosine`` (direction,) from ``orders`` spherical waves."""
+    """Return the bowl's field as plane waves: their amplitudes (direction,) at these cosines to the axis.
+
+    They follow from ``orders`` spherical waves. ``k``: complex wave number.
+    """
     # h_n(k F) W_n (2n + 1) (-j)^n, then the sum over n with P_n(m).
     weighted = _hankel(k * transducer.focal_length_m, orders) * _moments(transducer, orders)
     n = np.arange(orders)
@@ -90,7 +94,11 @@ def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: FloatA
 
 
 def _moments(transducer: Transducer, orders: int) -> FloatArray:
-    """Return W_n, (order,), the Legendre moments of the apodisation over the bowl."""
+    """Return the Legendre moments of the apodisation over the bowl, W_n (order,).
+
+    They are integrals of apodisation times the Legendre polynomial of order n over the cosine of the angle at the
+    focus.
+    """
     edge = math.sqrt(1 - transducer.half_aperture**2)
     if transducer.apodisation == "uniform":
         # int_x^1 P_n = (P_{n-1}(x) - P_{n+1}(x)) / (2n + 1), with P_{-1} = 1.
@@ -104,7 +112,7 @@ def _moments(transducer: Transducer, orders: int) -> FloatArray:
 
 
 def _legendre(x: FloatArray, orders: int) -> Iterator[FloatArray]:
-    """Yield P_0 to P_(orders - 1) at ``x``."""
+    """Yield the Legendre polynomials of order 0 to ``orders`` - 1 at ``x``."""
     previous, value = np.zeros_like(x), np.ones_like(x)
     for n in range(orders):
         yield value
@@ -112,7 +120,10 @@ def _legendre(x: FloatArray, orders: int) -> Iterator[FloatArray]:
 
 
 def _hankel(argument: complex, orders: int) -> ComplexArray:
-    """Return the spherical Hankel functions of the second kind, (order,), by upward recurrence, since they grow."""
+    """Return the spherical Hankel functions of the second kind, orders 0 to ``orders`` - 1, by upward recurrence.
+
+    Upward is accurate because they grow with the order.
+    """
     value = [1j * np.exp(-1j * argument) / argument]
     value.append(value[0] * (1 / argument + 1j))
     for n in range(1, orders - 1):
