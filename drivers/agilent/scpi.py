@@ -67,6 +67,11 @@ class DroppedError(InstrumentError):
 
 
 @final
+class NoReplyError(InstrumentError):
+    """No reply to a query came in time."""
+
+
+@final
 class ScpiSession:
     """Commands and replies over ``connection``; every failure is an ``InstrumentError`` that names ``role``.
 
@@ -247,7 +252,7 @@ class ScpiSession:
         except TimeoutError as error:
             if timeouts > 1:
                 return self._receive(command, timeouts - 1)
-            raise InstrumentError(
+            raise NoReplyError(
                 self.role,
                 f"no reply to {command!r}",
                 "the instrument does not know the query, is busy, is off, or has another address",

@@ -4,8 +4,10 @@
     resources    GPIB, USB, RS-232, HiSLIP and VXI-11, by pyvisa
     sockets      raw TCP sockets, by the standard library
     prologix     instruments behind a Prologix GPIB adapter
+    failures     reasons why a connection fails, in words
+    bounded      calls of libraries, limited in time
 
-Other packages use ``VisaConnection``, ``PrologixAdapter`` and ``NoVisaError``.
+Other packages use ``VisaConnection``, ``PrologixAdapter``, ``NoVisaError`` and ``OpenError``.
 """
 
 import lazy_loader

@@ -5,9 +5,11 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import final
 
+from drivers.visa.bounded import open_within
+from drivers.visa.failures import OpenError, failure_of
 from drivers.visa.prologix import PrologixAdapter, PrologixInstrument
-from drivers.visa.resources import NoVisaError, VisaLine
-from drivers.visa.sockets import TIMEOUT_S, TcpLine, TextLine, tcp_endpoint
+from drivers.visa.resources import VisaLine, open_failure
+from drivers.visa.sockets import OPEN_TIMEOUT_S, TIMEOUT_S, TcpLine, TextLine, tcp_endpoint
 
 
 @final
@@ -17,8 +19,8 @@ class VisaConnection:
     ``address`` is a VISA resource name. ``adapter`` is the Prologix adapter in front of the instrument. ``backend``
     and ``lock`` are described at ``VisaLine``; raw sockets and Prologix adapters have no lock.
 
-    Raises ``ConnectionError`` when the connection cannot be opened or is lost, ``TimeoutError`` from ``read`` when
-    no reply comes within ``timeout_s``.
+    Raises ``OpenError`` when the connection cannot be opened within ``OPEN_TIMEOUT_S``, ``ConnectionError`` when it is
+    lost, and ``TimeoutError`` from ``read`` when no reply comes within ``timeout_s``.
     """
 
     def __init__(
@@ -62,7 +64,7 @@ class VisaConnection:
         try:
             self._line.write(message.encode("latin-1") + b"\n")
         except Exception as error:
-            raise ConnectionError(f"cannot write to {self.address!r}: {error}") from error
+            raise ConnectionError(f"cannot write to {self.address!r}: {failure_of(error).what}") from error
 
     def read(self) -> str:
         """Return one reply; bytes beyond ASCII are decoded as Latin-1, so the caller must check the text."""
@@ -71,7 +73,7 @@ class VisaConnection:
         except TimeoutError as error:
             raise TimeoutError(f"no reply from {self.address!r} within {self.timeout_s:g} s") from error
         except Exception as error:
-            raise ConnectionError(f"cannot read from {self.address!r}: {error}") from error
+            raise ConnectionError(f"cannot read from {self.address!r}: {failure_of(error).what}") from error
 
     def close(self) -> None:
         """Close the connection; a lost or closed one is no error."""
@@ -79,15 +81,14 @@ class VisaConnection:
 
     def _open(self, timeout_s: float) -> None:
         try:
-            self._line = self._open_line(timeout_s)
+            self._line = open_within(OPEN_TIMEOUT_S, lambda: self._open_line(timeout_s))
             if self._line.is_rs232:
                 # Over RS-232 the 33250A refuses commands until this one ends its local mode.
                 self._line.write(b"SYST:REM\n")
-        except NoVisaError:
+        except OpenError:
             raise
         except Exception as error:
-            reason = str(error).rstrip(".") or type(error).__name__
-            raise ConnectionError(f"cannot open {self.address!r}: {reason}") from error
+            raise OpenError(self.address, open_failure(self.address, error)) from error
         self.timeout_s = timeout_s
 
     def _open_line(self, timeout_s: float) -> TextLine:

@@ -10,8 +10,10 @@ from __future__ import annotations
 import re
 from typing import Final, final
 
-from drivers.visa.resources import VisaLine
-from drivers.visa.sockets import TIMEOUT_S, TcpLine, TextLine, tcp_endpoint
+from drivers.visa.bounded import open_within
+from drivers.visa.failures import OpenError
+from drivers.visa.resources import VisaLine, open_failure
+from drivers.visa.sockets import OPEN_TIMEOUT_S, TIMEOUT_S, TcpLine, TextLine, tcp_endpoint
 
 MAX_READ_TIMEOUT_MS: Final = 3000
 # The adapter must give up before the program does; otherwise a late reply could answer the next instrument's query.
@@ -27,8 +29,8 @@ SPECIAL_BYTES: Final = re.compile(rb"([\x1b\n\r+])")
 class PrologixAdapter:
     """One adapter, which the connections of its instruments share.
 
-    ``address`` is ``PRLGX-TCPIP0::host::1234::INTFC`` or ``PRLGX-ASRL::device::INTFC``. Raises ``ConnectionError`` if
-    the adapter cannot be opened.
+    ``address`` is ``PRLGX-TCPIP0::host::1234::INTFC`` or ``PRLGX-ASRL::device::INTFC``. Raises ``OpenError`` if
+    the adapter cannot be opened within ``OPEN_TIMEOUT_S``.
     """
 
     def __init__(self, address: str, timeout_s: float = TIMEOUT_S, backend: str = "") -> None:
@@ -73,10 +75,12 @@ class PrologixAdapter:
 
     def _open(self, timeout_s: float) -> None:
         try:
-            self._line = self._open_line(timeout_s)
+            self._line = open_within(OPEN_TIMEOUT_S, lambda: self._open_line(timeout_s))
             self._line.write(b"".join(f"{setting}\n".encode() for setting in SETTINGS) + _read_timeout(timeout_s))
+        except OpenError:
+            raise
         except Exception as error:
-            raise ConnectionError(f"cannot open {self.address!r}: {error}") from error
+            raise OpenError(self.address, open_failure(self.address, error)) from error
         self._selected = ""
         self._is_reply_requested = False
 

@@ -9,15 +9,31 @@ from __future__ import annotations
 
 import functools
 import os
+import re
+import socket
+import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final, final
+
+from drivers.visa.bounded import within
+from drivers.visa.failures import MUTE, NO_DEVICE, UNREACHABLE, Failure, OpenError, failure_of
+from drivers.visa.sockets import tcp_endpoint
 
 if TYPE_CHECKING:
     from pyvisa import ResourceManager
     from pyvisa.resources import MessageBasedResource
 
 # The default of pyvisa, 0, is 0.1 s for VXI-11 in pyvisa-py before 0.9 (its issue 578).
-OPEN_TIMEOUT_MS: Final = 5000
+OPEN_TIMEOUT_MS: Final = 2500
+# Closing a VXI-11 link to an instrument that hangs lasts 5 s in pyvisa-py.
+CLOSE_TIMEOUT_S: Final = 0.5
+PROBE_TIMEOUT_S: Final = 0.5
+LAN_RESOURCE: Final = re.compile(
+    r"TCPIP\d*::(?P<host>[^:,]+)(?:,(?P<port>\d+))?(?:::(?P<hislip>hislip\d+)?(?:,(?P<hislip_port>\d+))?.*)?",
+    re.IGNORECASE,
+)
+HISLIP_PORT: Final = 4880
+PORTMAPPER_PORT: Final = 111
 LOCK_TIMEOUT_MS: Final = 200
 # Factory setting of the 33250A's RS-232 interface; 8 data bits, no parity and 1 stop bit are VISA's own default.
 SERIAL_BAUD: Final = 57600
@@ -28,13 +44,19 @@ BUS_PACKAGES: Final = {
 """Remedies without a vendor's VISA, by kind of address."""
 
 
-class NoVisaError(ConnectionError):
+_manager_lock = threading.Lock()
+
+
+@final
+class NoVisaError(OpenError):
     """This computer has no driver for this kind of address; ``remedy`` says which one to install."""
 
     def __init__(self, address: str) -> None:
         bus = next((name for name in BUS_PACKAGES if address.upper().startswith(name)), "")
-        super().__init__(f"cannot open {address!r}: no VISA driver for {bus or 'this kind of address'} is installed")
-        self.remedy = f"install NI-VISA or Keysight IO Libraries{BUS_PACKAGES.get(bus, '')}"
+        what = f"no VISA driver for {bus or 'this kind of address'} is installed"
+        why = "this computer has no driver for such an address, which may be right"
+        remedy = f"install NI-VISA or Keysight IO Libraries{BUS_PACKAGES.get(bus, '')}"
+        super().__init__(address, Failure(what, why, remedy))
 
 
 @final
@@ -100,7 +122,7 @@ class VisaLine:
     def close(self) -> None:
         """Close the resource; a lost or closed one is no error."""
         with suppress(Exception):
-            self._resource.close()
+            within(CLOSE_TIMEOUT_S, self._resource.close, lambda _: None)
 
     def _lock(self) -> None:
         """Lock the resource exclusively; raise ``OSError`` if another program holds the lock."""
@@ -132,10 +154,33 @@ def _message_resource(address: str, backend: str) -> MessageBasedResource:
     raise ValueError(f"{type(resource).__name__} carries no text messages")
 
 
+def open_failure(address: str, error: BaseException) -> Failure:
+    """Return why ``address`` cannot be opened; a LAN host is asked whether it accepts connections.
+
+    The error of pyvisa is the same for a host that is off, refuses or accepts and then is silent.
+    """
+    failure = failure_of(error)
+    match = None if tcp_endpoint(address) else LAN_RESOURCE.fullmatch(address)
+    if match is None or failure not in (UNREACHABLE, NO_DEVICE):
+        return failure
+    port = match["port"] or match["hislip_port"] or (HISLIP_PORT if match["hislip"] else PORTMAPPER_PORT)
+    try:
+        within(PROBE_TIMEOUT_S, lambda: _connect_once(match["host"], int(port)), lambda _: None)
+    except OSError as refusal:
+        return failure_of(refusal)
+    return MUTE
+
+
+def _connect_once(host: str, port: int) -> None:
+    socket.create_connection((host, port), PROBE_TIMEOUT_S).close()
+
+
 def _resource_manager(backend: str) -> ResourceManager:
     import pyvisa
 
-    return pyvisa.ResourceManager(_library(backend or os.environ.get("PYVISA_LIBRARY", "")))
+    # Several lines are opened at the same time, and pyvisa creates one manager a library.
+    with _manager_lock:
+        return pyvisa.ResourceManager(_library(backend or os.environ.get("PYVISA_LIBRARY", "")))
 
 
 @functools.cache

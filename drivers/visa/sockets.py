@@ -19,7 +19,7 @@ from typing import Final, Protocol, final
 
 # Twice the time that a 33250A takes for its slowest settings, those of a pulse. A silent instrument delays the others.
 TIMEOUT_S: Final = 1.5
-OPEN_TIMEOUT_S: Final = 5.0
+OPEN_TIMEOUT_S: Final = 3.0
 RECEIVE_BYTES: Final = 4096
 TCP_RESOURCES: Final = (
     r"(?:PRLGX-)?TCPIP\d*::(?P<host>[^:,]+)::(?P<port>\d+)::(?:SOCKET|INTFC)",

@@ -80,7 +80,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
     errors: dict[str, str] = {}
     proven: dict[str, str] = {}
     try:
-        with open_each(bench, lock=False) as instruments:
+        with open_each(bench, lock=False, off=True) as instruments:
             errors = {role: str(item) for role, item in instruments.items() if isinstance(item, Exception)}
             identified = [item for item in instruments.values() if not isinstance(item, Exception)]
             proven = make_safe(identified)

@@ -9,14 +9,16 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
 from hpe_rig.bench.identity import require_serials
 from hpe_rig.bench.instruments import SAFE_ORDER, Bench, UnsafeBenchError, make_safe, proven_off
 from hpe_rig.bench.interrupts import interruptible, uninterrupted
+from hpe_rig.bench.lines import Answer, Answers, ask_buses
 from hpe_rig.bench.lock import locked, resources
 from hpe_rig.bench.twin import twin_tables
 from hpe_rig.scene import Scene
@@ -24,6 +26,12 @@ from hpe_rig.scene import Scene
 if TYPE_CHECKING:
     from sim_backend.transports import Emulator, Transport
     from sim_backend.world import World
+
+
+BRIEF_S: Final = 0.1
+"""Time-out of the first question to each instrument on a shared bus."""
+SHARED_S: Final = 0.6
+"""Time-outs of the second questions to the silent instruments on a shared bus, in total; each is asked twice."""
 
 
 class WallClock:
@@ -43,21 +51,23 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     ``first_shot`` is the index of the next shot; the random numbers of a resumed twin continue there. Raises
     ``BenchInUseError`` before anything is opened if another program uses an instrument of a real bench.
     """
-    # Only identified instruments are sent commands; an unknown one at a wrong address is left alone.
-    identified: list[Instrument] = []
     # Interrupts end the inner block; after it they are deferred until every output is off.
     with uninterrupted(), ExitStack() as stack:
         stack.enter_context(locked(resources(bench)))
+        # Only identified instruments are sent commands; an unknown one at a wrong address is left alone.
+        answers = Answers(stack)
         try:
             with interruptible():
                 simulation = twin_tables(scene) if bench.simulated else {}
-                connections = _connect(simulation, bench, first_shot, stack, lock=True)
-                drivers = _identify_all(connections, roles, bench, identified, stack)
+                connections = _connect(simulation, bench, first_shot, stack, answers, lock=True)
+                _open_all(connections, sorted(roles, key=SAFE_ORDER.index), bench, stack, answers, off=True)
+                drivers = _identified(answers)
                 instruments = Bench(bench.simulated, connections.clock, connections.world, file=bench, **drivers)
                 instruments.make_safe()
                 require_serials(bench, instruments.instruments)
                 yield instruments
         except BaseException as error:
+            identified = answers.identified
             # An UnsafeBenchError about all of these instruments means that switching them off has just been tried.
             if not (isinstance(error, UnsafeBenchError) and error.concerns(identified)):
                 proofs = make_safe(identified)
@@ -65,58 +75,111 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
                 if identified or not bench.simulated:
                     error.add_note(proven_off(roles, proofs))
             raise
-        make_safe(identified)
+        make_safe(answers.identified)
 
 
 @contextmanager
-def open_each(bench: BenchFile, lock: bool = True) -> Iterator[Mapping[str, Instrument | Exception]]:
-    """Yield every instrument of the bench file by role, identified, or the error instead; no setting is changed.
+def open_each(bench: BenchFile, lock: bool = True, off: bool = False) -> Iterator[Mapping[str, Answer]]:
+    """Yield every instrument of the bench file by role, identified, or the error instead.
 
-    On exit the identified ones are made safe and verified. Without ``lock`` another program may be using them.
+    No setting is changed, unless ``off``: then each output is switched off as soon as its instrument has identified
+    itself. On exit the identified ones are made safe and verified. Without ``lock`` another program may be using them.
     """
-    instruments: dict[str, Instrument | Exception] = {}
     with uninterrupted(), ExitStack() as stack:
         stack.enter_context(locked(resources(bench) if lock else []))
+        answers = Answers(stack)
         try:
             with interruptible():
-                connections = _connect({}, bench, 0, stack, lock)
-                for role in (*bench.generators.by_role, "digitizer"):
-                    try:
-                        instruments[role] = _identify(connections, role, bench, stack)
-                    except (InstrumentError, OSError) as error:
-                        instruments[role] = error
-                yield instruments
+                connections = _connect({}, bench, 0, stack, answers, lock)
+                _open_all(connections, (*bench.generators.by_role, "digitizer"), bench, stack, answers, off)
+                yield answers.by_role
         finally:
-            make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
+            make_safe(answers.identified)
 
 
-def _identify(connections: Connections, role: str, bench: BenchFile, stack: ExitStack) -> Instrument:
-    """Return the driver of ``role`` after its instrument has identified itself; ``stack`` closes it."""
-    instrument: Instrument = connections.instrument(role, bench)
-    stack.callback(_close_quietly, instrument)
-    instrument.identify()
-    return instrument
+def _open_all(
+    connections: Connections, roles: Sequence[str], bench: BenchFile, stack: ExitStack, answers: Answers, off: bool
+) -> None:
+    """Open and identify the instruments of ``roles`` on all buses at the same time, those in this process last.
 
-
-def _identify_all(
-    connections: Connections, roles: Sequence[str], bench: BenchFile, identified: list[Instrument], stack: ExitStack
-) -> dict[str, Any]:
-    """Return the drivers of ``roles`` by role, and add each to ``identified`` as soon as its instrument answers.
-
-    All instruments are asked even if one fails, so that each that answers can be made safe. Raises the first failure
-    with the others as notes.
+    With ``off`` each output is switched off as soon as its instrument has identified itself.
     """
-    failures: list[Exception] = []
+    buses: dict[str, list[str]] = {}
     for role in sorted(roles, key=SAFE_ORDER.index):
+        buses.setdefault(connections.bus(role), []).append(role)
+    in_process = buses.pop("", [])
+    ask_buses(buses.values(), partial(_identify_on_bus, connections, bench, answers, off), answers)
+    for role in in_process:
         try:
-            identified.append(_identify(connections, role, bench, stack))
+            instrument = connections.instrument(role, bench)
+            stack.callback(_close_quietly, instrument)
+            instrument.identify()
+            answers.by_role[role] = instrument
         except Exception as error:
-            failures.append(error)
+            answers.by_role[role] = error
+    answers.by_role = {role: answers.by_role[role] for role in roles}
+
+
+def _identify_on_bus(
+    connections: Connections, bench: BenchFile, answers: Answers, off: bool, roles: Sequence[str]
+) -> None:
+    """Deliver the instruments of ``roles``, which share a bus, to ``answers``.
+
+    On a shared bus each is first asked briefly: an instrument that answers does not wait for silent ones.
+    """
+    lines: dict[str, Any] = {}
+    for role in roles:
+        try:
+            lines[role] = connections.connect(role)
+        except Exception as error:
+            answers.add(role, error)
+
+    def identify(role: str, timeout_s: float) -> Exception | None:
+        line, default_s = lines[role], lines[role].timeout_s
+        line.timeout_s = min(timeout_s, default_s)
+        try:
+            instrument = connections.generator(role, line, bench)
+            instrument.identify()
+        except Exception as error:
+            return error
+        finally:
+            line.timeout_s = default_s
+        answers.add(role, instrument)
+        if off:
+            # A failure here is repeated or repaired when the bench is made safe.
+            with suppress(Exception):
+                instrument.switch_off()
+        return None
+
+    silent = list(lines)
+    if len(lines) > 1:
+        silent = [role for role in lines if identify(role, BRIEF_S)]
+    for role in silent:
+        if failure := identify(role, math.inf if len(lines) == 1 else SHARED_S / len(silent)):
+            answers.add(role, _with_address(failure, role, bench))
+
+
+def _with_address(failure: Exception, role: str, bench: BenchFile) -> Exception:
+    """Return ``failure`` with the address of an instrument that did not answer."""
+    from drivers.agilent import NoReplyError
+
+    generator = bench.generators.by_role[role]
+    if not isinstance(failure, NoReplyError) or bench.simulated:
+        return failure
+    address = " behind ".join(filter(None, (generator.address, generator.interface)))
+    what = f"{address} accepts the connection but does not answer *IDN?"
+    why = "the instrument hangs or is off behind its adapter, or the address belongs to something else"
+    return InstrumentError(role, what, why, f"power it off and on, check generators.{role}.address")
+
+
+def _identified(answers: Answers) -> dict[str, Any]:
+    """Return the instruments by role; raise the first failure with the others as notes."""
+    failures = [answer for answer in answers.by_role.values() if isinstance(answer, Exception)]
     if failures:
         for failure in failures[1:]:
             failures[0].add_note(str(failure))
         raise failures[0]
-    return {instrument.role: instrument for instrument in identified}
+    return dict(answers.by_role)
 
 
 def visa_addresses() -> tuple[str, ...]:
@@ -138,45 +201,60 @@ def visa_addresses() -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Connections:
-    """Connections to the instruments of one bench: one for each generator, one digitizer library, one clock."""
+    """Connections to the instruments of one bench: one for each generator, one digitizer library, one clock.
+
+    ``addresses`` are those of the generators outside this process, with the interface before each.
+    """
 
     connect: Callable[[str], Connection]
     library: Callable[[], Any]
     clock: Clock
     world: World | None
+    addresses: Mapping[str, tuple[str, str | None]] = field(default_factory=dict)
+
+    def bus(self, role: str) -> str:
+        """Return the name of the bus of ``role``, empty in this process."""
+        address, interface = self.addresses.get(role, ("", None))
+        return interface or address
 
     def instrument(self, role: str, bench: BenchFile) -> Any:
         """Return the driver of ``role`` on its connection."""
-        from drivers.agilent import Agilent33250A
         from drivers.alazar import AlazarBoard, AlazarDigitizer
 
-        if role == "digitizer":
-            settings = bench.digitizer
-            ids = {"system_id": settings.system_id, "board_id": settings.board_id}
-            board = AlazarBoard(self.library(), role, settings.board_model, **ids)
-            return AlazarDigitizer(board, self.clock, settings.acquisition_mode)
+        if role != "digitizer":
+            return self.generator(role, self.connect(role), bench)
+        settings = bench.digitizer
+        ids = {"system_id": settings.system_id, "board_id": settings.board_id}
+        board = AlazarBoard(self.library(), role, settings.board_model, **ids)
+        return AlazarDigitizer(board, self.clock, settings.acquisition_mode)
+
+    def generator(self, role: str, connection: Connection, bench: BenchFile) -> Any:
+        """Return the driver of the generator ``role`` on ``connection``."""
+        from drivers.agilent import Agilent33250A
+
         generator = getattr(bench.generators, role)
         max_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):
             max_vpp = min(max_vpp, bench.limits.max_drive_vpp or math.inf)
-        return Agilent33250A(self.connect(role), role, generator.model, max_vpp)
+        return Agilent33250A(connection, role, generator.model, max_vpp)
 
 
 def _connect(
-    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, lock: bool
+    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, answers: Answers, lock: bool
 ) -> Connections:
     """Return the connections to the real instruments, or to a twin with the settings ``simulation``."""
     if not bench.simulated:
         from drivers.alazar import load_library
 
         addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
-        connect = _visa_connections(addresses, "", stack, lock)
-        return Connections(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None)
+        connect = _visa_connections(addresses, "", answers, lock)
+        return Connections(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None, addresses)
     world = _world(simulation, bench, first_shot)
     if bench.transport is None:
         return Connections(lambda role: cast(Connection, world.connect(role)), world.alazar_library, world.clock, world)
     addresses = _addresses(stack.enter_context(_emulator(world, bench, bench.transport)))
-    return Connections(_visa_connections(addresses, "@py", stack), world.alazar_library, world.clock, world)
+    connect = _visa_connections(addresses, "@py", answers)
+    return Connections(connect, world.alazar_library, world.clock, world, addresses)
 
 
 def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0) -> World:
@@ -217,28 +295,34 @@ def open_emulator(
 
 
 def _visa_connections(
-    addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack, lock: bool = False
+    addresses: Mapping[str, tuple[str, str | None]], backend: str, answers: Answers, lock: bool = False
 ) -> Callable[[str], Connection]:
     """Return the function that opens the connection of a role; an adapter that several share is opened once."""
-    from drivers.visa import NoVisaError, PrologixAdapter, VisaConnection
+    from drivers.visa import OpenError, PrologixAdapter, VisaConnection
 
-    adapters: dict[str, PrologixAdapter] = {}
+    # Each adapter, or the reason why it cannot be opened, is used by the thread of its bus alone.
+    adapters: dict[str, PrologixAdapter | OpenError] = {}
+
+    def adapter(interface: str) -> PrologixAdapter:
+        if interface not in adapters:
+            try:
+                adapters[interface] = opened = PrologixAdapter(interface, backend=backend)
+                answers.close_at_end(opened.close)
+            except OpenError as error:
+                adapters[interface] = error
+        if isinstance(result := adapters[interface], OpenError):
+            raise result
+        return result
 
     def connect(role: str) -> Connection:
         address, interface = addresses[role]
         try:
-            if interface and interface not in adapters:
-                adapters[interface] = PrologixAdapter(interface, backend=backend)
-                stack.callback(adapters[interface].close)
-            adapter = adapters[interface] if interface else None
-            connection = VisaConnection(address, backend=backend, adapter=adapter, lock=lock)
-        except NoVisaError as error:
-            why = "this computer has no driver for such an address, which may be right"
-            raise InstrumentError(role, str(error), why, error.remedy) from error
-        except ConnectionError as error:
-            remedy = f"correct generators.{role}.address, or see what hpe-rig bench finds"
-            raise InstrumentError(role, str(error), "the address, the cable or the power is wrong", remedy) from error
-        stack.callback(connection.close)
+            before = adapter(interface) if interface else None
+            connection = VisaConnection(address, backend=backend, adapter=before, lock=lock)
+        except OpenError as error:
+            key = f"generators.{role}.{'interface' if interface else 'address'}"
+            raise InstrumentError(role, str(error), error.why, f"{error.remedy} (key {key})") from error
+        answers.close_at_end(connection.close)
         return connection
 
     return connect
