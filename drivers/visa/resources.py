@@ -161,14 +161,14 @@ def open_failure(address: str, error: BaseException) -> Failure:
     """
     failure = failure_of(error)
     match = None if tcp_endpoint(address) else LAN_RESOURCE.fullmatch(address)
-    if match is None or failure not in (UNREACHABLE, NO_DEVICE):
+    if match is None:
         return failure
     port = match["port"] or match["hislip_port"] or (HISLIP_PORT if match["hislip"] else PORTMAPPER_PORT)
     try:
         within(PROBE_TIMEOUT_S, lambda: _connect_once(match["host"], int(port)), lambda _: None)
     except OSError as refusal:
         return failure_of(refusal)
-    return MUTE
+    return MUTE if failure in (UNREACHABLE, NO_DEVICE) else failure
 
 
 def _connect_once(host: str, port: int) -> None:

@@ -16,9 +16,7 @@ from hpe_rig.bench import (
     read_bench,
     settings_differences,
     survey,
-    switch_off,
 )
-from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
 from hpe_rig.cli.tables import Printer, wide_console
 from hpe_rig.measurement import prepare_text, program_shot
 from hpe_rig.result import rich_table
@@ -45,26 +43,6 @@ def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
     text = read_bench(path)
     report = survey(text.bench, self_test=self_test)
     return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report, path)
-
-
-def switch_all_off(path: Path | None) -> int:
-    """Switch every output of a bench off, print the verified state of each, and return the exit code."""
-    bench = read_bench(path, any_title=True).bench
-    instruments = switch_off(bench, announce)
-    console = wide_console()
-    console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")
-    rows = [
-        (item.role, item.address, "off" if item.proven else "NOT PROVEN", item.reason.removeprefix(f"{item.role}: "))
-        for item in instruments
-    ]
-    console.print(rich_table(("role", "address", "output", "evidence"), rows, words=4))
-    unproven = [item.role for item in instruments if not item.proven]
-    outputs = [role for role in unproven if role != "digitizer"]
-    if outputs:
-        console.print(f"NOT PROVEN OFF: {', '.join(outputs)}: switch them off by hand, now", style="bold")
-        return EXIT_UNSAFE
-    # The board only triggers a generator, and the output of that generator is off.
-    return EXIT_INSTRUMENT if unproven else 0
 
 
 def compare_with(path: Path, state: BenchState) -> str:

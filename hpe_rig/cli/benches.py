@@ -32,7 +32,6 @@ def bench_command(
     wide: Annotated[bool, typer.Option("--wide", help="Print every column.")] = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
-    from hpe_rig.cli.bench import bench_state, compare_with, print_report, switch_all_off
     from hpe_rig.scene import Mistake, SettingsError
 
     # A run file describes a bench that may no longer exist: nothing can be switched or tested.
@@ -41,7 +40,11 @@ def bench_command(
         if compare is not None or self_test or is_run_file:
             what = "it only switches the instruments of a bench file off"
             raise SettingsError("--off", [Mistake("", what, "hpe-rig bench BENCH.toml --off")])
+        from hpe_rig.cli.off import switch_all_off
+
         raise typer.Exit(switch_all_off(bench))
+    from hpe_rig.cli.bench import bench_state, compare_with, print_report
+
     if bench is not None and is_run_file and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])

@@ -115,5 +115,7 @@ def start_logging(level: LogLevel) -> None:
     # Other packages log at length: their records below a warning are discarded.
     number = logging.getLevelNamesMapping()[level.upper()]
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=max(number, logging.WARNING))
+    # pyvisa-py logs a traceback for each host that it cannot reach, which the error message explains.
+    logging.getLogger("pyvisa").setLevel(logging.CRITICAL if number > logging.DEBUG else logging.WARNING)
     for name in LOGGERS:
         logging.getLogger(name).setLevel(number)
