@@ -1,7 +1,7 @@
 """Calls of a library that may block for ever, such as those of pyvisa-py, limited in time.
 
-A thread cannot be cancelled. The call that lasts too long is left to its daemon thread; what it returns later is
-passed to ``discard``, which closes it.
+A thread cannot be cancelled. A call that lasts too long is left to its daemon thread; ``discard`` closes the late
+result.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ CLOSED: Final = Failure(
     "it was switched off, restarted, or ends idle connections",
     "check its power, open the bench again",
 )
-OTHER: Final = Failure("", "the address, the cable or the power is wrong", "check power, cable and address")
+UNEXPLAINED: Final = Failure("", "the address, the cable or the power is wrong", "check power, cable and address")
 
 SYSTEM_ERRORS: Final = {
     errno.ECONNREFUSED: REFUSED,
@@ -122,7 +122,7 @@ def failure_of(error: BaseException) -> Failure:
         if failure := _known_failure(cause):
             return failure
     text = next((text for text in map(_text, causes) if text), type(error).__name__)
-    return Failure(text, OTHER.why, OTHER.remedy)
+    return Failure(text, UNEXPLAINED.why, UNEXPLAINED.remedy)
 
 
 def _text(error: BaseException) -> str:

@@ -157,7 +157,7 @@ def _message_resource(address: str, backend: str) -> MessageBasedResource:
 def open_failure(address: str, error: BaseException) -> Failure:
     """Return why ``address`` cannot be opened; a LAN host is asked whether it accepts connections.
 
-    The error of pyvisa is the same for a host that is off, refuses or accepts and then is silent.
+    pyvisa's error does not distinguish a host that is off from one that refuses, or accepts and then is silent.
     """
     failure = failure_of(error)
     match = None if tcp_endpoint(address) else LAN_RESOURCE.fullmatch(address)

@@ -11,6 +11,7 @@ In the order of the flow:
     output_limits   limits of the outputs that drive a transducer, on settings as read back
     instruments     the open instruments, made safe independently of each other
     identity        serial numbers and labels, compared with those of the bench file
+    lines           lines to all instruments, used at the same time
     opening         drivers connected to VISA and the vendor's library, or to the twin
     inventory       every instrument identified, its settings read
     comparison      differences between two benches

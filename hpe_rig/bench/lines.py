@@ -18,7 +18,7 @@ from hpe_rig.bench.interrupts import uninterrupted
 OPENING_S: Final = 4.5
 """Longest time until each instrument has answered or counts as missing: 3 s to connect, the remaining to identify."""
 INTERRUPTED_S: Final = 2.0
-"""Time that an interrupted opening waits for a bus with an identified instrument, whose output is switched off."""
+"""Time that an interrupted opening waits for the bus of an identified instrument, to switch its output off."""
 POLL_S: Final = 0.05
 
 Answer = Instrument | Exception

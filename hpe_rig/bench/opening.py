@@ -306,8 +306,8 @@ def _visa_connections(
     def adapter(interface: str) -> PrologixAdapter:
         if interface not in adapters:
             try:
-                adapters[interface] = opened = PrologixAdapter(interface, backend=backend)
-                answers.close_at_end(opened.close)
+                adapters[interface] = new_adapter = PrologixAdapter(interface, backend=backend)
+                answers.close_at_end(new_adapter.close)
             except OpenError as error:
                 adapters[interface] = error
         if isinstance(result := adapters[interface], OpenError):

@@ -15,6 +15,7 @@ Modules, from the typed command to its output::
     keys.py         keys pressed during a run
     queue.py        several runs, one after another
     bench.py        state of a bench, and its comparison with another
+    off.py          outputs switched off and verified
     listing.py      runs of a folder; extensions of other packages
     stored.py       damage, comparisons, moduli and maps
     study.py        workers and progress of a study
