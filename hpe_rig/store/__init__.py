@@ -3,7 +3,8 @@
     format.py        names, versions, limits and file names; ``StoreError``; ``extra``: a missing optional package
     checksum.py      the checksum of every dataset, row and chunk
     layout.py        the empty run file: every group, dataset and attribute at its final size
-    records.py       blocks of records -> the pulse of each record
+    placement.py     trigger times -> the pulse of each record
+    records.py       blocks of records -> codes by pulse
     atomic.py        atomic writing of files
     lock.py          one writer for each file
     journal.py       writes of HDF5 -> the disk, in transactions; handles disk errors

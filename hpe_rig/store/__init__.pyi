@@ -25,6 +25,7 @@ from .marks import (
     identity_of as identity_of,
     write_marks as write_marks,
 )
+from .placement import Placement as Placement, place_records as place_records
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Setting
-from hpe_rig.arrays import BoolArray, FloatArray, Int16Array
+from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
@@ -38,6 +38,7 @@ from hpe_rig.store.format import (
 )
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store.marks import identity_of, read_marks, write_marks
+from hpe_rig.store.placement import Placement, place_records
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
 
@@ -62,7 +63,8 @@ MAX_COPY_BYTES: Final = 1 << 30
 class StoredShot:
     """Records of one shot that stay in the file (`GatedRecords`), limited to ``samples``: the gate and its margins.
 
-    ``copy``: these samples of every record in a temporary file, unless they are too many.
+    ``copy``: these samples of every record in a temporary file, unless they are too many. ``record`` (pulse,): the
+    number of each pulse's record, -1 for none; None if the numbers are equal.
     """
 
     path: Path
@@ -75,6 +77,14 @@ class StoredShot:
     margin: tuple[int, int]
     damaged: BoolArray
     copy: CodesCopy | None = None
+    record: Int64Array | None = None
+
+    def placed(self, placement: Placement) -> StoredShot:
+        """Return records in the order of arrival at the pulses of ``placement``."""
+        record = placement.record
+        found = record >= 0
+        valid, damaged = (found & values[np.maximum(record, 0)] for values in (self.valid, self.damaged))
+        return replace(self, valid=valid, damaged=damaged, record=record)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,14 +96,26 @@ class StoredShot:
 
         They were compared with their checksums before. Missing and damaged records hold the code for missing ones.
         """
+        if self.record is None:
+            codes = self._block(pulses)
+        else:
+            record = self.record[pulses]
+            last = int(record.max(initial=-1)) + 1
+            first = int(record.min(initial=last, where=record >= 0))
+            codes = np.full((record.size, self.shape[1]), MISSING)
+            codes[record >= 0] = self._block(slice(first, last))[record[record >= 0] - first]
+        codes[~self.valid[pulses]] = MISSING
+        return codes
+
+    def _block(self, records: slice) -> Int16Array:
+        """Return the codes of consecutive ``records``, (record, sample)."""
         codes: Int16Array
         if self.copy is not None and self.copy.complete:
-            codes = self.copy.block(*pulses.indices(self.valid.size)[:2])
+            codes = self.copy.block(*records.indices(self.valid.size)[:2])
         else:
             with open_checked(self.path) as checked:
                 echo = checked.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
-                codes = echo[self.shot, pulses, self.samples]
-        codes[~self.valid[pulses]] = MISSING
+                codes = echo[self.shot, records, self.samples]
         return codes
 
 
@@ -164,8 +186,18 @@ class StoredRecords(Sequence[ShotRecords]):
                 return None
         return self.gated(shot, slice(0, self.shape[2]), "monitor")
 
-    def gated(self, shot: int, gate: slice, name: str = "echo", margin: int = 0) -> ShotRecords:
-        """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample)."""
+    def placement(self, shot: int) -> Placement:
+        """Return the pulse of each record of ``shot`` by the trigger times."""
+        with open_checked(self.path) as checked:
+            return _placement(checked, self.shape, _within(shot, self.shape[0]))
+
+    def gated(
+        self, shot: int, gate: slice, name: str = "echo", margin: int = 0, placement: Placement | None = None
+    ) -> ShotRecords:
+        """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample).
+
+        ``placement``: pulses of the records; None: by the trigger times.
+        """
         # While a run writes the file, records can look damaged for a moment: they are read again.
         for attempt in range(READ_ATTEMPTS):
             with open_checked(self.path) as checked:
@@ -173,11 +205,14 @@ class StoredRecords(Sequence[ShotRecords]):
                 echo = _echo(checked, self.shape, name)
                 codes, damaged = _codes(checked, echo, f"records/{name}", stored.shot, arrival, stored.samples)
                 running = checked.attribute("status", str) == STATUSES[0]
+                by_times = _placement(checked, self.shape, stored.shot)
             if not (damaged.any() and running) or attempt == READ_ATTEMPTS - 1:
                 break
             time.sleep(READ_PAUSE_S)
         time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
-        return ShotRecords(codes, time_s, stored.volts_per_code, offset, stored.code_limits, stored.margin, damaged)
+        scale, limits = stored.volts_per_code, stored.code_limits
+        records = ShotRecords(codes, time_s, scale, offset, limits, stored.margin, damaged)
+        return records.placed(by_times if placement is None else placement)
 
     def shot_blocks(
         self,
@@ -186,16 +221,20 @@ class StoredRecords(Sequence[ShotRecords]):
         margin: int,
         max_samples: int = MAX_SAMPLES_IN_MEMORY,
         visit: Callable[[Int16Array], None] | None = None,
+        placement: Placement | None = None,
     ) -> GatedRecords:
         """Return the records of ``shot`` in ``gate``; if they exceed ``max_samples`` their codes stay in the file.
 
         Codes that stay in the file are read once and compared with their checksums. Meanwhile ``visit`` is called with
         the codes in the gate, block by block, and the codes in the gate and its margins are copied to a temporary file.
+        ``visit`` is called only if every record has the number of its pulse.
         """
         if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= max_samples:
-            return self.gated(shot, gate, margin=margin)
+            return self.gated(shot, gate, margin=margin, placement=placement)
         with open_checked(self.path) as checked:
             stored, _, _ = self._of_shot(checked, shot, gate, "echo", margin)
+            placement = placement or _placement(checked, self.shape, stored.shot)
+        identity = placement.is_identity
         pulses, samples = stored.shape
         inside = slice(stored.margin[0], samples - stored.margin[1])
         copy = CodesCopy(samples) if 2 * pulses * samples <= MAX_COPY_BYTES else None
@@ -204,11 +243,12 @@ class StoredRecords(Sequence[ShotRecords]):
             """Copy a block of codes (pulse, sample) to the temporary file; call ``visit`` with those in the gate."""
             if copy is not None:
                 copy.add(codes)
-            if visit is not None:
+            if visit is not None and identity:
                 visit(codes[:, inside])
 
         damaged = self.damaged(stored.shot, visit=copy_and_visit, samples=stored.samples)
-        return replace(stored, valid=stored.valid & ~damaged, damaged=damaged, copy=copy)
+        stored = replace(stored, valid=stored.valid & ~damaged, damaged=damaged, copy=copy)
+        return stored if identity else stored.placed(placement)
 
     def _of_shot(
         self, checked: CheckedFile, shot: int, gate: slice, name: str, margin: int
@@ -298,9 +338,11 @@ class StoredGroundTruth:
         """Return the true displacement at every record of ``shot``, m; NaN if missing or damaged."""
         name = "truth/displacement_m"
         with open_checked(self.path) as checked:
+            shot = _within(shot, self.shape[0])
             row_m: FloatArray
-            row_m, _ = _row(checked, name, _rows(checked, name, self.shape), _within(shot, self.shape[0]))
-            return row_m
+            row_m, _ = _row(checked, name, _rows(checked, name, self.shape), shot)
+            record = _placement(checked, self.shape, shot).record
+            return np.where(record >= 0, row_m[np.maximum(record, 0)], np.nan)
 
     def harmonics_m(self, shot: int, frequencies: int) -> FloatArray:
         """Return A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
@@ -663,6 +705,16 @@ def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
             elif digest(name, (shot, number), marks[rows].tobytes(), time_s[rows].tobytes()) != expected:
                 recorded[rows], damaged[rows] = False, True
     return _Arrival(recorded, np.where(recorded, time_s, np.nan), damaged)
+
+
+def _placement(checked: CheckedFile, shape: Shape, shot: int) -> Placement:
+    """Return the pulse of each record of ``shot`` by the trigger times; damaged records are counted."""
+    arrival = _arrival(checked, shape, shot)
+    name = "records/pulse_onset_s"
+    onset_s = _row(checked, name, _rows(checked, name, shape), shot)[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate_hz = float((shape[1] - 1) / (onset_s[-1] - onset_s[0]))
+    return place_records(arrival.recorded | arrival.damaged, arrival.trigger_time_s, rate_hz)
 
 
 def _sums(checked: CheckedFile, name: str, shape: Shape, rows: int) -> h5py.Dataset:

@@ -9,8 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
+from hpe_rig.arrays import BoolArray, FloatArray, Int16Array
 from hpe_rig.plan import Shot
+from hpe_rig.store.placement import Placement, place_records
 
 MISSING = np.int16(-32768)
 """Code of a sample that was never recorded; below the code limits of every digitizer."""
@@ -73,6 +74,19 @@ class ShotRecords:
         samples, margins = with_margin(gate, margin, self.codes.shape[1])
         return replace(self, codes=self.codes[:, samples], margin=margins)
 
+    def placed(self, placement: Placement) -> ShotRecords:
+        """Return records in the order of arrival at the pulses of ``placement``."""
+        if placement.is_identity:
+            return self
+        record = placement.record
+        found = record >= 0
+        codes, time_s, damaged = np.full_like(self.codes, MISSING), np.full(record.size, np.nan), None
+        codes[found], time_s[found] = self.codes[record[found]], self.trigger_time_s[record[found]]
+        if self.damaged is not None:
+            damaged = np.zeros(record.size, bool)
+            damaged[found] = self.damaged[record[found]]
+        return replace(self, codes=codes, trigger_time_s=time_s, damaged=damaged)
+
     @property
     def valid(self) -> BoolArray:
         """True for pulses with a record, (pulse,)."""
@@ -86,53 +100,6 @@ def with_margin(gate: slice, margin: int, samples: int) -> tuple[slice, tuple[in
     return extended, (gate.start - extended.start, extended.stop - gate.stop)
 
 
-@dataclass(frozen=True, slots=True)
-class LastRecord:
-    """The latest record of a shot with a known pulse: pulse index, the board's trigger time, number of the record."""
-
-    pulse: int
-    trigger_time_s: float
-    record: int
-
-
-def pulse_indices(block: RecordBlock, previous: LastRecord | None, shot: Shot) -> tuple[Int64Array, LastRecord | None]:
-    """Return the tracking pulse of each record of ``block`` (record,), -1 if none fits, and the last such record.
-
-    The pulse follows from the board's trigger time relative to the last record of the ``previous`` block. So a lost
-    trigger shifts no later record, and a board with a clock error of up to 100 ppm loses none in blocks of up to 2000.
-    The first record is assumed to belong to the first pulse, because no time reveals triggers lost before it. Records
-    without a time are counted from the latest record with a known pulse, or from the first record if there is none.
-    """
-    record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
-    timed = np.isfinite(block.trigger_time_s)
-    index, latest = np.empty_like(record), previous
-    if timed.any():
-        index[timed], latest = _indices_by_time(record[timed], block.trigger_time_s[timed], previous, shot)
-    counted = record[~timed] + (0 if latest is None else latest.pulse - latest.record)
-    index[~timed] = np.where(counted < shot.capture.record_count, counted, -1)
-    return index, latest
-
-
-def _indices_by_time(
-    record: Int64Array, trigger_time_s: FloatArray, previous: LastRecord | None, shot: Shot
-) -> tuple[Int64Array, LastRecord | None]:
-    """Return the tracking pulse of each record by its trigger time, and the last record with a pulse.
-
-    A stray trigger gets -1. ``record`` and ``trigger_time_s`` (record,): number within the shot, and time. Pulses are
-    counted from ``previous``, the last record of the block before.
-    """
-    anchor = previous or LastRecord(0, float(trigger_time_s[0]), int(record[0]))
-    pulses = anchor.pulse + (trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
-    index = np.round(pulses).astype(np.int64)
-    # More than a quarter of the pulse interval from any pulse: a spurious trigger.
-    stray = (np.abs(pulses - index) > 0.25) | (index < 0) | (index >= shot.capture.record_count)
-    index[stray] = -1
-    if stray.all():
-        return index, previous
-    last = int(np.flatnonzero(~stray)[-1])
-    return index, LastRecord(int(index[last]), float(trigger_time_s[last]), int(record[last]))
-
-
 def assemble(blocks: Iterable[RecordBlock], shot: Shot) -> ShotRecords:
     """Return all records of ``shot`` as one array (pulse, sample), from ``blocks`` of records as they arrived.
 
@@ -140,10 +107,10 @@ def assemble(blocks: Iterable[RecordBlock], shot: Shot) -> ShotRecords:
     """
     codes = np.full((shot.capture.record_count, shot.capture.record_samples), MISSING)
     trigger_time_s = np.full(shot.capture.record_count, np.nan)
-    scale, offset, limits, latest = np.nan, np.nan, (0, 0), None
+    scale, offset, limits = np.nan, np.nan, (0, 0)
     for block in blocks:
         scale, offset, limits = block.volts_per_code, block.volts_offset, block.code_limits
-        index, latest = pulse_indices(block, latest, shot)
-        codes[index[index >= 0]] = block.codes[index >= 0]
-        trigger_time_s[index[index >= 0]] = block.trigger_time_s[index >= 0]
-    return ShotRecords(codes, trigger_time_s, scale, offset, limits)
+        rows = slice(block.first_record, block.first_record + block.codes.shape[0])
+        codes[rows], trigger_time_s[rows] = block.codes, block.trigger_time_s
+    records = ShotRecords(codes, trigger_time_s, scale, offset, limits)
+    return records.placed(place_records(records.valid, trigger_time_s, shot.tracking_train.rate_hz))

@@ -39,7 +39,7 @@ from hpe_rig.store.journal import Journal, Write, run_with_timeout
 from hpe_rig.store.layout import LIBVER, TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store.lock import is_locked
 from hpe_rig.store.reader import StoredRun, read_run
-from hpe_rig.store.records import MISSING, LastRecord, pulse_indices
+from hpe_rig.store.records import MISSING
 
 CHECKPOINT_S = 1.0
 """Interval between two syncs of the disk, checked at the end of each shot."""
@@ -171,19 +171,16 @@ class RunWriter:
                 self._tables["records/force_set"].put(shot.index, shot.force_fraction_at(amplitude_vpp))
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
-        """Write the records of ``block``, each at the index of its pulse; full chunks go to disk."""
+        """Write the records of ``block`` in the order of arrival; full chunks go to disk."""
         if not block.codes.size:
             return
         self._refuse_other_volts(block)
         # The disk writes these records while the next ones arrive; ``finish`` waits for them.
         with self._committing(always=False, wait=False):
             rows = self._rows_of(shot)
-            index, rows.latest = pulse_indices(block, rows.latest, shot)
-            matched = index >= 0
-            # Indexing copies, so it is done only if a record matches no pulse.
-            inputs = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
-            codes = inputs if matched.all() else tuple(input_codes[matched] for input_codes in inputs)
-            self._put(rows, index[matched], codes, block.trigger_time_s[matched])
+            index = block.first_record + np.arange(block.codes.shape[0])
+            codes = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
+            self._put(rows, index, codes, block.trigger_time_s)
             self._write_checksums()
 
     def write_clipped(self, shot: Shot, clipped: bool) -> None:
@@ -264,9 +261,9 @@ class RunWriter:
         codes: tuple[Int16Array, ...],
         time_s: FloatArray,
     ) -> None:
-        """Add records of one shot to the chunks that hold their pulses; full chunks go to the file.
+        """Add records of one shot to the chunks that hold them; full chunks go to the file.
 
-        ``index`` and ``time_s`` (record,): pulse and trigger time. ``codes`` (record, sample) of each input.
+        ``index`` and ``time_s`` (record,): number and trigger time. ``codes`` (record, sample) of each input.
         """
         # The records of a block can span several chunks, and a delayed record can belong to an earlier chunk.
         for number, selection in self._by_chunk(index):
@@ -275,19 +272,19 @@ class RunWriter:
                 for chunk in self._chunks:
                     chunk.start(rows.index, number)
                     chunk.reload(rows.recorded[number * chunk.rows : (number + 1) * chunk.rows])
-            pulses = index[selection]
+            records = index[selection]
             for chunk, input_codes in zip(self._chunks, codes, strict=True):
-                chunk.put(pulses - number * chunk.rows, input_codes[selection])
-            rows.recorded[pulses] = True
-            rows.trigger_time_s[pulses] = time_s[selection]
+                chunk.put(records - number * chunk.rows, input_codes[selection])
+            rows.recorded[records] = True
+            rows.trigger_time_s[records] = time_s[selection]
             # The last record of a chunk: it is full.
-            if pulses[-1] % self._chunk.rows == self._chunk.rows - 1:
+            if records[-1] % self._chunk.rows == self._chunk.rows - 1:
                 self._write_chunk()
 
     def _by_chunk(self, index: Int64Array) -> Iterator[tuple[int, slice | BoolArray]]:
-        """Yield the number of each chunk that holds pulses of ``index`` (record,), and the selection of these records.
+        """Yield the number of each chunk that holds numbers of ``index`` (record,), and the selection of these records.
 
-        A chunk is the piece of the dataset that HDF5 stores at once: records of consecutive pulses.
+        A chunk is the piece of the dataset that HDF5 stores at once: consecutive records.
         """
         rows = self._chunk.rows
         if index.size and bool(np.all(np.diff(index) == 1)):
@@ -596,12 +593,11 @@ class _Chunk:
 
 @final
 class _ShotRows:
-    """Marks and trigger times of the current shot's records, (pulse,), and the latest record with a known pulse."""
+    """Marks and trigger times of the current shot's records, (record,)."""
 
     def __init__(self, shot: Shot) -> None:
         """Start a shot: no record has arrived."""
         self.index = shot.index
-        self.latest: LastRecord | None = None
         self.recorded = np.zeros(shot.capture.record_count, bool)
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
 

@@ -88,6 +88,7 @@ def written(setup: Setup, path: Path, *blocks: RecordBlock) -> Path:
     """Write ``blocks`` as the first shot's."""
     shot = setup.plan.shots[0]
     with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
+        writer.write_settings(shot, {})
         for block in blocks:
             writer.append(shot, block)
         writer.finish(shot)
@@ -136,14 +137,33 @@ def test_shots_are_taken_one_by_one_or_by_a_slice(setup: Setup, tmp_path: Path) 
     np.testing.assert_array_equal(last.codes, records[1].codes)
 
 
-def test_records_that_come_out_of_order_land_in_their_pulses_places(setup: Setup, tmp_path: Path) -> None:
-    """By their trigger times; 0, 2, 1, 3 reach as far as four in a row do."""
-    block = block_of(setup, 0, 4, 0.0)
-    order = [0, 2, 1, 3]
-    mixed = replace(block, codes=block.codes[order], trigger_time_s=block.trigger_time_s[order])
-    found = read_run(written(setup, tmp_path / "run.h5", mixed)).records[0]
-    assert np.flatnonzero(found.valid).tolist() == [0, 1, 2, 3]
-    assert found.codes[:4, 0].tolist() == [0, 1, 2, 3]
+def test_every_delivered_record_is_stored_with_its_number_and_time(setup: Setup, tmp_path: Path) -> None:
+    """Also records of stray triggers, and those after a step of the digitizer's counter."""
+    period_s = 1 / setup.plan.shots[0].tracking_train.rate_hz
+    block = block_of(setup, 0, 40, 0.5)
+    time_s = block.trigger_time_s + np.where(np.arange(40) < 30, 0.0, 0.25)
+    time_s[10] -= 0.4 * period_s
+    path = written(setup, tmp_path / "run.h5", replace(block, trigger_time_s=time_s))
+    with h5py.File(path) as file:
+        np.testing.assert_array_equal(file["records/echo"][0, :40, 0], np.arange(40))
+        np.testing.assert_array_equal(file["records/trigger_time_s"][0, :40], time_s)
+    stored = read_run(path).records
+    assert np.flatnonzero(~stored[0].valid).tolist() == [10, *range(40, 48)]
+    assert stored.placement(0).stray == (10,)
+    assert stored.placement(0).remarks == ("the trigger times jump by 0.25 s at record 31",)
+    np.testing.assert_array_equal(stored[0].codes[30:40, 0], np.arange(30, 40))
+
+
+def test_blocks_of_a_long_shot_follow_the_placement(setup: Setup, tmp_path: Path) -> None:
+    early, late = block_of(setup, 0, 12, 0.5), block_of(setup, 14, 30, 0.5)
+    stored = read_run(written(setup, tmp_path / "run.h5", early, replace(late, first_record=12))).records
+    gate, visited = slice(100, 130), list[np.ndarray]()
+    held, by_block = stored.gated(0, gate, margin=5), stored.shot_blocks(0, gate, 5, 0, visited.append)
+    np.testing.assert_array_equal(held.valid, by_block.valid)
+    assert np.flatnonzero(~held.valid).tolist() == [12, 13, 44, 45, 46, 47]
+    for pulses in (slice(0, 48), slice(10, 15), slice(12, 14), slice(44, 48)):
+        np.testing.assert_array_equal(by_block.block(pulses), held.block(pulses))
+    assert not visited
 
 
 @pytest.mark.parametrize("compress", [False, True])

@@ -1,0 +1,230 @@
+"""Placement: which tracking pulse each record of a shot belongs to, from the digitizer's trigger times.
+
+Records are stored in the order of arrival, with their trigger times as delivered. The placement is computed from these
+when records are read, so that a faulty trigger time costs no record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from hpe_rig.arrays import BoolArray, FloatArray, Int64Array
+
+TOLERANCE: Final = 0.05
+"""Deviation of a trigger from the pulse train, in pulse periods, above which no pulse caused it. Trigger jitter is far
+smaller; the clock error of the digitizer is removed before."""
+MIN_SEGMENT: Final = 2
+"""Minimum number of consecutive records, whole periods apart, that belong to the train although a step of the counter
+separates them from the records before. A single such record comes from a stray trigger."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Tracking pulses of the records of one shot, with record k in row k of the file.
+
+    Attributes:
+        pulse: int64 (record,), the pulse of each record, -1 for none.
+        delivered: (record,), True for the records that arrived; there are as many places as planned pulses.
+        loose: (record,), True if the number of pulses since the record before is not measured but assumed to be 1.
+        unlocated: number of missing pulses whose place is unknown; the first pulses may be among them.
+        stray: numbers of the records of triggers between the pulses.
+        remarks: faults of the trigger times, as sentences.
+    """
+
+    pulse: Int64Array
+    delivered: BoolArray
+    loose: BoolArray
+    unlocated: int = 0
+    stray: tuple[int, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether every record has the number of its pulse."""
+        return bool(np.array_equal(self.pulse, np.where(self.delivered, np.arange(self.pulse.size), -1)))
+
+    @property
+    def record(self) -> Int64Array:
+        """The record of each pulse, int64 (pulse,), -1 for a missing one."""
+        placed = np.flatnonzero(self.pulse >= 0)
+        record = np.full(self.pulse.size, -1)
+        record[self.pulse[placed]] = placed
+        return record
+
+    def shifted(self, shift: Int64Array) -> Placement:
+        """Return the placement with the pulse of each record moved by ``shift`` (record,); outside the train: none."""
+        moved = np.where(self.pulse >= 0, self.pulse + shift, -1)
+        return replace(self, pulse=np.where(moved < self.pulse.size, moved, -1))
+
+
+def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> Placement:
+    """Return the placement of the ``delivered`` records (record,), given their trigger times (record,), NaN if unknown.
+
+    The first record on the pulse train is assigned to the first pulse. Records without trigger time are counted from
+    the record before. Trigger times that step by no whole number of periods, or by more pulses than the train has, are
+    a fault of the counter: the records after the step are counted on.
+    """
+    records, pulses = np.flatnonzero(delivered), delivered.size
+    counted = Placement(np.where(delivered, np.arange(pulses), -1), delivered, delivered, pulses - records.size)
+    timed = records[np.isfinite(time_s[records])]
+    if not timed.size or not np.isfinite(rate_hz):
+        return counted
+    step = np.diff(time_s[timed]) * rate_hz
+    near = np.abs(step - 1) < TOLERANCE
+    if timed.size == records.size and near.all():
+        pulse = counted.pulse.copy()
+        pulse[records] = np.arange(records.size)
+        return replace(counted, pulse=pulse, loose=np.zeros(pulses, bool))
+    # The clock of the digitizer may be wrong by up to one per cent, which adds up over long gaps.
+    period_s = (float(np.median(step[near])) if near.any() else 1.0) / rate_hz
+    frozen = _standing(step)
+    train = _Train(timed[~frozen], time_s[timed[~frozen]] / period_s).within(pulses)
+    placement = _placement(train, delivered)
+    return replace(placement, remarks=(*_jump_remarks(train, period_s), *_freeze_remarks(timed[frozen])))
+
+
+def _standing(step: FloatArray) -> BoolArray:
+    """Return which records repeat the trigger time of the record before, (record,), at least two in a row."""
+    same = np.concatenate([[False], np.abs(step) < TOLERANCE, [False]])
+    before = np.concatenate([[False], same[:-2]])
+    return np.asarray(same[:-1] & (before | same[1:]))
+
+
+def _placement(train: _Train, delivered: BoolArray) -> Placement:
+    """Return the placement of the delivered records: those of the train, and those without usable trigger time."""
+    pulses, segments = delivered.size, train.segments()
+    pulse, loose = np.full(pulses, -1), np.zeros(pulses, bool)
+    placed = train.record[np.concatenate([segment.index for segment in segments])]
+    pulse[placed] = np.concatenate([segment.pulse for segment in segments])
+    loose[[train.record[segment.index[0]] for segment in segments[1:]]] = True
+    stray = np.setdiff1d(train.record, placed)
+    untimed = np.setdiff1d(np.flatnonzero(delivered), train.record)
+    before = np.maximum(np.searchsorted(placed, untimed) - 1, 0)
+    pulse[untimed] = pulse[placed[before]] + untimed - placed[before]
+    after = placed[np.minimum(before + 1, placed.size - 1)]
+    # Records were lost between two trigger times: those without a time in between cannot be placed.
+    unknown = (after > untimed) & (untimed > placed[before]) & (pulse[after] - pulse[untimed] != after - untimed)
+    loose[untimed[after < untimed]] = True
+    pulse[untimed[unknown]] = -1
+    known = np.setdiff1d(np.concatenate([placed, untimed[~unknown]]), stray)
+    pulse[known] -= pulse[known].min()
+    pulse[pulse >= pulses] = -1
+    unlocated = 0 if delivered.all() else max(0, pulses - 1 - int(pulse.max()))
+    return Placement(pulse, delivered, loose, unlocated, tuple(stray.tolist()))
+
+
+def _jump_remarks(train: _Train, period_s: float) -> Iterator[str]:
+    """Yield a sentence for each step of the counter."""
+    for before, after in pairwise(train.segments()):
+        last, first = before.index[-1], after.index[0]
+        jump_s = float(train.period[first] - train.period[last] - after.pulse[0] + before.pulse[-1]) * period_s
+        yield f"the trigger times jump by {jump_s:.3g} s at record {train.record[first] + 1}"
+
+
+def _freeze_remarks(frozen: Int64Array) -> Iterator[str]:
+    """Yield a sentence for each series of records with the same trigger time."""
+    for series in np.split(frozen, np.flatnonzero(np.diff(frozen) > 1) + 1) if frozen.size else ():
+        yield f"the trigger times stand still from record {series[0]} to {series[-1] + 1}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Train:
+    """Timed records in the order of arrival: their numbers and trigger times in periods, both (timed record,).
+
+    ``resets``: indices of the first records after a gap that is a step of the counter. ``stray``: indices of records
+    that are stray although they are whole periods from others.
+    """
+
+    record: Int64Array
+    period: FloatArray
+    resets: frozenset[int] = frozenset()
+    stray: frozenset[int] = frozenset()
+
+    def within(self, pulses: int) -> _Train:
+        """Return the train with its largest gaps closed until its span fits the planned ``pulses``."""
+        train, segments = self, self.segments()
+        while segments[-1].pulse[-1] - segments[0].pulse[0] >= pulses:
+            gap, number = max((segment.largest_gap, number) for number, segment in enumerate(segments))
+            if gap <= 1:
+                break
+            segment = segments[number]
+            position = int(np.argmax(np.diff(segment.pulse)))
+            first, last = int(segment.index[position]), int(segment.index[position + 1])
+            if segment is segments[0] and position == 0:
+                train = replace(train, stray=train.stray | {first})
+            elif segment is segments[-1] and position == segment.pulse.size - 2:
+                train = replace(train, stray=train.stray | {last})
+            else:
+                train = replace(train, resets=train.resets | {last})
+            segments = train.segments()
+        return train
+
+    def segments(self) -> list[_Segment]:
+        """Return the parts of the train between steps of the counter; the pulses of the first one start at 0."""
+        pieces = list(self._pieces())
+        if not any(stop - start >= MIN_SEGMENT for start, stop in pieces):
+            # Too few records to tell stray triggers from the train.
+            pieces = [(0, 1)]
+        segments = list[_Segment]()
+        for start, stop in pieces:
+            pulse = np.round(self.period[start:stop] - self.period[start]).astype(np.int64)
+            segment = _Segment(np.arange(start, stop), pulse)
+            periods = self._periods_after(segments, start)
+            if periods is not None:
+                segments[-1] = segments[-1].joined(segment, periods)
+            elif stop - start >= MIN_SEGMENT or len(pieces) == 1 or self._precedes_reset(start):
+                advance = segments[-1].pulse[-1] + self._min_periods(segments[-1], start) if segments else 0
+                segments.append(replace(segment, pulse=pulse + advance))
+        return segments
+
+    def _precedes_reset(self, start: int) -> bool:
+        """Return whether ``start`` is the first record and the next one has an earlier trigger time."""
+        return start == 0 and bool(self.period[1] < self.period[0])
+
+    def _min_periods(self, segment: _Segment, start: int) -> int:
+        """Return the least number of periods from ``segment`` to ``start``: one more than the untimed records."""
+        last = segment.index[-1]
+        return int(self.record[start] - self.record[last] - (start - last) + 1)
+
+    def _periods_after(self, segments: list[_Segment], start: int) -> int | None:
+        """Return the periods from the last segment to ``start``; None if they are not whole, or too few."""
+        if not segments or start in self.resets:
+            return None
+        periods = float(self.period[start] - self.period[segments[-1].index[-1]])
+        whole = round(periods)
+        fits = whole >= self._min_periods(segments[-1], start) and abs(periods - whole) < TOLERANCE
+        return whole if fits else None
+
+    def _pieces(self) -> Iterator[tuple[int, int]]:
+        """Yield start and end of every series of records that are whole periods apart."""
+        step = np.diff(self.period)
+        untimed = np.diff(self.record) - 1
+        whole = np.round(step)
+        breaks = np.flatnonzero((whole < untimed + 1) | (np.abs(step - whole) >= TOLERANCE)) + 1
+        cuts = {*breaks.tolist(), *self.resets, *(cut for stray in self.stray for cut in (stray, stray + 1))}
+        for start, stop in pairwise(sorted({0, self.record.size, *cuts})):
+            if start not in self.stray:
+                yield start, stop
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """Records of the train without a step of the counter: indices of timed records and their pulses, both (record,)."""
+
+    index: Int64Array
+    pulse: Int64Array
+
+    @property
+    def largest_gap(self) -> int:
+        """The largest number of pulses from one record to the next, 0 for a single record."""
+        return int(np.diff(self.pulse).max(initial=0))
+
+    def joined(self, other: _Segment, periods: int) -> _Segment:
+        """Return both segments as one; ``other`` starts ``periods`` after the end of this one."""
+        pulse = np.concatenate([self.pulse, self.pulse[-1] + periods + other.pulse])
+        return _Segment(np.concatenate([self.index, other.index]), pulse)
