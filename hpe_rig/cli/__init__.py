@@ -4,6 +4,7 @@ Modules, from the typed command to its output::
 
     entry.py        ``main``: Ctrl-C while the program loads
     app.py          the program with all commands
+    streams.py      standard streams that nobody waits for
     options.py      arguments and options of several commands
     measuring.py    commands that measure: run, resume, queue, live, align
     stored_runs.py  commands on stored runs: process, report, compare, moduli, verify, list

@@ -5,7 +5,6 @@ Each command imports its implementation when it is called, so that ``--help`` st
 
 from __future__ import annotations
 
-import io
 import os
 import sys
 from typing import Annotated
@@ -18,6 +17,7 @@ from hpe_rig.cli.measuring import measuring
 from hpe_rig.cli.recordings import recordings
 from hpe_rig.cli.scenes import scene_commands
 from hpe_rig.cli.stored_runs import stored_runs
+from hpe_rig.cli.streams import finish_streams, queue_streams
 from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
 
@@ -32,20 +32,25 @@ def main() -> None:
     for library in ("OMP", "OPENBLAS", "MKL"):
         # The matrices are small: threads of the algebra library would only wait for each other.
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # A character that the console cannot print must not end a measurement.
-            stream.reconfigure(errors="replace")
-    refuse_undecodable(sys.argv)
+    streams = queue_streams()
+    exit_code = finish_streams(streams, _run())
+    # All messages are printed and every output is off: a signal must not change the exit code.
+    ignore_interrupts()
+    sys.exit(exit_code)
+
+
+def _run() -> int:
+    """Run the command and return its exit code."""
     try:
+        refuse_undecodable(sys.argv)
         app()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
         # The interrupt came before the command began, so nothing is open.
         announce("hpe-rig: interrupted")
-        sys.exit(EXIT_INTERRUPTED)
-    finally:
-        # All messages are printed and every output is off: a signal must not change the exit code.
-        ignore_interrupts()
+        return EXIT_INTERRUPTED
+    return 0
 
 
 @app.callback()

@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hpe_rig.cli.options import ResultOptions, expand_option_groups
+from hpe_rig.cli.streams import EXIT_SIGNAL, wait_for_messages
 
 if TYPE_CHECKING:
     from hpe_rig.measurement import Observer, Setup
     from hpe_rig.result import Result
 
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 1, 3, 70, 130
-EXIT_SIGNAL = 128
-"""Plus the number of the signal, as in a shell."""
 EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
 
 
@@ -52,6 +51,8 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
                 # A terminal that was closed accepts no message.
                 with suppress(OSError):
                     typer.echo(f"hpe-rig: {printable(message)}", err=True)
+                # A further signal may end the program as soon as this block is left.
+                wait_for_messages()
                 raise typer.Exit(exit_code) from None
 
     return guard

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import Any
 
 ReadKeys = Callable[[], str]
 """Returns the keys pressed since the last call, "" for none."""
@@ -34,6 +35,7 @@ if sys.platform == "win32":
         yield read_keys
 
 else:
+    import errno
     import os
     import select
     import termios
@@ -42,18 +44,40 @@ else:
     @contextmanager
     def _terminal_keys() -> Iterator[ReadKeys]:
         descriptor = sys.stdin.fileno()
-        settings = termios.tcgetattr(descriptor)
 
         def read_keys() -> str:
             keys = b""
-            # `os.read` bypasses Python's buffer, which would hide keys from `select`.
-            while select.select([descriptor], [], [], 0)[0] and (more := os.read(descriptor, 64)):
-                keys += more
+            # A terminal that was closed has no keys.
+            with suppress(OSError):
+                # `os.read` bypasses Python's buffer, which would hide keys from `select`.
+                while _in_foreground(descriptor) and select.select([descriptor], [], [], 0)[0]:
+                    if not (more := os.read(descriptor, 64)):
+                        break
+                    keys += more
             return keys.decode("utf-8", "replace")
 
+        settings: list[Any] | None = None
+        with suppress(OSError, termios.error):
+            if _in_foreground(descriptor):
+                settings = termios.tcgetattr(descriptor)
+                # In this mode a key needs no Enter, and Ctrl-C still interrupts. TCSANOW waits for no output.
+                tty.setcbreak(descriptor, termios.TCSANOW)
         try:
-            # In this mode a key needs no Enter, and Ctrl-C still interrupts.
-            tty.setcbreak(descriptor)
             yield read_keys
         finally:
-            termios.tcsetattr(descriptor, termios.TCSADRAIN, settings)
+            with suppress(OSError, termios.error):
+                if settings is not None and _in_foreground(descriptor):
+                    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+
+    def _in_foreground(descriptor: int) -> bool:
+        """Return whether this process may use the terminal: the system stops one in the background, outputs on or off.
+
+        Raises ``OSError`` if the terminal was closed.
+        """
+        try:
+            return os.tcgetpgrp(descriptor) == os.getpgrp()
+        except OSError as error:
+            # Nobody is stopped by a terminal that is not the one of the session.
+            if error.errno == errno.ENOTTY:
+                return True
+            raise

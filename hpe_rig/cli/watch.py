@@ -112,11 +112,20 @@ def _ask_for_moves(
         page = ', or "Go on" on the live page,' if has_page else ""
         announce(f"{_move_text(lateral_m)}; all outputs are off. Enter{page} after the movement")
         if read_keys is None:
-            input()
+            _wait_for_line()
         else:
             wait_for_move(path, run_id, lateral_m, lambda: any(key in CONFIRM_KEYS for key in read_keys()))
 
     return move
+
+
+def _wait_for_line() -> None:
+    """Wait for a line of standard input; raise ``StoreError`` if there is none to come."""
+    try:
+        input()
+    except (EOFError, OSError, ValueError) as error:
+        what = f"nobody can confirm the movement: standard input has ended ({error})"
+        raise StoreError(f"{what}. Try: hpe-rig run at a terminal, --live or --yes, then hpe-rig resume.") from None
 
 
 def _move_text(lateral_m: float) -> str:

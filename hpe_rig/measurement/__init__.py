@@ -4,6 +4,7 @@
     run.py            setup -> run file with the records of every shot
     mover.py          movement of the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
+    background.py     storage and observers in threads of their own while outputs are on
     recording.py      events of the sequencer -> run file
     pause.py          a pause between two shots, from the terminal or the live page
     stop_request.py   a safe stop requested by another process

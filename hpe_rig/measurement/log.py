@@ -1,17 +1,26 @@
-"""Log file of a run, beside its run file; each line is flushed, so that a crash keeps it."""
+"""Log file of a run, beside its run file; a thread writes each line at once, so that a crash keeps it.
+
+No run waits for the disk of its log, or ends because that disk is full or does not answer.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import time
 import traceback
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Final
 
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
 from hpe_rig.measurement.setup import Setup
+from hpe_rig.queued_file import QueuedFile, WritingThread, queued_text
 from hpe_rig.store import StoreError, reason, versions
+
+CLOSE_S: Final = 2.0
+"""Time that the disk gets for the last lines."""
 
 
 @contextlib.contextmanager
@@ -25,17 +34,19 @@ def run_log(setup: Setup, run_file: Path) -> Iterator[Callable[[Observer], Obser
     stem = run_file.name if run_file.suffix == ".log" else run_file.stem
     log_file = run_file.parent / f"{stem}.log"
     try:
-        file = log_file.open("a", encoding="utf-8", buffering=1)
+        disk = io.FileIO(log_file, "ab")
     except OSError as error:
         raise StoreError(
             f"{log_file} cannot be written ({reason(error)}). Try: another --output, or no --verbose."
         ) from None
+    thread = WritingThread()
+    queue = QueuedFile(disk, thread, lambda lines: f"{lines} lines are missing: the disk was too slow\n")
+    file = queued_text(queue, "utf-8")
     start_s = time.monotonic()
 
     def write(text: str) -> None:
-        # A full disk ends the run when its run file is written. The log alone must not end it.
-        with contextlib.suppress(OSError):
-            file.write(text)
+        file.write(text)
+        file.flush()
 
     def write_line(text: str) -> None:
         write(f"{time.monotonic() - start_s:10.4f} s  {text}\n")
@@ -64,8 +75,12 @@ def run_log(setup: Setup, run_file: Path) -> Iterator[Callable[[Observer], Obser
         write(traceback.format_exc())
         raise
     finally:
-        with contextlib.suppress(OSError):
-            file.close()
+        queue.report_dropped()
+        # A disk that does not answer keeps its file until the program ends.
+        if queue.wait_written(CLOSE_S):
+            with contextlib.suppress(OSError):
+                disk.close()
+        thread.stop()
 
 
 def _step_text(progress: Progress) -> str:

@@ -1,37 +1,57 @@
 """Recording of a run: the events of the sequencer are written to a run file.
 
+Records arrive while outputs are on: a thread writes them, so that a slow disk keeps no output on. Everything else is
+written by the measuring thread, with outputs off, after the records of the shot.
+
 An existing run file that is to be replaced stays untouched until the first record arrives. A new run file is removed if
 not even one shot was programmed. So a wrong address neither destroys a run nor leaves an empty file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Self, final
+from typing import Protocol, Self, final
 
-from hpe_rig.bench import INTERRUPTS, Bench, uninterrupted
+from drivers.interfaces import RecordBlock
+from hpe_rig.bench import INTERRUPTS, Bench, interruptible, uninterrupted
+from hpe_rig.measurement.background import POLL_S, BackgroundTasks
 from hpe_rig.measurement.sequencer import Event, ShotBlock, ShotDone, ShotReady, ShotUntrusted
+from hpe_rig.plan import Shot
 from hpe_rig.processing import true_harmonics_m
 from hpe_rig.result import Stages
 from hpe_rig.scene import Scene
-from hpe_rig.store import RunWriter, StoredRun
+from hpe_rig.store import RunWriter, StoredRun, StoreError
 
 NOTHING_MEASURED = "nothing was measured, and there is no run file"
+MAX_BACKLOG_BYTES = 256_000_000
+"""Records in memory that wait for the disk; beyond it the shot ends."""
+MAX_SIMULATED_BACKLOG_BYTES = 16_000_000
+"""As above on a simulated bench, which drives nothing: there the measurement waits for the disk."""
+GIVE_UP_S = 10.0
+"""Time that the disk gets after a second signal: two of its shortened time-outs."""
+
+
+class CreateWriter(Protocol):
+    """Creates the run file; gives up as soon as ``cancelled`` is set."""
+
+    def __call__(self, *, cancelled: threading.Event) -> RunWriter: ...
 
 
 @final
 class RunRecorder:
     """Writes the events of a run to the file that ``create`` opens: at once or, with ``defer``, at the first record."""
 
-    def __init__(self, path: Path, create: Callable[[], RunWriter], defer: bool) -> None:
+    def __init__(self, path: Path, create: CreateWriter, defer: bool) -> None:
         self._path = path
         self._create = create
         self._defer = defer
         self._writer: RunWriter | None = None
         self._first_settings: ShotReady | None = None
         self._has_event = self._has_record = False
+        self._storage, self._cancelled = BackgroundTasks("storage"), threading.Event()
 
     def __enter__(self) -> Self:
         if not self._defer:
@@ -46,10 +66,33 @@ class RunRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None and not self._wait_for_storage(aborted=not isinstance(error, Exception)):
+            # The thread may still hold the locks of the library, so that nothing else can be written.
+            error.add_note(f"the disk of {self._path} does not answer: its last records may be missing")
+            return
         if self._writer is not None:
             self._writer.__exit__(kind, error, trace)
         if error is not None:
             error.add_note(self._content_after_error())
+
+    def _wait_for_storage(self, aborted: bool) -> bool:
+        """Wait until the records so far are written, a second signal discards them; return whether the disk answers."""
+        try:
+            with interruptible():
+                while not self._storage.wait(POLL_S):
+                    if aborted:
+                        self._hurry()
+        except INTERRUPTS:
+            self._storage.discard()
+            self._hurry()
+            return self._storage.wait(GIVE_UP_S)
+        return True
+
+    def _hurry(self) -> None:
+        """Give a disk that does not answer less time: the user waits for the end of the program."""
+        self._cancelled.set()
+        if self._writer is not None:
+            self._writer.shorten_timeout()
 
     def copy_shots(self, earlier: StoredRun, shots: int) -> None:
         """Copy the first ``shots`` shots of an earlier run of the same plan."""
@@ -57,20 +100,41 @@ class RunRecorder:
         self._has_record = self._has_record or shots > 0
 
     def write(self, event: Event, scene: Scene, bench: Bench, stages: Stages) -> None:
-        """Write ``event``; a shot is marked as complete after all of its data."""
+        """Write ``event``; a shot is marked as complete after all of its data.
+
+        Records are handed to the thread. Raises the error of earlier records, and ``StoreError`` if the disk of a real
+        bench has fallen too far behind.
+        """
         self._has_event = True
+        if isinstance(event, ShotBlock):
+            self._hand_over(event, bench.simulated)
+            return
+        self._storage.drain()
         match event:
             case ShotReady() if self._writer is None:
                 self._first_settings = event
             case ShotReady(shot, settings):
                 self._open().write_settings(shot, settings)
-            case ShotBlock(shot, block):
-                self._open().append(shot, block)
-                self._has_record = self._has_record or block.codes.size > 0
             case ShotUntrusted(shot, why):
                 self._open().write_untrusted(shot, why)
             case ShotDone():
                 self._finish_shot(event, scene, bench, stages)
+
+    def _hand_over(self, event: ShotBlock, simulated: bool) -> None:
+        monitor_bytes = 0 if event.block.monitor is None else event.block.monitor.codes.nbytes
+        self._storage.submit(partial(self._append, event.shot, event.block), event.block.codes.nbytes + monitor_bytes)
+        while simulated and self._storage.backlog_bytes > MAX_SIMULATED_BACKLOG_BYTES:
+            self._storage.wait_for_one(POLL_S)
+        if self._storage.backlog_bytes > MAX_BACKLOG_BYTES:
+            raise StoreError(
+                f"the disk of {self._path} has fallen behind by {self._storage.backlog_bytes / 1e6:.4g} MB of records, "
+                f"more than the {MAX_BACKLOG_BYTES / 1e6:.4g} MB that are kept in memory. Try: a local disk for "
+                "--output, fewer samples per record, or a shorter train."
+            )
+
+    def _append(self, shot: Shot, block: RecordBlock) -> None:
+        self._open().append(shot, block)
+        self._has_record = self._has_record or block.codes.size > 0
 
     def _finish_shot(self, event: ShotDone, scene: Scene, bench: Bench, stages: Stages) -> None:
         writer = self._open()
@@ -83,8 +147,18 @@ class RunRecorder:
             writer.write_true_harmonics(event.shot, harmonics_m)
         writer.finish(event.shot)
 
-    def check_file_present(self) -> None:
-        """Raise ``StoreError`` if the run file was removed or replaced."""
+    def check_file_present(self, wait: bool) -> None:
+        """Raise ``StoreError`` if the run file was removed or replaced; without ``wait``, at one of the next calls."""
+        if wait:
+            self._storage.drain()
+            self._check_file()
+            return
+        self._storage.check()
+        # Each block of records checks the file too.
+        if not self._storage.unfinished:
+            self._storage.submit(self._check_file)
+
+    def _check_file(self) -> None:
         if self._writer is not None:
             self._writer.check_file()
 
@@ -109,7 +183,7 @@ class RunRecorder:
         if self._writer is None:
             with uninterrupted():
                 # A signal between the creation of the file and this assignment would leave its status at "running".
-                self._writer = self._create()
+                self._writer = self._create(cancelled=self._cancelled)
             if self._first_settings is not None:
                 self._writer.write_settings(self._first_settings.shot, self._first_settings.settings)
         return self._writer

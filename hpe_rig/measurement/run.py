@@ -11,9 +11,18 @@ from functools import partial
 from pathlib import Path
 
 from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
+from hpe_rig.measurement.background import detached
 from hpe_rig.measurement.mover import Mover, choose_mover, require_mover
 from hpe_rig.measurement.recording import RunRecorder
-from hpe_rig.measurement.sequencer import Observer, Progress, ShotDone, Step, acquire, ignore_progress
+from hpe_rig.measurement.sequencer import (
+    DRIVING_STEPS,
+    Observer,
+    Progress,
+    ShotDone,
+    Step,
+    acquire,
+    ignore_progress,
+)
 from hpe_rig.measurement.setup import Setup, as_path
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.result import Stages
@@ -52,6 +61,9 @@ def record_run(
         if earlier is not None:
             with timer("take over"):
                 recorder.copy_shots(earlier, options.predecessor.shots)
+        if not setup.bench.bench.simulated:
+            # A simulated bench drives nothing, and its clock does not wait for an observer either.
+            observer = stack.enter_context(detached(observer))
         watched = _timed(_checking_file(observer, recorder), timer)
         record = partial(_record, setup, move=move, timer=timer, store_times=stages is not None)
         for bench_file, segment in _segments(setup, options.predecessor.shots):
@@ -119,6 +131,6 @@ def _checking_file(observer: Observer, recorder: RunRecorder) -> Observer:
 
     def observe(progress: Progress) -> None:
         observer(progress)
-        recorder.check_file_present()
+        recorder.check_file_present(wait=progress.step not in DRIVING_STEPS)
 
     return observe

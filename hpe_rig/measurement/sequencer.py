@@ -33,6 +33,10 @@ class Step(StrEnum):
     SAFE = "outputs off"
 
 
+DRIVING_STEPS = frozenset({Step.WAIT, Step.FIRE, Step.COLLECT})
+"""Steps with outputs on: nothing may wait in them, neither for a disk nor for a terminal."""
+
+
 @dataclass(frozen=True, slots=True)
 class Progress:
     """Step of the sequencer; ``records`` of the shot's planned records have arrived."""
@@ -91,6 +95,7 @@ def acquire(
     Outputs and settings are read back before the first and after the last record. If one has changed, the shot yields
     ``ShotUntrusted`` and, unless the plan accepts changes, ends with ``InstrumentError``.
     The tracking transducer is moved to the lateral offset of a shot before anything is programmed.
+    In ``DRIVING_STEPS`` neither ``observer`` nor the reader of the events may wait: outputs are on.
     """
     observer = _with_step_logging(observer)
     next_start_s = bench.clock.now_s()

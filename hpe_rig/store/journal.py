@@ -194,9 +194,9 @@ class Journal:
         """
         if self._done is None:
             return
-        done, timeout_s = self._done, LAST_STEP_TIMEOUT_S if self._interrupted else STEP_TIMEOUT_S
+        done = self._done
         try:
-            self._stuck = not _finishes_within(done, timeout_s)
+            self._stuck = not _finishes_within(done, self._timeout_s)
         except BaseException:
             self._interrupted = not done.done()
             raise
@@ -204,9 +204,12 @@ class Journal:
             if self._stuck or done.done():
                 self._done = None
         if self._stuck:
-            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {timeout_s:g} s")
+            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {self._timeout_s():g} s")
             raise self._failure
         done.result()
+
+    def _timeout_s(self) -> float:
+        return LAST_STEP_TIMEOUT_S if self._interrupted else STEP_TIMEOUT_S
 
     def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
         """Write ``batch`` in an order that leaves the file readable after each write, and set its length to ``end``."""
@@ -265,13 +268,18 @@ class Journal:
             )
 
 
-def run_with_timeout(make: Callable[[threading.Event], Product], undo: Callable[[Product], object]) -> Product:
+def run_with_timeout(
+    make: Callable[[threading.Event], Product],
+    undo: Callable[[Product], object],
+    cancelled: threading.Event | None = None,
+) -> Product:
     """Run ``make`` in a thread and return its result; signals interrupt the wait.
 
     After an interrupt or ``STEP_TIMEOUT_S`` (``OSError``), the event passed to ``make`` is set; if ``make`` still
-    returns a result, ``undo`` is called with it.
+    returns a result, ``undo`` is called with it. Another thread may set ``cancelled``, which ends the wait too.
     """
-    cancelled, tasks = threading.Event(), SimpleQueue[tuple[Callable[[], None], Future[None]] | None]()
+    cancelled = cancelled or threading.Event()
+    tasks = SimpleQueue[tuple[Callable[[], None], Future[None]] | None]()
     results: list[Product] = []
     done: Future[None] = Future()
     stuck = False
@@ -286,7 +294,7 @@ def run_with_timeout(make: Callable[[threading.Event], Product], undo: Callable[
     threading.Thread(target=_run_tasks, args=(tasks,), daemon=True, name="new file").start()
     try:
         with interruptible():
-            stuck = not _finishes_within(done, STEP_TIMEOUT_S)
+            stuck = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)
         if stuck:
             raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {STEP_TIMEOUT_S:g} s")
         done.result()
@@ -294,21 +302,21 @@ def run_with_timeout(make: Callable[[threading.Event], Product], undo: Callable[
     except BaseException:
         cancelled.set()
         # Wait for a disk that responds: the process may end before the thread calls ``undo``.
-        if stuck or not _finishes_within(done, UNDO_TIMEOUT_S):
+        if stuck or not _finishes_within(done, lambda: UNDO_TIMEOUT_S):
             done.add_done_callback(undo_results)
         else:
             undo_results(done)
         raise
 
 
-def _finishes_within(done: Future[None], timeout_s: float) -> bool:
-    """Return whether the task finishes within ``timeout_s``.
+def _finishes_within(done: Future[None], timeout_s: Callable[[], float]) -> bool:
+    """Return whether the task finishes within ``timeout_s``, which another thread may change meanwhile.
 
     Waits in short intervals, because a signal that arrives just before a wait does not end it.
     """
-    deadline_s = time.monotonic() + timeout_s
+    start_s = time.monotonic()
     while not done.done():
-        remaining_s = deadline_s - time.monotonic()
+        remaining_s = start_s + timeout_s() - time.monotonic()
         if remaining_s <= 0:
             return False
         wait([done], min(POLL_S, remaining_s))

@@ -81,9 +81,11 @@ class RunWriter:
         plan: Plan,
         options: WriteOptions = WriteOptions(),
         clock: Callable[[], float] = time.monotonic,
+        cancelled: threading.Event | None = None,
     ) -> None:
         """Create the run file ``path``, without records.
 
+        As soon as ``cancelled`` is set, a disk that does not answer is not waited for any longer.
         Raises ``StoreError`` if it exists, cannot be written, or the disk has no room for the records.
         """
         self.path = path
@@ -95,7 +97,8 @@ class RunWriter:
             image = empty_run(
                 scene, bench, plan, options.compress, options.predecessor, options.run_id, options.provenance
             )
-            self._journal = _new_file(image, path, options.overwrite, 0 if options.compress else plan.record_bytes)
+            record_bytes = 0 if options.compress else plan.record_bytes
+            self._journal = _new_file(image, path, options.overwrite, record_bytes, cancelled)
             try:
                 with uninterrupted():
                     self._open(plan, bench)
@@ -143,6 +146,10 @@ class RunWriter:
             # The exception that ended the run is the better message.
             if kind is None:
                 raise
+
+    def shorten_timeout(self) -> None:
+        """Give a disk that does not answer less time, because the run was interrupted; for any thread."""
+        self._journal.shorten_timeout()
 
     def check_file(self) -> None:
         """Raise ``StoreError`` if the run file was moved or replaced; it is checked once per ``CHECK_INTERVAL_S``."""
@@ -616,7 +623,9 @@ def _refuse_small_disk(path: Path, needed: int) -> None:
         )
 
 
-def _new_file(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> Journal:
+def _new_file(
+    image: bytes, path: Path, overwrite: bool, record_bytes: int, cancelled: threading.Event | None
+) -> Journal:
     """Create ``path`` atomically with the bytes ``image`` and return its journal; raise ``StoreError``.
 
     Outputs may be on, so an interrupt ends the wait for a disk that does not respond; an existing file stays then.
@@ -645,7 +654,7 @@ def _new_file(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> J
                 path.unlink()
 
     try:
-        return run_with_timeout(make, undo)
+        return run_with_timeout(make, undo, cancelled)
     except FileExistsError:
         raise StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.") from None
     except OSError as error:

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 OUTPUT = ROOT / "docs" / "figures" / "architecture.svg"
 INK = "#4A4A4A"
 BOX_WIDTH, BOX_HEIGHT, GUTTER = 2.5, 0.66, 0.6
-NOT_DRAWN = ("hpe_rig.startup", "hpe_rig.arrays", "sim_backend.arrays")
+NOT_DRAWN = ("hpe_rig.startup", "hpe_rig.queued_file", "hpe_rig.arrays", "sim_backend.arrays")
 """Modules that hold no step of the flow: the start of the program, and types of arrays."""
 
 
