@@ -171,9 +171,9 @@ def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> I
 
 
 def accepted(trigger_ps: Int64Array, busy_ps: int, limit: int | None = None) -> IndexArray:
-    """Return the indices of accepted triggers, at most ``limit``.
+    """Return the indices of the triggers that a busy instrument accepts, at most ``limit``.
 
-    The instrument is busy for ``busy_ps`` after each accepted trigger; a trigger at the end of that time is accepted.
+    It is busy for ``busy_ps`` after each accepted trigger; a trigger at the end of that time is accepted.
     ``trigger_ps`` is sorted.
     """
     if np.all(np.diff(trigger_ps) >= busy_ps):
@@ -189,7 +189,10 @@ def accepted(trigger_ps: Int64Array, busy_ps: int, limit: int | None = None) -> 
 
 
 def cables_of(wiring: Sequence[Plug], sources: Sequence[str], targets: Sequence[str]) -> tuple[Cable, ...]:
-    """Return the cables of ``wiring``; raise ``ValueError`` for an unknown end or a negative delay."""
+    """Return the cables of ``wiring``, a list of (source, target, delay).
+
+    Raises ``ValueError`` for an unknown end or a negative delay.
+    """
     for source, target, delay_s, *_ in wiring:
         if source not in sources:
             raise ValueError(f"wiring: no output {source!r}; the twin has {', '.join(sources)}")
@@ -220,9 +223,9 @@ def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, .
 def propagate(
     cables: Sequence[Cable], respond: Mapping[str, Respond], inputs_of_50_ohm: Sequence[str] = ()
 ) -> dict[str, Emission]:
-    """Return the emission of every role of ``respond``, evaluated along the wiring; an open input has no edges.
+    """Return the signals that every instrument emits, evaluated along the cables from trigger source to target.
 
-    An output that also feeds one of ``inputs_of_50_ohm`` through a T piece has half the voltage.
+    ``respond`` (by role): emission of an instrument for voltage steps at its trigger input; an open input has none.
     """
     emissions: dict[str, Emission] = {}
     loaded = {_role(cable.source) for cable in cables if cable.target in inputs_of_50_ohm}
@@ -245,7 +248,10 @@ def driven(
     roles: Sequence[str],
     targets: Sequence[str] = ("transducer.drive",),
 ) -> Bursts:
-    """Return the bursts of ``roles`` at the transducers, in volts across their amplifiers' inputs."""
+    """Return the bursts that the generators of ``roles`` send to the transducers.
+
+    Amplitudes are in volts across the inputs of their amplifiers.
+    """
     divider = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
     arriving = []
     for cable in cables:

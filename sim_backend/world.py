@@ -77,6 +77,7 @@ class GeneratorConnection:
     def __init__(
         self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float, over_serial: bool = False
     ) -> None:
+        """Connect to ``generator``; every message takes ``message_time_s`` of simulated time."""
         self._over_serial = over_serial
         self._generator = generator
         self._clock = clock
@@ -134,6 +135,11 @@ class World:
         board: str = "ATS460",
         boxes: Mapping[str, str] | None = None,
     ) -> None:
+        """Build the simulated bench: clock, generators, digitizer and the cables of ``wiring``.
+
+        ``models``: model of each generator by role. ``first_capture``: number of the first capture, for the random
+        numbers. ``acoustics``: another simulation of the echoes.
+        """
         instruments = settings.instruments
         self._settings = settings
         self._boxes = boxes or {}
@@ -224,6 +230,7 @@ class World:
         )
 
     def _capture(self, index: int) -> CaptureSnapshot:
+        """Return the bench's signals for capture ``index``; raise ``IndexError`` if it does not exist."""
         captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
         if not -len(captures) <= index < len(captures):
             raise IndexError(f"capture {index} of {len(captures)}: arm the digitizer before asking for the truth")
@@ -261,6 +268,7 @@ class World:
         return self._recorded(until_ps).peak_v(count)
 
     def _recorded(self, until_ps: int) -> Recording:
+        """Return the records of the last capture, with its signals up to ``until_ps``."""
         if self._recording is None:
             self._recording = Recording(self._acoustics().record_volts)
         self._recording.update(self._captured(until_ps), self.clock.now_ps)
@@ -293,6 +301,7 @@ class World:
         triggers: list[AcceptedTriggers] = []
 
         def digitizer(arriving: Steps) -> Emission:
+            """Return the digitizer's AUX output, and keep the triggers of each arming."""
             emission, by_arming = self.board.respond(arriving, until_ps)
             triggers.extend(by_arming)
             return emission
@@ -319,9 +328,12 @@ class World:
         before_ps = edges_ps[edges_ps <= first_ps]
         after_ps = edges_ps[edges_ps >= arming.start_ps]
         origin_ps = int(before_ps[-1] if before_ps.size else after_ps[0] if after_ps.size else arming.start_ps)
-        return CaptureSnapshot(arming, triggers, tonebursts, pulses, origin_ps)
+        return CaptureSnapshot(
+            arming=arming, triggers=triggers, tonebursts=tonebursts, pulses=pulses, origin_ps=origin_ps
+        )
 
     def _captured(self, until_ps: int) -> CaptureSnapshot:
+        """Return the bench's signals for the last capture, up to ``until_ps``; raise ``ValueError`` without one."""
         captured = self._evaluate(until_ps).captured
         if captured is None:
             raise ValueError("the digitizer was never armed: start a capture first")

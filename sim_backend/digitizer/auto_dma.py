@@ -50,7 +50,10 @@ class Transfer:
         return record_bytes * self.records_per_buffer * len(self.channels)
 
     def refusal(self, settings: BoardSettings, offset: int) -> Code:
-        """Return success, or the error code of a board with dual-port memory."""
+        """Return the error code of a board with dual-port memory for this transfer, or success.
+
+        ``offset``: first sample relative to the trigger.
+        """
         if self.flags & ~SIMULATED_FLAGS or (self.npt and self.headers):
             return Code.UNSUPPORTED_FUNCTION
         board = settings.board
@@ -66,6 +69,7 @@ class Transfer:
         return Code.SUCCESS if self.buffer_bytes < board.max_buffer_bytes else Code.INVALID_SIZE
 
     def _is_record_count_valid(self) -> bool:
+        """Return whether the records fill a whole number of buffers, or never end."""
         per_buffer, count = self.records_per_buffer, self.record_count
         return per_buffer >= 1 and count >= 1 and (count == codes.ENDLESS_RECORDS or count % per_buffer == 0)
 
@@ -82,7 +86,7 @@ class BufferQueue:
     overflowed: bool = False
 
     def post(self, address: int, size: int) -> Code:
-        """Append a buffer to the queue."""
+        """Append the program's buffer at ``address``, of ``size`` bytes, to the queue; return success or an error code."""
         if not address:
             return Code.NULL_PARAM
         if address in self.posted:
@@ -143,11 +147,9 @@ def packed(
     records: slice,
     stamps: Int64Array,
 ) -> ByteArray:
-    """Return the bytes of consecutive ``records``; ``volts``: an array (record, sample) for each channel.
+    """Return the bytes that the board writes into a buffer: ``volts`` (record, sample) as codes, with any headers.
 
-    ``stamps`` (record,): the counter at each trigger.
-
-    The order is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
+    The order is R1A R1B R2A R2B ... (record, channel), in NPT mode R1A R2A ... R1B R2B ... ``records``: their numbers.
     """
     header = codes.HEADER_BYTES if transfer.headers else 0
     record_bytes = header + transfer.bytes_per_sample * transfer.record_samples
@@ -163,10 +165,10 @@ def packed(
 
 
 def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: slice, count: Int64Array) -> ByteArray:
-    """Return record headers as uint8 (record, 16): four little-endian words (docs/explanation/instruments.md, 2.6).
+    """Return the headers of ``records`` as uint8 (record, 16): four little-endian words of bit fields.
 
-    Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits, format 0 for unsigned, "this channel" on
-    channel A only.
+    See docs/explanation/instruments.md, 2.6. Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits,
+    format 0 for unsigned, "this channel" on channel A only.
     """
     settings = arming.settings
     number = np.arange(records.start, records.stop)

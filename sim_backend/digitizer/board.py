@@ -127,7 +127,10 @@ class Latencies:
 def accepted_triggers(
     arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int, faults: TriggerFaults = NO_FAULTS
 ) -> AcceptedTriggers:
-    """Return the triggers that an arming accepts from the voltage ``arriving`` at the trigger input."""
+    """Return the triggers that the board accepts while it is armed, and the times of their records.
+
+    ``arriving``: voltage steps at the trigger input. The board ignores triggers while it records.
+    """
     settings, period_ps = arming.settings, arming.settings.sample_period_ps
     edge_ps = _trigger_edges(settings, arriving)
     ready_ps = arming.start_ps + settings.pre_samples * period_ps
@@ -155,7 +158,7 @@ def accepted_triggers(
 
 
 def aux_steps(arming: Arming, triggers: AcceptedTriggers, latencies: Latencies) -> Steps:
-    """Return the AUX output's voltage steps; none unless AUX is a trigger output."""
+    """Return the voltage steps of the AUX output: a pulse for each accepted trigger, if AUX is a trigger output."""
     if arming.settings.aux_mode != codes.AUX_OUT_TRIGGER:
         return joined_steps([])
     low, high = np.zeros(triggers.tick_ps.size), np.full(triggers.tick_ps.size, AUX_HIGH_V)
@@ -167,7 +170,7 @@ def aux_steps(arming: Arming, triggers: AcceptedTriggers, latencies: Latencies) 
 
 
 def words(volts: FloatArray, channel: Input, settings: BoardSettings) -> NDArray[np.unsignedinteger]:
-    """Return the board's codes, left-justified in bytes or in little-endian words of two; shaped as ``volts``."""
+    """Return the digitizer codes of ``volts``, in their shape, left-justified in bytes or in little-endian words."""
     board = settings.board
     out = np.empty(volts.shape, f"<u{board.bytes_per_sample}")
     # 0 V lies between two codes: code = half scale + volts in steps, rounded.
@@ -229,7 +232,10 @@ def _with_faults(edge_ps: Int64Array, faults: TriggerFaults) -> Int64Array:
 def _with_timeout(
     tick_ps: Int64Array, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
 ) -> tuple[Int64Array, Int64Array]:
-    """Return trigger ticks and causes when the board triggers itself after a time-out."""
+    """Return the times of accepted triggers and their causes, for a board that triggers itself after a time-out.
+
+    ``ready_ps``: when it is first ready. ``busy_ps``: how long a record keeps it busy. ``last_ps``: end of the arming.
+    """
     accepted_ps: list[int] = []
     cause: list[int] = []
     while len(accepted_ps) < settings.record_count:
@@ -286,7 +292,10 @@ class Board:
             self.changes += 1
 
     def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[AcceptedTriggers]]:
-        """Return the AUX output over all armings, and the accepted triggers of each."""
+        """Return the board's AUX output, and the triggers accepted in each arming.
+
+        ``arriving``: voltage steps at its trigger input.
+        """
         triggers = [
             accepted_triggers(arming, arriving, self.latencies, until_ps, self.faults) for arming in self.armings
         ]

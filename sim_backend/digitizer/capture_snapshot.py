@@ -25,14 +25,20 @@ class CaptureSnapshot:
 
     @property
     def capture(self) -> Capture:
-        """The capture as the acoustics need it."""
+        """The times of all records, as the simulation of echoes needs them."""
         settings, index = self.arming.settings, self.arming.index
         first_ps = self.triggers.first_sample_ps
-        return Capture(index, self.origin_ps, first_ps, settings.sample_period_ps, settings.record_samples)
+        return Capture(
+            index=index,
+            origin_ps=self.origin_ps,
+            first_sample_ps=first_ps,
+            sample_period_ps=settings.sample_period_ps,
+            samples=settings.record_samples,
+        )
 
 
 def pulse_onsets_ps(captured: CaptureSnapshot) -> Int64Array:
-    """Return the onset of the tracking pulse of each record, -1 if none was fired: int64 (record,)."""
+    """Return the onset of the tracking pulse of each record, int64 (record,); -1 if none was fired for it."""
     tick_ps, onset_ps = captured.triggers.tick_ps, captured.pulses.onset_ps
     first = np.searchsorted(onset_ps, tick_ps)
     following_ps = np.append(tick_ps[1:], FAR_PS)
@@ -41,7 +47,7 @@ def pulse_onsets_ps(captured: CaptureSnapshot) -> Int64Array:
 
 
 def same_inputs(first: CaptureSnapshot, second: CaptureSnapshot) -> bool:
-    """Return whether two snapshots lead to the same records."""
+    """Return whether two snapshots of the bench lead to the same records: same triggers, bursts and time zero."""
     if first is second:
         return True
     same = first.origin_ps == second.origin_ps and first.arming.index == second.arming.index

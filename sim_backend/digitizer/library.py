@@ -24,11 +24,17 @@ Function = Callable[..., Any]
 
 
 def _with_handle(refused: int = Code.INVALID_HANDLE) -> Callable[[Function], Function]:
-    """Decorate a function so that a wrong handle returns ``refused``, and arguments arrive as plain values."""
+    """Return a decorator for functions of the vendor's library: a wrong handle returns ``refused``.
+
+    Arguments arrive at the function as plain values.
+    """
 
     def checked(function: Function) -> Function:
+        """Return ``function`` with the check of its handle."""
+
         @wraps(function)
         def called(library: AlazarLibrary, handle: Any, *arguments: Any) -> Any:
+            """Call the function if ``handle`` is that of the board."""
             return function(library, handle, *map(_plain, arguments)) if _plain(handle) == HANDLE else refused
 
         return called
@@ -73,6 +79,7 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarSetParameter(self, handle: Any, channel: int, parameter: int, value: int) -> int:
+        """Set the format of the codes, signed or unsigned, the only parameter that is simulated."""
         if parameter != codes.PARAMETER_SET_FORMAT:
             return Code.UNSUPPORTED_FUNCTION
         return self._set({"signed": bool(value)} if value in (0, 1) else None)
@@ -83,6 +90,7 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarInputControl(self, handle: Any, channel: int, coupling: int, range_id: int, impedance: int) -> int:
+        """Set coupling, range and impedance of an input."""
         if not self._state.has_channel(channel):
             return Code.NOT_SUPPORT_THIS_CHANNEL
         return self._set(settings.input_control(self._state.settings, channel, coupling, range_id, impedance))
@@ -113,6 +121,7 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarResetTimeStamp(self, handle: Any, option: int) -> int:
+        """Set whether the time stamp is reset at every capture or only once."""
         if option not in (codes.TIMESTAMP_FIRST_TIME_ONLY, codes.TIMESTAMP_ALWAYS):
             return Code.FAILED
         self._state.reset_timestamp(option)
@@ -120,11 +129,13 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarSetRecordSize(self, handle: Any, pre: int, post: int) -> int:
+        """Set the samples of a record before and after the trigger."""
         size = settings.record_size(self._state.type, pre, post, self._state.instruments.samples_per_channel)
         return self._set(size, Code.INVALID_SIZE)
 
     @_with_handle()
     def AlazarSetRecordCount(self, handle: Any, count: int) -> int:
+        """Set the number of records of a capture."""
         refusal = self._state.count_refusal(count)
         return self._set({"record_count": count} if refusal is Code.SUCCESS else None, refusal)
 
@@ -140,6 +151,7 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarAbortCapture(self, handle: Any) -> int:
+        """Stop the running capture."""
         self._state.stop()
         return Code.SUCCESS
 
@@ -178,6 +190,7 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarGetTriggerTimestamp(self, handle: Any, record: int, timestamp: Any) -> int:
+        """Write the trigger time of ``record`` into ``timestamp``; return the code of success or refusal."""
         refusal = self._state.timestamp_refusal(record)
         return _answer((timestamp, self._state.timestamp(record))) if refusal is Code.SUCCESS else refusal
 
@@ -187,6 +200,10 @@ class AlazarLibrary:
     def AlazarBeforeAsyncRead(
         self, handle: Any, channels: int, offset: int, samples: int, per_buffer: int, per_acquisition: int, flags: int
     ) -> int:
+        """Prepare the transfer of records into the program's buffers (AutoDMA).
+
+        ``channels``: a bit for each channel.
+        """
         indices = tuple(index for index in range(channels.bit_length()) if channels >> index & 1)
         size = self._state.type.bytes_per_sample
         return self._state.begin_transfer(Transfer(indices, samples, per_buffer, per_acquisition, flags, size), offset)
@@ -201,10 +218,12 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarAbortAsyncRead(self, handle: Any) -> int:
+        """End the transfer into the program's buffers."""
         self._state.end_transfer()
         return Code.SUCCESS
 
     def _set(self, changes: Changes | None, refusal: Code = Code.FAILED) -> Code:
+        """Apply ``changes`` to the settings, or return ``refusal`` if there are none."""
         if changes is None:
             return refusal
         self._state.change(changes)
@@ -212,7 +231,10 @@ class AlazarLibrary:
 
 
 def _plain(value: Any) -> Any:
-    """Return an int or ctypes scalar as an int, None as 0, an array as its address, an out-parameter unchanged."""
+    """Return an argument of a C function as a Python value: numbers as int, None as 0, an array as its address.
+
+    Pointers to results (out-parameters) stay as they are.
+    """
     if isinstance(value, ctypes.Array):
         return ctypes.addressof(value)
     if hasattr(value, "_obj") or hasattr(type(value), "contents"):
@@ -221,7 +243,7 @@ def _plain(value: Any) -> Any:
 
 
 def _answer(*values: tuple[Any, int]) -> Code:
-    """Write each value to its out-parameter."""
+    """Write each value to its out-parameter, a pointer given by the program; return the code of success or refusal."""
     if not all(target for target, _ in values):
         return Code.NULL_PARAM
     for target, value in values:

@@ -28,6 +28,7 @@ class Recording:
     """Volts at channel A of the records of one capture."""
 
     def __init__(self, record_volts: RecordVolts) -> None:
+        """Start without records; ``record_volts`` computes the voltages of records from bursts and times."""
         self._record_volts = record_volts
         # Each snapshot with its first record: later programming does not change complete records.
         self._segments: list[tuple[int, CaptureSnapshot]] = []
@@ -38,7 +39,7 @@ class Recording:
         self._running_peak_v: list[FloatArray] = []
 
     def update(self, captured: CaptureSnapshot, now_ps: int) -> None:
-        """Replace the snapshot for the records that are not complete yet."""
+        """Take over the latest snapshot of the bench for the records that are not complete yet at ``now_ps``."""
         if not self._segments or not same_inputs(self._segments[-1][1], captured):
             first = self._complete
             self._segments = [segment for segment in self._segments if segment[0] < first] + [(first, captured)]
@@ -75,7 +76,7 @@ class Recording:
         return volts
 
     def _pieces(self, number: int) -> Iterator[FloatArray]:
-        """Yield the volts of a block's records, snapshot by snapshot."""
+        """Yield the volts of a block's records, one piece for each snapshot of the bench."""
         size = _records_per_block(self._segments[-1][1].capture)
         first = number * size
         ends = [start for start, _ in self._segments[1:]] + [first + size]
@@ -100,6 +101,7 @@ def _records_per_block(capture: Capture) -> int:
 
 
 def _block_of(capture: Capture, number: int) -> Capture:
+    """Return the capture that consists of the records of block ``number``."""
     size = _records_per_block(capture)
     first = number * size
     return replace(capture, first_sample_ps=capture.first_sample_ps[first : first + size], first_record=first)

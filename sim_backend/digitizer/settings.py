@@ -19,7 +19,7 @@ RECORD_OVERHEAD_SAMPLES = 16
 
 
 def capture_clock(board: BoardType, source: int, rate: int, edge: int, decimation: int) -> Changes | None:
-    """Return the changes of an internal clock; an external clock is not simulated."""
+    """Return the settings changed by a clock command; None if it is refused: only the internal clock is simulated."""
     if source != 1 or edge not in (0, 1) or decimation or rate not in board.rates_hz:
         return None
     return {"sample_rate_hz": board.rates_hz[rate]}
@@ -28,7 +28,10 @@ def capture_clock(board: BoardType, source: int, rate: int, edge: int, decimatio
 def input_control(
     settings: BoardSettings, channel: int, coupling: int, range_id: int, impedance: int
 ) -> Changes | None:
-    """Return the changes of one input; the ranges depend on the impedance."""
+    """Return the settings changed by a command to one input; None if it is refused.
+
+    The ranges depend on the impedance.
+    """
     range_v = settings.board.range_v(range_id, impedance)
     if coupling not in (1, 2) or range_v is None:
         return None
@@ -38,7 +41,10 @@ def input_control(
 
 
 def trigger_operation(operation: int, engines: Sequence[int]) -> Changes | None:
-    """Return the changes of both trigger engines, (engine, source, slope, level) each."""
+    """Return the settings changed by a command to both trigger engines; None if it is refused.
+
+    ``engines``: number, source, slope and level of the first engine, then of the second.
+    """
     first, second = engines[:4], engines[4:]
     valid = len(engines) == 8 and 0 <= operation <= 6 and {first[0], second[0]} == {0, 1}
     valid = valid and all(
@@ -51,16 +57,16 @@ def trigger_operation(operation: int, engines: Sequence[int]) -> Changes | None:
 
 
 def external_trigger(board: BoardType, coupling: int, range_id: int) -> Changes | None:
-    """Return the changes of the external trigger input."""
+    """Return the settings changed by a command to the external trigger input; None if it is refused."""
     if coupling not in (1, 2) or range_id not in board.trigger_ranges_v:
         return None
     return {"external_range_v": board.trigger_ranges_v[range_id]}
 
 
 def record_size(board: BoardType, pre: int, post: int, samples_per_channel: int) -> Changes | None:
-    """Validate a record's samples before and after the trigger; return the settings to change.
+    """Return the settings changed by a new number of samples before and after the trigger.
 
-    Returns None if the ``board`` refuses them or if the record does not fit ``samples_per_channel`` of its memory.
+    None if the ``board`` refuses them or if the record does not fit ``samples_per_channel`` of its memory.
     """
     samples = pre + post
     valid = samples >= board.min_record and samples % board.record_multiple == 0

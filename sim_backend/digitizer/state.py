@@ -41,6 +41,7 @@ class AlazarState:
     """One board, initially just reset."""
 
     def __init__(self, recorder: Recorder, instruments: Instruments) -> None:
+        """Open the board: stop it and give it the settings after power-on."""
         self.instruments = instruments
         self._recorder = recorder
         self._board = recorder.board
@@ -71,7 +72,7 @@ class AlazarState:
         return self._board.settings
 
     def capabilities(self) -> dict[int, int]:
-        """Return the fixed properties by the vendor's number."""
+        """Return the fixed properties of the board, by the numbers of the vendor's library."""
         dual_port = codes.OPTION_DUAL_PORT if self.dual_port else 0
         return {
             codes.CAPABILITY_SERIAL: codes.SERIAL_NUMBER,
@@ -83,7 +84,7 @@ class AlazarState:
         }
 
     def parameters(self) -> dict[int, int]:
-        """Return the states that can be queried, by the vendor's number."""
+        """Return the states of board and transfer that can be queried, by the numbers of the vendor's library."""
         complete, queue = self._complete(), self._queue
         posted, full = (len(queue.posted), queue.full(complete)) if queue else (0, 0)
         return {
@@ -113,7 +114,7 @@ class AlazarState:
         return min(count, codes.MAX_RECORDS_OLD_FPGA) if self._old_fpga else count
 
     def count_refusal(self, count: int) -> Code:
-        """Return success if a single-port capture can have ``count`` records."""
+        """Return success if a capture into the board's memory can have ``count`` records, else the error code."""
         if self._old_fpga and count > codes.MAX_RECORDS_OLD_FPGA:
             return Code.TOO_MANY_RECORDS
         return Code.SUCCESS if 1 <= count <= self.max_records(self.settings.record_samples) else Code.INVALID_SIZE
@@ -144,7 +145,7 @@ class AlazarState:
         return self._is_busy()
 
     def status(self) -> int:
-        """Return the status bits of the last capture."""
+        """Return the status bits of the last capture: time-outs and clipped channels; 0 without complete records."""
         complete = self._complete()
         if not complete:
             return 0
@@ -155,7 +156,7 @@ class AlazarState:
         return int(timed_out) | clipped_status(self._arming, peak_v)
 
     def record_refusal(self, record: int) -> Code:
-        """Return success if ``record``, counted from 1, can be read from the memory."""
+        """Return success if ``record``, counted from 1, can be read from the board's memory, else the error code."""
         if self._queue is not None:
             return Code.DMA_IN_PROGRESS
         if not self._board.armings or self._is_busy():
@@ -163,7 +164,7 @@ class AlazarState:
         return Code.SUCCESS if 1 <= record <= self._complete() else Code.INVALID_INDEX
 
     def timestamp_refusal(self, record: int) -> Code:
-        """Return success if the time stamp of ``record`` can be read."""
+        """Return success if the time stamp of ``record`` can be read, else the error code."""
         if record > codes.MAX_STAMPED_RECORDS:
             return Code.RECORD_TOO_HIGH
         return self.record_refusal(record)
@@ -200,7 +201,7 @@ class AlazarState:
         return Code.SUCCESS
 
     def post_buffer(self, address: int, size: int) -> Code:
-        """Append a buffer to the queue."""
+        """Append a buffer of the program to the queue of the transfer; return success or the error code."""
         if self._queue is None:
             return Code.NOT_INITIALIZED
         if self._board.running:
@@ -208,7 +209,10 @@ class AlazarState:
         return self._queue.post(address, size)
 
     def wait_for_buffer(self, address: int, timeout_ms: int) -> Code:
-        """Advance the clock until the buffer is full and fill it, or until the time-out."""
+        """Advance the clock until the buffer at ``address`` is full and fill it, or until the time-out.
+
+        Return success or the error code.
+        """
         if self._queue is None:
             return Code.BUFFER_NOT_READY
         refusal = self._queue.wait_refusal(address)
@@ -261,6 +265,7 @@ class AlazarState:
             self._reset_ps = self._clock.now_ps
 
     def _complete(self) -> int:
+        """Return the number of complete records of the last capture."""
         if not self._board.armings:
             return 0
         return self._recorder.triggers(self._clock.now_ps).complete(min(self._clock.now_ps, self._arming.stop_ps))

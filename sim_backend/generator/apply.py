@@ -19,9 +19,10 @@ UNUSED = {"DC": 2, "NOIS": 1}
 
 
 def _apply(function: str) -> Write:
-    """Return the command APPLy for ``function``: frequency, amplitude and offset in one, and the output on."""
+    """Return the function that executes APPLy for a waveform: it sets frequency, amplitude, offset, and output on."""
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        """Return the registers after the command, and the errors of values that were changed."""
         if len(arguments) > 3:
             raise ScpiError(-108, "Parameter not allowed")
         frequency, amplitude, offset = (*arguments, "", "", "")[:3]
@@ -41,12 +42,16 @@ def _apply(function: str) -> Write:
 
 
 def _present_waveform(state: Registers, arguments: tuple[str, ...]) -> str:
+    """Return the reply to APPLy?: function, frequency, amplitude and offset in quotes."""
     values = ",".join(setting.answer(state, ()) for setting in (FREQUENCY, AMPLITUDE, OFFSET))
     return f'"{state.function} {values}"'
 
 
 def apply_forms(functions: str) -> Mapping[str, SettingCommand]:
-    """Return the forms of APPLy for ``functions``, by header (manual; effect on the trigger source: sibling)."""
+    """Return the commands APPLy for ``functions``, by the form of their header.
+
+    As the manual says; the effect on the trigger source is that of the sibling models.
+    """
     accepts = "frequency, amplitude, offset: numbers with units, MIN, MAX, DEF; omitted ones stay"
     forms = {
         f"[SOURce<n>:]APPLy:{function}": SettingCommand(_apply(short_form(function)), None, accepts)

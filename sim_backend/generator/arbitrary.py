@@ -51,7 +51,7 @@ class WaveformMemory:
         return tuple(name for name in self._points if name != VOLATILE)
 
     def download(self, arguments: tuple[str, ...], scale: float) -> None:
-        """Store points in volatile memory, with ``scale`` as full scale; the first argument is the destination."""
+        """Store points in volatile memory; the first argument is the destination, ``scale`` the full-scale number."""
         if len(arguments) < 2:
             raise ScpiError(-109, "Missing parameter")
         if arguments[0].upper() != VOLATILE:
@@ -59,7 +59,10 @@ class WaveformMemory:
         self._points[VOLATILE] = _scaled(arguments[1:], scale)
 
     def download_named(self, arguments: tuple[str, ...], scale: float) -> None:
-        """Store points in volatile memory under the name in the first argument (33500 and 33600 series)."""
+        """Store points in volatile memory under the name in the first argument (33500 and 33600 series).
+
+        ``scale``: the full-scale number.
+        """
         if len(arguments) < 2:
             raise ScpiError(-109, "Missing parameter")
         name = waveform_name(arguments[0])
@@ -76,7 +79,7 @@ class WaveformMemory:
         self._points.clear()
 
     def copy(self, arguments: tuple[str, ...]) -> None:
-        """Copy the volatile waveform to another name."""
+        """Copy the volatile waveform to another name, if there is room."""
         name = waveform_name(arguments[0] if arguments else one(arguments))
         none_of(arguments[2:])
         if name in BUILT_IN:
@@ -103,7 +106,7 @@ class WaveformMemory:
         return self._existing(waveform_name(text))
 
     def attribute(self, attribute: str, name: str) -> str:
-        """Return the average, crest factor, number of points or peak-to-peak value of a waveform."""
+        """Return the reply to a query of a waveform: average, crest factor, number of points or peak-to-peak value."""
         if self._existing(name) in BUILT_IN:
             raise not_simulated("the points of built-in waveforms")
         points = np.frombuffer(self._points[name], np.float64)
@@ -123,7 +126,10 @@ class WaveformMemory:
 
 
 def _scaled(arguments: Sequence[str], scale: float) -> array[float]:
-    """Return the points in ``arguments`` over ``scale``; raise ``ScpiError`` for too many or one beyond ±1."""
+    """Return the points in ``arguments`` relative to full scale, ``scale``.
+
+    Raises ``ScpiError`` for too many points or one beyond ±1.
+    """
     if any(argument.startswith("#") for argument in arguments):
         raise not_simulated("binary blocks, send the points as numbers")
     if len(arguments) > MAX_POINTS:

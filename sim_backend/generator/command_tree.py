@@ -40,7 +40,7 @@ class Action:
     query_accepts: str = ""
 
     def execute(self, instrument: Machine, query: bool, arguments: tuple[str, ...]) -> str | None:
-        """Return the reply of the query, or execute the command; raise ``ScpiError`` -113 for a missing form."""
+        """Execute the command, or return the reply to the query; raise ``ScpiError`` -113 if there is no such form."""
         if not (self.query_accepts if query else self.accepts):
             none_of(arguments)
         if query and self.query is not None:
@@ -56,6 +56,7 @@ def _fixed(reply: str) -> Answer:
 
 
 def _register(name: str, largest: int) -> Action:
+    """Return the command that sets, or queries, the enable mask of status register ``name``, from 0 to ``largest``."""
     return Action(
         lambda instrument, arguments: instrument.status.enable(name, whole_number(one(arguments), 0, largest)),
         lambda instrument, arguments: instrument.status.enabled(name),
@@ -64,6 +65,7 @@ def _register(name: str, largest: int) -> Action:
 
 
 def _wait_and_answer(instrument: Machine, arguments: tuple[str, ...]) -> str:
+    """Wait until the burst of a command has ended, and reply "1" (*OPC?)."""
     instrument.wait()
     return "1"
 
@@ -85,6 +87,7 @@ def _clear_at_power_on(instrument: Machine, arguments: tuple[str, ...]) -> None:
 
 
 def _always_on(instrument: Machine, arguments: tuple[str, ...]) -> None:
+    """Accept ON; raise ``ScpiError`` for OFF: a trigger system that is not continuously armed is not simulated."""
     if not boolean(one(arguments)):
         raise not_simulated("a trigger system that is not continuously armed")
 
@@ -153,12 +156,16 @@ def _active(instrument: Machine) -> str:
 
 
 def _select(instrument: Machine, arguments: tuple[str, ...]) -> None:
+    """Select the arbitrary waveform named in ``arguments``."""
     name = instrument.waveforms.select(one(arguments))
     instrument.program(with_inactive(instrument.registers, waveform=name))
 
 
 def _attribute(attribute: str) -> Action:
+    """Return the query of an attribute of a waveform: of the one named in its argument, else of the active one."""
+
     def answer(instrument: Machine, arguments: tuple[str, ...]) -> str:
+        """Return the reply to the query."""
         name = waveform_name(one(arguments)) if arguments else _active(instrument)
         return instrument.waveforms.attribute(attribute, name)
 
@@ -166,11 +173,13 @@ def _attribute(attribute: str) -> Action:
 
 
 def _download(scale: float) -> Action:
+    """Return the command that stores points in volatile memory, as numbers from minus ``scale`` to ``scale``."""
     accepts = f"VOLATILE, 1 to {MAX_POINTS} numbers of -{scale:g} to {scale:g}"
     return Action(lambda instrument, arguments: instrument.waveforms.download(arguments, scale), accepts=accepts)
 
 
 def _download_named(scale: float) -> Action:
+    """Return the command that stores points under a name, as numbers from minus ``scale`` to ``scale``."""
     accepts = f"name, {MIN_POINTS} to {MAX_POINTS} numbers of -{scale:g} to {scale:g}"
     return Action(lambda instrument, arguments: instrument.waveforms.download_named(arguments, scale), accepts=accepts)
 

@@ -29,10 +29,12 @@ def _amplitude() -> SettingCommand:
     """Return the amplitude setting in Vpp, Vrms or dBm; limits and amplitude depend on the load."""
 
     def limits(state: Registers) -> tuple[float, float]:
+        """Return the smallest and the largest amplitude, in the set unit."""
         low, high = levels.amplitude_limits(state)
         return levels.in_unit(state, low), levels.in_unit(state, high)
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        """Return the registers after the command VOLTage with these arguments, and its errors."""
         text = one(arguments)
         # Limits and default are in Vpp, whatever the set unit.
         vpp = extreme(text, levels.amplitude_limits(state))
@@ -61,6 +63,7 @@ def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], 
     """
 
     def limits(state: Registers) -> tuple[float, float]:
+        """Return the limits in volts at the load."""
         low, high = open_limits(state)
         return low * load_divider(state), high * load_divider(state)
 
@@ -73,6 +76,7 @@ def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], 
 
 
 def _offset_limits(state: Registers) -> tuple[float, float]:
+    """Return the limits of the open-circuit offset: offset and half the amplitude share the peak voltage."""
     limit_v = registers.PEAK_V - state.amplitude_v / 2
     return -limit_v, limit_v
 
@@ -82,6 +86,7 @@ def _gap_v(state: Registers) -> float:
 
 
 def _period_limits_s(state: Registers) -> tuple[float, float]:
+    """Return the limits of the pulse period, s, for the pulse and for the present function."""
     # The period is shared with the present function, so its limits apply too.
     low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
     min_hz, max_hz = timing.frequency_limits_hz(state)
@@ -89,13 +94,14 @@ def _period_limits_s(state: Registers) -> tuple[float, float]:
 
 
 def _put_period(state: Registers, period_s: float) -> Coerced:
+    """Set the pulse period, clipped to its limits, and adapt the settings that depend on it."""
     period_s, errors = registers.clipped(period_s, *_period_limits_s(state), "pulse period")
     changed = timing.at_frequency(state, 1 / period_s)
     return timing.settle_frequency(timing.settle_pulse(Coerced(changed, errors), state.model.short_period_error))
 
 
 def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
-    """Set the frequency, clipped to its limits and rounded to the displayed digits, and settle dependent settings."""
+    """Set the frequency, clipped to its limits and rounded to the displayed digits, and adapt dependent settings."""
     low_hz, high_hz = timing.frequency_limits_hz(state)
     frequency_hz, errors = registers.clipped(frequency_hz, low_hz, high_hz, "frequency")
     frequency_hz = registers.rounded(frequency_hz, state.model.frequency_digits, state.model.frequency_decimals)
@@ -105,11 +111,13 @@ def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
 
 
 def _pulse_duty_limits(state: Registers) -> tuple[float, float]:
+    """Return the limits of the pulse's duty cycle, percent, from those of its width."""
     low_s, high_s = timing.width_limits_s(state)
     return 100 * low_s * state.frequency_hz, 100 * high_s * state.frequency_hz
 
 
 def _put_pulse_duty(state: Registers, percent: float) -> Coerced:
+    """Set the pulse's duty cycle, percent, clipped to its limits; it is stored as a width."""
     percent, errors = registers.clipped(percent, *_pulse_duty_limits(state), "pulse duty cycle")
     after = timing.set_width(state, percent / 100 / state.frequency_hz)
     return Coerced(after.registers, errors + after.errors)
@@ -119,18 +127,22 @@ def _phase(field: str, quantity: str) -> SettingCommand:
     """Return an angle setting stored in degrees, and commanded and displayed in the set angle unit."""
 
     def limits(state: Registers) -> tuple[float, float]:
+        """Return plus and minus one turn in the set angle unit."""
         return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
 
     def put(state: Registers, angle: float) -> Coerced:
+        """Store an angle given in the set angle unit."""
         angle, errors = registers.clipped(angle, *limits(state), quantity)
         degrees = angle if state.angle_unit == "DEG" else math.degrees(angle)
         return Coerced(replace(state, **{field: degrees}), errors)  # type: ignore[arg-type]
 
     def get(state: Registers) -> float:
+        """Return the stored angle in the set angle unit."""
         degrees: float = getattr(state, field)
         return degrees if state.angle_unit == "DEG" else math.radians(degrees)
 
     def convert(state: Registers, angle: float, unit: str) -> float:
+        """Return an angle given in ``unit`` in the set angle unit."""
         if unit in ("", state.angle_unit):
             return angle
         return math.degrees(angle) if unit == "RAD" else math.radians(angle)
@@ -139,6 +151,8 @@ def _phase(field: str, quantity: str) -> SettingCommand:
 
 
 def _text() -> SettingCommand:
+    """Return the setting of the text on the display."""
+
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         return Coerced(replace(state, display_text=unquoted(one(arguments))[:MAX_TEXT]))
 
@@ -149,6 +163,8 @@ MAX_TEXT = 40
 
 
 def _range() -> SettingCommand:
+    """Return the setting of automatic ranging: on, off, or once, which counts as off."""
+
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         once = one(arguments).upper() == "ONCE"
         return Coerced(replace(state, range_auto="0" if once else str(int(boolean(arguments[0])))))
@@ -157,6 +173,8 @@ def _range() -> SettingCommand:
 
 
 def _without_argument(**settings: object) -> SettingCommand:
+    """Return a command without argument that stores ``settings``, such as the display's CLEar."""
+
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         none_of(arguments)
         return Coerced(replace(state, **settings))  # type: ignore[arg-type]

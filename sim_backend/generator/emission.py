@@ -51,7 +51,7 @@ def changes_output(before: Registers, after: Registers) -> bool:
 
 
 def is_endless(registers: Registers) -> bool:
-    """Return whether the output goes on without further triggers."""
+    """Return whether the output continues without further triggers."""
     if not registers.output:
         return False
     gated = registers.burst_mode == "GAT"
@@ -59,10 +59,10 @@ def is_endless(registers: Registers) -> bool:
 
 
 def respond(history: History, software_ps: Sequence[int], arriving: Steps, latency_ps: int, until_ps: int) -> Emission:
-    """Return the whole output, in open-circuit volts; an endless output is computed up to ``until_ps``.
+    """Return the whole output of a generator, in open-circuit volts, over the history of its settings.
 
     ``history`` holds (time, registers), sorted by time; ``software_ps`` are triggers by command, ``arriving`` is the
-    voltage at Trig In.
+    voltage at Trig In. An endless output is computed up to ``until_ps``.
     """
     segments = [
         (start_ps, history[index + 1][0] if index + 1 < len(history) else FAR_PS, registers)
@@ -102,7 +102,11 @@ def _onsets(
     latency_ps: int,
     until_ps: int,
 ) -> tuple[Int64Array, int]:
-    """Return burst onsets between ``start_ps`` and ``stop_ps``, and the number of ignored triggers."""
+    """Return the burst onsets while ``registers`` are set, and the number of triggers ignored during bursts.
+
+    The settings hold from ``start_ps`` to ``stop_ps``. Triggers come by command (``software_ps``), at Trig In
+    (``arriving``) or from the internal timer.
+    """
     if not registers.output:
         return np.empty(0, np.int64), 0
     if not registers.burst:
@@ -124,7 +128,7 @@ def _onsets(
 
 
 def _idle_v(registers: Registers) -> float:
-    """Return the voltage between bursts."""
+    """Return the output voltage between bursts."""
     if registers.output and registers.function == "DC":
         return registers.offset_v
     if not registers.output or registers.function not in ("PULS", "SQU"):
@@ -135,7 +139,11 @@ def _idle_v(registers: Registers) -> float:
 def _gated(
     registers: Registers, start_ps: int, stop_ps: int, arriving: Steps, latency_ps: int
 ) -> tuple[Int64Array, FloatArray]:
-    """Return the onsets of gated output, and the cycles until the gate has closed: (burst,)."""
+    """Return the onsets of gated bursts, and their cycles until the gate has closed: (burst,).
+
+    The output runs while the voltage at Trig In (``arriving``) is high, or low with inverted polarity. The settings
+    hold from ``start_ps`` to ``stop_ps``.
+    """
     if not registers.output:
         return np.empty(0, np.int64), np.empty(0)
     normal = registers.gate_polarity == "NORM"
@@ -165,6 +173,7 @@ def _gated(
 
 
 def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
+    """Return the duration of bursts with these cycles (burst,), at most 1e6 s."""
     length_s: FloatArray = np.minimum(cycles / registers.frequency_hz, 1e6)
     return np.rint(length_s * PS_PER_S).astype(np.int64)
 
@@ -177,13 +186,22 @@ def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_
     is_complete = np.isfinite(cycles) & (end_ps == full_ps)
     emitted = np.where(is_complete, cycles, (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
     ones = np.ones(onset_ps.size)
-    return Bursts(onset_ps, end_ps, registers.frequency_hz * ones, emitted, registers.amplitude_v * ones)
+    return Bursts(
+        onset_ps=onset_ps,
+        end_ps=end_ps,
+        carrier_hz=registers.frequency_hz * ones,
+        cycles=emitted,
+        amplitude_vpp=registers.amplitude_v * ones,
+    )
 
 
 def _pulses(
     registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int, after_cut_v: float
 ) -> tuple[Steps, bool]:
-    """Return the steps of all pulses, and whether ``stop_ps`` cuts a pulse, which then ends at ``after_cut_v``."""
+    """Return the voltage steps of all pulses in bursts with these onsets and cycles, (burst,).
+
+    The second value is whether ``stop_ps`` cuts a pulse, which then ends at ``after_cut_v``.
+    """
     period_ps = PS_PER_S / registers.frequency_hz
     square_s = registers.duty_percent / 100 / registers.frequency_hz
     high_s = registers.width_s if registers.function == "PULS" else square_s

@@ -50,6 +50,7 @@ class HeaderTable(Generic[Entry]):
     """
 
     def __init__(self, entries: Mapping[str, Entry], channels: int = 0) -> None:
+        """Store every spelling of the headers in ``entries``; ``channels`` is the number of channels, 0 for none."""
         self._channels = channels
         self._short: dict[str, str] = {}
         self._entries: dict[Branch, tuple[Entry, Branch]] = {}
@@ -61,7 +62,10 @@ class HeaderTable(Generic[Entry]):
                 self._entries[tuple(node for node, _ in nodes)] = entry, numbered
 
     def _variants(self, form: str) -> Iterable[tuple[tuple[str, bool], ...]]:
-        """Return the spellings of a form: short nodes, each with whether a channel number may follow it."""
+        """Return all spellings of a header's form: optional nodes present or absent, each node in its short form.
+
+        Each node comes with whether a channel number may follow it.
+        """
         if form.startswith("*"):
             self._short[form] = form
             return [((form, False),)]
@@ -91,14 +95,14 @@ class HeaderTable(Generic[Entry]):
             yield Command(header.entry, header.channel, header.query, arguments)
 
     def find(self, header: str) -> Entry | None:
-        """Return the entry of a header from the root, without ``?``; None if there is none."""
+        """Return the entry of a complete header without ``?``; None if there is none."""
         try:
             return self._look_up((), header).entry
         except ScpiError:
             return None
 
     def _look_up(self, branch: Branch, header: str) -> _Header[Entry]:
-        """Return the entry of ``header`` in ``branch``, and cache it; raise ``ScpiError`` if there is none."""
+        """Return the entry of ``header``, which continues in ``branch``, and cache it; raise ``ScpiError`` without one."""
         nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
         if not header.startswith(("*", ":")):
             nodes = branch + nodes

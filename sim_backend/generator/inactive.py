@@ -24,7 +24,10 @@ def with_inactive(state: Registers, **values: float | str) -> Registers:
 
 
 def _number(key: str, default: float, limits: LimitsOf, units: str = "") -> SettingCommand:
+    """Return a numeric setting that is stored under ``key`` and has no effect on the output."""
+
     def put(state: Registers, value: float) -> Coerced:
+        """Store the value, clipped to its limits."""
         value, errors = clipped(value, *limits(state), key.replace("_", " "))
         return Coerced(with_inactive(state, **{key: value}), errors)
 
@@ -36,6 +39,8 @@ def _fixed_limits(low: float, high: float) -> LimitsOf:
 
 
 def _word(key: str, default: str, words: str) -> SettingCommand:
+    """Return a setting with one of ``words`` that is stored under ``key`` and has no effect on the output."""
+
     def put(state: Registers, word: str) -> Coerced:
         return Coerced(with_inactive(state, **{key: word}))
 
@@ -46,6 +51,7 @@ def off(function: str) -> SettingCommand:
     """Return the switch of a function that is not simulated: it is off and cannot be switched on."""
 
     def put(state: Registers, on: bool) -> Coerced:
+        """Accept off; raise ``ScpiError`` for on."""
         if on:
             raise not_simulated(function)
         return Coerced(state)
@@ -66,6 +72,7 @@ def _sweep_end(
     """
 
     def limits(state: Registers) -> tuple[float, float]:
+        """Return the limits of centre or span that keep both ends within the generator's frequencies."""
         low, high = frequency_limits_hz(state)
         start_hz, stop_hz = _ends_hz(state)
         half_span_hz, centre_hz = abs(stop_hz - start_hz) / 2, (start_hz + stop_hz) / 2
@@ -74,6 +81,7 @@ def _sweep_end(
         return 0.0, 2 * min(high - centre_hz, centre_hz - low)
 
     def put(state: Registers, value: float) -> Coerced:
+        """Store the start and stop frequencies that follow from the value."""
         value, errors = clipped(value, *limits(state), quantity)
         start_hz, stop_hz = ends(value, *_ends_hz(state))
         return Coerced(with_inactive(state, start_frequency=start_hz, stop_frequency=stop_hz), errors)
@@ -93,11 +101,13 @@ def _modulation(name: str, function: str, rate_hz: float) -> dict[str, SettingCo
 
 
 def _centred(value: float, start_hz: float, stop_hz: float) -> tuple[float, float]:
+    """Return start and stop of a sweep with the same span around the centre ``value``."""
     half_hz = (stop_hz - start_hz) / 2
     return value - half_hz, value + half_hz
 
 
 def _spanning(value: float, start_hz: float, stop_hz: float) -> tuple[float, float]:
+    """Return start and stop of a sweep with the same centre and the span ``value``."""
     centre_hz = (start_hz + stop_hz) / 2
     return centre_hz - value / 2, centre_hz + value / 2
 

@@ -32,6 +32,7 @@ class Generator33250A:
     """
 
     def __init__(self, clock: SimulatedClock, latency_s: float, model: Model = AGILENT_33250A) -> None:
+        """Switch the generator on; ``latency_s``: from a trigger to the burst."""
         self._clock = clock
         self._latency_ps = to_ps(latency_s)
         self._replies: list[str] = []
@@ -134,7 +135,7 @@ class Generator33250A:
         return learn_string(self._channels, bool(self._other_channels), self._reply_to_setting)
 
     def trigger(self) -> None:
-        """Start a burst, whatever the trigger source; raise ``ScpiError`` -211 if bursts are off."""
+        """Start a burst by command, whatever the trigger source; raise ``ScpiError`` -211 if bursts are off."""
         if not self.registers.burst:
             raise ScpiError(-211, "Trigger ignored")
         self._software_ps.append(self._clock.now_ps)
@@ -148,7 +149,7 @@ class Generator33250A:
         self.trigger()
 
     def wait(self) -> None:
-        """Let time pass until the burst of a command ends."""
+        """Advance the clock until the burst that a command has triggered ends."""
         length_s = self.registers.delay_s + self.registers.burst_s
         if self._software_ps and self.registers.trigger_source == "BUS" and math.isfinite(length_s):
             self._clock.advance_to(self._software_ps[-1] + self._latency_ps + to_ps(length_s))
@@ -172,7 +173,7 @@ class Generator33250A:
         return None
 
     def _apply(self, coerced: Coerced, channel: int) -> None:
-        """Replace the registers of a channel and queue the errors of the setting."""
+        """Replace the registers of a channel by ``coerced``, and queue the errors of values that were changed."""
         if channel == 1:
             self._set_registers(coerced.registers)
         else:

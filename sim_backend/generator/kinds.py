@@ -52,13 +52,15 @@ def numeric(
     infinite: bool = False,
     convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
 ) -> SettingCommand:
-    """Return a numeric setting in ``units`` between ``limits``, or MIN, MAX, DEF, and INF if it may be ``infinite``.
+    """Return a numeric setting in ``units`` between ``limits``, with its command and query.
 
-    ``put`` sets the value; ``convert`` converts its unit to the displayed one.
+    MIN, MAX, DEF and, if it may be ``infinite``, INF are accepted too. ``shown``: field or function with the displayed
+    value. ``put`` sets the value; ``convert`` converts its unit to the displayed one.
     """
     get = getter(shown)
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        """Return the registers after the command, and its errors."""
         text = one(arguments)
         # MIN and MAX depend on the other settings, DEF on the model alone.
         value = extreme(text, limits(state))
@@ -71,6 +73,7 @@ def numeric(
         return put(state, float("inf") if infinite and value >= INFINITE else value)
 
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
+        """Return the reply to the query: the value, or its limit for MIN or MAX."""
         if not arguments:
             return real_reply(get(state))
         value = extreme(one(arguments), limits(state))
@@ -89,9 +92,13 @@ def clipping(
     quantity: str,
     settle: Callable[[Coerced], Coerced] = lambda coerced: coerced,
 ) -> SettingCommand:
-    """Return a numeric setting that is clipped to its limits; ``settle`` adapts other settings to it."""
+    """Return a numeric setting, stored in ``field``, that is clipped to its limits.
+
+    ``quantity`` names it in errors; ``settle`` adapts the settings that depend on it.
+    """
 
     def put(state: Registers, value: float) -> Coerced:
+        """Store the value, clipped, and adapt other settings."""
         value, errors = clipped(value, *limits(state), quantity)
         return settle(Coerced(replace(state, **{field: value}), errors))  # type: ignore[arg-type]
 
@@ -109,7 +116,10 @@ def choice_of_model(
     shown: Shown,
     put: Callable[[Registers, str], Coerced] | None = None,
 ) -> SettingCommand:
-    """Return a setting with one of the keywords ``words``, which depend on the registers' model."""
+    """Return a setting with one of the keywords ``words``, which depend on the generator's model.
+
+    ``shown``: field or function with the present keyword. ``put`` sets it (default: stores it in the field).
+    """
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
         lambda state, arguments: put(state, keyword(one(arguments), words(state))),
@@ -119,7 +129,10 @@ def choice_of_model(
 
 
 def switch(shown: Shown, put: Callable[[Registers, bool], Coerced] | None = None) -> SettingCommand:
-    """Return an on/off setting."""
+    """Return an on/off setting, with its command and query.
+
+    ``shown``: field or function with the present state. ``put`` sets it (default: stores it in the field).
+    """
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
         lambda state, arguments: put(state, boolean(one(arguments))),
@@ -148,6 +161,7 @@ def _without_arguments(show: Callable[[Registers], str]) -> Read:
     """Return a query that replies with ``show`` and refuses arguments."""
 
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
+        """Return the reply to the query."""
         none_of(arguments)
         return show(state)
 

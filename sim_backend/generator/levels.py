@@ -30,7 +30,7 @@ def load_divider(registers: Registers) -> float:
 def _resolved(
     registers: Registers, level_v: float, low_v: float, high_v: float, quantity: str
 ) -> tuple[float, tuple[Error, ...]]:
-    """Return an open-circuit level, clipped and rounded to the displayed resolution, and its errors."""
+    """Return an open-circuit level, clipped to its limits and rounded to the displayed resolution, and its errors."""
     level_v, errors = clipped(level_v, low_v, high_v, quantity)
     divider, model = load_divider(registers), registers.model
     resolved_v = rounded(level_v * divider, model.amplitude_digits, model.amplitude_decimals) / divider
@@ -38,7 +38,7 @@ def _resolved(
 
 
 def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
-    """Set the open-circuit amplitude; a conflicting offset is reduced."""
+    """Return the registers with another open-circuit amplitude; a conflicting offset is reduced."""
     amplitude_v, errors = clipped(amplitude_v, SMALLEST_VPP, 2 * PEAK_V, "amplitude")
     divider, model = load_divider(registers), registers.model
     # Rounded in the displayed unit.
@@ -54,7 +54,7 @@ def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
 
 
 def set_offset(registers: Registers, offset_v: float) -> Coerced:
-    """Set the open-circuit offset; a conflicting amplitude is reduced."""
+    """Return the registers with another open-circuit offset; a conflicting amplitude is reduced."""
     limit_v = PEAK_V - SMALLEST_VPP / 2
     offset_v, errors = _resolved(registers, offset_v, -limit_v, limit_v, "offset")
     amplitude_v, max_amplitude_v = registers.amplitude_v, 2 * (PEAK_V - abs(offset_v))
@@ -66,7 +66,7 @@ def set_offset(registers: Registers, offset_v: float) -> Coerced:
 
 
 def set_high(registers: Registers, high_v: float) -> Coerced:
-    """Set the open-circuit high level; a conflicting low level is lowered."""
+    """Return the registers with another open-circuit high level; a conflicting low level is lowered."""
     gap_v = LEVEL_GAP_V / load_divider(registers)
     high_v, errors = _resolved(registers, high_v, -PEAK_V + gap_v, PEAK_V, "high level")
     state = Coerced(replace(registers, high_v=high_v), errors)
@@ -76,7 +76,7 @@ def set_high(registers: Registers, high_v: float) -> Coerced:
 
 
 def set_low(registers: Registers, low_v: float) -> Coerced:
-    """Set the open-circuit low level; a conflicting high level is raised."""
+    """Return the registers with another open-circuit low level; a conflicting high level is raised."""
     gap_v = LEVEL_GAP_V / load_divider(registers)
     low_v, errors = _resolved(registers, low_v, -PEAK_V, PEAK_V - gap_v, "low level")
     state = Coerced(replace(registers, low_v=low_v), errors)
@@ -86,7 +86,7 @@ def set_low(registers: Registers, low_v: float) -> Coerced:
 
 
 def set_load(registers: Registers, load_ohm: float) -> Coerced:
-    """Set the declared load, which changes displayed values alone, not the output."""
+    """Return the registers with another declared load, which changes displayed values only, not the output."""
     errors: tuple[Error, ...] = ()
     if load_ohm != math.inf:
         load_ohm, errors = clipped(load_ohm, *LOAD_LIMITS_OHM, "output load")
@@ -97,19 +97,20 @@ def set_load(registers: Registers, load_ohm: float) -> Coerced:
 
 
 def set_unit(registers: Registers, unit: str) -> Coerced:
-    """Set the amplitude unit; dBm needs a declared load."""
+    """Return the registers with another amplitude unit; dBm needs a declared load."""
     if unit == "DBM" and math.isinf(registers.load_ohm):
         return Coerced(registers).changed("amplitude units cannot be dBm at high-Z load")
     return Coerced(replace(registers, unit=unit))
 
 
 def _rms_per_vpp(state: Registers) -> float:
+    """Return the rms voltage over the peak-to-peak voltage of the present function: half over its crest factor."""
     crest_factors = {"SIN": math.sqrt(2), "RAMP": math.sqrt(3), "TRI": math.sqrt(3), "NOIS": 5.0}
     return 0.5 / crest_factors.get(state.function, 1.0)
 
 
 def to_vpp(state: Registers, value: float, unit: str) -> float:
-    """Convert an amplitude in ``unit`` (empty: the set one) to volts peak to peak at the load."""
+    """Return an amplitude in ``unit`` (empty: the set one) as volts peak to peak at the load."""
     unit = state.unit if unit in ("", "V") else unit
     if unit == "DBM":
         if math.isinf(state.load_ohm):
@@ -121,7 +122,7 @@ def to_vpp(state: Registers, value: float, unit: str) -> float:
 
 
 def in_unit(state: Registers, vpp: float) -> float:
-    """Convert an amplitude at the load to the set unit."""
+    """Return an amplitude at the load, volts peak to peak, in the set unit."""
     if state.unit == "DBM":
         return 10 * math.log10((vpp * _rms_per_vpp(state)) ** 2 / (state.load_ohm * 1e-3))
     return vpp * _rms_per_vpp(state) if state.unit == "VRMS" else vpp

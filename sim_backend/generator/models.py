@@ -42,6 +42,10 @@ class Model:
 
 
 def _frequencies(sine_hz: float, ramp_hz: float, pulse: Range, arbitrary_hz: float) -> Mapping[str, Range]:
+    """Return the frequency range of every function of a model, Hz.
+
+    Functions share the upper limit of the sine or of the ramp; pulse and arbitrary waveforms have their own.
+    """
     lowest = 1e-6
     ranges = dict.fromkeys(("SIN", "SQU", "NOIS", "DC"), (lowest, sine_hz))
     ramps = dict.fromkeys(("RAMP", "TRI"), (lowest, ramp_hz))

@@ -19,6 +19,7 @@ class ScpiError(Exception):
     """Failure of a command, with number and text for the error queue."""
 
     def __init__(self, number: int, text: str) -> None:
+        """Store the error's number and text, as the instrument queues them."""
         super().__init__(number, text)
         self.number = number
         self.text = text
@@ -65,7 +66,7 @@ def keyword(text: str, choices: Iterable[str]) -> str:
 
 
 def boolean(text: str) -> bool:
-    """Return the value of ON, OFF or a number; raise ``ScpiError`` -224 for another text."""
+    """Return the value of ON, OFF or a number (0 is off); raise ``ScpiError`` -224 for another text."""
     if text.upper() in ("ON", "OFF"):
         return text.upper() == "ON"
     if not _NUMBER.fullmatch(text):
@@ -74,7 +75,7 @@ def boolean(text: str) -> bool:
 
 
 def number(text: str, units: str) -> tuple[float, str]:
-    """Return a number without its prefix, and its unit ("" for none).
+    """Return the number in ``text``, with its prefix multiplied in, and its unit ("" for none).
 
     ``units`` lists the valid units, such as ``"HZ"`` or ``"V VPP VRMS DBM"``. ``M`` is milli except in ``MHZ`` and
     ``MOHM``. A number beyond floating point is infinite. Raises ``ScpiError`` -148 for a word, -123 for a large
@@ -106,7 +107,7 @@ def _in_unit(value: float, suffix: str, units: str) -> tuple[float, str]:
 
 
 def whole_number(text: str, low: float, high: float) -> int:
-    """Return a rounded whole number; raise ``ScpiError`` -222 outside the limits."""
+    """Return the number in ``text``, rounded to a whole one; raise ``ScpiError`` -222 outside the limits."""
     value, _ = number(text, "")
     if not (math.isfinite(value) and low <= value <= high):
         raise ScpiError(-222, "Data out of range")

@@ -12,6 +12,7 @@ class Status:
     """The status of one instrument since power-on."""
 
     def __init__(self) -> None:
+        """Start with the state after power-on: no errors, all masks zero."""
         self._errors: list[tuple[int, str]] = []
         self._events = ESR_POWER_ON
         self._enabled = {"ESE": 0, "SRE": 0, "QUES": 0}
@@ -46,7 +47,7 @@ class Status:
         return f"{value:+d}"
 
     def byte(self, message_waiting: bool) -> str:
-        """Return the status byte."""
+        """Return the status byte (*STB?): whether there are errors, replies or events, and whether they request service."""
         value = (STB_ERRORS if self._errors else 0) | (STB_MESSAGE if message_waiting else 0)
         value |= STB_EVENT if self._events & self._enabled["ESE"] else 0
         value |= STB_SUMMARY if value & self._enabled["SRE"] else 0

@@ -18,6 +18,7 @@ class StoredStates:
     """States by memory location, 0 to 4; they survive a reset."""
 
     def __init__(self) -> None:
+        """Start with empty memory locations and their default names."""
         self._states: dict[int, State] = {}
         self._names = list(DEFAULT_NAMES)
         self.recalled_at_power_on = False
@@ -77,7 +78,7 @@ INACTIVE = (
 
 
 def learn_string(channels: Sequence[Registers], numbered: bool, setting_of: Callable[[str, int], str | None]) -> str:
-    """Return the commands that restore the state of all ``channels`` from anywhere, as one message.
+    """Return the commands that restore the present state of all ``channels`` from any other, as one message (*LRN?).
 
     ``setting_of`` returns the query's reply for a header and a channel, None if the model lacks the header.
     """
@@ -91,7 +92,10 @@ def learn_string(channels: Sequence[Registers], numbered: bool, setting_of: Call
 
 
 def _settings(state: Registers) -> Iterator[tuple[str, str | None]]:
-    """Yield headers; a value replaces the present setting."""
+    """Yield the headers of all settings, with a value or None, sorted so that each can be restored after those before.
+
+    With None the present setting is restored; a value is a temporary one that later settings need.
+    """
     yield "UNIT:ANGL", None
     yield "OUTP<n>:LOAD", None
     yield "SOUR<n>:FUNC:SQU:DCYC", None

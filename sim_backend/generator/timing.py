@@ -27,7 +27,7 @@ NOT_SIMULATED = {
 
 
 def width_limits_s(registers: Registers) -> tuple[float, float]:
-    """Return the limits of the pulse width in the period."""
+    """Return the narrowest and the widest pulse that fit into the present period, s."""
     narrowest_s, widest_s = registers.model.width_limits_s
     period_s = 1 / registers.frequency_hz
     # The narrowest pulse depends on the period; the widest one leaves room for both edges.
@@ -36,7 +36,7 @@ def width_limits_s(registers: Registers) -> tuple[float, float]:
 
 
 def edge_limits_s(registers: Registers) -> tuple[float, float]:
-    """Return the limits of the edge time, from pulse width and period."""
+    """Return the shortest and the longest edge time for the present pulse width and period, s."""
     max_edge_s = (1 / registers.frequency_hz - registers.width_s) / EDGES_IN_PERIOD
     fastest_s, slowest_s = registers.model.edge_limits_s
     return fastest_s, max(fastest_s, min(slowest_s, EDGE_FRACTION_OF_WIDTH * registers.width_s, max_edge_s))
@@ -58,7 +58,7 @@ def frequency_limits_hz(registers: Registers) -> tuple[float, float]:
 
 
 def set_function(registers: Registers, function: str) -> Coerced:
-    """Set the function; a conflicting frequency, and settings that depend on it, are changed."""
+    """Return the registers with another function; conflicting frequencies and dependent settings are changed."""
     if function in NOT_SIMULATED:
         raise not_simulated(NOT_SIMULATED[function])
     state = Coerced(registers).changed(function=function)
@@ -74,7 +74,7 @@ def set_function(registers: Registers, function: str) -> Coerced:
 
 
 def settle_frequency(state: Coerced) -> Coerced:
-    """Adapt pulse, duty cycle and burst to a new frequency or period."""
+    """Return ``state`` with pulse, duty cycle and burst adapted to its frequency."""
     registers = state.registers
     if registers.function == "PULS":
         state = settle_pulse(state)
@@ -94,7 +94,10 @@ def at_frequency(registers: Registers, frequency_hz: float) -> Registers:
 
 
 def settle_pulse(state: Coerced, number: int = -221) -> Coerced:
-    """Fit the pulse into its period: first the edge is shortened, then the width; ``number`` is the error's."""
+    """Return ``state`` with the pulse fitted into its period: first the edge is shortened, then the width.
+
+    ``number`` is that of the queued errors.
+    """
     registers = state.registers
     _, edge_s = edge_limits_s(registers)
     if registers.edge_s > edge_s * (1 + ROUNDING):
@@ -108,13 +111,14 @@ def settle_pulse(state: Coerced, number: int = -221) -> Coerced:
 
 
 def _short_period(state: Coerced, number: int, what: str, **settings: float) -> Coerced:
+    """Return ``state`` with changed ``settings``, and an error that states ``what`` was changed."""
     kind = "Settings conflict" if number == -221 else "Data out of range"
     registers = replace(state.registers, **settings)  # type: ignore[arg-type]
     return Coerced(registers, (*state.errors, (number, f"{kind}; {what}")))
 
 
 def set_width(registers: Registers, width_s: float) -> Coerced:
-    """Return the registers with another pulse width; the edge time may give way."""
+    """Return the registers with another pulse width; a conflicting edge time is shortened."""
     width_s, errors = clipped(width_s, *width_limits_s(registers), "pulse width")
     state = Coerced(replace(registers, width_s=width_s), errors)
     edge_s = max(registers.model.edge_limits_s[0], EDGE_FRACTION_OF_WIDTH * width_s)
@@ -124,7 +128,7 @@ def set_width(registers: Registers, width_s: float) -> Coerced:
 
 
 def set_burst(registers: Registers, on: bool) -> Coerced:
-    """Switch the burst on or off; DC and triggered noise cannot burst."""
+    """Return the registers with bursts on or off; DC and triggered noise cannot burst."""
     if not on:
         return Coerced(replace(registers, burst=False))
     state = Coerced(registers)
@@ -134,7 +138,7 @@ def set_burst(registers: Registers, on: bool) -> Coerced:
 
 
 def set_cycles(registers: Registers, cycles: float) -> Coerced:
-    """Set the burst count; an infinite one excludes internal triggers."""
+    """Return the registers with another burst count; an infinite one excludes internal triggers."""
     errors: tuple[Error, ...] = ()
     if cycles != math.inf:
         cycles, errors = clipped(round(max(cycles, 0.0)), 1, registers.model.max_cycles, "burst count")
@@ -145,7 +149,7 @@ def set_cycles(registers: Registers, cycles: float) -> Coerced:
 
 
 def set_source(registers: Registers, source: str) -> Coerced:
-    """Set the trigger source; an external one turns Trig Out off, which shares the connector."""
+    """Return the registers with another trigger source; an external one turns Trig Out off (same connector)."""
     state = Coerced(replace(registers, trigger_source=source))
     if source == "EXT" and registers.trigger_output:
         state = state.changed("trigger output turned off by external trigger", trigger_output=False)
@@ -155,14 +159,14 @@ def set_source(registers: Registers, source: str) -> Coerced:
 
 
 def set_trigger_output(registers: Registers, on: bool) -> Coerced:
-    """Switch Trig Out on or off; it stays off while its connector is an input."""
+    """Return the registers with Trig Out on or off; it stays off while its connector is an input."""
     if on and (registers.trigger_source == "EXT" or (registers.burst and registers.burst_mode == "GAT")):
         return Coerced(registers).changed("trigger output not possible with external trigger")
     return Coerced(replace(registers, trigger_output=on))
 
 
 def set_burst_mode(registers: Registers, mode: str) -> Coerced:
-    """Select triggered or gated bursts; gated ones use the trigger connector as an input."""
+    """Return the registers with triggered or gated bursts; gated ones use the trigger connector as an input."""
     state = Coerced(replace(registers, burst_mode=mode))
     if mode == "GAT" and registers.trigger_output:
         state = state.changed("trigger output turned off by gated burst", trigger_output=False)
@@ -170,7 +174,7 @@ def set_burst_mode(registers: Registers, mode: str) -> Coerced:
 
 
 def set_burst_period(registers: Registers, period_s: float) -> Coerced:
-    """Set the internal burst period."""
+    """Return the registers with another period of the internal burst trigger, at least as long as a burst."""
     lowest, highest = registers.model.burst_period_limits_s
     if registers.trigger_source == "IMM" and math.isfinite(registers.cycles):
         lowest = min(highest, max(lowest, registers.burst_s + BURST_MARGIN_S))
@@ -179,7 +183,7 @@ def set_burst_period(registers: Registers, period_s: float) -> Coerced:
 
 
 def settle_burst(state: Coerced) -> Coerced:
-    """Fit the burst to its frequency limit and, with the internal trigger, into the burst period."""
+    """Return ``state`` with the burst fitted to its frequency limit and to the period of the internal trigger."""
     registers = state.registers
     # Counted bursts have a lower frequency limit than endless or gated ones.
     finite = math.isfinite(registers.cycles) and registers.burst_mode == "TRIG"

@@ -64,7 +64,10 @@ def _receive(
     switch: FloatArray | None,
     rng: np.random.Generator | None,
 ) -> FloatArray:
-    """Return the volts (record, sample) after all elements of the chain; ``switch`` as in `receive`."""
+    """Return the volts (record, sample) after notch, switch, preamplifier noise, filters and logarithmic amplifier.
+
+    ``switch`` (record, sample): transmission of the T/R switch.
+    """
     # Collect filters in one response (frequency,), and apply it before an element that is not a filter.
     pending: ComplexArray | None = None
     if chain.notch is not None:
@@ -85,6 +88,7 @@ def _receive(
 
 
 def _filtered(volts: FloatArray, response: ComplexArray | None) -> FloatArray:
+    """Return the volts (record, sample) after a filter with this frequency response; unchanged without one."""
     if response is None:
         return volts
     return np.asarray(np.fft.irfft(np.fft.rfft(volts) * response, volts.shape[1]))

@@ -36,7 +36,7 @@ def notch(band: BandFilter, frequency_hz: FloatArray) -> ComplexArray:
 
 
 def sampled(response: ComplexArray, at_infinity: float) -> ComplexArray:
-    """Return ``response`` (frequency,), with a smooth transition to its limit at half the sampling rate.
+    """Return a filter's ``response`` (frequency,), smoothly continued to ``at_infinity`` at half the sampling rate.
 
     A step there would ring around every edge of the signal like 1/t; the transition rings like 1/t³. Frequencies below
     six tenths of half the rate are unchanged: 30 MHz at 100 MHz sampling.
@@ -69,7 +69,10 @@ def _detuning(band: BandFilter, frequency_hz: FloatArray) -> tuple[ComplexArray,
 
 
 def _low_pass(numerator: ComplexArray, denominator: ComplexArray, order: int) -> ComplexArray:
-    """Return the low-pass prototype H(p) at p = numerator / denominator."""
+    """Return the frequency response of a low-pass filter of this order at p = numerator / denominator.
+
+    A band-pass or notch is this low-pass at a transformed frequency p, which may be infinite, hence the quotient.
+    """
     response = np.ones(numerator.shape, np.complex128)
     for pole in _poles(order):
         response *= denominator / (numerator - pole * denominator)
@@ -77,7 +80,7 @@ def _low_pass(numerator: ComplexArray, denominator: ComplexArray, order: int) ->
 
 
 def switch_gain(bursts: Bursts, capture: Capture, recovery_s: float) -> FloatArray | None:
-    """Return the transmission of the T/R switch, float64 (record, sample) from 0 to 1, or None if it is 1.
+    """Return the transmission of the transmit/receive switch, float64 (record, sample) from 0 to 1, or None if it is 1.
 
     The switch is shut during a burst, and then transmits ``1 - exp(-t / recovery)``. ``bursts`` ascend in time; if
     they overlap, the last one to begin determines the transmission.
@@ -98,7 +101,7 @@ def switch_gain(bursts: Bursts, capture: Capture, recovery_s: float) -> FloatArr
 
 
 def _transmission(bursts: Bursts, time_ps: Int64Array, recovery_s: float) -> FloatArray:
-    """Return the transmission of the switch at ``time_ps`` (time,)."""
+    """Return the transmission of the transmit/receive switch at ``time_ps`` (time,), 0 to 1."""
     last = np.searchsorted(bursts.onset_ps, time_ps, side="right") - 1
     since_s = np.where(last >= 0, time_ps - bursts.end_ps[np.maximum(last, 0)], 1 << 60) / PS_PER_S
     if recovery_s == 0:
@@ -107,7 +110,7 @@ def _transmission(bursts: Bursts, time_ps: Int64Array, recovery_s: float) -> Flo
 
 
 def compressed(volts: FloatArray, amplifier: LogAmplifier) -> FloatArray:
-    """Return ``slope asinh(v / 2 knee) / ln 10`` for the input ``volts``, any shape, limited to saturation.
+    """Return the output of the logarithmic amplifier, ``slope asinh(v / 2 knee) / ln 10``, limited to saturation.
 
     The function is odd and smooth, so it preserves the sign of the carrier and, after a band-pass, its phase.
     """

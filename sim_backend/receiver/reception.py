@@ -36,7 +36,7 @@ class Physics(Protocol):
 
 
 def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
-    """Return ``acoustics`` with the reception of the settings around it, or ``acoustics`` without any."""
+    """Return ``acoustics`` with receive chain, trigger jitter and clock error of the settings, if there are any."""
     instruments = settings.instruments
     needed = settings.receive_chain is not None or instruments.trigger_jitter_s > 0 or has_clock_error(instruments)
     return Reception(acoustics, settings) if needed else acoustics
@@ -46,6 +46,7 @@ class Reception:
     """Trigger jitter, receive chain and sample clock around ideal acoustics."""
 
     def __init__(self, acoustics: Physics, settings: SimulationSettings) -> None:
+        """Prepare the random numbers of chain noise and clock jitter; ``acoustics`` simulates the echoes."""
         self._acoustics = acoustics
         self._settings = settings
         self._chain_noise = RecordStream(settings.seed, _CHAIN_NOISE_STREAM)
@@ -59,7 +60,7 @@ class Reception:
         return self._acoustics.focus_displacement_m(jittered_bursts, time_ps, origin_ps)
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
-        """Return the samples of the digitizer, float64 (record, sample), V."""
+        """Return the voltages that the digitizer samples, float64 (record, sample), V: echoes after receive chain."""
         tonebursts = self._jittered_tonebursts(tonebursts, capture.origin_ps, capture.index)
         pulses = self._jittered_pulses(pulses, capture.origin_ps, capture.index)
         # Longer and finer records, so that the chain and the clock have the samples they need.
@@ -91,18 +92,20 @@ class Reception:
         return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
 
     def _jittered_tonebursts(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
+        """Return ``tonebursts`` with the trigger jitter of their generators."""
         # The generators of the burst train and of the toneburst are in series, each with independent jitter.
         rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(2)
         return jittered(tonebursts, rms_s, self._settings.seed * 4 + _TONEBURST_SALT, origin_ps, index)
 
     def _jittered_pulses(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
+        """Return the tracking ``pulses`` with the trigger jitter of the pulser."""
         # Jitter of the tracking train moves trigger and pulse together, so only the pulser's jitter counts.
         rms_s = self._settings.instruments.trigger_jitter_s
         return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT, origin_ps, index)
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:
-    """Return the longer and finer capture that the chain needs, and the slice of its samples that is ``capture``."""
+    """Return the longer and finer capture that chain and clock need, and the slice of its samples that is wanted."""
     chain = settings.receive_chain
     fine = 1 if chain is None else chain.oversampling
     margin = STENCIL if has_clock_error(settings.instruments) else 0

@@ -34,6 +34,7 @@ class RecordNoise:
     """Noise of ``receiver``, from the random numbers of ``stream``."""
 
     def __init__(self, receiver: Receiver, stream: RecordStream) -> None:
+        """Prepare the noise of ``receiver``; blocks of records may be drawn in advance in a thread."""
         self._receiver, self._stream = receiver, stream
         # One thread, so that blocks are drawn in order.
         self._thread: ThreadPoolExecutor | None = None
@@ -59,7 +60,10 @@ class RecordNoise:
         return lambda: future.result()[:records]
 
     def _next_block_for(self, capture: Capture) -> Future[FloatArray] | None:
-        """Return the block drawn in advance if ``capture`` is its beginning; otherwise wait for it and discard it."""
+        """Return the block of noise drawn in advance if ``capture`` is its beginning, else None.
+
+        A block that does not fit is awaited and discarded.
+        """
         if self._next_block is None:
             return None
         (block, future), self._next_block = self._next_block, None
@@ -75,10 +79,12 @@ class RecordNoise:
         return None
 
     def _draw(self, capture: Capture) -> FloatArray:
+        """Return the noise of the records of ``capture``, (record, sample), V."""
         rng = self._stream.generator_for(capture, capture.samples)
         return noise_v(self._receiver, len(capture.first_sample_ps), capture.samples, rng)
 
     def _submit(self, capture: Capture) -> Future[FloatArray]:
+        """Start drawing the noise of ``capture`` in the thread, which is created at the first call."""
         if self._thread is None:
             from concurrent.futures import ThreadPoolExecutor
 

@@ -17,12 +17,17 @@ class RecordStream:
     """
 
     def __init__(self, seed: int, key: int) -> None:
+        """Start the stream of random numbers; ``key`` distinguishes the streams of one ``seed``."""
         self._seed, self._key = seed, key
         self._next: tuple[int, int] | None = None
         self._rng = np.random.default_rng(0)
 
     def generator_for(self, capture: Capture, numbers: int) -> np.random.Generator:
-        """Return a generator positioned at the first record of ``capture``; draw ``numbers`` for each record."""
+        """Return the random generator at the position of the first record of ``capture``.
+
+        The caller draws ``numbers`` for each record, so that a record has the same numbers in any division into
+        captures.
+        """
         if self._next != (capture.index, capture.first_record):
             sequence = np.random.SeedSequence(self._seed, spawn_key=(self._key, capture.index))
             self._rng = np.random.default_rng(sequence)

@@ -36,7 +36,10 @@ def jittered(bursts: Bursts, rms_s: float, seed: int, origin_ps: int = 0, index:
 
 
 def _normal(instant_ps: Int64Array, seed: int, index: int) -> FloatArray:
-    """Return a standard normal number for each instant, by Box and Muller from two hashed uniform numbers."""
+    """Return a standard normal number for each instant, which depends on instant, ``seed`` and ``index`` only.
+
+    By Box and Muller from two hashed uniform numbers.
+    """
     key = _hashed(_hashed(np.full(instant_ps.shape, seed, np.uint64)) + np.uint64(index))
     word = _hashed(instant_ps.astype(np.uint64) ^ key)
     radius, angle = ((_hashed(word + np.uint64(step)) >> np.uint64(11)).astype(np.float64) for step in (1, 2))
@@ -45,7 +48,7 @@ def _normal(instant_ps: Int64Array, seed: int, index: int) -> FloatArray:
 
 
 def _hashed(word: UInt64Array) -> UInt64Array:
-    """Return the finaliser of the SplitMix64 generator for each word."""
+    """Return a hash of each 64-bit word: the finaliser of the SplitMix64 generator."""
     word = word + np.uint64(0x9E3779B97F4A7C15)
     word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -60,10 +63,10 @@ def has_clock_error(instruments: Instruments) -> bool:
 def sampled_with_clock_error(
     volts: FloatArray, selected: slice, period_s: float, instruments: Instruments, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the ``selected`` samples of ``volts`` (record, sample), sampled by an imperfect clock.
+    """Return the ``selected`` samples of ``volts`` (record, sample), as sampled by a clock with offset and jitter.
 
-    ``selected`` leaves `STENCIL` samples on either side. The lateness has first order; the second order is
-    (2 pi 9 MHz x 0.1 ns)² / 2 = 2e-5 for a jitter of 0.1 ns.
+    ``selected`` leaves `STENCIL` samples on either side. A late sample differs by lateness times slope, to first order;
+    the second order is (2 pi 9 MHz x 0.1 ns)² / 2 = 2e-5 for a jitter of 0.1 ns.
     """
     first, last = selected.start, selected.stop
     slope = sum(

@@ -44,7 +44,10 @@ def check_parameters(medium: str, values: Mapping[str, float]) -> None:
 
 
 def modulus_of(medium: str, parameters: Mapping[str, float], s_per_s: ComplexArray) -> ComplexArray:
-    """Return the modulus of an installed ``medium``, Pa, shape of ``s_per_s``."""
+    """Return the complex shear modulus of an installed ``medium``, Pa, in the shape of ``s_per_s``.
+
+    ``s_per_s``: complex frequencies. Raises ``ValueError`` if the medium's package fails.
+    """
     law = _law(medium)
     values = np.array([parameters[parameter.name] for parameter in law.parameters])
     s = np.asarray(s_per_s, np.complex128)
@@ -84,6 +87,7 @@ def _law(medium: str) -> Any:
 
 
 def _description(medium: str) -> str:
+    """Return the name of an installed medium with its package and version, for messages."""
     package = _installed()[medium].dist
     source = "an unknown package" if package is None else f"{package.name} {package.version}"
     return f"medium {medium} ({GROUP}, of {source})"

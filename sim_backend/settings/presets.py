@@ -57,7 +57,10 @@ CHAIN_PRESETS: Mapping[str, Mapping[str, Any]] = {
 
 
 def with_preset(settings: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return ``settings`` with missing values from their ``preset``; anything but a table unchanged."""
+    """Return ``settings`` with missing values from the preset that they name.
+
+    Anything but a table is returned unchanged.
+    """
     if not isinstance(settings, Mapping):
         return settings
     return {**presets.get(str(settings.get("preset")), {}), **settings}

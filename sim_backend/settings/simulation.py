@@ -126,6 +126,7 @@ class Specimen(Section):
 
     @model_validator(mode="after")
     def _check_parameters(self) -> Specimen:
+        """Refuse parameters that do not belong to the medium."""
         if self.medium not in BUILT_IN_MEDIA:
             check_parameters(self.medium, dict(self.parameters))
         elif self.parameters:
@@ -136,6 +137,7 @@ class Specimen(Section):
 
     @model_validator(mode="after")
     def _check_maxwell(self) -> Specimen:
+        """Refuse a Maxwell medium without viscosity."""
         if self.medium == "maxwell" and self.shear_viscosity_pa_s == 0:
             raise ValueError("a maxwell medium without viscosity resists nothing: raise shear_viscosity_pa_s above 0")
         return self
@@ -238,6 +240,7 @@ class Transducer(Section):
 
     @model_validator(mode="after")
     def _check_bowl(self) -> Transducer:
+        """Refuse a bowl that is deeper than half a sphere."""
         if self.half_aperture > MAX_HALF_APERTURE:
             raise ValueError(
                 f"a bowl of diameter_m {self.diameter_m:g} and focal_length_m {self.focal_length_m:g} is deeper than "
@@ -272,6 +275,7 @@ class Beams(Section):
 
     @model_validator(mode="after")
     def _check_ratio(self) -> Beams:
+        """Refuse ratios that are not numbers."""
         if any(ratio != ratio for ratio in self.width_ratio or ()):
             raise ValueError("width_ratio holds nan: give numbers above 0, or inf for the same motion everywhere")
         return self
@@ -282,7 +286,7 @@ class Beams(Section):
         return self.focus_depth_m if self.tracking_focus_depth_m is None else self.tracking_focus_depth_m
 
     def motion_width_m(self) -> tuple[float, float, float]:
-        """Return the sigmas of the displacement: W times T if W is set, else E."""
+        """Return the sigmas of the Gaussian displacement: width ratio times tracking widths if set, else those of the force."""
         if self.width_ratio is None:
             return self.excitation_width_m
         (wx, wy, wz), (tx, ty, tz) = self.width_ratio, self.tracking_width_m
@@ -511,13 +515,16 @@ class SimulationSettings(Section):
 
     @property
     def echo_attenuation_db_per_cm_mhz(self) -> float:
-        """Attenuation of echoes around the focus, one way."""
+        """One-way attenuation of echoes around the focus: the specimen's if its depth is stated, else the scatterers'."""
         if self.specimen is not None and self.specimen.depth_m is not None:
             return self.specimen.attenuation_db_per_cm_mhz
         return self.scatterers.attenuation_db_per_cm_mhz
 
     def loss_to_focus_db(self, frequency_hz: float) -> float:
-        """Return the loss to the focus and back: proportional to frequency in the specimen, to its square in water."""
+        """Return the loss of a pulse to the focus and back, dB.
+
+        It is proportional to frequency in the specimen, to its square in water.
+        """
         mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.tracked_from_m
         if self.specimen is None or self.specimen.depth_m is None:
             return 2 * focus_cm * self.scatterers.attenuation_db_per_cm_mhz * mhz
@@ -597,6 +604,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_memory(self) -> SimulationSettings:
+        """Refuse more scatterers than the memory holds."""
         if (count := scatterer_count(self.scatterers, self.beams)) > MAX_SCATTERERS:
             raise ValueError(
                 f"scatterers.per_cell and volume_m with beams.tracking_width_m make {count:.3g} scatterers, memory "

@@ -48,6 +48,10 @@ class Emulator:
     def __init__(
         self, transport: Transport, instrument: Callable[[str, bool], Instrument], roles: tuple[str, ...]
     ) -> None:
+        """Open servers for the instruments of ``roles`` over ``transport``.
+
+        ``instrument`` returns the instrument of a role, given whether it is on a serial line.
+        """
         self._stack = ExitStack()
         lock = threading.RLock()
         ports = {role: Port(instrument(role, transport == "serial"), lock) for role in roles}
@@ -82,5 +86,6 @@ class Emulator:
         return {role: Served(adapter.address(number), adapter.interface_address) for role, number in addresses}
 
     def _open(self, server: Server) -> Server:
+        """Return ``server``, to be closed with the emulator."""
         self._stack.callback(server.close)
         return server

@@ -64,6 +64,7 @@ class HislipServer:
     """A SCPI instrument at the sub-address ``hislip0``; a reply carries the number of its query."""
 
     def __init__(self, port: Port) -> None:
+        """Listen on the loopback interface for clients of the instrument at ``port``."""
         self._port = port
         self._sessions = itertools.count(1)
         self._lock = threading.Lock()
@@ -119,7 +120,10 @@ class HislipServer:
                     send(peer, UNRECOGNIZED)
 
     def _lock_answer(self, message: Message, owner: str, peer: socket.socket) -> int:
-        """Acquire or release the exclusive lock and return the answer; a shared lock is not granted."""
+        """Acquire or release the exclusive lock for ``owner``, and return the protocol's answer.
+
+        A shared lock is not granted.
+        """
         reservation = self._port.reservation
         if not message.control & 1:
             return LOCK_GRANTED if reservation.release(owner) else LOCK_ERROR

@@ -34,6 +34,7 @@ class SocketServer:
     """A SCPI instrument on a raw TCP socket at the VISA resource name ``address``."""
 
     def __init__(self, port: Port, address: str = "TCPIP0::{host}::{port}::SOCKET") -> None:
+        """Listen on the loopback interface for clients of the instrument at ``port``."""
         self._port = port
         listener = Listener(self._converse)
         self.close = listener.close
@@ -54,6 +55,7 @@ class SerialServer:
     """A SCPI instrument on a pseudo terminal, which programs open like an RS-232 port."""
 
     def __init__(self, port: Port) -> None:
+        """Open a pseudo terminal, and serve the instrument at ``port`` over it in a thread."""
         import tty
 
         self._port = port

@@ -44,11 +44,15 @@ class Reservation:
     """
 
     def __init__(self) -> None:
+        """Start unlocked."""
         self._free = threading.Condition()
         self._owner: object = None
 
     def acquire(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
-        """Acquire the lock within ``timeout_s`` and return whether that succeeded."""
+        """Acquire the lock for ``owner`` within ``timeout_s``; return whether that succeeded.
+
+        Raises ``EOFError`` if ``peer`` closes its connection meanwhile.
+        """
         with self._free:
             if not self._available(owner, timeout_s, peer):
                 return False
@@ -56,7 +60,7 @@ class Reservation:
             return True
 
     def wait_until_unlocked(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
-        """Wait for ``timeout_s`` until no other client holds the lock, and return whether that is so."""
+        """Wait at most ``timeout_s`` until no client other than ``owner`` holds the lock; return whether that is so."""
         if self._owner in (None, owner):
             return True
         with self._free:
@@ -76,7 +80,10 @@ class Reservation:
         return self._owner == owner
 
     def _available(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
-        """Wait until no other owner has the lock; return False after ``timeout_s``."""
+        """Wait until no other owner has the lock; return False after ``timeout_s``.
+
+        Raises ``EOFError`` if ``peer`` closes its connection.
+        """
         deadline_s = time.monotonic() + timeout_s
         while self._owner not in (None, owner):
             if time.monotonic() >= deadline_s:
@@ -91,6 +98,7 @@ class Port:
     """An instrument behind the lock of its world, with messages and replies in bytes."""
 
     def __init__(self, instrument: Instrument, lock: threading.RLock) -> None:
+        """Give ``instrument`` a lock, shared by all instruments, and a reservation for clients."""
         self._instrument = instrument
         self._lock = lock
         self.reservation = Reservation()
@@ -101,13 +109,13 @@ class Port:
             self._instrument.write(message.decode("latin-1").rstrip("\r\n"))
 
     def reply(self) -> bytes:
-        """Return the reply with its line feed, empty if there is none."""
+        """Return the instrument's reply with a line feed, empty if there is none."""
         with self._lock, suppress(TimeoutError):
             return self._instrument.read().encode("latin-1") + b"\n"
         return b""
 
     def answer(self, message: bytes) -> bytes:
-        """Return the reply to ``message``; messages of other connections wait."""
+        """Send ``message`` to the instrument and return its reply; messages of other connections wait."""
         with self._lock:
             self.send(message)
             return self.reply()
@@ -126,6 +134,7 @@ class Listener:
     """
 
     def __init__(self, converse: Callable[[socket.socket], None], port: int = 0) -> None:
+        """Accept connections on the loopback interface, and run ``converse`` for each in a thread."""
         self._converse = converse
         self._listener = socket.create_server((LOOPBACK, port))
         self.port: int = self._listener.getsockname()[1]
@@ -169,6 +178,7 @@ class Listener:
             self._peers[thread] = peer
 
     def _serve(self, peer: socket.socket) -> None:
+        """Run the conversation of one connection until it ends or breaks."""
         # A connection that closes in the middle of a message affects no other one.
         with peer, suppress(OSError, EOFError):
             self._converse(peer)

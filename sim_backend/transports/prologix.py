@@ -23,6 +23,7 @@ class PrologixAdapter:
     """The adapter with the instruments of ``ports`` by GPIB address; ``++addr`` selects one."""
 
     def __init__(self, ports: Mapping[int, Port]) -> None:
+        """Listen on the loopback interface; ``ports``: instruments by GPIB address."""
         self._ports = ports
         listener = Listener(self._converse)
         self.close = listener.close
@@ -55,7 +56,10 @@ class PrologixAdapter:
                     peer.sendall(self._adapter(addressed, line))
 
     def _adapter(self, addressed: int, line: bytes) -> bytes:
-        """Return the adapter's reply to a ``++`` command; settings have none."""
+        """Return the adapter's reply to a ``++`` command ``line``; settings have none.
+
+        ``addressed``: GPIB address of the instrument that it acts on.
+        """
         if line.startswith(b"++ver"):
             return ADAPTER_VERSION
         port = self._ports.get(addressed)

@@ -62,6 +62,7 @@ class Vxi11Gateway:
     """
 
     def __init__(self, ports: Mapping[int, Port]) -> None:
+        """Listen on the loopback interface; ``ports``: instruments by GPIB address."""
         self._ports = ports
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
