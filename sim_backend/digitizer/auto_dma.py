@@ -86,7 +86,7 @@ class BufferQueue:
     overflowed: bool = False
 
     def post(self, address: int, size: int) -> Code:
-        """Append the program's buffer at ``address``, of ``size`` bytes, to the queue; return success or an error code."""
+        """Append the program's buffer at ``address``, of ``size`` bytes, to the queue; return success or error code."""
         if not address:
             return Code.NULL_PARAM
         if address in self.posted:

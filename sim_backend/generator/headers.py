@@ -102,7 +102,7 @@ class HeaderTable(Generic[Entry]):
             return None
 
     def _look_up(self, branch: Branch, header: str) -> _Header[Entry]:
-        """Return the entry of ``header``, which continues in ``branch``, and cache it; raise ``ScpiError`` without one."""
+        """Return the entry of ``header``, which continues in ``branch``; raise ``ScpiError`` if there is none."""
         nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
         if not header.startswith(("*", ":")):
             nodes = branch + nodes

@@ -47,7 +47,7 @@ class Status:
         return f"{value:+d}"
 
     def byte(self, message_waiting: bool) -> str:
-        """Return the status byte (*STB?): whether there are errors, replies or events, and whether they request service."""
+        """Return the status byte (*STB?): the presence of errors, replies and events, and the request for service."""
         value = (STB_ERRORS if self._errors else 0) | (STB_MESSAGE if message_waiting else 0)
         value |= STB_EVENT if self._events & self._enabled["ESE"] else 0
         value |= STB_SUMMARY if value & self._enabled["SRE"] else 0

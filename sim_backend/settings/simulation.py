@@ -286,7 +286,7 @@ class Beams(Section):
         return self.focus_depth_m if self.tracking_focus_depth_m is None else self.tracking_focus_depth_m
 
     def motion_width_m(self) -> tuple[float, float, float]:
-        """Return the sigmas of the Gaussian displacement: width ratio times tracking widths if set, else those of the force."""
+        """Return the sigmas of the Gaussian displacement: width ratio times tracking widths, else the force's."""
         if self.width_ratio is None:
             return self.excitation_width_m
         (wx, wy, wz), (tx, ty, tz) = self.width_ratio, self.tracking_width_m
@@ -515,7 +515,10 @@ class SimulationSettings(Section):
 
     @property
     def echo_attenuation_db_per_cm_mhz(self) -> float:
-        """One-way attenuation of echoes around the focus: the specimen's if its depth is stated, else the scatterers'."""
+        """One-way attenuation of echoes around the focus.
+
+        It is the specimen's if its depth is stated, else the scatterers'.
+        """
         if self.specimen is not None and self.specimen.depth_m is not None:
             return self.specimen.attenuation_db_per_cm_mhz
         return self.scatterers.attenuation_db_per_cm_mhz
