@@ -275,6 +275,7 @@ def _shape_ratio_at_nodes(
     # Any density and frequency that give these wave numbers: 1 Hz and 1000 kg/m^3.
     modulus_pa = np.asarray(1000.0 * (2 * np.pi / wave) ** 2 * np.exp(1j * loss), np.complex128).ravel()
     medium = HarmonicMedium(np.ones(modulus_pa.size), modulus_pa)
+    # The ratio depends on wave number and loss only, not on density and frequency themselves.
     shaped, gaussian = (
         shear_motion(medium, force, region, quick=True).value[:, 0]
         for force in (beams.force, PushForce.gaussian(beams.force_width_m))
@@ -395,7 +396,10 @@ def _nodes(lowest: float, highest: float, count: int) -> FloatArray:
 
 
 def _interpolation(frequency_hz: FloatArray, node_hz: FloatArray) -> FloatArray:
-    """Return the matrix (frequency, node) of the interpolating polynomial in log frequency through the nodes."""
+    """Return the matrix (frequency, node) that interpolates values at ``node_hz`` by a polynomial in log frequency.
+
+    Chebyshev polynomials keep it well conditioned.
+    """
     order = node_hz.size - 1
     position, node = (_log_position(hz, node_hz[0], node_hz[-1]) for hz in (frequency_hz, node_hz))
     return np.asarray(np.linalg.solve(chebvander(node, order).T, chebvander(position, order).T).T)

@@ -226,6 +226,7 @@ def _fitted_weights(
     padded_m = spacing_m * np.arange(-padding - middle, padding + middle + 1)
     # Square root of a ring's area: radius times ring width, which grows as the square root of the radius.
     weight = lateral_m**0.75
+    # Value = along @ weights @ across': a separable problem, solved by one pseudoinverse on either side.
     along = np.exp(-0.5 * ((padded_m[:, None] - centre_m) / step_m) ** 2)
     across = weight[:, None] * np.exp(-0.5 * (lateral_m[:, None] / across_m) ** 2)
     target = np.pad(value, ((padding, padding), (0, 0))) * weight
@@ -246,6 +247,7 @@ def bowl_pressure(
     ``lateral_m`` and ``axial_m`` count from the axis and the focus. The nodes resolve the phase k d over the bowl with
     a margin: error 1e-6 of the pressure at the focus.
     """
+    # Largest phase differences over the bowl, across and along the beam; they decide on the number of nodes.
     half_angle = math.asin(diameter_m / 2 / focal_length_m)
     lateral_phase_rad = abs(wave_number_per_m) * np.abs(lateral_m).max() * math.sin(half_angle)
     axial_phase_rad = abs(wave_number_per_m) * np.abs(axial_m).max() * (1 - math.cos(half_angle))
@@ -254,6 +256,7 @@ def bowl_pressure(
     # The trapezoidal rule over a full turn converges faster than any power; symmetry needs half a turn.
     azimuths = math.ceil((lateral_phase_rad + 6 * lateral_phase_rad ** (1 / 3)) / 2) + 10
     azimuth = (np.arange(azimuths) + 0.5) * np.pi / azimuths
+    # Sum over rings of the bowl of exp(-j k d) / d, with d the distance from source to point, (axial, source, lateral).
     ring_m, height_m = focal_length_m * np.sin(angle), focal_length_m * np.cos(angle)
     pressure = np.zeros((axial_m.size, lateral_m.size), np.complex128)
     for ring, height, ring_weight in zip(ring_m, height_m, weight * ring_m, strict=True):

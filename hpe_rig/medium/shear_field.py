@@ -163,6 +163,7 @@ class _Waves:
         q2 = medium.shear_k2
         max_distance_m = float(np.max(np.abs(lateral_m), initial=0.0))
         k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, max_distance_m, quality)
+        # J0(k r) and its derivative by r, -k J1(k r), times the Gaussian's spectrum.
         kr = k[:, None] * np.abs(lateral_m)
         spectrum = (weight * k**3)[:, None] * np.exp(-(k**2)[:, None] * across_m2 / 2)
         slopes = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
@@ -195,6 +196,7 @@ def _sum_over_stations(
     fold = np.zeros((distance_m.size, offset_m.size))
     fold[index, np.arange(offset_m.size)] = 1.0
     signed = fold * np.sign(offset_m)
+    # Sums over the stations at each distance: even for the value, odd for the slope along the axis.
     even, widened = fold @ spectra, fold @ widened
     odd, odd_shifted = signed @ spectra, signed @ (centre_m[:, None] * spectra)
     uncertain = [fold @ (np.array(change) @ across) for _, change in force.unsure]

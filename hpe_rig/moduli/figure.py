@@ -38,6 +38,7 @@ def moduli_figure(result: FittedVibrations) -> Figure:
     amplitude, phase = figure.subplots(1, 2)
     for index, (vibration, modelled) in enumerate(zip(result.vibrations, result.best.modelled_m, strict=True)):
         marker, colour = mark(index)
+        # Mean variance of the two quadratures of each harmonic.
         variance = np.diag(vibration.covariance_m2).reshape(-1, 2).mean(axis=1)
         sigma_m, size_m, hz = np.sqrt(variance), np.abs(vibration.phasor_m), vibration.frequency_hz
         style = {"fmt": marker, "ms": 4, "color": colour, "lw": 1}

@@ -108,6 +108,7 @@ class Problem:
         """
         unknown = np.zeros(self.free_count + len(self.nuisances))
         unknown[: self.free_count - 1] = coordinates
+        # Modelled phasors for amplitude 1, in standard deviations of the data.
         model = self._whitened(self.modelled(unknown))
         data = self._whitened([vibration.phasor_m for vibration in self.vibrations])
         # The best amplitude is a projection; at least 1e-6 of the data, because its logarithm is the unknown.

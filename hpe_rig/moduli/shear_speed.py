@@ -96,6 +96,7 @@ def fit_voigt(
     starts = (np.array([1.0, 0.1]), np.array([0.5, 0.8]))
     solutions = [least_squares(residual, start, bounds=(0, np.inf), xtol=1e-14, ftol=1e-14) for start in starts]
     best = min(solutions, key=lambda solution: float(solution.cost))
+    # Covariance of the weighted fit, in SI units again.
     jacobian = np.asarray(best.jac, dtype=np.float64)
     covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * np.outer(unit, unit), dtype=np.float64)
     elasticity_pa, viscosity_pa_s = (best.x * unit).tolist()

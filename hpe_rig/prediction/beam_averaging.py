@@ -119,6 +119,7 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
+    # Motion of every medium at the wanted frequencies, (member, frequency).
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, slope = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
     # All media are driven to the same rms motion; a medium that hardly moves at a frequency has little weight there.

@@ -97,10 +97,12 @@ def _whole_gate_ratio(conditions: Conditions, speckle: Speckle, by_carrier: bool
 
     def phase_rate(envelope: ComplexArray) -> FloatArray:
         """Return the change of phase (draw,) with delay, times the echo energy."""
+        # Slope of the echo: that of its envelope, plus that of the carrier.
         slope = np.gradient(envelope, instant_s(conditions), axis=-1) + 1j * carrier_rad_per_s * envelope
         return np.asarray(np.sum(np.conj(speckle.resting) * slope, axis=-1).imag)
 
     energy = np.sum(np.abs(speckle.resting) ** 2, axis=-1)
+    # The displaced echo is weighted by the displacement of its scatterers.
     ratio = phase_rate(speckle.displaced) / (carrier_rad_per_s * energy if by_carrier else phase_rate(speckle.resting))
     band_energy = np.sum(np.abs(matmul(speckle.resting, to_band(conditions, INSTANTS))) ** 2)
     return np.asarray(ratio), float(band_energy / (INSTANTS * energy.sum()))
@@ -156,7 +158,8 @@ def _with_rice_statistics(
     ``ratio``: tracked over peak displacement in each draw of speckle. ``noise_m``: standard deviation of a quadrature.
     The amplitude of a phasor with such noise has a Rice distribution.
     """
-    # Double precision: the variance is a small difference.
+    # Mean and variance of the amplitude over noise, for each draw of speckle. Double precision: the variance is a
+    # small difference.
     amplitude_m = np.abs(ratio, dtype=np.float64) * conditions.amplitude_m
     mean_m = _rice_mean(amplitude_m, noise_m)
     variance_m2 = np.maximum(amplitude_m**2 + 2 * noise_m**2 - mean_m**2, 0.0)

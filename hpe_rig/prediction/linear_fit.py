@@ -191,6 +191,7 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
     rate_hz, length_s = scene.excitation.burst_rate_hz, shot.toneburst.cycles / shot.toneburst.carrier_hz
     wanted_hz = np.array(scene.wanted_frequencies_hz)
     wanted_index = np.rint(wanted_hz / rate_hz).astype(np.int64)
+    # All harmonics of the burst rate up to several lobes of the force's spectrum.
     harmonic = np.arange(1, int(LOBES / (length_s * rate_hz)) + 1)
     frequency_hz = np.asarray(harmonic * rate_hz, dtype=np.float64)
     motion = focal_motion(scene, frequency_hz, simulated)

@@ -53,6 +53,7 @@ def burst_period_motion(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[Fl
         motion, _ = shot_displacement(scene, shot, stored)
     except ValueError:
         return empty
+    # Mean displacement of the pulses in each bin of the burst period.
     burst_rate_hz = scene.excitation.burst_rate_hz
     bins = int(np.clip(round(shot.tracking_train.rate_hz / burst_rate_hz), *BIN_LIMITS))
     displacement_m = motion.displacement_m[motion.valid]

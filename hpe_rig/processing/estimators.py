@@ -175,6 +175,7 @@ def _checked(function: Callable[..., Any], result_type: type, package: str) -> C
 
     @wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
+        """Return the checked result of the plug-in's function."""
         try:
             result = function(*args, **kwargs)
         except (MemoryError, KeyboardInterrupt):

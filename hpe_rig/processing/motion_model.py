@@ -39,6 +39,7 @@ def fitted_motion(
     matrix = linear_model(
         motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz
     ).matrix
+    # The wanted harmonics as estimated, then the background and further frequencies fitted to the remainder.
     wanted_columns, further_columns = np.split(matrix, [2 * frequency_hz.size], axis=1)
     state = (amplitude_m[:, None] * np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1)).ravel()
     harmonics_m = wanted_columns @ state

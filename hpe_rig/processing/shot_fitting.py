@@ -53,7 +53,7 @@ def shot_fit(
 ) -> HarmonicFit:
     """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
 
-    It is the same fit as in ``estimate_run``. Raises ``ValueError`` if the shot cannot be estimated.
+    ``stored``: run with its records. Raises ``ValueError`` if the shot cannot be estimated.
     """
     spec, selection = spec_of(estimator), select(scene, shot)
     motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion).tracked

@@ -241,6 +241,7 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
     _create_rows(group, "recorded", plan, np.dtype("u1"), 0)
     _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
+    # Planned values and flags of each shot.
     group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
     group["force_set"] = np.full(len(shots), math.nan)
     group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
@@ -250,6 +251,7 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
             group[name] = offsets
     group["shot_complete"] = np.zeros(len(shots), np.uint8)
     group["clipped"] = np.zeros(len(shots), np.uint8)
+    # Axes of all datasets: shot, pulse, and time within a record.
     sample_s = shots[0].timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz
     units = {"echo": "V", "monitor": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
     name_axes(group, {**_shot_and_pulse(plan), "sample": sample_s}, units)

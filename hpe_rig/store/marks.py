@@ -55,9 +55,9 @@ def identity_of(run_id: str, started: str) -> dict[str, str]:
 
 
 def write_marks(run_file: Path, identity: Mapping[str, str], marks: Mapping[int, str]) -> Path:
-    """Write the bad shots of a run, counted from 0, each with its reason, and return the path of the marks.
+    """Write which shots of a run are bad, counted from 0, each with its reason; return the path of the file.
 
-    A reason may begin with ``MARKED_BAD``, as those of ``read_marks`` do.
+    ``identity``: of the run. A reason may begin with ``MARKED_BAD``, which is removed.
     """
     path = marks_path(run_file)
     reasons = {shot: printable(why.removeprefix(f"{MARKED_BAD}: "))[:MAX_WHY] for shot, why in marks.items()}
@@ -83,6 +83,10 @@ def _tables(path: Path) -> Mapping[str, Any]:
 
 
 def _shot(entry: Mapping[str, Any], shots: int) -> int:
+    """Return the index of the shot in an entry of the file, which counts from 1.
+
+    Raises ``ValueError`` if the run has no such shot.
+    """
     number = entry["shot"]
     if not isinstance(number, int) or not 1 <= number <= shots:
         raise ValueError(f"shot {number!r} of {shots}")

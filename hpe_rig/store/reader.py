@@ -627,7 +627,7 @@ def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
 
 
 def _datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield name and dataset of those of ``BY_SHOT`` in the file: datasets with one checksum for each shot.
+    """Yield name and dataset of those datasets in the file that have one checksum for each shot.
 
     Echoes and their trigger times are not among them, because their checksums are by chunk.
     """
@@ -696,6 +696,7 @@ def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
     time_s = _rows(checked, "records/trigger_time_s", shape)[shot]
     recorded, damaged = marks == 1, np.zeros(shape[1], bool)
     if checked.has_checksums:
+        # Marks and trigger times have one checksum for each chunk of records.
         name, size = "records/recorded", checked.file["records/echo"].chunks[1]
         for number, expected in enumerate(_sums(checked, name, shape, size)[shot]):
             rows = slice(number * size, (number + 1) * size)

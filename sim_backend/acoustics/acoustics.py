@@ -489,7 +489,10 @@ def _background_motion(settings: SimulationSettings) -> Callable[[Int64Array], F
 def _medium_motion(
     settings: SimulationSettings, scatterers: ScattererField, travel_s: float, lateral_offset_m: float
 ) -> MediumMotion | None:
-    """Return the motion of the scatterers by the medium's field; None if they move by the Gaussian of eq. (12)."""
+    """Return the motion of the scatterers by the medium's shear field.
+
+    None if the field is the prescribed Gaussian of eq. (12) of the paper.
+    """
     if settings.specimen is None or settings.specimen.field == "gaussian":
         return None
     from sim_backend.motion import medium_motion

@@ -132,7 +132,10 @@ class BufferQueue:
     def deliver(
         self, arming: Arming, triggers: AcceptedTriggers, volts: Sequence[FloatArray], stamps: Int64Array
     ) -> None:
-        """Write ``volts`` and ``stamps`` of `next_records` into the buffer at the head, and remove it; see `packed`."""
+        """Write the next records into the buffer at the head of the queue, and remove it.
+
+        ``volts`` (record, sample) of each channel, ``stamps`` (record,): their time stamps.
+        """
         data = packed(self.transfer, arming, triggers, volts, self.next_records, stamps)
         # Written straight into the program's memory, as by DMA; `post` has checked its size.
         ctypes.memmove(self.posted.popleft(), data.ctypes.data, data.nbytes)

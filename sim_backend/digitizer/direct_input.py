@@ -32,6 +32,7 @@ def direct_volts(
 
 
 def _stepped(cable: Cable, emission: Emission, sample_ps: Int64Array) -> FloatArray:
+    """Return the voltage of the steps that ``cable`` carries at ``sample_ps``, in their shape."""
     steps = cable.carried(emission.steps)
     if not steps.time_ps.size:
         return np.zeros(sample_ps.shape)
@@ -41,6 +42,7 @@ def _stepped(cable: Cable, emission: Emission, sample_ps: Int64Array) -> FloatAr
 
 
 def _oscillating(bursts: Bursts, time_ps: Int64Array) -> FloatArray:
+    """Return the voltage of ``bursts`` at ``time_ps``, any shape: sines from their onset to their end."""
     volts = np.zeros(time_ps.shape)
     reaching = (bursts.end_ps > time_ps.min(initial=0)) & (bursts.onset_ps <= time_ps.max(initial=0))
     for index in np.flatnonzero(reaching):

@@ -170,7 +170,10 @@ class AlazarState:
         return self.record_refusal(record)
 
     def samples(self, channel: int, record: int, offset: int, count: int) -> bytes | None:
-        """Return the bytes of ``count`` samples of a record of one channel, None if they are not all in the record."""
+        """Return the bytes of ``count`` samples of a record of one channel; None if they are not all in the record.
+
+        ``channel``: its bit in the vendor's library. ``offset``: first sample relative to the trigger.
+        """
         settings = self._arming.settings
         start = settings.pre_samples + offset
         if start < 0 or start + count > settings.record_samples:

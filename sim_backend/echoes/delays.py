@@ -122,14 +122,16 @@ def distinct_echoes(
 ) -> tuple[Int64Array, Int64Array]:
     """Return the index of one echo of each group of equal echoes, (group,), and the group of each echo, (echo,).
 
-    ``amplitude_s`` (echo, shape) and ``shape`` (shape, scatterer) as in `EchoDelays`. Within a group no scatterer's
-    delay changes the phase of the pulse's highest frequency by more than `EQUAL_ECHO_FRACTION` of ``tolerance``. A
-    periodic motion with a whole number of pulses per period has that many groups, however long it lasts.
+    The delay of a scatterer changes by ``amplitude_s`` (echo, shape) times ``shape`` (shape, scatterer). Within a group
+    no scatterer's delay changes the phase of the pulse's highest frequency by more than `EQUAL_ECHO_FRACTION` of
+    ``tolerance``. A periodic motion with a whole number of pulses per period has that many groups, however long it
+    lasts.
     """
     highest_rad_per_s = 2 * np.pi * max(abs(hz) for hz in pulse.frequency_hz)
     phase_rad_per_s = highest_rad_per_s * np.abs(shape).max(axis=1, initial=0.0) * len(shape)
     # Amplitudes in steps of the largest negligible difference; equal rows are one group.
     step = np.rint(amplitude_s * (phase_rad_per_s / (EQUAL_ECHO_FRACTION * tolerance))) if tolerance else amplitude_s
+    # Equal rows become neighbours by sorting; each change starts a new group.
     order = np.lexsort(step.T)
     is_new = np.ones(len(order), dtype=np.bool_)
     is_new[1:] = (step[order[1:]] != step[order[:-1]]).any(axis=1)

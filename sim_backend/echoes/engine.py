@@ -108,9 +108,10 @@ def _synthesise(
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
-    """Return the sum of the echoes of all scatterers that matter to the tolerance; arguments as in ``synthesise``.
+    """Return the sum of the echoes (echo, sample) of all scatterers that matter to the tolerance, without checks.
 
-    Scatterers are left out if their echoes miss the gate or are too weak together.
+    ``weight`` (scatterer,), ``sample_time_s`` (sample,); ``method``: None for the faster one. Scatterers are left out
+    if their echoes miss the gate or are too weak together.
     """
     if min(delays.echo_count, len(weight), len(sample_time_s)) == 0:
         return Synthesis(np.zeros((delays.echo_count, len(sample_time_s))), method or "running_sum", 0, 0)

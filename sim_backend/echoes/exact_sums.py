@@ -103,7 +103,8 @@ def _add_block(
 ) -> None:
     """Add the echoes in one block of samples to ``out`` (echo, sample), some echoes and scatterers at a time.
 
-    ``delay_s`` (echo, scatterer), ``sample_time_s``: of the block. Arguments as in ``running_sum``.
+    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s``: of the block. ``response`` (frequency,
+    scatterer): of the beam, None for 1.
     """
     origin_s = local_origin_s(sample_time_s, pulse)
     time_s = sample_time_s - origin_s

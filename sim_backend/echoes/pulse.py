@@ -105,6 +105,7 @@ def band_limited_burst(
 
     ``bandwidth`` is the band's -6 dB width divided by ``centre_hz``. A long burst at the band's centre has amplitude 1.
     """
+    # The band's impulse response rings on either side of the burst until it falls below the tolerance.
     width_hz = bandwidth * centre_hz / _WIDTH_OVER_SIGMA
     ringing = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
     duration_s = cycles / carrier_hz
@@ -164,6 +165,7 @@ def sampled_pulse(value: FloatArray, sample_rate_hz: float, start_s: float, tole
             f"the measured pulse ends at {max(abs(value[0]), abs(value[-1])):.3g} with a peak of {peak:.3g}: it is cut "
             "off; record more before and after it, or taper its ends"
         )
+    # One-sided Fourier series: all terms but the constant, and the highest of an even number, count twice.
     count = len(value)
     frequency_hz = np.arange(count // 2 + 1) * sample_rate_hz / count
     amplitude = np.fft.rfft(value) * np.exp(-2j * np.pi * frequency_hz * start_s) * (2 / count)

@@ -70,6 +70,7 @@ def draw_field(
     The box is centred at ``lateral_offset_m`` along x. The tissue is a row of boxes; box 0, on the axis, is drawn from
     ``rng`` and box n from ``rng_of(n)``, so overlapping positions share scatterers.
     """
+    # The box at this offset overlaps one or two boxes of the row.
     box = np.array(scatterers.volume_m)
     first = math.floor(lateral_offset_m / box[0])
     box_indices = [first] if first * box[0] == lateral_offset_m else [first, first + 1]
@@ -123,6 +124,7 @@ def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, Fl
     """
     if reflector.kind == "point":
         return np.array([reflector.position_m]), np.array([reflector.strength])
+    # Nodes across the tracking beam; the beam's own Gaussian weight, applied later, is divided out.
     node, weight = np.polynomial.hermite_e.hermegauss(_PLANE_NODES)
     weight = weight / weight.sum() * np.exp(node**2 / 2)
     (tx, ty, _), (ox, oy) = beams.tracking_width_m, beams.lateral_offset_m
@@ -237,6 +239,7 @@ def _relevant_box(
     scatterers, beams = settings.scatterers, settings.beams
     box = np.array(scatterers.volume_m)
     low, high = -box / 2, box / 2
+    # Depths from the delays, and lateral limits from the Gaussian tracking beam.
     if scatterers.axial_delay == "two_way":
         depth_m = np.array(reach_s) * settings.sound_speed_m_per_s / 2
         low[2], high[2] = np.clip(depth_m, low[2], high[2])

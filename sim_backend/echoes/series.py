@@ -203,9 +203,11 @@ def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
     ``sample_times``: the bytes of an array, which can be a cache key. Cached, since records and studies share few
     gates.
     """
+    # Derivatives of each exponential c exp(j w t) by its delay: amplitudes c (-j w)^degree, with w over the highest w.
     hz, amplitude = np.array(pulse.frequency_hz), np.array(pulse.amplitude)
     slope = amplitude[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], np.arange(degrees))
     carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(amplitude)))]
+    # Taylor coefficients of the pulse at its start and end; for a bound on its size, without the strongest frequency.
     ends_s = (pulse.start_s, pulse.end_s)
     jump = np.stack([_end_derivatives(pulse, end_s, carrier_hz, _JUMP_ORDERS) for end_s in ends_s])
     taylor = np.stack([_end_derivatives(pulse, end_s, 0.0, _TAYLOR_ORDERS) for end_s in ends_s])

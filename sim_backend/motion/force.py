@@ -128,6 +128,7 @@ def _distorted_v(amplitude_v: FloatArray, transmitter: Transmitter, harmonic: in
     phase = (np.arange(phases) + 0.5) * np.pi / phases
     wave_v = amplitude_v[..., None] * np.sin(phase)
     sharpness = 2 * transmitter.saturation_sharpness
+    # The hybrid comes before the amplifier: its ceiling, amplified, acts first.
     hybrid_v = transmitter.hybrid_saturation_v
     for ceiling_v in (None if hybrid_v is None else hybrid_v * transmitter.amplifier_gain, transmitter.saturation_v):
         if ceiling_v is not None:

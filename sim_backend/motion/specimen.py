@@ -205,6 +205,7 @@ def transients(response: StepResponse, force: ForcePulses, time_ps: Int64Array) 
     A pulse is a step up and a step down. They cancel once both are older than the medium's memory, so a pulse is only
     evaluated at the times between its onset and the end of its memory.
     """
+    # For each pulse, the range of times between its onset and the end of its memory.
     order = np.argsort(time_ps, kind="stable")
     ascending_ps = time_ps[order]
     memory_ps = math.ceil(response.memory_s * PS_PER_S)
@@ -257,6 +258,7 @@ def polar_nodes(lateral_m2: float, axial_m2: float) -> tuple[FloatArray, FloatAr
     Gauss-Legendre nodes lie in the variable that makes the width a smooth function: asinh for a force longer than wide,
     asin for a disc (docs/explanation/medium.md, section 2).
     """
+    # Nodes on 0 to 1; ``slope`` is the derivative of m by the integration variable.
     node, weight = legendre(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2
     if axial_m2 > lateral_m2:

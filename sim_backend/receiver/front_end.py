@@ -57,9 +57,10 @@ def pulse_strength(pulses: Bursts, receiver: Receiver) -> FloatArray:
 
 
 def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Generator) -> FloatArray:
-    """Return white noise, (record, sample), ``snr_db`` below the resting echo of the reference pulse, eq. (16).
+    """Return white noise, (record, sample), ``snr_db`` below the resting echo of the reference pulse.
 
-    A stronger pulse thus has more signal over noise, as on the bench. Zeros without ``snr_db``.
+    This is eq. (16) of the paper. A stronger pulse thus has more signal over noise, as on the bench. Zeros without
+    ``snr_db``.
     """
     level_v = 0.0 if receiver.snr_db is None else receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20)
     noise = rng.standard_normal((records, samples))

@@ -61,6 +61,7 @@ class Layer:
         y = self.attenuation_power
         # alpha = a0 w^y, w in rad/s.
         a0 = self.attenuation_db_per_cm_mhz * DB_PER_CM_TO_NP_PER_M / (2e6 * np.pi) ** y
+        # Change of 1 / c from the reference frequency, by the Kramers-Kronig relations for a power law.
         if y == 1:
             slowness = -2 / np.pi * a0 * np.log(w / w0)
         else:

@@ -172,8 +172,10 @@ class _March:
         bowl = self.transducer
         count = _nodes(bowl.diameter_m / 2 * abs(self.k[0])) + 60
         angle, weight = _gauss(0, math.asin(bowl.half_aperture), count)
+        # Radius and depth of every ring, and its source strength.
         ring_m, ring_depth_m = bowl.focal_length_m * np.sin(angle), bowl.focal_length_m * 2 * np.sin(angle / 2) ** 2
         strength = weight * bowl.focal_length_m * ring_m * apodisation(bowl, np.sin(angle) / bowl.half_aperture)
+        # Each ring is a J0 over lateral wave numbers, moved back to depth 0 by its phase.
         rings = j0(np.outer(self.q1, ring_m)) * np.exp(1j * np.outer(self.kz1, ring_depth_m))
         return np.asarray(self.surface_pa * self.k[0].real * (rings @ strength) / self.kz1)
 

@@ -104,6 +104,7 @@ def _moments(transducer: Transducer, orders: int) -> FloatArray:
         # int_x^1 P_n = (P_{n-1}(x) - P_{n+1}(x)) / (2n + 1), with P_{-1} = 1.
         value = np.concatenate([np.ones(1), *_legendre(np.array([edge]), orders + 1)])
         return np.asarray((value[:-2] - value[2:]) / (2 * np.arange(orders) + 1))
+    # Other apodisations by quadrature over the cosine, from the rim to the axis.
     node, weight = np.polynomial.legendre.leggauss(max(_APODISATION_NODES, orders))
     cosine = edge + (1 - edge) * (node + 1) / 2
     relative_radius = np.sqrt(1 - cosine**2) / transducer.half_aperture

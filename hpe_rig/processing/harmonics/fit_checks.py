@@ -151,6 +151,7 @@ def residual_line(
     distance = np.abs(grid_hz[:, None] - fitted_hz).min(axis=1, initial=np.inf) * series.size / rate_hz
     free = (distance > 1 + 1e-6) & (grid_hz * series.size / rate_hz > 0.5 + background_order / 2)
     free &= grid_hz < rate_hz / 2 * (1 - 1e-9)
+    # Periodogram of the residual; under white noise its bins are exponentially distributed.
     power = np.abs(np.fft.rfft(series)[free]) ** 2
     if power.size < MIN_BINS or not power.sum() > 0:
         return None

@@ -251,6 +251,7 @@ def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(phase)
     rotation[..., 0, 1] = np.sin(phase)
     rotation[..., 1, 0] = -rotation[..., 0, 1]
+    # The 2 x 2 block of each frequency's pair of states, rotated to its phasor.
     pairs = np.arange(2 * count).reshape(count, 2)
     blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
     rotated = rotation @ blocks @ np.swapaxes(rotation, -1, -2)

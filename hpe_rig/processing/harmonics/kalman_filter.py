@@ -83,6 +83,7 @@ def kalman(
         drive = np.zeros((pulses, states, harmonic.size))
         drive[:, harmonic, harmonic] = np.sqrt(process_noise * np.diff(used, prepend=used[0]))[:, None]
         filtered = filter_changing(model.matrix, displacement, drive, prior)
+    # The noise variance scales the covariance, which the filter states for unit noise.
     variance = filtered.squared_innovations / (pulses - states)
     covariance = variance[..., None, None] * (filtered.root @ filtered.root.T)
     wanted_states = model.wanted_states
@@ -119,6 +120,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
         size = states + 1 if first else CHUNK if well_conditioned else BLOCK
         rows = slice(start, start + size)
         block, measured, start = matrix[rows], values[rows], rows.stop
+        # The innovations of a block are predicted from the information before it.
         if first:
             innovation_blocks.append(_first_innovations(block, measured, prior))
         elif innovations:
@@ -129,7 +131,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     root: FloatArray = np.asarray(np.linalg.inv(information[0]))
     state = root @ information[1]
     residual = values - matrix @ state
-    # The sum of squared innovations equals residual plus prior term.
+    # The sum of squared normalised innovations equals that of the residual plus that of the states over the prior.
     squares = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
     shape = data.shape[:-1]
     normalised = np.concatenate(innovation_blocks).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
@@ -219,10 +221,12 @@ def _block_innovations(information: Information, block: FloatArray, measured: Fl
 
 
 def _innovations(information: Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of many pulses, block by block, as a batch.
+    """Return the normalised innovations (pulse, realisation) of many pulses of a Kalman filter, as a batch of blocks.
 
-    Same arguments and formula as ``_block_innovations``. Every block starts from the information of all blocks before
-    it, here a cumulative sum of products H'H and H'y; these need well conditioned factors.
+    ``information``: triangular factor F and F^-T H'y of all pulses before. ``matrix`` H (pulse, state), ``values`` y
+    (pulse, realisation). Every block starts from the information F'F of all blocks before it, a cumulative sum of H'H.
+    With B = H F^-1 its values minus predictions have the covariance 1 + B B' = L L'; its innovations are
+    L^-1 (y - prediction).
     """
     pulses, states = matrix.shape
     size = max(BLOCK, states)
@@ -236,6 +240,7 @@ def _innovations(information: Information, matrix: FloatArray, values: FloatArra
     block_information, block_moment = transposed @ blocks, transposed @ measured
     before = factor.T @ factor + np.cumsum(block_information, axis=0) - block_information
     moment = factor.T @ transformed + np.cumsum(block_moment, axis=0) - block_moment
+    # F^-T times H' and times the moment, for each block: B', and the states in coordinates of F.
     solved = np.linalg.solve(np.linalg.cholesky(before), np.concatenate([transposed, moment], axis=-1))
     predicted = np.swapaxes(solved[..., :size], -1, -2)
     joint = np.linalg.cholesky(np.eye(size) + predicted @ solved[..., :size])

@@ -135,10 +135,10 @@ def _model(
     background_order: int,
     largest_condition: float,
 ) -> LinearModel:
-    """Return the model H (pulse, state) of sinusoids and background, with its factor R^-1; see ``linear_model``.
+    """Return the model H (pulse, state) of sinusoids and background, with the factor R^-1 of its covariance.
 
-    Columns: sin and cos of each wanted frequency, background polynomials, then the further frequencies that the pulses
-    resolve.
+    Raises ``ValueError`` if the valid pulses cannot resolve the frequencies. Columns: sin and cos of each wanted
+    frequency, background polynomials, then the further frequencies that the pulses resolve.
     """
     frequency_hz = np.array(frequencies_hz)
     _check_frequencies(time_s, frequency_hz)
@@ -225,6 +225,7 @@ def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: Floa
     From the lowest up, a frequency is left out if it aliases within the train's resolution of zero or of a lower one.
     Half the pulse rate has one column only.
     """
+    # Frequencies closer than this, after aliasing, cannot be distinguished.
     rate_hz = pulse_rate_hz(time_s)
     resolution_hz = 0.9 / float(time_s[-1] - time_s[0])
     used_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
@@ -234,6 +235,7 @@ def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: Floa
             new_hz.append(frequency)
     if not new_hz:
         return np.zeros((time_s.size, 0))
+    # At half the pulse rate only the alternating column (-1)^k remains.
     at_nyquist = np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0)
     columns = harmonic_columns(time_s, np.where(at_nyquist, 0.0, new_hz))
     if at_nyquist.any():

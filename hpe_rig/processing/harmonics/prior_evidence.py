@@ -95,12 +95,13 @@ def _scale_over_noise(
     each r of a scan, the best sigma² is a mean.
     """
     log_ratio = LOG_SCALES - np.log(projected.value[0])
-    power = 1 + np.exp(2 * log_ratio)[:, None] * signal  # p_i of each scanned r
+    power = 1 + np.exp(2 * log_ratio)[:, None] * signal  # variance along each direction over sigma², (r, rank)
     floor_m2 = np.finfo(np.float64).tiny
+    # For each r the most likely sigma², and the logarithm of the evidence with it.
     variance_m2 = np.maximum(along**2 @ (1 / power).T + unexplained_m2[..., None].clip(min=0), floor_m2) / count
     evidence = -(count * np.log(variance_m2) + np.log(power).sum(axis=1)) / 2
     best = _maximum(log_ratio, evidence)
-    # Upper bound: the scale of the member that the pulses observe least. A larger motion is of no medium.
+    # Upper bound: no medium moves more than the member of the ensemble that the pulses observe least.
     limit_m = np.sqrt(np.sum(along**2, axis=-1) / np.sum(projected.members**2, axis=1).min())
     best_variance_m2 = np.take_along_axis(variance_m2, np.argmax(evidence, axis=-1)[..., None], axis=-1)[..., 0]
     limit = np.maximum(limit_m / np.sqrt(best_variance_m2), np.exp(log_ratio[0]))
@@ -116,10 +117,12 @@ def _member_probability(
     is ~ exp(-distance / 2 T), with distance the squared misfit of a member at its best scale over the noise. T is the
     smallest power of two, at least 1, that leaves ``MIN_MEMBERS`` effective members.
     """
+    # Best scale of every member, by projection of the data onto its motion, and the squared misfit left.
     power = np.sum(projected.members**2, axis=1)
     scale_m = np.maximum(along @ projected.members.T, 0.0) / power
     distance = -(scale_m**2) * power / variance_m2[..., None]
     distance -= distance.min(axis=-1, keepdims=True)
+    # Double the temperature T until enough members have a similar weight.
     temperature = np.ones(variance_m2.shape)
     for _ in range(60):
         weight = np.exp(-distance / 2 / temperature[..., None])

@@ -125,10 +125,12 @@ def _phasor_weights(motion: Motion, fit: HarmonicFit) -> tuple[FloatArray, Float
     """
     used, count = motion.valid, 2 * fit.frequency_hz.size
     columns = [harmonic_columns(motion.time_s, fit.frequency_hz), background_columns(motion.time_s, 0)]
+    # Weights of the pulses in the states: the pseudoinverse of the fitted columns, by QR.
     basis, triangle = np.linalg.qr(np.hstack(columns)[used])
     states = np.linalg.pinv(triangle)[:count] @ basis.T
     states = states.reshape(-1, 2, int(used.sum()))
     cos, sin = np.cos(fit.phase_rad)[:, None], np.sin(fit.phase_rad)[:, None]
+    # Rotated from in-phase and quadrature to along and across the phasor.
     along = cos * states[:, 0] + sin * states[:, 1]
     across = cos * states[:, 1] - sin * states[:, 0]
     return np.stack([along, across], axis=1).reshape(count, -1), basis

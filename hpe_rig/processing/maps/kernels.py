@@ -21,6 +21,7 @@ def unwrapped(z: ComplexSingleArray) -> SingleArray:
     # The sum of squares bounds every single phase: where it is small, no phase can have wrapped.
     may_wrap = np.einsum("...p,...p->...", angle, angle) >= MAX_DIRECT_RAD**2
     if may_wrap.any():
+        # Whole turns between consecutive pulses, subtracted from all later ones.
         wrapped = angle[may_wrap]
         jumps = np.rint(np.diff(wrapped, axis=-1) * np.float32(1 / (2 * np.pi)))
         wrapped[:, 1:] -= np.cumsum(jumps, axis=-1) * np.float32(2 * np.pi)

@@ -34,18 +34,20 @@ UNKNOWN_PHASE_RAD: Final = np.float32(math.pi / math.sqrt(3))
 @compiler(*_FASTMATH, inline=True)
 def _angle(y: Any, x: Any) -> Any:
     """Return the angle of (x, y), -pi to pi, rad: arctan2 by a polynomial, which compiles to vector instructions."""
+    # Tangent of the angle to the nearer axis, at most 1, and arctan of it: an odd polynomial with coefficients C0 to C7.
     width, height = abs(x), abs(y)
     a = min(width, height) / max(width, height, TINY)
     s = a * a
     p = ((((((C7 * s + C6) * s + C5) * s + C4) * s + C3) * s + C2) * s + C1) * s + C0
     angle = a + a * s * p
+    # From the nearer axis to the x axis, then to the quadrant of the signs.
     angle = QUARTER_TURN - angle if height > width else angle
     angle = HALF_TURN - angle if x < 0 else angle
     return -angle if y < 0 else angle
 
 
 def unwrapped(z: ComplexSingleArray) -> SingleArray:
-    """Return the unwrapped phase of ``z`` (..., pulse) against the first pulse, rad; see `kernels.unwrapped`."""
+    """Return the unwrapped phase of the complex baseband ``z`` (..., pulse) relative to the first pulse, rad."""
     flat = np.ascontiguousarray(z).reshape(-1, z.shape[-1])
     angle = np.empty(flat.shape, np.float32)
     _unwrap(flat.view(np.float32), angle)
@@ -105,7 +107,9 @@ def estimates(
 ) -> None:
     """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
 
-    Same arguments and formulas as `kernels.estimates`, pixel by pixel.
+    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``relative`` (pixel,): relative variance
+    of ``metres_per_radian``. ``quadratures`` (3, frequency), for unit noise: mean of the variances of in-phase and
+    quadrature, half their difference, their covariance.
     """
     amplitude, amplitude_u, phase, phase_u = results
     for i in range(len(state)):
@@ -113,6 +117,7 @@ def estimates(
             mean, half_difference, covariance = quadratures[0, j], quadratures[1, j], quadratures[2, j]
             x, y = state[i, 2 * j] * metres_per_radian[i], state[i, 2 * j + 1] * metres_per_radian[i]
             squared = x * x + y * y
+            # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
             anisotropy = (half_difference * (x * x - y * y) + 2 * covariance * x * y) / squared
             amplitude[i, j], phase[i, j] = np.sqrt(squared), _angle(y, x)
             amplitude_u[i, j] = np.sqrt(noise_m2[i] * (mean + anisotropy) + relative[i] * squared)

@@ -99,6 +99,7 @@ def map_pixels(
         mixing_hz=settings.demodulation_hz or settings.carrier_hz if is_iq else settings.carrier_hz,
         kernels=_kernels(samples.size),
     )
+    # Amplitude and phase with uncertainties have a value for each frequency; velocity, residual, power one for a pixel.
     per_frequency, per_pixel = (lines, gates, frequency_hz.size), (lines, gates)
     results = [np.empty(shape, np.float32) for shape in (per_frequency,) * 4 + (per_pixel,) * 4]
     bad = np.zeros(per_pixel, np.uint8)
@@ -112,6 +113,7 @@ def map_pixels(
             result[batch] = batch_result
         return int(batch.stop - batch.start)
 
+    # Batches of lines run in threads, one for each core.
     done = 0
     with ThreadPoolExecutor(max_workers=_workers()) as pool:
         for finished in pool.map(estimate, batches):
@@ -217,6 +219,7 @@ class _Pixels:
         ramp = np.sin(np.pi / 2 * (np.arange(fade) + 0.5) / fade).astype(np.float32) ** 2
         window[:fade], window[-fade:] = ramp, ramp[::-1]
         low, high = max(carrier - half, 0), min(carrier + half, spectrum.shape[-1] - 1)
+        # The part of the band within the spectrum, scaled to the analytic signal at the decimated rate.
         in_band = window[low - carrier + half : high - carrier + half + 1] * (2 / self.decimation)
         transmitted = spectrum[..., low : high + 1] * in_band
         # The carrier moves to bin 0 of the decimated spectrum.
@@ -258,11 +261,12 @@ class _Pixels:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
         Im sum conj(z) dz/dt / (2 pi sum |z|²) over the gate and every ``STRIDE``-th pulse, with the derivative taken
-        along the whole line. ``power`` as from `_mean_power`.
+        along the whole line. ``power`` (line, gate): mean power of those pulses.
         """
         from scipy.fft import fft, ifft
 
         lines, gates, length, _ = z.shape
+        # Whole lines, (line, pulse, gate and sample), and their derivative over depth divided by 2 pi j.
         echo = np.ascontiguousarray(z[..., ::STRIDE].transpose(0, 3, 1, 2)).reshape(lines, -1, gates * length)
         frequency_hz = np.fft.fftfreq(gates * length, self.decimation / self.settings.sample_rate_hz).astype(np.float32)
         spectrum = fft(echo, axis=-1)
@@ -298,6 +302,7 @@ class _Pixels:
             phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
             frequency_noise = np.float32(2 * STRIDE / self.time_s.size / phase_per_sample**2)
             relative = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
+        # All results of a pixel, in the order of RESULTS; bad pixels are marked and set to NaN.
         noise_m2 = variance * metres_per_radian**2
         results = [*self._estimates(state, noise_m2, metres_per_radian, relative), np.sqrt(noise_m2), power]
         bad = np.zeros(len(data), np.uint8)

@@ -153,6 +153,7 @@ def motion_of_steps(
     later pulses, over that of a pulse.
     """
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
+    # The displacement starts at 0 and accumulates the steps.
     start = np.zeros((*step.shape[:-1], 1))
     displacement_m = np.concatenate([start, np.cumsum(step * metres_per_radian, axis=-1)], axis=-1)
     # The first pulse has no step before it and takes the factor of the next.
@@ -289,7 +290,8 @@ def _energies(
 ) -> tuple[FloatArray, FloatArray]:
     """Return energy and frequency-weighted energy of echoes (..., bin, pulse), with the margins and in the gate alone.
 
-    Both results (..., 2, pulse). Arguments as in ``_products_with_next``.
+    Both results (..., 2, pulse). ``weights`` (2, bin): ones and frequencies. ``margin`` (..., column, pulse): part of
+    the echo in the margins, ``weighted_margin`` the same weighted by frequency.
     """
     squares = weights @ np.square(echo.view(np.float64))
     with_margins = squares[..., ::2] + squares[..., 1::2]

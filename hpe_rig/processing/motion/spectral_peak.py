@@ -143,6 +143,7 @@ def peak_steps(spectra: FloatArray, use_compiled: bool = True) -> PeakSteps:
             steps.energy.reshape(-1, pulses),
         )
         return steps
+    # The magnitude of the cross-spectrum is largest where the product of the powers is.
     bins = spectra.shape[-1] // 2
     real, imag = spectra[..., :bins], spectra[..., bins:]
     power = real**2 + imag**2
@@ -246,6 +247,7 @@ def _basis(
     spectrum at ``plain_hz`` without a window. The others (coefficient, bin) lead from the even half to real parts, and
     from the odd half to imaginary parts. Phases are relative to the gate's centre, which cancels in cross-spectra.
     """
+    # Relative to the centre the cosines are even and the sines odd: two bases, each half as large.
     centre = (samples - 1) / 2
     windowed = fourier_columns(samples, sample_rate_hz, np.array(frequency_hz), centre) * np.array(window)[:, None]
     real, imag = (np.ascontiguousarray(half) for half in np.hsplit(windowed, 2))
