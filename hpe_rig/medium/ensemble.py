@@ -119,7 +119,8 @@ class Ensemble:
         rectangular tonebursts, eq. (18) of the paper.
         """
         harmonic, duty = np.arange(1.0, harmonics + 1), burst_rate_hz * burst_length_s
-        # A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient of exp(jwt).
+        # Force at every harmonic: a motion A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient
+        # of exp(jwt).
         force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
         return np.asarray(force[:, None] * self.interpolation(np.asarray(burst_rate_hz * harmonic)))
 
@@ -341,7 +342,7 @@ def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
     branch = modulus * _log_uniform(cube[:, 2], "branch_over_modulus")
     lowest_power, highest_power = PRIOR_RANGES["power"]
     power = lowest_power + (highest_power - lowest_power) * cube[:, 2]
-    # A power law with the modulus M at f_M has M at f = f_M, the law itself at f = f_0: G(s) = law(s f_0 / f_M).
+    # The power law states its modulus at POWER_REFERENCE_HZ, the prior at PRIOR_POWER_MODULUS_HZ: s is scaled.
     power_s = s * (POWER_REFERENCE_HZ / PRIOR_POWER_MODULUS_HZ)
     families = (
         _law_modulus("voigt", s, modulus, viscosity),

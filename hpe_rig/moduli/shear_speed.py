@@ -58,7 +58,7 @@ def shear_speed(
             f"the phase does not fall with distance at {rising_hz} Hz: offsets more than half a wavelength apart, "
             "positions not counted from the focus, or noise. Try: smaller steps of the lateral offset"
         )
-    # c_s = w |dr / dphi|; its uncertainty follows from that of the slope.
+    # Speed = angular frequency over the slope of phase by distance; its uncertainty follows from that of the slope.
     speed = -2 * np.pi * frequency / slope
     return speed, speed**2 / (2 * np.pi * frequency) / np.sqrt(information)
 

@@ -44,8 +44,9 @@ def focal_distortion(
 ) -> float:
     """Return the local distortion parameter of IEC 61949, z p 2 pi f beta / (rho c^3 sqrt(F_a)), in water.
 
-    The aperture has ``diameter_m``, its intensity at the focus the sigma ``width_m``. F_a is 0.69 times the area of
-    the source over that of the -6 dB beam, p the pressure of a linear wave of that intensity.
+    It measures how far a shock has formed at the focus: z is its distance, f the carrier, beta the nonlinearity of
+    water, p the pressure of a linear wave of that intensity. F_a is 0.69 times the area of the source, of
+    ``diameter_m``, over that of the -6 dB beam, with the sigma ``width_m`` of intensity.
     """
     pressure_pa = np.sqrt(2 * WATER_DENSITY_KG_PER_M3 * sound_speed_m_per_s * intensity_w_per_m2)
     beam_m = 2 * width_m * np.sqrt(2 * np.log(4))

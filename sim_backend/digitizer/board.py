@@ -136,7 +136,8 @@ def accepted_triggers(
     ready_ps = arming.start_ps + settings.pre_samples * period_ps
     edge_ps = _with_faults(edge_ps[(edge_ps >= ready_ps) & (edge_ps < arming.stop_ps)], faults)
     edge_ps = np.sort(np.concatenate([edge_ps[edge_ps >= ready_ps], np.array(arming.forced_ps, np.int64)]))
-    # Only edges while the board is armed and has its pre-trigger samples. The sample clock notices one at its next tick.
+    # Edges count while the board is armed and has its pre-trigger samples. The sample clock registers one at its next
+    # tick.
     tick_ps = -(-edge_ps // period_ps) * period_ps
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
     busy_ps = to_end_ps + settings.pre_samples * period_ps

@@ -144,11 +144,11 @@ def _block(
     leaving, entering = 2 * row * samples + samples - leave, (2 * row + 1) * samples + enter
     cell = np.where(enter == 0, leaving, entering)[holds_sample]
     weight_in, tau_in = np.broadcast_to(weight, tau.shape)[holds_sample], tau[holds_sample]
-    # exp(-j w_m tau_kn), times the beam's response.
+    # exp(-j w_m tau) of every exponential m and delay tau, times the beam's response.
     phasor = phasors(pulse, tau_in, -1)
     if response is not None:
         phasor *= np.broadcast_to(response[:, None], (len(response), *tau.shape))[:, holds_sample]
-    # S_km(t) of each exponential, then Re c_m exp(j w_m t) S_km(t).
+    # Sum S_m(t) over the scatterers alive at t, for each exponential; the echo is Re c_m exp(j w_m t) S_m(t).
     echoes = np.zeros((echo_count, samples))
     for terms, factor in zip(phasor, rotation, strict=True):
         real, imag = (

@@ -9,7 +9,7 @@ Preset = Literal["gelatin_8", "gelatin_12", "gelatin_15", "bovine_muscle"]
 
 
 def _gelatin(shear_modulus_pa: float) -> dict[str, Any]:
-    """Return the specimen settings of a gelatin of this shear modulus."""
+    """Return the specimen settings of a gelatin phantom of this shear modulus, measured in the paper or assumed."""
     return {
         # Paper, Sec. IV.B, by its stainless steel sphere, a method that fits a Voigt medium.
         "medium": "voigt",

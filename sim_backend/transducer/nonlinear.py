@@ -162,6 +162,7 @@ class _March:
         """Set the wave numbers, and their components along the axis, of all harmonics in the present layer."""
         n = np.arange(1, self.accuracy.harmonics + 1)
         self.k = self.layer.wave_number(np.asarray(n * self.frequency_hz, dtype=np.float64), self.frequency_hz)
+        # A plane wave with the lateral wave number q has sqrt(k² - q²) along the axis; harmonic n uses its first nodes.
         self.kz1 = np.sqrt(self.k[0] ** 2 - self.q1**2)
         self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.length, strict=True)]
 

@@ -85,7 +85,8 @@ def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: FloatA
 
     They follow from ``orders`` spherical waves. ``k``: complex wave number.
     """
-    # h_n(k F) W_n (2n + 1) (-j)^n, then the sum over n with P_n(m).
+    # Amplitude of each spherical wave n: Hankel function at the bowl times moment times (2n + 1) (-j)^n. In plane waves
+    # it is a Legendre polynomial of the cosine.
     weighted = _hankel(k * transducer.focal_length_m, orders) * _moments(transducer, orders)
     n = np.arange(orders)
     weighted *= (2 * n + 1) * np.array([1, -1j, -1, 1j])[n % 4]

@@ -116,7 +116,7 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
     taper = _tapered(samples, max(before, min_taper), max(after, min_taper))
     frequency_hz = _grid(sample_rate_hz, carrier_hz, bins)
 
-    # E, with phases relative to the gate's centre; ``analysis`` is its inverse with taper, and removes the mean.
+    # ``signal`` is E, with phases relative to the gate's centre; ``analysis`` its inverse with taper, minus the mean.
     phase = 2 * np.pi * np.outer(np.arange(bins) - centre, frequency_hz / sample_rate_hz)
     signal = np.exp(1j * phase) / np.sqrt(bins)
     analysis = signal[:samples].conj() * taper[:, None]
@@ -124,8 +124,8 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
     analysis -= constant_spectrum / samples
     noise = analysis.T @ analysis.conj()
 
-    # B from the margins' part of E^H E. Relative to the centre that matrix is real, over the gate and hence over the
-    # remaining samples.
+    # ``margin_root`` is B, from the margins' part of E^H E. Relative to the centre that matrix is real, over the gate
+    # and hence over the remaining samples.
     margins = np.concatenate([signal[:before], signal[before + gate :]])
     energy, directions = np.linalg.eigh((margins.conj().T @ margins).real)
     significant = energy > MIN_MARGIN_ENERGY

@@ -85,7 +85,7 @@ def _change(
     # G: minus the columns in the first half, plus the columns in the second.
     sign = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
     step, residual = sign * columns.T, motion.displacement_m[..., valid]
-    # (1 - QQ') G and (1 - QQ') d, row by row in place: no second copy of a long train.
+    # Project the model's columns Q out of the step G and the data, row by row in place: no second copy of a long train.
     for rows in (step, residual):
         for row in np.ndindex(rows.shape[:-1]):
             rows[row] -= (rows[row] @ basis) @ basis.T

@@ -109,7 +109,7 @@ def least_squares(
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
     degrees: FloatArray | float = float(pulses - states)
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
-    # model.root is R^-1 with H'H = R'R: the covariance of the states for unit noise is R^-1 R^-1'.
+    # model.root is R^-1, with H'H = R'R of the model's matrix H: for unit noise the covariance is R^-1 R^-1'.
     if motion.step_noise_ratio is not None:
         orthonormal, step_noise_ratio = model.matrix @ model.root, np.asarray(motion.step_noise_ratio)
         energy, degrees = difference_noise_moments(orthonormal, np.ones(states), step_noise_ratio)

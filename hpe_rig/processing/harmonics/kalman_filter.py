@@ -155,7 +155,7 @@ def _updated(information: Information, block: FloatArray, measured: FloatArray, 
         moment = factor.T @ transformed + block.T @ measured
         lower: FloatArray = np.asarray(np.linalg.cholesky(factor.T @ factor + block.T @ block))
         return lower.T, np.asarray(np.linalg.solve(lower, moment), dtype=np.float64)
-    # F'F = sum of h h': the R of F stacked on the new rows is the new F.
+    # F'F is the sum of h h' over all rows h: the R of a QR decomposition of F stacked on the new rows is the new F.
     q, triangle = np.linalg.qr(np.vstack([factor, block]))
     return np.asarray(triangle), np.asarray(q.T @ np.vstack([transformed, measured]))
 
@@ -168,15 +168,16 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, pri
     initial variance of every state. Potter's form keeps the covariance positive for every ratio of prior to noise.
     """
     states = matrix.shape[1]
-    # The covariance is root @ root.T: positive whatever the rounding.
+    # The covariance P of the states is root @ root.T: positive whatever the rounding.
     root = np.sqrt(prior) * np.eye(states)
     state = np.zeros((*data.shape[:-1], states))
     innovations = np.empty(data.shape)
     for k, row in enumerate(matrix):
-        # Time update: P + G G' has the root [root, G]; QR makes it square again.
+        # Time update: with the drive G the covariance P + G G' has the root [root, G]; QR makes it square again.
         if k:
             root = np.linalg.qr(np.vstack([root.T, drive[k].T]))[1].T
-        # Measurement update in Potter's form: S <- S - K a' / (1 + 1/sqrt(alpha)), a = S'h, alpha = 1 + a'a.
+        # Measurement update in Potter's form, with S the root, h the row, K the gain:
+        # S <- S - K a' / (1 + 1/sqrt(alpha)), projection a = S'h, innovation variance alpha = 1 + a'a.
         projection = root.T @ row
         innovation_variance = 1.0 + projection @ projection
         gain = root @ projection / innovation_variance

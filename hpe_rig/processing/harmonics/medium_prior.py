@@ -138,7 +138,8 @@ def medium_prior(
 ) -> MediumPrior:
     """Return the prior of the motion that media make under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
 
-    ``pushed``: beams that push the tissue, or a rigid sphere. Times count from the onset of a burst at the focus. A
+    It is an ensemble of media, each described by its complex response at a few frequencies (nodes). ``pushed``: beams
+    that push the tissue, or a rigid sphere. Times count from the onset of a burst at the focus. A
     ``known_medium``, shear modulus (Pa) and viscosity (Pa s), narrows the ensemble to Voigt media near it.
     """
     lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
@@ -150,11 +151,13 @@ def medium_prior(
     scale = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
     responses = scale * ensemble.tracked
     members = np.hstack([responses.real, responses.imag])
-    # Deviation from the ensemble's span: the same standard deviation in the real and imaginary part of a node.
+    # Voigt media weigh more. Standard deviation of a medium from the ensemble's span, equal in the real and imaginary
+    # part of a node.
     weight = np.where(ensemble.voigt, VOIGT_WEIGHT, 1.0)
     power = (weight / weight.sum()) @ (members**2)
     deviation = ENSEMBLE_RESIDUAL * np.sqrt(np.tile(power.reshape(2, -1).mean(axis=0), 2))
-    # L L' = weighted second moment of the members + squared deviation, by QR of the stacked factors.
+    # The root L of the covariance: L L' = weighted second moment of the members + squared deviation, by QR of the
+    # stacked factors.
     weighted = np.sqrt(weight / weight.sum())[:, None] * members
     root = np.asarray(np.linalg.qr(np.vstack([weighted, np.diag(deviation)]), mode="r")).T
     prior = MediumPrior(

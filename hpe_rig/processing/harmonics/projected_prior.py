@@ -90,7 +90,7 @@ def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[i
     # Motion of each direction of the prior, and of each wanted state, at the instants.
     directions, columns = prior.sampled_motions(time_s[valid][first], harmonic_indices)
     basis = prior.states(harmonic_indices)
-    # F: the prior's root, extended by a deviation of each wanted harmonic, equal in both of its states.
+    # F, the root of the prior's covariance, is extended by a deviation of each wanted harmonic, equal in both states.
     power = np.sum((basis @ prior.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
     wanted_deviation = np.diag(HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2)))
     sampled_deviation = columns @ wanted_deviation

@@ -213,8 +213,9 @@ def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, inte
     K is the covariance of velocities (differences of pulses over ``interval_s``), M = 1 - q q' the residual of a fit
     with orthonormal columns q (valid interval, state). ``over_pulses`` (state, pulse): q as weights of the pulses.
     """
-    kq = np.diff(over_pulses)[:, valid] / interval_s
-    # tr K K - 2 tr q'K K q + tr (q'K q)²
+    # With unit pulse noise a velocity has the variance 2 / T², and -1 / T² in common with its neighbour (T: interval).
+    kq = np.diff(over_pulses)[:, valid] / interval_s  # (K q)'
+    # tr A A = tr K K - 2 tr q'K K q + tr (q'K q)².
     noise_trace = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
     trace = noise_trace - 2 * np.sum(kq**2) + np.sum((kq @ q) ** 2)
     return max(float(trace), np.finfo(np.float64).tiny)

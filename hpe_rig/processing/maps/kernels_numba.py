@@ -34,7 +34,7 @@ UNKNOWN_PHASE_RAD: Final = np.float32(math.pi / math.sqrt(3))
 @compiler(*_FASTMATH, inline=True)
 def _angle(y: Any, x: Any) -> Any:
     """Return the angle of (x, y), -pi to pi, rad: arctan2 by a polynomial, which compiles to vector instructions."""
-    # Tangent of the angle to the nearer axis, at most 1, and arctan of it: an odd polynomial with coefficients C0 to C7.
+    # Tangent of the angle to the nearer axis, at most 1, and its arctan: an odd polynomial with coefficients C0 to C7.
     width, height = abs(x), abs(y)
     a = min(width, height) / max(width, height, TINY)
     s = a * a
