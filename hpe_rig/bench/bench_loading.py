@@ -10,6 +10,7 @@ from importlib import resources
 from pathlib import Path
 
 from hpe_rig.bench.bench_file import BenchFile
+from hpe_rig.bench.resource_name import resource_names, shared_addresses
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -34,7 +35,7 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
     """Return the bench in the TOML file ``path``, by default the shipped simulated bench.
 
     Raises ``SettingsError`` with every mistake. A real bench with the title of the simulated one is refused, because
-    reports would show it; ``any_title`` accepts it, so that existing runs can be opened.
+    reports would show it, and one with two roles at one instrument; ``any_title`` accepts both, to switch off.
     """
     if path is None:
         shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
@@ -49,9 +50,14 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
         raise SettingsError(f"bench {path}", [mistake]) from None
     bench_text = parse_bench(path.stem, text)
     bench = bench_text.bench
-    if not any_title and not bench.simulated and bench.title == read_bench().bench.title:
+    if any_title or bench.simulated:
+        return bench_text
+    mistakes = list(shared_addresses(bench, resource_names(bench)))
+    if bench.title == read_bench().bench.title:
         what = "this is the title of the simulated bench, and every report of this real bench would show it"
-        raise SettingsError(f"bench {path.stem}", [Mistake("title", what, 'a title such as "HPE bench, room 12"')])
+        mistakes.append(Mistake("title", what, 'a title such as "HPE bench, room 12"'))
+    if mistakes:
+        raise SettingsError(f"bench {path.stem}", mistakes)
     return bench_text
 
 

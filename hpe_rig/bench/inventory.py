@@ -103,12 +103,13 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
     ``self_test`` runs the self-tests of all instruments that have one, after all outputs are off. Raises
     ``UnsafeBenchError`` if an output cannot be verified to be off.
     """
-    addresses = () if bench.simulated else visa_addresses()
     with open_each(bench) as instruments:
-        reports = tuple(_report(role, item, bench, addresses, clock_s) for role, item in instruments.items())
+        reports = tuple(_report(role, item, bench, clock_s) for role, item in instruments.items())
+        # A search of the buses takes seconds, and a self-test may drive an output: all are off before.
+        make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
+        addresses = () if bench.simulated else visa_addresses()
+        reports = tuple(_with_suggestions(report, bench, addresses) for report in reports)
         if self_test:
-            # A self-test may drive an output, so all are off before the first one begins.
-            make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
             reports = tuple(_with_self_test(report, instruments[report.role]) for report in reports)
     serials = {report.role: report.identity.serial for report in reports if report.identity is not None}
     mistakes = serial_mistakes(bench, serials)
@@ -117,12 +118,11 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
 
 
 def _report(
-    role: str, item: Instrument | Exception, bench: BenchFile, addresses: Sequence[str], clock_s: Callable[[], float]
+    role: str, item: Instrument | Exception, bench: BenchFile, clock_s: Callable[[], float]
 ) -> InstrumentReport:
     address = bench.address_text(role)
     if isinstance(item, Exception):
-        suggestions = _address_suggestion(role, address, bench, addresses)
-        return InstrumentReport(role, address, problems=(str(item), *suggestions))
+        return InstrumentReport(role, address, problems=(str(item),))
     try:
         # Only queries, so that the settings of other programs are reported as they were found.
         identity, latency_s = _timed_identity(item, clock_s)
@@ -138,6 +138,14 @@ def _report(
 
 def _with_problem(report: InstrumentReport, problem: str | None) -> InstrumentReport:
     return report if problem is None else replace(report, problems=(*report.problems, problem))
+
+
+def _with_suggestions(report: InstrumentReport, bench: BenchFile, addresses: Sequence[str]) -> InstrumentReport:
+    """Return ``report`` with suggestions for the address of an instrument that did not answer."""
+    if report.identity is not None:
+        return report
+    suggestions = _address_suggestion(report.role, report.address, bench, addresses)
+    return replace(report, problems=(*report.problems, *suggestions))
 
 
 def _with_self_test(report: InstrumentReport, item: Instrument | Exception) -> InstrumentReport:

@@ -12,7 +12,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
@@ -20,7 +20,8 @@ from typing import Final
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.scene import printable
+from hpe_rig.bench.resource_name import resolved_names, resource_names, shared_addresses
+from hpe_rig.scene import SettingsError, printable
 
 FOLDER_VARIABLE: Final = "HPE_RIG_LOCKS"
 """Environment variable that names another folder, for programs in containers that share instruments."""
@@ -55,14 +56,30 @@ class BenchInUseError(InstrumentError):
 
 def resources(bench: BenchFile) -> list[str]:
     """Return the names of the instruments that a real bench locks; none for a simulated one."""
+    return [] if bench.simulated else _lock_names(bench, resolved_names(bench))
+
+
+@contextmanager
+def exclusive(bench: BenchFile) -> Iterator[None]:
+    """Lock every instrument of a real bench; raises as ``locked``.
+
+    Raises ``SettingsError`` if two roles have one instrument.
+    """
     if bench.simulated:
-        return []
-    generators = (
-        " behind ".join(filter(None, (item.address, item.interface))) for item in bench.generators.by_role.values()
-    )
+        yield
+        return
+    names = resolved_names(bench)
+    if mistakes := list(shared_addresses(bench, names)):
+        raise SettingsError(f"bench {bench.title}", mistakes)
+    with locked(_lock_names(bench, names)):
+        yield
+
+
+def _lock_names(bench: BenchFile, names: Mapping[str, str]) -> list[str]:
     board = f"Alazar system {bench.digitizer.system_id} board {bench.digitizer.board_id}"
+    # Also the names without resolution: another program may get no answer to it.
     # Every program locks in the same order, so that two cannot block each other.
-    return sorted({*generators, board})
+    return sorted({*names.values(), *resource_names(bench).values(), board})
 
 
 _held_for_several_runs: set[str] = set()

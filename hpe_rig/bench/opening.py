@@ -6,6 +6,7 @@ Only this module connects the drivers: to VISA and the vendor's library, or to t
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -19,7 +20,7 @@ from hpe_rig.bench.identity import require_serials
 from hpe_rig.bench.instruments import SAFE_ORDER, Bench, UnsafeBenchError, make_safe, proven_off
 from hpe_rig.bench.interrupts import interruptible, uninterrupted
 from hpe_rig.bench.lines import Answer, Answers, ask_buses
-from hpe_rig.bench.lock import locked, resources
+from hpe_rig.bench.lock import exclusive
 from hpe_rig.bench.twin import twin_tables
 from hpe_rig.scene import Scene
 
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
     from sim_backend.transports import Emulator, Transport
     from sim_backend.world import World
 
-
+SEARCH_TIMEOUT_S: Final = 5.0
+"""Longest search for the addresses of instruments: a GPIB adapter without a cable does not answer."""
 BRIEF_S: Final = 0.1
 """Time-out of the first question to each instrument on a shared bus."""
 SHARED_S: Final = 0.6
@@ -53,7 +55,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     """
     # Interrupts end the inner block; after it they are deferred until every output is off.
     with uninterrupted(), ExitStack() as stack:
-        stack.enter_context(locked(resources(bench)))
+        stack.enter_context(exclusive(bench))
         # Only identified instruments are sent commands; an unknown one at a wrong address is left alone.
         answers = Answers(stack)
         try:
@@ -86,7 +88,8 @@ def open_each(bench: BenchFile, lock: bool = True, off: bool = False) -> Iterato
     itself. On exit the identified ones are made safe and verified. Without ``lock`` another program may be using them.
     """
     with uninterrupted(), ExitStack() as stack:
-        stack.enter_context(locked(resources(bench) if lock else []))
+        if lock:
+            stack.enter_context(exclusive(bench))
         answers = Answers(stack)
         try:
             with interruptible():
@@ -183,7 +186,25 @@ def _identified(answers: Answers) -> dict[str, Any]:
 
 
 def visa_addresses() -> tuple[str, ...]:
-    """Return the addresses of all VISA instruments; empty without instruments or without VISA."""
+    """Return the addresses of all VISA instruments; empty without instruments, without VISA, or if it does not answer.
+
+    The search sends messages to instruments, so the bench must be locked. It takes at most ``SEARCH_TIMEOUT_S``.
+    """
+    addresses: list[str] = []
+
+    def search_quietly() -> None:
+        # pyvisa-py reports failures of a bus by exceptions of any kind.
+        with suppress(Exception):
+            addresses.extend(_search_addresses())
+
+    # A search cannot be interrupted; a thread that is still searching ends with the program.
+    search = threading.Thread(target=search_quietly, daemon=True)
+    search.start()
+    search.join(SEARCH_TIMEOUT_S)
+    return tuple(addresses)
+
+
+def _search_addresses() -> tuple[str, ...]:
     import warnings
 
     import pyvisa

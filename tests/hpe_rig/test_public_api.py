@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from doctest import DocTestParser
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -314,7 +315,8 @@ def test_only_a_simulated_bench_without_a_specimen_gets_the_default_one(run: hpe
     plain.write_text(first_scene(), encoding="utf-8")
     bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
     metal = bench.replace("simulated = true", "simulated = false").replace("Simulated bench, wired", "Bench, wired")
-    metal = metal.replace('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n')
+    number = count(10)
+    metal = re.sub(r'(?<=model = "33250A"\n)', lambda _: f'address = "GPIB0::{next(number)}::INSTR"\n', metal)
     (tmp_path / "metal.toml").write_text(metal, encoding="utf-8")
     assert prepare(plain, tmp_path / "metal.toml", refuse=False).scene.scene.simulation is None
     assert DEFAULT_SPECIMEN not in hpe.check(plain, tmp_path / "metal.toml").text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import socket
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -37,23 +37,19 @@ def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:
 
 def real_bench(tmp_path: Path) -> BenchFile:
     """Return a bench file with addresses where nobody listens."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f'latency_s = 100e-9\naddress = "TCPIP::127.0.0.1::{port}::SOCKET"'
-    master = (
-        "load_ohm = inf                # feeds",
-        f'address = "TCPIP::127.0.0.1::{port}::SOCKET"\nload_ohm = inf # feeds',
+    path = edited(
+        tmp_path,
+        ("simulated = true", "simulated = false"),
+        ("Simulated bench, wired as Fig. 2 of the paper", "Bench where nobody answers"),
     )
-    return read_bench(
-        edited(
-            tmp_path,
-            ("latency_s = 100e-9", address),
-            master,
-            ("simulated = true", "simulated = false"),
-            ("Simulated bench, wired as Fig. 2 of the paper", "Bench where nobody answers"),
-        )
-    ).bench
+    port = count(1)
+    addressed = re.sub(
+        r"(?m)^(\[generators\.\w+\]\n)",
+        lambda match: f'{match[1]}address = "TCPIP::127.0.0.1::{next(port)}::SOCKET"\n',
+        path.read_text(encoding="utf-8"),
+    )
+    path.write_text(addressed, encoding="utf-8")
+    return read_bench(path).bench
 
 
 def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,8 +44,6 @@ from hpe_rig.runs import json_schema, process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
 
-NOWHERE = 'address = "TCPIP::127.0.0.1::1::SOCKET"'
-
 
 def scenes(folder: Path, count: int) -> list[Path]:
     """Write ``count`` scenes of two shots each, of different seeds."""
@@ -60,8 +58,9 @@ def absent_bench(folder: Path) -> Path:
     """Write the bench file of a real bench that does not answer."""
     text = read_bench().text.replace("simulated = true", "simulated = false").partition("[calibration]")
     generators = "[generators.master]" + text[2].partition("[generators.master]")[2]
-    for role in ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"):
-        generators = generators.replace(f"[generators.{role}]", f"[generators.{role}]\n{NOWHERE}")
+    for port, role in enumerate(("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"), 1):
+        address = f'address = "TCPIP::127.0.0.1::{port}::SOCKET"'
+        generators = generators.replace(f"[generators.{role}]", f"[generators.{role}]\n{address}")
     path = folder / "absent.toml"
     named = text[0].replace("Simulated bench, wired as Fig. 2 of the paper", "A bench that is switched off")
     path.write_text(named + generators, encoding="utf-8")

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -52,9 +53,12 @@ def test_checking_a_scene_for_a_real_bench_loads_neither_twin_nor_visa(tmp_path:
         ("simulated = true", "simulated = false"),
         ("Simulated bench, wired as Fig. 2 of the paper", "Bench on metal"),
         ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
-        ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\nserial = "none"\n'),
     ):
         bench = bench.replace(simulated, real)
+    number = count(10)
+    bench = re.sub(
+        r'(?<=model = "33250A"\n)', lambda _: f'address = "GPIB0::{next(number)}::INSTR"\nserial = "none"\n', bench
+    )
     path = tmp_path / "metal.toml"
     path.write_text(bench, encoding="utf-8")
     statement = (

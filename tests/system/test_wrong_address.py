@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -24,10 +26,11 @@ def metal(tmp_path: Path) -> Path:
         ("simulated = true", "simulated = false"),
         ("Simulated bench, wired as Fig. 2 of the paper", "Bench at the wrong address"),
         ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
-        ('model = "33250A"\n', 'model = "33250A"\naddress = "TCPIP0::127.0.0.1::1::SOCKET"\n'),
     ):
         assert simulated in text
         text = text.replace(simulated, real)
+    port = count(1)
+    text = re.sub(r'(?<=model = "33250A"\n)', lambda _: f'address = "TCPIP0::127.0.0.1::{next(port)}::SOCKET"\n', text)
     path = tmp_path / "metal.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -101,7 +104,7 @@ def test_a_missing_driver_is_named(tmp_path: Path, metal: Path, monkeypatch: pyt
     with pytest.raises(NoVisaError, match="no VISA driver for GPIB is installed") as caught:
         VisaConnection("GPIB0::10::INSTR", backend="@py")
     assert "NI-VISA or Keysight IO Libraries, or linux-gpib" in caught.value.remedy
-    text = metal.read_text(encoding="utf-8").replace("TCPIP0::127.0.0.1::1::SOCKET", "GPIB0::10::INSTR")
+    text = metal.read_text(encoding="utf-8").replace("TCPIP0::127.0.0.1", "GPIB0").replace("SOCKET", "INSTR")
     metal.write_text(text, encoding="utf-8")
     done = rig(tmp_path, monkeypatch, "run", "bovine-muscle", "--bench", str(metal))
     assert done.exit_code == 1

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import re
+import time
+from itertools import count
 from pathlib import Path
 
 import pytest
 import pyvisa
 from typer.testing import CliRunner
 
-from hpe_rig.bench import parse_bench, read_bench
+from hpe_rig.bench import BenchInUseError, inventory, opening, parse_bench, read_bench, resources, survey
+from hpe_rig.bench.lock import holder_of, locked
 from hpe_rig.bench.opening import visa_addresses
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare
@@ -20,10 +25,13 @@ TITLE = read_bench().bench.title
 
 def real(path: Path, *edits: tuple[str, str]) -> Path:
     text = read_bench().text
-    addressed = ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\nserial = "none"\n')
-    for old, new in (("simulated = true", "simulated = false"), addressed, *edits):
+    for old, new in (("simulated = true", "simulated = false"), *edits):
         assert old in text
         text = text.replace(old, new)
+    number = count(10)
+    text = re.sub(
+        r'(?<=model = "33250A"\n)', lambda _: f'address = "GPIB0::{next(number)}::INSTR"\nserial = "none"\n', text
+    )
     path.write_text(text, encoding="utf-8")
     return path
 
@@ -34,6 +42,36 @@ def test_no_instrument_is_found_where_there_is_no_visa(monkeypatch: pytest.Monke
 
     monkeypatch.setattr(pyvisa, "ResourceManager", none_there)
     assert visa_addresses() == ()
+
+
+def test_a_search_for_instruments_that_hangs_ends_after_a_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(opening, "SEARCH_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(opening, "_search_addresses", lambda: time.sleep(3.0) or ("GPIB0::31::INSTR",))
+    start_s = time.monotonic()
+    assert visa_addresses() == ()
+    assert time.monotonic() - start_s < 2.5
+
+
+def test_instruments_are_searched_for_with_the_bench_locked_and_its_outputs_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = read_bench(real(tmp_path / "metal.toml", (TITLE, "Room 12"))).bench
+    holders: list[str | None] = []
+
+    def search() -> tuple[str, ...]:
+        holders.extend(holder_of(name) for name in resources(bench))
+        return ("GPIB0::31::INSTR",)
+
+    monkeypatch.setattr(inventory, "visa_addresses", search)
+    report = survey(bench)
+    assert [holder is not None and f"process {os.getpid()} " in holder for holder in holders] == [True] * 6
+    # No driver for GPIB is installed here, so that every generator gets a suggestion.
+    assert all("GPIB0::31::INSTR" in item.problems[-1] for item in report.instruments[:-1])
+    with locked(resources(bench)):
+        holders.clear()
+        with pytest.raises(BenchInUseError):
+            survey(bench)
+    assert holders == []
 
 
 def test_a_copied_bench_has_a_title_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
