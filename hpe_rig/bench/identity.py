@@ -47,6 +47,17 @@ def serial_mistakes(bench: BenchFile, serials: Mapping[str, str]) -> dict[str, s
     return mistakes
 
 
+def shared_serials(serials: Mapping[str, str]) -> dict[str, str]:
+    """Return by role, in words, each generator whose serial number another role reported too."""
+    roles: dict[str, str] = {}
+    generators = {role: serial for role, serial in serials.items() if serial and role != "digitizer"}
+    return {
+        role: f"serial number {serial} answers for {first} too: one instrument has two addresses"
+        for role, serial in generators.items()
+        if (first := roles.setdefault(serial, role)) != role
+    }
+
+
 def _remedy(bench: BenchFile, serials: Mapping[str, str]) -> str:
     """Return in words how addresses or serial numbers of the bench file are corrected."""
     stated = bench.serials

@@ -11,7 +11,7 @@ from typing import Final
 
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
 from hpe_rig.bench.bench_file import BenchFile, DigitizerBoard
-from hpe_rig.bench.identity import reported_serials, serial_mistakes
+from hpe_rig.bench.identity import reported_serials, serial_mistakes, shared_serials
 from hpe_rig.bench.instruments import UnsafeBenchError, make_safe
 from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
@@ -112,7 +112,7 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
         if self_test:
             reports = tuple(_with_self_test(report, instruments[report.role]) for report in reports)
     serials = {report.role: report.identity.serial for report in reports if report.identity is not None}
-    mistakes = serial_mistakes(bench, serials)
+    mistakes = shared_serials(serials) | serial_mistakes(bench, serials)
     reports = tuple(_with_problem(report, mistakes.get(report.role)) for report in reports)
     return BenchReport(bench.title, bench.simulated, reports, addresses)
 

@@ -77,9 +77,11 @@ def exclusive(bench: BenchFile) -> Iterator[None]:
 
 def _lock_names(bench: BenchFile, names: Mapping[str, str]) -> list[str]:
     board = f"Alazar system {bench.digitizer.system_id} board {bench.digitizer.board_id}"
+    # An instrument that another bench file reaches by a different interface has the same serial number there.
+    serials = (f"serial number {serial}" for serial in bench.serials.values())
     # Also the names without resolution: another program may get no answer to it.
     # Every program locks in the same order, so that two cannot block each other.
-    return sorted({*names.values(), *resource_names(bench).values(), board})
+    return sorted({*names.values(), *resource_names(bench).values(), *serials, board})
 
 
 _held_for_several_runs: set[str] = set()

@@ -30,7 +30,11 @@ def metal(tmp_path: Path) -> Path:
         assert simulated in text
         text = text.replace(simulated, real)
     port = count(1)
-    text = re.sub(r'(?<=model = "33250A"\n)', lambda _: f'address = "TCPIP0::127.0.0.1::{next(port)}::SOCKET"\n', text)
+    text = re.sub(
+        r'(?<=model = "33250A"\n)',
+        lambda _: f'address = "TCPIP0::127.0.0.1::{next(port)}::SOCKET"\nserial = "none"\n',
+        text,
+    )
     path = tmp_path / "metal.toml"
     path.write_text(text, encoding="utf-8")
     return path

@@ -5,12 +5,14 @@ from __future__ import annotations
 import socket
 import sys
 import time
+from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from drivers.agilent import Agilent33250A
 from hpe_rig.bench import open_bench, parse_bench, read_bench, resource_name, survey
 from hpe_rig.bench.lock import BenchInUseError, exclusive, locked
 from hpe_rig.bench.resource_name import (
@@ -126,14 +128,15 @@ def without_end(*_: object) -> None:
     raise socket.gaierror(socket.EAI_AGAIN, "no answer")
 
 
-def bench_text(**addresses: str) -> str:
+def bench_text(serials: Mapping[str, str] = {}, first_address: int = 10, **addresses: str) -> str:
     """Return the text of a real bench, each generator at its own GPIB address unless stated."""
     text = read_bench().text.replace("simulated = true", "simulated = false")
     text = text.replace("Simulated bench, wired as Fig. 2 of the paper", "Room 12")
     text = text.replace("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone")
-    for number, role in enumerate(read_bench().bench.generators.by_role, 10):
+    for number, role in enumerate(read_bench().bench.generators.by_role, first_address):
         address = addresses.get(role, f"GPIB0::{number}::INSTR")
-        text = text.replace(f"[generators.{role}]\n", f'[generators.{role}]\naddress = "{address}"\n')
+        stated = f'address = "{address}"\nserial = "{serials.get(role, "none")}"\n'
+        text = text.replace(f"[generators.{role}]\n", f"[generators.{role}]\n{stated}")
     return text
 
 
@@ -178,14 +181,37 @@ def test_one_instrument_by_its_name_and_by_its_number_is_refused_at_opening(monk
 def test_programs_with_other_spellings_of_an_address_exclude_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", resolver({"generator": ["192.0.2.7"]}))
     first = parse_bench("one", bench_text(master="TCPIP0::generator::hislip0::INSTR")).bench
-    other = bench_text(master="TCPIP::192.0.2.7").replace("board_id = 1", "board_id = 2")
-    for number in range(11, 15):
-        other = other.replace(f"GPIB0::{number}", f"GPIB0::{number + 10}")
+    other = bench_text(first_address=20, master="TCPIP::192.0.2.7").replace("board_id = 1", "board_id = 2")
     second = parse_bench("other", other).bench
     with exclusive(first), pytest.raises(BenchInUseError, match=r"TCPIP::192\.0\.2\.7 is in use"), exclusive(second):
         pass
     with exclusive(second):
         pass
+
+
+def test_programs_that_reach_one_instrument_by_different_interfaces_exclude_each_other_by_its_serial_number() -> None:
+    serials = {"toneburst": "MY44000001"}
+    first = parse_bench("one", bench_text(serials)).bench
+    other = bench_text(serials, 20, toneburst="USB0::0x0957::0x0407::MY44000001::INSTR")
+    second = parse_bench("other", other.replace("board_id = 1", "board_id = 2")).bench
+    with (
+        exclusive(first),
+        pytest.raises(BenchInUseError, match="serial number MY44000001 is in use"),
+        exclusive(second),
+    ):
+        pass
+
+
+def test_an_instrument_that_answers_at_two_addresses_is_named_by_the_inventory(monkeypatch: pytest.MonkeyPatch) -> None:
+    serial_number = Agilent33250A.serial_number
+
+    def same(generator: Agilent33250A) -> str:
+        return "MY1" if generator.role in ("master", "toneburst") else serial_number(generator)
+
+    monkeypatch.setattr(Agilent33250A, "serial_number", same)
+    problems = {item.role: item.problems for item in survey(read_bench().bench).instruments if item.problems}
+    assert list(problems) == ["toneburst"]
+    assert "serial number MY1 answers for master too" in problems["toneburst"][0]
 
 
 def test_a_resolver_that_hangs_delays_an_opening_by_a_bounded_time_and_the_name_as_written_is_locked_too(
