@@ -74,7 +74,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
 
     The locks of other programs do not prevent this; ``announce`` is called with their names.
     """
-    for name in resources(bench):
+    for name in resources(bench, resolve=False):
         if holder := holder_of(name):
             announce(f"{name} is in use by {holder}: it is switched off anyway")
     errors: dict[str, str] = {}

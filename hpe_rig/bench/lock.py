@@ -20,6 +20,7 @@ from typing import Final
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
+from hpe_rig.bench.interrupts import interruptible
 from hpe_rig.bench.resource_name import resolved_names, resource_names, shared_addresses
 from hpe_rig.scene import SettingsError, printable
 
@@ -54,9 +55,14 @@ class BenchInUseError(InstrumentError):
         self.holder = holder
 
 
-def resources(bench: BenchFile) -> list[str]:
-    """Return the names of the instruments that a real bench locks; none for a simulated one."""
-    return [] if bench.simulated else _lock_names(bench, resolved_names(bench))
+def resources(bench: BenchFile, resolve: bool = True) -> list[str]:
+    """Return the names of the instruments that a real bench locks; none for a simulated one.
+
+    Without ``resolve`` host names stay as they are written, and no network is waited for.
+    """
+    if bench.simulated:
+        return []
+    return _lock_names(bench, resolved_names(bench) if resolve else resource_names(bench))
 
 
 @contextmanager
@@ -68,7 +74,8 @@ def exclusive(bench: BenchFile) -> Iterator[None]:
     if bench.simulated:
         yield
         return
-    names = resolved_names(bench)
+    with interruptible():
+        names = resolved_names(bench)
     if mistakes := list(shared_addresses(bench, names)):
         raise SettingsError(f"bench {bench.title}", mistakes)
     with locked(_lock_names(bench, names)):
