@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_backend.arrays import FloatArray
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import (
     BOARDS,
     FAR_PS,
@@ -34,6 +34,7 @@ from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
     Cable,
+    Capture,
     Emission,
     Plug,
     Respond,
@@ -108,6 +109,20 @@ def _generator(clock: SimulatedClock, instruments: Instruments, model: str, numb
     if instruments.serial_numbers:
         generator.states.rename(("4", f"SIM_BOX_{number}"))
     return generator
+
+
+class Silence:
+    """Acoustics of a bench with its amplifier off: no motion, no echo, no noise."""
+
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
+        """Return zeros (record, sample)."""
+        return np.zeros((capture.first_sample_ps.size, capture.samples))
+
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
+    ) -> FloatArray:
+        """Return zeros (time,)."""
+        return np.zeros(time_ps.shape)
 
 
 class World:

@@ -3,6 +3,7 @@
 In the order of the flow:
     bench_file      sections of a bench file: instruments, cables, limits, calibration
     bench_loading   bench files from a path or text, their wiring checked
+    commissioned    digest of what a commissioning proves
     twin            the simulation that a scene declares, as one typed value
     push_scan       hydrophone scan of the push
     twin_checks     mistakes in [simulation], and settings that differ from the scene's

@@ -16,6 +16,7 @@ from .bench_loading import (
     with_title as with_title,
     with_transducers as with_transducers,
 )
+from .commissioned import commissioned_digest as commissioned_digest
 from .comparison import (
     file_differences as file_differences,
     settings_differences as settings_differences,
@@ -36,7 +37,7 @@ from .inventory import (
     switch_off as switch_off,
 )
 from .lock import BenchInUseError as BenchInUseError, hold as hold, resources as resources
-from .opening import open_bench as open_bench
+from .opening import open_bench as open_bench, silent_world as silent_world
 from .output_limits import Drive as Drive, drive_mistakes as drive_mistakes
 from .push_scan import scanned_push as scanned_push
 from .twin import (

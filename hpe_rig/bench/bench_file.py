@@ -191,6 +191,21 @@ class Cable(Section):
     """Where it ends."""
     delay_s: LatencyS = 0.0
     """Propagation delay of the cable and of the devices in it."""
+    delay_u_s: LatencyS | None = None
+    """Standard uncertainty of the delay, from hpe-rig commission; default: it was not measured."""
+
+
+class Commissioning(Section):
+    """What hpe-rig commission proved; it writes this table."""
+
+    date: Day
+    """Day of the commissioning."""
+    program: Annotated[str, Field(max_length=100)]
+    """Program and version."""
+    digest: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
+    """Digest of instruments and cables, which differs if they were changed in the bench file since."""
+    cables: tuple[str, ...]
+    """The cables that lead where [[wiring]] says, with the right polarity."""
 
 
 class PushingTransducer(Section):
@@ -332,6 +347,8 @@ class BenchFile(Section):
     """The digitizer."""
     wiring: tuple[Cable, ...]
     """The cables."""
+    commissioning: Commissioning | None = None
+    """What hpe-rig commission proved; default: nothing, and checks of a real bench report so."""
     transducers: Transducers | None = None
     """The transducers if one pushes and another one tracks; default: one does both, and scenes have [beams]."""
     recording: ForeignRecording | None = None

@@ -26,7 +26,7 @@ from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
     from sim_backend.transports import Emulator, Transport
-    from sim_backend.world import World
+    from sim_backend.world import Silence, World
 
 SEARCH_TIMEOUT_S: Final = 5.0
 """Longest search for the addresses of instruments: a GPIB adapter without a cable does not answer."""
@@ -47,11 +47,14 @@ class WallClock:
 
 
 @contextmanager
-def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot: int = 0) -> Iterator[Bench]:
+def open_bench(
+    scene: Scene | None, bench: BenchFile, roles: Sequence[str], first_shot: int = 0, world: World | None = None
+) -> Iterator[Bench]:
     """Yield the bench with the instruments of ``roles`` open; on exit make it safe and verify that.
 
-    ``first_shot`` is the index of the next shot; the random numbers of a resumed twin continue there. Raises
-    ``BenchInUseError`` before anything is opened if another program uses an instrument of a real bench.
+    ``first_shot`` is the index of the next shot; the random numbers of a resumed twin continue there. ``world`` is the
+    twin of a simulated bench, by default the one that ``scene`` declares. Raises ``BenchInUseError`` before anything
+    is opened if another program uses an instrument of a real bench.
     """
     # Interrupts end the inner block; after it they are deferred until every output is off.
     with uninterrupted(), ExitStack() as stack:
@@ -60,8 +63,9 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
         answers = Answers(stack)
         try:
             with interruptible():
-                simulation = twin_tables(scene) if bench.simulated else {}
-                connections = _connect(simulation, bench, first_shot, stack, answers, lock=True)
+                if bench.simulated and world is None and scene is not None:
+                    world = _world(twin_tables(scene), bench, first_shot)
+                connections = _connect(world, bench, stack, answers, lock=True)
                 _open_all(connections, sorted(roles, key=SAFE_ORDER.index), bench, stack, answers, off=True)
                 drivers = _identified(answers)
                 instruments = Bench(bench.simulated, connections.clock, connections.world, file=bench, **drivers)
@@ -93,7 +97,7 @@ def open_each(bench: BenchFile, lock: bool = True, off: bool = False) -> Iterato
         answers = Answers(stack)
         try:
             with interruptible():
-                connections = _connect({}, bench, 0, stack, answers, lock)
+                connections = _connect(None, bench, stack, answers, lock)
                 _open_all(connections, (*bench.generators.by_role, "digitizer"), bench, stack, answers, off)
                 yield answers.by_role
         finally:
@@ -260,17 +264,15 @@ class Connections:
         return Agilent33250A(connection, role, generator.model, max_vpp)
 
 
-def _connect(
-    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, answers: Answers, lock: bool
-) -> Connections:
-    """Return the connections to the real instruments, or to a twin with the settings ``simulation``."""
+def _connect(world: World | None, bench: BenchFile, stack: ExitStack, answers: Answers, lock: bool) -> Connections:
+    """Return the connections to the real instruments, or to the twin ``world``, by default one as usual."""
     if not bench.simulated:
         from drivers.alazar import load_library
 
         addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
         connect = _visa_connections(addresses, "", answers, lock)
         return Connections(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None, addresses)
-    world = _world(simulation, bench, first_shot)
+    world = world or _world({}, bench)
     if bench.transport is None:
         return Connections(lambda role: cast(Connection, world.connect(role)), world.alazar_library, world.clock, world)
     addresses = _addresses(stack.enter_context(_emulator(world, bench, bench.transport)))
@@ -278,14 +280,23 @@ def _connect(
     return Connections(connect, world.alazar_library, world.clock, world, addresses)
 
 
-def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0) -> World:
+def silent_world(bench: BenchFile) -> World:
+    """Return a twin of ``bench`` with its amplifier off: nothing is transmitted, and nothing is received."""
+    from sim_backend.world import Silence
+
+    return _world({}, bench, acoustics=Silence())
+
+
+def _world(
+    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0, acoustics: Silence | None = None
+) -> World:
     from sim_backend.settings import SimulationSettings
     from sim_backend.world import World
 
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(cable.source, cable.target, cable.delay_s) for cable in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}
-    return World(settings, wiring, first_capture=first_shot, models=models, board=bench.digitizer.model)
+    return World(settings, wiring, acoustics, models, first_shot, bench.digitizer.model)
 
 
 def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:

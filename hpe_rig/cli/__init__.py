@@ -10,13 +10,14 @@ Modules, from the typed command to its output::
     stored_runs.py  commands on stored runs: process, report, compare, moduli, verify, list
     recordings.py   commands on recordings of other programs: import, map
     scenes.py       commands on settings: check, scenes, new, schema, extensions
-    benches.py      commands on benches: bench, emulate
+    benches.py      commands on benches: bench, commission, emulate
     studies.py      commands that study by simulation: accuracy, design, study
     watch.py        stop request, pause, log and live page of a run
     keys.py         keys pressed during a run
     queue.py        several runs, one after another
     bench.py        state of a bench, and its comparison with another
     off.py          outputs switched off and verified
+    commission.py   questions and table of a commissioning
     listing.py      runs of a folder; extensions of other packages
     stored.py       damage, comparisons, moduli and maps
     study.py        workers and progress of a study

@@ -1,4 +1,4 @@
-"""Commands on benches: ``bench``, ``emulate``."""
+"""Commands on benches: ``bench``, ``commission``, ``emulate``."""
 
 from __future__ import annotations
 
@@ -55,6 +55,19 @@ def bench_command(
         typer.echo(compare_with(compare, state))
     if state.report is not None and not state.report.complete:
         raise typer.Exit(EXIT_INSTRUMENT)
+
+
+@benches.command("commission")
+@guarded
+def commission_command(
+    bench: Annotated[
+        Path | None, typer.Argument(metavar="BENCH", help="Bench file. Default: the simulated bench.")
+    ] = None,
+) -> None:
+    """Drive every cable with the amplifier off, find it at the digitizer, write its delay into the bench file."""
+    from hpe_rig.cli.commission import commission_bench
+
+    raise typer.Exit(commission_bench(bench))
 
 
 @benches.command()

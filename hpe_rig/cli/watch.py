@@ -72,6 +72,10 @@ def supervise(
     ``in_queue`` the page of the queue serves the run. Raises ``StoreError`` if log or page cannot start.
     """
     with ExitStack() as stack:
+        for finding in setup.findings:
+            # Said before an output is enabled; other warnings are part of the result.
+            if finding.check == "commissioning" and finding.level == "warning":
+                announce(f"WARNING {finding}")
         # No request can concern this run before its run file exists.
         clear_stale_stop(path)
         log: Callable[[Observer], Observer] = lambda observer: observer  # noqa: E731

@@ -12,6 +12,9 @@
     queue.py          several runs one after another under one lock
     provenance.py     operator, time and place of a measurement
     log.py            the log file of a run
+    cable_signals.py  a waveform for each instrument, and its time of arrival in records
+    commissioning.py  every cable driven and looked for at the digitizer
+    commissioning_record.py  its results written into the bench file
 
 ``prepare`` and ``record_run`` are the two halves of a measurement.
 """

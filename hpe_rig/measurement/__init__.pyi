@@ -1,3 +1,12 @@
+from .commissioning import (
+    CableResult as CableResult,
+    Operator as Operator,
+    Tap as Tap,
+    commission as commission,
+    taps as taps,
+    twin_operator as twin_operator,
+)
+from .commissioning_record import record_commissioning as record_commissioning
 from .log import run_log as run_log
 from .mover import Mover as Mover
 from .pause import (
