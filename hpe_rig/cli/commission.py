@@ -59,14 +59,14 @@ def has_terminal() -> bool:
 
 
 def _operator(bench: BenchFile) -> Operator:
-    """Return the person at the terminal; on a simulated bench the T piece moves by itself and is announced."""
-    places, move = taps(bench), twin_operator(bench)
+    """Return the person at the terminal; on a simulated bench each move of the T piece is simulated and announced."""
+    t_pieces, move = taps(bench), twin_operator(bench)
 
     def ask(instruments: Bench, tap: Tap | None) -> None:
         if tap is None:
             text = "remove the T piece and plug every cable back"
         else:
-            text = f"{places.index(tap) + 1} of {len(places)}: T piece at {tap}; its third end to channel B"
+            text = f"{t_pieces.index(tap) + 1} of {len(t_pieces)}: T piece at {tap}; its third end to channel B"
         if instruments.simulated:
             announce(text)
             move(instruments, tap)

@@ -1,4 +1,4 @@
-"""The command ``commission``: on the simulated bench it runs by itself, on a real one it asks."""
+"""The command ``commission``: on the simulated bench it asks nothing, on a real one it does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Warnings of real benches whose cables were not proven, in ``check`` and before a run."""
+"""Warnings of real benches with unproven cables, in ``check`` and before a run."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ def commissioned(path: Path) -> Path:
     return path
 
 
-def found(path: Path | None) -> list[CheckResult]:
+def commissioning_checks(path: Path | None) -> list[CheckResult]:
     findings = prepare("bovine-muscle", path, refuse=False).findings
     return [finding for finding in findings if finding.check == "commissioning"]
 
 
 def test_a_real_bench_that_was_never_commissioned_gets_a_warning(tmp_path: Path) -> None:
-    (finding,) = found(bench_file(tmp_path))
+    (finding,) = commissioning_checks(bench_file(tmp_path))
     assert finding.level == "warning"
     assert "hpe-rig commission" in finding.remedy
 
 
 def test_a_commissioned_bench_passes_until_an_instrument_or_a_cable_changes(tmp_path: Path) -> None:
     path = commissioned(bench_file(tmp_path))
-    (finding,) = found(path)
+    (finding,) = commissioning_checks(path)
     assert (finding.level, finding.text) == ("passed", "7 cables were proven on 2026-11-25")
     text = path.read_text(encoding="utf-8")
     for old, new in (
@@ -62,15 +62,15 @@ def test_a_commissioned_bench_passes_until_an_instrument_or_a_cable_changes(tmp_
         ("33250A", "33600A"),
     ):
         path.write_text(text.replace(old, new, 1), encoding="utf-8")
-        (finding,) = found(path)
+        (finding,) = commissioning_checks(path)
         assert (finding.level, "changed since" in finding.text) == ("warning", True), old
     # Limits and comments prove nothing about cables.
     path.write_text(f"# Room 12\n{text}".replace("max_duty = 0.05", "max_duty = 0.04"), encoding="utf-8")
-    assert found(path)[0].level == "passed"
+    assert commissioning_checks(path)[0].level == "passed"
 
 
 def test_a_simulated_bench_needs_no_commissioning() -> None:
-    assert found(None) == []
+    assert commissioning_checks(None) == []
 
 
 @pytest.mark.parametrize(("key", "value"), [("digest", '"5"'), ("date", '"today"'), ("cables", '"all"')])
