@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -19,9 +19,6 @@ from drivers.interfaces import Capture, DeadlineError, Generator, InstrumentErro
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import Bench, BenchFile, open_bench, silent_world
 from hpe_rig.measurement.cable_signals import SAMPLE_RATE_HZ, Arrival, arrival, capture_of, command_pulse, tasks
-
-if TYPE_CHECKING:
-    from sim_backend.world import World
 
 FIRES: Final = 32
 """Master triggers at each place of the T piece; u of a delay then is about a tenth of a sample period."""
@@ -93,7 +90,7 @@ def twin_operator(bench: BenchFile) -> Operator:
 
 
 def commission(
-    bench: BenchFile, operator: Operator, rng: np.random.Generator, fires: int = FIRES, world: World | None = None
+    bench: BenchFile, operator: Operator, rng: np.random.Generator, fires: int = FIRES, world: Any = None
 ) -> tuple[CableResult, ...]:
     """Return the result of every cable of ``bench``; all outputs are off, verified, when this returns.
 
