@@ -14,9 +14,9 @@ from hpe_rig.design.comparison import Comparison, Row
 from hpe_rig.design.problem import INFEASIBLE_COST, Goal
 from hpe_rig.design.search import DesignResult
 from hpe_rig.design.variables import Variable
-from hpe_rig.report import PageSection, page_table, render_sections, write_text
+from hpe_rig.report import PageSection, page_table, render_sections
 from hpe_rig.result import Colour, Picture, label_decades, legend, panel, picture
-from hpe_rig.store import versions
+from hpe_rig.store import versions, write_text_file
 
 CURVE_POINTS = 33
 """Values of a number for the curve of the goal."""
@@ -58,7 +58,7 @@ def write_page(design: DesignResult, comparison: Comparison, scene_name: str, co
     sections = (_before_and_after(comparison), curves)
     facts = {"command": command, **versions()}
     title = f"A better scene: {scene.title}"
-    write_text(path, render_sections(title, _introduction(design, comparison), sections, facts))
+    write_text_file(path, render_sections(title, _introduction(design, comparison), sections, facts))
     return path
 
 

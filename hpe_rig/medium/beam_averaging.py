@@ -58,12 +58,14 @@ class BeamWidths:
         The tracking beam and gate average over the motion, so the ratio is below 1. The sigmas of the motion (E in the
         paper) are those of the force times ``width_scale``.
         """
-        # Sigmas S of the echo energy. The energy is the beam's amplitude squared, hence T / sqrt(2) across;
-        # ``depth_sd_m`` is a standard deviation of the energy already.
+        sigmas_m = self._gaussian_sigmas_m()
+        return float(np.prod([1 / np.hypot(1, echo_m / (motion_m * width_scale)) for echo_m, motion_m in sigmas_m]))
+
+    def _gaussian_sigmas_m(self) -> list[tuple[float, float]]:
+        """Return, by axis, the sigma S of the echo energy and the sigma E of the force."""
+        # The energy is the beam's amplitude squared, hence T / sqrt(2) across; ``depth_sd_m`` is of the energy already.
         echo_sigmas_m = [width / np.sqrt(2) for width in self.tracking_width_m[:2]] + [self.depth_sd_m]
-        motion_sigmas_m = [width * width_scale for width in self.force_width_m]
-        axes = zip(echo_sigmas_m, motion_sigmas_m, strict=True)
-        return float(np.prod([1 / np.hypot(1, echo_m / motion_m) for echo_m, motion_m in axes]))
+        return list(zip(echo_sigmas_m, self.force_width_m, strict=True))
 
     def gaussian_steepness(self) -> float:
         """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area.
@@ -76,15 +78,14 @@ class BeamWidths:
 
     def width_scale(self, averaging: float) -> float:
         """Return the factor on the force's widths, within ``WIDTH_SCALES``, that gives this ``gaussian_averaging``."""
-        from scipy.optimize import brentq
-
-        def excess(log_scale: float) -> float:
-            return self.gaussian_averaging(float(np.exp(log_scale))) - averaging
-
-        low, high = np.log(WIDTH_SCALES)
-        if excess(high) < 0:
-            return WIDTH_SCALES[1]
-        return WIDTH_SCALES[0] if excess(low) > 0 else float(np.exp(brentq(excess, low, high, xtol=1e-12)))
+        # With x = 1 / scale**2, 1 / averaging**2 is the product of 1 + (echo sigma / motion sigma)**2 x over the axes.
+        polynomial = np.polynomial.Polynomial([1.0])
+        for echo_m, motion_m in self._gaussian_sigmas_m():
+            polynomial *= np.polynomial.Polynomial([1.0, (echo_m / motion_m) ** 2])
+        # It rises from 1 with x, so that the largest real part of a root belongs to the only positive root.
+        inverse_square = float(np.max(np.real((polynomial - averaging**-2).roots())))
+        narrowest, widest = WIDTH_SCALES
+        return float(np.clip(inverse_square**-0.5, narrowest, widest)) if inverse_square > 0 else widest
 
 
 TrackedMotion = tuple[ComplexArray, ComplexArray, ComplexArray]

@@ -10,7 +10,6 @@ from .page_writer import (
     cell_text as cell_text,
     page_table as page_table,
     render_sections as render_sections,
-    write_text as write_text,
 )
 from .sweep import Line as Line, fit_line as fit_line
 from .views import (

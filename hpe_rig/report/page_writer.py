@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -27,8 +26,6 @@ import jinja2
 from markupsafe import Markup
 
 from hpe_rig.result import Picture, csv_text, mappings, page_style, symbols
-from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import atomic_file
 
 Row = Mapping[str, Any]
 
@@ -126,17 +123,6 @@ def render_template(name: str, **values: Any) -> str:
     """Return the page of the template ``name`` as HTML."""
     style = Markup(page_style())  # noqa: S704, a file of this program
     return _environment().get_template(name).render({"style": style, "max_rows": MAX_ROWS, **values})
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write ``text`` completely or not at all, and make its folder; raise ``SettingsError`` if that is impossible."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as draft:
-            draft.write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        mistake = Mistake(str(path), f"cannot be written ({error.strerror})", "another folder, by --output")
-        raise SettingsError("command line", [mistake]) from None
 
 
 def heading(name: str) -> str:

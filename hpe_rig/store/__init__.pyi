@@ -2,6 +2,7 @@ from .atomic import (
     atomic_file as atomic_file,
     refuse_unwritable as refuse_unwritable,
     unwritable as unwritable,
+    write_text_file as write_text_file,
 )
 from .format import (
     StoreError as StoreError,

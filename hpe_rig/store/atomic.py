@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store.format import StoreError, reason
 
 REPLACE_TIMEOUT_S = 2.0
@@ -36,6 +37,17 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
         # After a rename the draft no longer exists.
         with suppress(OSError):
             draft.unlink()
+
+
+def write_text_file(path: Path, text: str) -> None:
+    """Write ``text`` completely or not at all, and make its folder; raise ``SettingsError`` if that is impossible."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as draft:
+            draft.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        mistake = Mistake(str(path), f"cannot be written ({error.strerror})", "another folder, by --output")
+        raise SettingsError("command line", [mistake]) from None
 
 
 def refuse_unwritable(path: Path) -> None:

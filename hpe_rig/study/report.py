@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import spec_of
-from hpe_rig.report import PageSection, page_table, render_sections, write_text
+from hpe_rig.report import PageSection, page_table, render_sections
 from hpe_rig.result import STYLE, Picture, inline, label_decades, mark, picture
-from hpe_rig.store import versions
+from hpe_rig.store import versions, write_text_file
 from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure
 from hpe_rig.study.results import SUMMARY_FILE, StudyResult
@@ -61,7 +61,7 @@ def write_study_report(
     computed_with = sorted({version for result in results for version in result.versions})
     facts = {**versions(), "cases computed with": ", ".join(computed_with)}
     title = results[0].definition.title if len(results) == 1 else f"Parameter studies: {name}"
-    write_text(path, render_sections(title, (headline, *INTRODUCTION), sections, facts))
+    write_text_file(path, render_sections(title, (headline, *INTRODUCTION), sections, facts))
     return path
 
 

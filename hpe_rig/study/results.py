@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.report import write_text
 from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import unwritable
+from hpe_rig.store import unwritable, write_text_file
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
@@ -46,7 +45,7 @@ class CaseStore:
 
     def write(self, record: CaseRecord) -> None:
         """Write a record and its hash atomically; raise ``SettingsError`` if that is impossible."""
-        write_text(self._path(record["case"]), json.dumps({"sha256": _digest(record), "record": record}))
+        write_text_file(self._path(record["case"]), json.dumps({"sha256": _digest(record), "record": record}))
 
     def prepare(self) -> None:
         """Make the folder; raise ``SettingsError``, before any computation, if it is not writable."""
@@ -126,5 +125,5 @@ def write_study(result: StudyResult, folder: Path) -> None:
         "seconds": result.seconds,
         "rows": result.rows,
     }
-    write_text(folder / STUDY_FILE, json.dumps(tables) + "\n")
-    write_text(folder / SUMMARY_FILE, csv_text(result.rows))
+    write_text_file(folder / STUDY_FILE, json.dumps(tables) + "\n")
+    write_text_file(folder / SUMMARY_FILE, csv_text(result.rows))

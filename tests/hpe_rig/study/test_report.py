@@ -26,10 +26,10 @@ from hpe_rig.report.page_writer import (
     cell_text,
     page_table,
     render_sections,
-    write_text,
 )
 from hpe_rig.result import Picture
 from hpe_rig.scene import SettingsError
+from hpe_rig.store import write_text_file
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure
@@ -267,4 +267,4 @@ def test_a_table_too_long_for_the_page_is_the_file_beside_it() -> None:
 def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(SettingsError, match="cannot be written"):
-        write_text(tmp_path / "file" / "page.html", "")
+        write_text_file(tmp_path / "file" / "page.html", "")
