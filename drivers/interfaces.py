@@ -193,6 +193,10 @@ class Instrument(Protocol):
         """Return the settings, read back from the instrument."""
         ...
 
+    def snapshot_and_errors(self) -> tuple[Mapping[str, Setting], tuple[str, ...]]:
+        """Return the settings that stay during a shot, read back after it, and the errors queued since, in words."""
+        ...
+
     def verify(self) -> Mapping[str, Setting]:
         """Return the settings, read back; raise ``InstrumentError`` if one differs from the programmed value."""
         ...

@@ -211,6 +211,12 @@ class Agilent33250A:
         replies = self._session.query_all([f"{header}?" for header in self._readable])
         return self._settings(dict(zip(self._readable, replies, strict=True)))
 
+    def snapshot_and_errors(self) -> tuple[Mapping[str, Setting], tuple[str, ...]]:
+        """Return the ``snapshot`` and the errors queued since ``switch_off``; the queue is empty afterwards."""
+        self._identified()
+        replies, errors = self._session.read_back(self._readable)
+        return self._settings(replies), tuple(map(str, errors))
+
     def self_test(self) -> bool:
         """Return whether the instrument's self-test passes; the output is verified off before and after it.
 

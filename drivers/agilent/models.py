@@ -16,7 +16,7 @@ from typing import Final
 
 Range = tuple[float, float]
 LEVELS: Final = frozenset({"VOLT", "VOLT:OFFS", "VOLT:HIGH", "VOLT:LOW"})
-CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TRIG1"}
+CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP:SYNC": "OUTP:SYNC", "OUTP": "OUTP1", "TRIG": "TRIG1"}
 
 
 @dataclass(frozen=True, slots=True)

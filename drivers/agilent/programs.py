@@ -25,6 +25,7 @@ READABLE: Final = (
     Readable("load_ohm", "OUTP:LOAD", number),
     Readable("polarity", "OUTP:POL", short_form),
     Readable("trigger_output_on", "OUTP:TRIG", switch),
+    Readable("sync_output_on", "OUTP:SYNC", switch),
     Readable("function", "FUNC", short_form),
     Readable("frequency_hz", "FREQ", number),
     Readable("period_s", "PULS:PER", number),

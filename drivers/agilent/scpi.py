@@ -177,17 +177,21 @@ class ScpiSession:
 
         Raises ``RefusedError`` for queued errors and for registers that differ from their programmed value.
         """
-        headers = list(dict.fromkeys([*(register.header for register in registers), *more_headers]))
-        with self._lock:
-            # The error queue comes last, so that it includes errors of the read-back.
-            *values, entry = self.query_all([*(f"{header}?" for header in headers), ERROR_QUERY])
-            errors = self._drain(entry)
-        replies = dict(zip(headers, values, strict=True))
+        replies, errors = self.read_back([*(register.header for register in registers), *more_headers])
         pairs = [(register, replies[register.header]) for register in registers]
         changed = [(register, reply) for register, reply in pairs if not register.matches(reply)]
         if errors or changed:
             raise _refused(self.role, group, errors, changed)
         return replies
+
+    def read_back(self, headers: Sequence[str]) -> tuple[Mapping[str, str], tuple[QueuedError, ...]]:
+        """Return the replies by header, and the errors of the queue, which is empty afterwards."""
+        names = list(dict.fromkeys(headers))
+        with self._lock:
+            # The error queue comes last, so that it includes errors of the read-back.
+            *values, entry = self.query_all([*(f"{header}?" for header in names), ERROR_QUERY])
+            errors = self._drain(entry)
+        return dict(zip(names, values, strict=True)), errors
 
     def close(self) -> None:
         """Close the connection."""

@@ -147,6 +147,10 @@ class AlazarDigitizer:
         }
         return report | self._programmed()
 
+    def snapshot_and_errors(self) -> tuple[Mapping[str, Setting], tuple[str, ...]]:
+        """Return the ``snapshot`` without its state of clipping; the board has no queue of errors."""
+        return {key: value for key, value in self.snapshot().items() if key != "clipped"}, ()
+
     def self_test(self) -> None:
         """Do nothing: the vendor's interface has no self-test."""
 

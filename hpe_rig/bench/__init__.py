@@ -9,6 +9,7 @@ In the order of the flow:
     twin_checks     mistakes in [simulation], and settings that differ from the scene's
     interrupts      Ctrl-C, SIGTERM and closed terminals while outputs may be on
     resource_name   one name for each instrument, whatever spelling its address has
+    conditions      readings of commands and plug-ins, such as the temperature of the water
     lock            one program at a time on a real bench
     output_limits   limits of the outputs that drive a transducer, on settings as read back
     instruments     the open instruments, made safe independently of each other

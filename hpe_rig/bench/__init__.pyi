@@ -5,6 +5,7 @@ from .bench_file import (
     BenchFile as BenchFile,
     BoardName as BoardName,
     Calibration as Calibration,
+    Condition as Condition,
     DigitizerBoard as DigitizerBoard,
     DriveCalibration as DriveCalibration,
     OutputLimits as OutputLimits,
@@ -21,6 +22,7 @@ from .comparison import (
     file_differences as file_differences,
     settings_differences as settings_differences,
 )
+from .conditions import Reading as Reading, read_conditions as read_conditions
 from .emulation import emulate as emulate
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
 from .interrupts import (

@@ -308,6 +308,50 @@ class Calibration(Section):
     """The pulse that tracks."""
 
 
+class Condition(Section):
+    """A quantity that is read before and after each shot, with outputs off: by a command or by a plug-in."""
+
+    name: Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+    """Name in run files, results and lists."""
+    unit: Annotated[str, Field(max_length=16)] = ""
+    """Unit of the number that is read."""
+    command: tuple[str, ...] = ()
+    """Program and its arguments, started without a shell; it prints one number."""
+    plugin: str | None = None
+    """Entry point in the group hpe_rig.conditions: a function without arguments that returns the number."""
+    timeout_s: DurationS = 5.0
+    """Time after which the quantity counts as not read."""
+    min: Annotated[float, Field(strict=True)] | None = None
+    """Smallest value at which a shot begins; below it the run waits with outputs off."""
+    max: Annotated[float, Field(strict=True)] | None = None
+    """Largest value at which a shot begins; above it the run waits with outputs off."""
+    max_wait_s: DurationS = 600.0
+    """Longest wait for a value within the limits, after which the run ends."""
+
+    @property
+    def has_limits(self) -> bool:
+        """Whether the run waits for a value within limits."""
+        return self.min is not None or self.max is not None
+
+    def accepts(self, value: float) -> bool:
+        """Return whether a shot may begin at ``value``, NaN if it was not read."""
+        low, high = (-math.inf if self.min is None else self.min), (math.inf if self.max is None else self.max)
+        return not self.has_limits or low <= value <= high
+
+    @property
+    def limits_text(self) -> str:
+        """The limits in words; "" without any."""
+        low, high = (None if bound is None else f"{bound:g}" for bound in (self.min, self.max))
+        if low is not None and high is not None:
+            return f"{low} to {high} {self.unit}".strip()
+        bound = f"at least {low}" if low is not None else f"at most {high}"
+        return f"{bound} {self.unit}".strip() if self.has_limits else ""
+
+    def value_text(self, value: float) -> str:
+        """Return ``value`` with its unit, "not read" for NaN."""
+        return "not read" if math.isnan(value) else f"{value:.6g} {self.unit}".strip()
+
+
 class ForeignRecording(Section):
     """Source of records that were imported instead of measured; the bench then represents an unknown one."""
 
@@ -351,6 +395,8 @@ class BenchFile(Section):
     """What hpe-rig commission proved; default: nothing, and checks of a real bench report so."""
     transducers: Transducers | None = None
     """The transducers if one pushes and another one tracks; default: one does both, and scenes have [beams]."""
+    conditions: tuple[Condition, ...] = ()
+    """Quantities such as the temperature of the water that are read before and after each shot."""
     recording: ForeignRecording | None = None
     """Source of imported records; only in run files that hpe-rig import wrote."""
     store_user: Annotated[bool, Field(strict=True)] = True

@@ -74,7 +74,7 @@ def parse_bench(name: str, text: str) -> BenchText:
         bench = BenchFile.model_validate(tables)
         # Only a file with valid sections is checked as a whole.
         mistakes = _missing_addresses(bench) + _missing_cables(bench) + _crossed_cables(bench)
-        mistakes += _wrong_transducer(bench) + _repeated_serials(bench)
+        mistakes += _wrong_transducer(bench) + _repeated_serials(bench) + _wrong_conditions(bench)
     if mistakes:
         raise SettingsError(f"bench {name}", mistakes)
     return BenchText(name, text, bench)
@@ -166,6 +166,23 @@ def _wrong_transducer(bench: BenchFile) -> list[Mistake]:
     if ("toneburst.output", "tracking_transducer.drive") in ends:
         what = "toneburst.output drives the transducer that tracks"
         mistakes.append(Mistake("wiring", what, "its cable to transducer.drive alone"))
+    return mistakes
+
+
+def _wrong_conditions(bench: BenchFile) -> list[Mistake]:
+    """Return the conditions without one source, with a name used before, or with limits that no value satisfies."""
+    mistakes, names = [], list[str]()
+    for index, condition in enumerate(bench.conditions):
+        path = f"conditions[{index}]"
+        if bool(condition.command) == (condition.plugin is not None):
+            what = f"{condition.name} needs a command or a plug-in, and not both"
+            mistakes.append(Mistake(path, what, 'command = ["python", "thermometer.py"]'))
+        if condition.name in names:
+            mistakes.append(Mistake(f"{path}.name", f"{condition.name} occurs twice", "a name of its own"))
+        if condition.min is not None and condition.max is not None and condition.min > condition.max:
+            what = f"min = {condition.min:g} is above max = {condition.max:g}"
+            mistakes.append(Mistake(f"{path}.min", what, "the two exchanged"))
+        names.append(condition.name)
     return mistakes
 
 

@@ -62,7 +62,9 @@ def settings_differences(before: BenchSettings, after: BenchSettings) -> list[Di
     for role, name in ROLES.items():
         first, second = before.get(role), after.get(role)
         if first is not None and second is not None:
-            differences += _differences(name, first, second)
+            # A setting that only one release reads is no difference.
+            common = [key for key in first if key in second]
+            differences += _differences(name, *({key: item[key] for key in common} for item in (first, second)))
         elif first is not second:
             states = ("not opened" if settings is None else "opened" for settings in (first, second))
             differences.append(Difference(name, "instrument", "", *states))
@@ -103,7 +105,8 @@ def _flat(tables: Any, path: Sequence[str] = ()) -> Iterator[tuple[str, Any]]:
         for value in tables:
             # A cable is named by its ends, so that cables match in any order.
             is_cable = isinstance(value, Mapping) and "source" in value
-            name = f"{value['source']} to {value['target']}" if is_cable else "entry"
+            entry = value.get("name", "entry") if isinstance(value, Mapping) else "entry"
+            name = f"{value['source']} to {value['target']}" if is_cable else str(entry)
             yield from _flat(value, (*path, name))
     else:
         yield ".".join(path), tables

@@ -20,6 +20,7 @@ from drivers.interfaces import (
     ToneburstGenerator,
 )
 from hpe_rig.bench.bench_file import BenchFile
+from hpe_rig.bench.comparison import BenchSettings, settings_differences
 from hpe_rig.bench.interrupts import uninterrupted
 from hpe_rig.bench.output_limits import require_within_limits
 
@@ -108,6 +109,25 @@ class Bench:
         """Return in words the outputs or settings that changed since ``verify``, or cannot be read back any more."""
         answers = _ask_buses(self.generators, lambda items: [_answer(item.role, item.recheck) for item in items])
         return tuple(str(answer) for answer in answers.values() if answer is not None)
+
+    def changed_since(self, settings: BenchSettings) -> tuple[str, ...]:
+        """Return in words what differs from ``settings`` of the verified shot, after it and with outputs off.
+
+        Settings that are not programmed are included, and errors that are queued. An instrument that cannot be read
+        back is named too.
+        """
+        answers = _ask_buses(
+            self.instruments, lambda items: [_answer(item.role, item.snapshot_and_errors) for item in items]
+        )
+        read = {role: answer for role, answer in answers.items() if not isinstance(answer, Exception)}
+        differences = settings_differences(
+            {role: settings[role] for role in read}, {role: answer[0] for role, answer in read.items()}
+        )
+        return (
+            *(item.text("the settings before the shot", "those after it") for item in differences),
+            *(f"{role}: error queue: {', '.join(errors)}" for role, (_, errors) in read.items() if errors),
+            *(f"not read back: {answer}" for answer in answers.values() if isinstance(answer, Exception)),
+        )
 
 
 def proven_off(roles: Sequence[str], proven: Mapping[str, str]) -> str:

@@ -14,6 +14,7 @@ from hpe_rig.bench import (
     file_differences,
     open_bench,
     read_bench,
+    read_conditions,
     settings_differences,
     survey,
 )
@@ -58,6 +59,8 @@ def compare_with(path: Path, state: BenchState) -> str:
     else:
         why = "not every instrument answers" if run.settings else "the run holds none"
         note = f"\nthe settings of the instruments are not compared: {why}"
+    changed = open_run(path).stored.changed_settings
+    note += "".join(f"\nshot {shot + 1} of {run.name}: after it {text}" for shot, text in changed.items())
     if not differences:
         return f"{run.name} and {state.name} do not differ{note}"
     lines = "\n".join(f"  {difference.text(run.name, state.name)}" for difference in differences)
@@ -107,6 +110,12 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
         )
     if report.settings:
         console.print("every instrument that answered is safe: outputs off, digitizer idle, verified")
+
+
+def print_conditions(path: Path | None) -> None:
+    """Read the conditions of a bench file once and print each, or why it cannot be read."""
+    for reading in read_conditions(read_bench(path, any_title=True).bench.conditions):
+        wide_console().print(f"{reading}", style="" if reading.accepted else "bold")
 
 
 def _row(instrument: InstrumentReport) -> tuple[str, ...]:

@@ -43,7 +43,7 @@ def bench_command(
         from hpe_rig.cli.off import switch_all_off
 
         raise typer.Exit(switch_all_off(bench))
-    from hpe_rig.cli.bench import bench_state, compare_with, print_report
+    from hpe_rig.cli.bench import bench_state, compare_with, print_conditions, print_report
 
     if bench is not None and is_run_file and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
@@ -51,6 +51,7 @@ def bench_command(
     state = bench_state(bench, self_test)
     if state.report is not None:
         print_report(state.report, wide)
+        print_conditions(state.path)
     if compare is not None:
         typer.echo(compare_with(compare, state))
     if state.report is not None and not state.report.complete:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import typer
 
 from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
-from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, installed, origin
+from hpe_rig.extensions import CONDITIONS, ESTIMATORS, IMPORTERS, MEDIA, installed, load, origin
 from hpe_rig.result import csv_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 from hpe_rig.store import RunEntry, list_runs, matching_runs
@@ -50,6 +51,9 @@ def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
     state = f"imported, {state}" if entry.imported else state
     state += f", {entry.shots_marked_bad} marked bad" if entry.shots_marked_bad else ""
     notes = ", ".join(f"{name}: {_short(note)}" for name, note in entry.notes.items())
+    quantities = ((*name.partition(" "), value) for name, value in entry.conditions.items())
+    conditions = [f"{name}: {value:.4g} {unit}".strip() for name, _, unit, value in quantities]
+    notes = ", ".join([*([notes] if notes else []), *conditions])
     date = f"{entry.date:%Y-%m-%d %H:%M}"
     texts = (date, str(entry.path.relative_to(folder)), entry.title, state, _result(entry), notes)
     return tuple(printable(text) for text in texts)
@@ -73,8 +77,14 @@ def _csv_row(entry: RunEntry) -> dict[str, Any]:
     """Return the entry as one row, with a column for each value of the result and each note."""
     # A cell holds one value: nested tables become further columns.
     row = entry.as_dict()
-    lead, notes = row.pop("lead") or {}, row.pop("notes")
-    return {**row, **lead, **{f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}}
+    lead, notes, conditions = row.pop("lead") or {}, row.pop("notes"), row.pop("conditions")
+    more = {f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}
+    return {
+        **row,
+        **lead,
+        **more,
+        **{f"condition_{name.replace(' ', '_')}": value for name, value in conditions.items()},
+    }
 
 
 def _time(text: str | None, option: str, end: bool = False) -> datetime | None:
@@ -101,6 +111,7 @@ def extension_lines() -> tuple[list[str], bool]:
     from hpe_rig.recordings import foreign_importer
 
     checks: dict[str, Callable[[str], object]] = {ESTIMATORS: spec_of, MEDIA: law_of, IMPORTERS: foreign_importer}
+    checks[CONDITIONS] = partial(load, CONDITIONS)
     lines, all_load = list[str](), True
     for group, check in checks.items():
         for name in installed(group):

@@ -65,6 +65,10 @@ def print_result(result: Result, wide: bool = False) -> None:
             if shot.estimates:
                 printer.text(_budget_line(shot))
     _print_profile(result, printer)
+    if result.conditions:
+        rows = [condition.cells for condition in result.conditions]
+        printer.text("\nCONDITIONS before and after the shots", bold=True)
+        printer.table(rich_table(list(rows[0]), [list(row.values()) for row in rows], words=1))
     printer.text(f"\nphase: {result.phase_reference}\n{_legend(result)}")
     for warning in (*result.warnings, *shot_warnings(result.shots)):
         printer.text(f"WARNING {warning}", bold=True)

@@ -6,6 +6,7 @@
     hpe_rig.estimators     ``processing.EstimatorSpec``                            scene, processing
     hpe_rig.media          ``moduli.Law``; the twin moves by it too               moduli, sim_backend
     hpe_rig.importers      ``recordings.Importer``                                 recordings
+    hpe_rig.conditions     a function that returns a number                        bench
 
 Names are listed without importing anything; a package is imported when its name is used. Built-in names cannot be
 replaced. The page docs/how-to/extend.md has a worked example.

@@ -1,4 +1,5 @@
 from .entry_points import (
+    CONDITIONS as CONDITIONS,
     ESTIMATORS as ESTIMATORS,
     IMPORTERS as IMPORTERS,
     MEDIA as MEDIA,

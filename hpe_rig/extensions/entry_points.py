@@ -9,6 +9,7 @@ from typing import Any, Final
 ESTIMATORS: Final = "hpe_rig.estimators"
 MEDIA: Final = "hpe_rig.media"
 IMPORTERS: Final = "hpe_rig.importers"
+CONDITIONS: Final = "hpe_rig.conditions"
 
 
 class ExtensionError(ValueError):

@@ -3,6 +3,7 @@
     setup.py          scene and bench file -> plan and the findings of its checks
     run.py            setup -> run file with the records of every shot
     mover.py          movement of the tracking transducer between shots
+    conditions.py     a wait until the conditions of the bench are within limits
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     background.py     storage and observers in threads of their own while outputs are on
     recording.py      events of the sequencer -> run file

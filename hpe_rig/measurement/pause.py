@@ -128,7 +128,7 @@ def with_pauses(
     def observe(progress: Progress) -> None:
         observer(progress)
         # All outputs were verified off after the shot before, and nothing of this shot is programmed yet.
-        if progress.step not in (Step.MOVE, Step.CONFIGURE):
+        if progress.step not in (Step.MOVE, Step.CONDITIONS, Step.CONFIGURE):
             # Also during a long shot the key is read, so that its effect is announced.
             is_paused()
         elif is_paused():

@@ -18,7 +18,15 @@ from typing import Protocol, Self, final
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import INTERRUPTS, Bench, interruptible, uninterrupted
 from hpe_rig.measurement.background import POLL_S, BackgroundTasks
-from hpe_rig.measurement.sequencer import Event, ShotBlock, ShotDone, ShotReady, ShotUntrusted
+from hpe_rig.measurement.sequencer import (
+    Event,
+    ShotBlock,
+    ShotConditions,
+    ShotDone,
+    ShotReady,
+    ShotSettingsChanged,
+    ShotUntrusted,
+)
 from hpe_rig.plan import Shot
 from hpe_rig.processing import true_harmonics_m
 from hpe_rig.result import Stages
@@ -117,6 +125,10 @@ class RunRecorder:
                 self._open().write_settings(shot, settings)
             case ShotUntrusted(shot, why):
                 self._open().write_untrusted(shot, why)
+            case ShotSettingsChanged(shot, changes):
+                self._open().write_changed_settings(shot, changes)
+            case ShotConditions(shot, before, after):
+                self._open().write_conditions(shot, before, after)
             case ShotDone():
                 self._finish_shot(event, scene, bench, stages)
 

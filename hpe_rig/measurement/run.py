@@ -104,7 +104,7 @@ def _record(
             opening = open_bench(points[first.point].scene, bench_file, setup.plan.roles, first.index)
             bench = stack.enter_context(opening)
         # Lateral offsets are those of the whole run: a segment may have a single one.
-        events = acquire(segment, bench, observer, choose_mover(setup.plan, bench, move))
+        events = acquire(segment, bench, observer, choose_mover(setup.plan, bench, move), bench_file.conditions)
         with timer("configure"), closing(events):
             for event in events:
                 with timer("store"):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 from drivers.interfaces import DeadlineError, InstrumentError, RecordBlock, Setting
-from hpe_rig.bench import Bench
+from hpe_rig.bench import Bench, Condition, read_conditions
+from hpe_rig.measurement.conditions import wait_for_conditions
 from hpe_rig.measurement.mover import Mover, choose_mover
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
@@ -23,6 +25,7 @@ class Step(StrEnum):
     """Step that the sequencer begins."""
 
     MOVE = "move tracking transducer"
+    CONDITIONS = "read conditions"
     CONFIGURE = "configure"
     VERIFY = "verify"
     ARM = "arm"
@@ -71,6 +74,23 @@ class ShotUntrusted:
 
 
 @dataclass(frozen=True, slots=True)
+class ShotSettingsChanged:
+    """Settings read back after a shot differ from those before it: ``changes``; outputs are off."""
+
+    shot: Shot
+    changes: str
+
+
+@dataclass(frozen=True, slots=True)
+class ShotConditions:
+    """Conditions read before and after a shot, each (condition,), NaN if not read."""
+
+    shot: Shot
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ShotDone:
     """A shot has ended with all outputs off; ``clipped``: whether the digitizer's input left its range."""
 
@@ -78,7 +98,7 @@ class ShotDone:
     clipped: bool
 
 
-Event = ShotReady | ShotBlock | ShotUntrusted | ShotDone
+Event = ShotReady | ShotBlock | ShotUntrusted | ShotSettingsChanged | ShotConditions | ShotDone
 Observer = Callable[[Progress], None]
 
 
@@ -87,15 +107,21 @@ def ignore_progress(progress: Progress) -> None:
 
 
 def acquire(
-    plan: Plan, bench: Bench, observer: Observer = ignore_progress, move: Mover | None = None
+    plan: Plan,
+    bench: Bench,
+    observer: Observer = ignore_progress,
+    move: Mover | None = None,
+    conditions: Sequence[Condition] = (),
 ) -> Generator[Event, None, None]:
     """Yield the events of every shot of ``plan``; every output is off after each shot and after any exception.
 
     If records stop before the deadline, those that arrived are yielded; ``DeadlineError`` is raised if none did.
     Outputs and settings are read back before the first and after the last record. If one has changed, the shot yields
     ``ShotUntrusted`` and, unless the plan accepts changes, ends with ``InstrumentError``.
-    The tracking transducer is moved to the lateral offset of a shot before anything is programmed.
     In ``DRIVING_STEPS`` neither ``observer`` nor the reader of the events may wait: outputs are on.
+    The tracking transducer is moved to the lateral offset of a shot before anything is programmed. Then ``conditions``
+    are read, and a shot waits until they are within their limits. They are read again after the shot, as are all
+    settings.
     """
     observer = _with_step_logging(observer)
     next_start_s = bench.clock.now_s()
@@ -105,8 +131,11 @@ def acquire(
             observer(Progress(Step.MOVE, shot))
             mover(shot.lateral_offset_m)
             lateral_offset_m = shot.lateral_offset_m
+        watch = partial(observer, Progress(Step.CONDITIONS, shot))
+        before = wait_for_conditions(conditions, shot.index + 1, watch)
         try:
-            yield ShotReady(shot, _configure(shot, bench, observer))
+            settings = _configure(shot, bench, observer)
+            yield ShotReady(shot, settings)
             _enable(shot, bench, observer)
             _wait_until(next_start_s, shot, bench, observer)
             observer(Progress(Step.FIRE, shot))
@@ -116,6 +145,8 @@ def acquire(
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+        if differences := bench.changed_since(settings):
+            yield ShotSettingsChanged(shot, "; ".join(differences))
         if changes:
             yield ShotUntrusted(shot, changes)
             if plan.stops_on_changed_settings:
@@ -126,6 +157,9 @@ def acquire(
                 )
                 raise InstrumentError("bench", what, cause, remedy)
         yield ShotDone(shot, bench.digitizer.clipped())
+        # Last, so that an interrupt while a command is awaited leaves the shot complete.
+        if conditions:
+            yield ShotConditions(shot, before, tuple(reading.value for reading in read_conditions(conditions)))
 
 
 def _with_step_logging(observer: Observer) -> Observer:

@@ -163,6 +163,7 @@ def _tables(run: Run, result: Result, shot: ShotResult, sweep: Sweep | None) -> 
         "prediction": page_tables.prediction_table(scene, run.plan.shots[shot.shot], shot, result.estimator),
         "run_times": page_tables.run_times_table(result),
         "shots": page_tables.shots_table(result, has_truth) if sweep else None,
+        "conditions": page_tables.conditions_table(result),
         "versions": page_tables.versions_table(result, attributes),
     }
 

@@ -172,6 +172,14 @@ def run_times_table(result: Result) -> PageTable:
     return text_table("run-times", "Wall time by stage.", rows)
 
 
+def conditions_table(result: Result) -> PageTable | None:
+    """Return the range of each condition over the run, None if none was read."""
+    if not result.conditions:
+        return None
+    rows = [dict(condition.cells) for condition in result.conditions]
+    return text_table("conditions", "Conditions before and after the shots.", rows)
+
+
 def versions_table(result: Result, attributes: Mapping[str, str]) -> PageTable:
     """Return the versions of acquisition, from the run file's ``attributes``, and of this page."""
     rows = [

@@ -6,6 +6,7 @@
     motion_map.py     amplitude, phase and velocity of every line and depth
     provenance.py     who measured when and where, and the time of each stage
     values.py         estimate of a frequency, and the results of a shot and of a gate
+    conditions.py     range of each condition over a run
     repeats.py        mean over repeats, tested against the stated uncertainties
     result_data.py    contents of a result, and their plain form for JSON
     grid.py           arrays over (shot, frequency) and (shot, pulse): result file, xarray

@@ -1,3 +1,4 @@
+from .conditions import ConditionSummary as ConditionSummary, condition_summary as condition_summary
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
 from .interval import student_widening as student_widening
 from .json_schema import (

@@ -119,6 +119,10 @@ def result_dataset(result: ResultData) -> xarray.Dataset:
     axis = ("frequency", number, {}) if grid.frequency is None else ("frequency", grid.frequency, {"units": "Hz"})
     coordinates: dict[str, Any] = {"shot": grid.shot, "frequency": axis}
     coordinates |= {name: ("shot", values, {"units": SETTING_UNITS[name]}) for name, values in grid.settings.items()}
+    for condition in result.conditions:
+        # A shot of the result has one value: the mean of the readings before and after it.
+        means = np.array([np.mean(shot.conditions[condition.name]) for shot in result.shots])
+        coordinates[f"condition_{condition.name}"] = ("shot", means, {"units": condition.unit})
     tables = {name: (("shot", "frequency"), values, {"units": UNITS[name]}) for name, values in grid.estimates.items()}
     if grid.frequency is None:
         tables["frequency_hz"] = (("shot", "frequency"), grid.frequency_hz, {"units": "Hz"})

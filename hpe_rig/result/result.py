@@ -22,6 +22,7 @@ class Result(ResultData):
     wall time by stage. ``simulated_specimen`` names the default specimen, None if the scene describes one or needs
     none. ``shots_without_result``: shots without an estimate, counted from 0, and the reason. ``notes`` are those of
     the scene. ``provenance``: who measured, when and where. ``imported``: file and hash of imported records, else None.
+    ``conditions``: range of each condition over the run.
 
     >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from hpe_rig.result.conditions import ConditionSummary
 from hpe_rig.result.provenance import Provenance
 from hpe_rig.result.repeats import RepeatMean, repeat_means
 from hpe_rig.result.values import DERIVED, GateResult, ShotResult
@@ -38,6 +39,7 @@ class ResultData:
     notes: Mapping[str, str | int | float | bool] = field(default_factory=dict)
     provenance: Provenance = Provenance()  # noqa: RUF009, a frozen value
     imported: str | None = None
+    conditions: tuple[ConditionSummary, ...] = ()
 
     @property
     def origin(self) -> str:

@@ -38,13 +38,19 @@ def result_rows(result: ResultData) -> list[dict[str, Value]]:
     shots += [({"gate_depth_m": gate["depth_m"], "gate_length_m": gate["length_m"]}, gate["shot"]) for gate in gates]
     rows: list[dict[str, Value]] = []
     for gate, shot in shots:
-        settings = _single_values(shot) | shot["swept"] | gate
+        settings = _single_values(shot) | shot["swept"] | _condition_cells(shot["conditions"]) | gate
         rows += [settings | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
     if not gates:
         return rows
     # Rows of shots and of gates must have the same columns.
     names = dict.fromkeys(name for row in rows for name in row)
     return [{name: row.get(name) for name in names} for row in rows]
+
+
+def _condition_cells(conditions: dict[str, Sequence[Value]]) -> dict[str, Value]:
+    """Return the conditions of a shot, before and after it, by the names of their columns."""
+    pairs = [(name, zip(("before", "after"), values, strict=True)) for name, values in conditions.items()]
+    return {f"condition_{name}_{when}": value for name, readings in pairs for when, value in readings}
 
 
 def _estimate_row(estimate: dict[str, Any]) -> dict[str, Value]:

@@ -237,8 +237,9 @@ class ShotResult:
     """The estimates of one shot, with its settings and the number of missing pulses.
 
     ``complete`` is False if the run stopped during the shot. ``untrusted`` states why the records are not to be
-    trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``motion``: displacement,
-    model and residual of each pulse, None if not stored.
+    trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by
+    name, read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse,
+    None if not stored.
     """
 
     shot: int
@@ -257,6 +258,7 @@ class ShotResult:
     complete: bool = True
     untrusted: str = ""
     swept: Mapping[str, float] = field(default_factory=dict)
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
 
 

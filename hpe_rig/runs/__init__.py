@@ -1,6 +1,7 @@
 """Stored runs: open, estimate, process again, sweep, import and map; the functions of the public API.
 
 estimation.py       stored records -> estimates of every shot and of every gate over depth
+conditions.py       conditions of the shots of a run
 result_warnings.py  warnings of a result
 reprocessing.py     scene and plan at several values of the processing settings
 run.py              an open run file: ``open_run(path) -> Run``

@@ -29,6 +29,10 @@ def run_warnings(
         )
     for shot, why in stored.untrusted.items():
         yield f"shot {shot + 1} is not to be trusted: {why}"
+    for shot, changes in stored.changed_settings.items():
+        # The reason of an untrusted shot names its changed settings.
+        if shot not in stored.untrusted:
+            yield f"shot {shot + 1}: settings read back after it differ: {changes}"
     if stored.status != "complete":
         complete = stored.shot_complete
         yield f"the run is {stored.status}: {int(complete.sum())} of {complete.size} shots are complete"

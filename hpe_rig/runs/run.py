@@ -28,6 +28,7 @@ from hpe_rig.plan import (
 )
 from hpe_rig.result import Result, Stages
 from hpe_rig.runs.checked_scene import plan_html
+from hpe_rig.runs.conditions import condition_summaries, condition_warnings, conditions_of_shot
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
 from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import Axis, Estimator, Mistake, Processing, Scene, SettingsError, mistakes_of
@@ -123,8 +124,16 @@ class Run:
             status=self.stored.status,
             estimator=name,
             phase_reference=phase_reference_of(self.scene).words,
-            shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
-            warnings=(*warnings, *gate_failures),
+            shots=tuple(
+                replace(
+                    shot,
+                    untrusted=self.stored.untrusted.get(shot.shot, ""),
+                    conditions=conditions_of_shot(self.stored, shot.shot),
+                )
+                for shot in estimates.shots
+            ),
+            warnings=(*warnings, *condition_warnings(self.bench, self.stored), *gate_failures),
+            conditions=condition_summaries(self.bench, self.stored),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, name), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,

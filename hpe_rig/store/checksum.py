@@ -32,6 +32,9 @@ MAX_HEAP_PART_BYTES: Final = 1 << 24
 BY_SHOT: Final = (
     "snapshot",
     "untrusted",
+    "changed_settings",
+    "conditions/before",
+    "conditions/after",
     "records/pulse_onset_s",
     "records/shot_complete",
     "records/clipped",

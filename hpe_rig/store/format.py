@@ -21,6 +21,7 @@ STAGES: Final = (
     "plan",
     "take over",
     "open bench",
+    "read conditions",
     "configure",
     "verify",
     "arm",
@@ -48,7 +49,10 @@ ROW_CHUNK: Final = 2048
 TIME_BYTES: Final = 32
 """Enough for a time in seconds with its offset from UTC, ISO 8601."""
 UNTRUSTED_BYTES: Final = 1024
-"""Enough for the reason why a shot is untrusted; longer texts are cut."""
+"""Enough for the reason why a shot is untrusted, and for changed settings; longer texts are cut."""
+CONDITION_BYTES: Final = 32
+"""Maximum length of the name of a condition."""
+MAX_CONDITIONS: Final = 64
 BITSHUFFLE: Final = 32008
 """Registered number of the HDF5 filter bitshuffle with LZ4."""
 

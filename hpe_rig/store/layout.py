@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.bench import BenchText, twin_settings
+from hpe_rig.bench import BenchText, Condition, twin_settings
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
 from hpe_rig.scene import Scene, SceneText, printable
@@ -26,6 +26,7 @@ from hpe_rig.store.checksum import add_checksums, seal_heap
 from hpe_rig.store.format import (
     BITSHUFFLE,
     CHUNK_BYTES,
+    CONDITION_BYTES,
     FORMAT,
     FORMAT_VERSION,
     ROW_CHUNK,
@@ -84,6 +85,8 @@ def empty_run(
             # A sweep may change the frequencies: the axis holds those of the point with the most frequencies.
             frequencies_hz = max((point.scene.wanted_frequencies_hz for point in scene.scene.points), key=len)
             _create_true_harmonics(file, len(plan.shots), frequencies_hz)
+        if bench.bench.conditions:
+            _create_conditions(file, len(plan.shots), bench.bench.conditions)
         if provenance is not None:
             _create_provenance(file, provenance)
         add_checksums(file)
@@ -131,10 +134,7 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
 
 
 def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
-    """Write the attributes of the run, scene and bench as text, and empty datasets for settings read back and distrust.
-
-    ``snapshot``: the instruments' settings in each shot. ``untrusted``: why a shot cannot be relied on.
-    """
+    """Write the attributes and texts of the run, and create the datasets of text by shot."""
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -154,9 +154,10 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
     snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
     if snapshot.nbytes <= MAX_PREALLOCATED_BYTES:
         snapshot[...] = b""
-    untrusted = file.create_dataset("untrusted", len(plan.shots), f"S{UNTRUSTED_BYTES}", chunks=(1,))
-    if untrusted.nbytes <= MAX_PREALLOCATED_BYTES:
-        untrusted[...] = b""
+    for name in ("untrusted", "changed_settings"):
+        texts = file.create_dataset(name, len(plan.shots), f"S{UNTRUSTED_BYTES}", chunks=(1,))
+        if texts.nbytes <= MAX_PREALLOCATED_BYTES:
+            texts[...] = b""
     name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
 
 
@@ -186,6 +187,15 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
     axes = {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}
     name_axes(group, axes, dict.fromkeys(TRUE_HARMONICS, "m"))
     group["frequency"].attrs["units"] = "Hz"
+
+
+def _create_conditions(file: h5py.File, shots: int, conditions: Sequence[Condition]) -> None:
+    """Create the conditions before and after each shot, (shot, condition), NaN until they are read."""
+    group, units = file.create_group("conditions"), ", ".join(condition.unit or "1" for condition in conditions)
+    for name in ("before", "after"):
+        group[name] = np.full((shots, len(conditions)), math.nan)
+    names = np.array([condition.name for condition in conditions], f"S{CONDITION_BYTES}")
+    name_axes(group, {"shot": np.arange(shots), "condition": names}, {"before": units, "after": units})
 
 
 def _create_codes(

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
@@ -40,8 +41,9 @@ class Lead:
 class RunEntry:
     """One run file of a folder; ``date``: start of the run, or else the file's time of modification.
 
-    ``shots_marked_bad``: shots that results leave out; ``lead`` is None if the latest result has other shots.
     ``imported``: name of the recording from which the records were imported, "" if they were measured.
+    ``shots_marked_bad``: shots that results leave out; ``lead`` is None if the latest result has other shots.
+    ``conditions``: mean over the readings of the run, by name with the unit.
     """
 
     path: Path
@@ -57,6 +59,7 @@ class RunEntry:
     notes: Mapping[str, Any]
     lead: Lead | None
     shots_marked_bad: int = 0
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of a run in ``hpe-rig list --json``, as JSON values."""
@@ -74,8 +77,9 @@ class RunEntry:
         fields = {name: getattr(self, name) for name in names}
         lead = self.lead and {name: _finite(value) for name, value in asdict(self.lead).items()}
         notes = {name: note if isinstance(note, str | int | float) else str(note) for name, note in self.notes.items()}
+        conditions = {name: _finite(value) for name, value in self.conditions.items()}
         date = self.date.isoformat(timespec="seconds")
-        return {"date": date, "file": str(self.path), **fields, "lead": lead, "notes": notes}
+        return {"date": date, "file": str(self.path), **fields, "lead": lead, "notes": notes, "conditions": conditions}
 
     def words(self) -> str:
         """Return the text that ``hpe-rig list`` searches for words, one item per line."""
@@ -144,7 +148,19 @@ def _entry(stored: StoredRun) -> RunEntry:
         # Strongest harmonic of the latest result.
         lead=_lead(stored.path, stored.marks),
         shots_marked_bad=len(stored.marks),
+        conditions=_mean_conditions(stored),
     )
+
+
+def _mean_conditions(stored: StoredRun) -> dict[str, float]:
+    """Return the mean of each condition that was read, by its name with the unit."""
+    entries = _parsed(stored.bench_toml, stored.bench_name).get("conditions")
+    tables = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
+    units = {entry.get("name"): entry.get("unit", "") for entry in tables}
+    finite = {name: values[np.isfinite(values)] for name, values in stored.conditions.items()}
+    return {
+        f"{name} {units.get(name, '')}".strip(): float(values.mean()) for name, values in finite.items() if values.size
+    }
 
 
 def _finite(value: Any) -> Any:

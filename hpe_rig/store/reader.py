@@ -26,8 +26,11 @@ from drivers.interfaces import Setting
 from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
+from hpe_rig.scene import printable
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
 from hpe_rig.store.format import (
+    CONDITION_BYTES,
+    MAX_CONDITIONS,
     MAX_STAGES,
     SNAPSHOT_BYTES,
     STAGE_BYTES,
@@ -379,6 +382,8 @@ class StoredRun:
     damage: damaged content other than echoes, and the value used instead.
     provenance: empty in early files and in those of scripts that omit it.
     scan_sha256: SHA-256 of the file ``beams.excitation_scan``; "" without one and in early files.
+    changed_settings: differences of the settings after a shot from those before it, in words, by shot.
+    conditions: by name, (shot, 2), read before and after each shot; NaN if not read.
     marks: why results leave a shot out, for each shot that was marked as bad after the run.
     """
 
@@ -402,6 +407,8 @@ class StoredRun:
     run_id: str
     provenance: Provenance
     scan_sha256: str
+    changed_settings: Mapping[int, str] = field(default_factory=dict)
+    conditions: Mapping[str, FloatArray] = field(default_factory=dict)
     marks: Mapping[int, str] = field(default_factory=dict)
 
     @property
@@ -527,12 +534,14 @@ def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
         predecessor=checked.attribute("predecessor", str),
         run_time_s=run_time_s,
         force_set=_force_set(checked, shape[0]),
-        untrusted=_untrusted_shots(checked, shape),
+        untrusted=_texts_by_shot(checked, shape, "untrusted"),
         damage=tuple(damage),
         has_checksums=checked.has_checksums,
         run_id=checked.attribute("run_id", str) if "run_id" in checked.file.attrs else "",
         provenance=provenance,
         scan_sha256=checked.attribute("scan_sha256", str) if "scan_sha256" in checked.file.attrs else "",
+        changed_settings=_texts_by_shot(checked, shape, "changed_settings"),
+        conditions=_conditions(checked, shape[0]),
     )
 
 
@@ -573,16 +582,33 @@ def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
     return _all_rows(checked, "records/force_set", checked.dataset("records/force_set", "<f8", (shots,)))[0]
 
 
-def _untrusted_shots(checked: CheckedFile, shape: Shape) -> dict[int, str]:
-    """Return, by shot, the reason why its settings cannot be relied on; shots without such a reason are absent."""
-    if not checked.has("untrusted"):
+def _texts_by_shot(checked: CheckedFile, shape: Shape, name: str) -> dict[int, str]:
+    """Return the texts of a dataset by shot, such as why a shot is untrusted; shots without a text are absent."""
+    if not checked.has(name):
         # Early releases did not read settings back after a shot.
         return {}
-    dataset = checked.dataset("untrusted", f"S{UNTRUSTED_BYTES}", shape[:1])
-    unknown = b"its state is unknown, /untrusted is damaged"
-    rows = zip(*_all_rows(checked, "untrusted", dataset), strict=True)
+    dataset = checked.dataset(name, f"S{UNTRUSTED_BYTES}", shape[:1])
+    unknown = f"its state is unknown, /{name} is damaged".encode("ascii")
+    rows = zip(*_all_rows(checked, name, dataset), strict=True)
     texts = [text if intact else unknown for text, intact in rows]
     return {shot: text.decode("ascii", "replace") for shot, text in enumerate(texts) if text}
+
+
+def _conditions(checked: CheckedFile, shots: int) -> dict[str, FloatArray]:
+    """Return the conditions by name, each (shot, 2) before and after; NaN for values not read or damaged."""
+    if not checked.has("conditions"):
+        return {}
+    names = checked.dataset("conditions/condition", f"S{CONDITION_BYTES}", (None,))
+    if names.shape[0] > MAX_CONDITIONS:
+        raise InvalidContentError(f"/conditions has {names.shape[0]} conditions")
+    checked.refuse_damaged("conditions/condition", names)
+    shape = (shots, names.shape[0])
+    columns = [
+        _all_rows(checked, name, checked.dataset(name, "<f8", shape))[0]
+        for name in ("conditions/before", "conditions/after")
+    ]
+    values = np.stack(columns, axis=-1)
+    return {printable(name.decode("ascii", "replace")): values[:, index] for index, name in enumerate(names[()])}
 
 
 def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], bool]:
@@ -636,6 +662,7 @@ def _datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str,
         "snapshot": (f"S{SNAPSHOT_BYTES}", shape[:1]),
         # Why the settings of a shot cannot be relied on; empty if they can.
         "untrusted": (f"S{UNTRUSTED_BYTES}", shape[:1]),
+        "changed_settings": (f"S{UNTRUSTED_BYTES}", shape[:1]),
         "records/shot_complete": ("u1", shape[:1]),
         "records/clipped": ("u1", shape[:1]),
         "records/force_set": ("<f8", shape[:1]),

@@ -200,6 +200,17 @@ class RunWriter:
         with self._committing():
             self._tables["untrusted"].put(shot.index, why.encode("ascii", "replace")[:UNTRUSTED_BYTES])
 
+    def write_changed_settings(self, shot: Shot, changes: str) -> None:
+        """Write what the settings after ``shot`` differ in from those before it."""
+        with self._committing():
+            self._tables["changed_settings"].put(shot.index, changes.encode("ascii", "replace")[:UNTRUSTED_BYTES])
+
+    def write_conditions(self, shot: Shot, before: Sequence[float], after: Sequence[float]) -> None:
+        """Write the conditions before and after ``shot``, each (condition,), NaN if not read."""
+        with self._committing():
+            self._tables["conditions/before"].put(shot.index, before)
+            self._tables["conditions/after"].put(shot.index, after)
+
     def write_ground_truth(self, shot: Shot, displacement_m: FloatArray) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
         recorded = np.zeros(0, bool) if self._shot is None else self._shot.recorded

@@ -35,6 +35,7 @@ class Ledger:
         self.counts: dict[tuple[int, Step], Counter[str]] = defaultdict(Counter)
         self.elapsed_s: Counter[tuple[int, Step]] = Counter()
         self._step: tuple[int, Step] | None = None
+        self._traffic_step: tuple[int, Step] | None = None
         self._start_s = 0.0
 
     def observe(self, progress: Progress) -> None:
@@ -43,13 +44,15 @@ class Ledger:
         if self._step is not None:
             # Making safe begins when the last record is stored and is reported at its end, unlike the other steps.
             self.elapsed_s[step if progress.step is Step.SAFE else self._step] += now_s - self._start_s
+        # Settings are read back after the outputs are off; that belongs to making safe.
+        self._traffic_step = step
         # Storing the shot and computing the twin's truth come after it and are no overhead of the sequencer.
         self._step, self._start_s = None if progress.step is Step.SAFE else step, now_s
 
     def count(self, kind: str, size: int) -> None:
         """Count a message or a reply of the present step."""
-        if self._step is not None:
-            self.counts[self._step].update({kind: 1, "bytes": size + 1})
+        if self._traffic_step is not None:
+            self.counts[self._traffic_step].update({kind: 1, "bytes": size + 1})
 
 
 def counting(ledger: Ledger, name: str, method: Callable[..., Any]) -> Callable[..., Any]:

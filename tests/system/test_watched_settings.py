@@ -12,6 +12,7 @@ import pytest
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import opening
+from hpe_rig.cli.bench import bench_state, compare_with
 from hpe_rig.cli.tables import print_result
 from hpe_rig.measurement import sequencer
 from hpe_rig.measurement.run import record_run
@@ -90,6 +91,34 @@ def test_an_output_switched_off_by_another_program_is_found(
     meddler = another_program(worlds, role, "OUTP 0")
     with pytest.raises(InstrumentError, match=rf"{role}: .*output_on \(OUTP\) programmed 1, read back 0"):
         record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5", meddler)
+
+
+def test_a_setting_that_no_shot_programs_is_stored_if_it_differs_after_the_shot(
+    prepared: Prepare, tmp_path: Path, worlds: list[World]
+) -> None:
+    path = tmp_path / "run.h5"
+    record_run(prepared("bovine-muscle-synchronous", TWICE), path, another_program(worlds, "toneburst", "OUTP:SYNC 0"))
+    stored = read_run(path)
+    assert list(stored.changed_settings) == [0]
+    assert not stored.untrusted
+    text = "toneburst generator: sync output on in the settings before the shot, off in those after it"
+    assert stored.changed_settings[0] == text
+    assert f"shot 1: settings read back after it differ: {text}" in process(path, "kasai").warnings
+    (line,) = (line for line in compare_with(path, bench_state(None)).splitlines() if line.startswith("shot 1 of"))
+    assert line == f"shot 1 of run.h5: after it {text}"
+
+
+def test_an_error_that_is_queued_after_the_outputs_are_off_is_stored(
+    prepared: Prepare, tmp_path: Path, worlds: list[World]
+) -> None:
+    path = tmp_path / "run.h5"
+
+    def observe(progress: Progress) -> None:
+        if progress.step is Step.SAFE and progress.shot.index == 0:
+            worlds[0].connect("tracking_train").write("NONSENSE")
+
+    record_run(prepared("bovine-muscle-synchronous", TWICE), path, observe)
+    assert read_run(path).changed_settings == {0: "tracking_train: error queue: -113 Undefined header"}
 
 
 def test_looking_at_the_instruments_during_a_shot_changes_no_record(
