@@ -322,9 +322,9 @@ class Condition(Section):
     timeout_s: DurationS = 5.0
     """Time after which the quantity counts as not read."""
     min: Annotated[float, Field(strict=True)] | None = None
-    """Smallest value at which a shot begins; below it the run waits with outputs off."""
+    """Lower limit: below it the next shot waits with outputs off."""
     max: Annotated[float, Field(strict=True)] | None = None
-    """Largest value at which a shot begins; above it the run waits with outputs off."""
+    """Upper limit: above it the next shot waits with outputs off."""
     max_wait_s: DurationS = 600.0
     """Longest wait for a value within the limits, after which the run ends."""
 

@@ -58,10 +58,11 @@ def wait_for_conditions(
 
 def _refuse_longer_wait(waiting: Sequence[Reading], shot_number: int, waited_s: float) -> None:
     """Raise ``InstrumentError`` if one of the readings outside their limits has been awaited for too long."""
-    late = [reading for reading in waiting if waited_s >= reading.condition.max_wait_s]
-    if late:
-        names = " and ".join(reading.condition.name for reading in late)
-        what = f"not within the limits for {waited_s:.0f} s before shot {shot_number}: {'; '.join(map(str, late))}"
+    expired = [reading for reading in waiting if waited_s >= reading.condition.max_wait_s]
+    if expired:
+        names = " and ".join(reading.condition.name for reading in expired)
+        readings = "; ".join(map(str, expired))
+        what = f"not within the limits for {waited_s:.0f} s before shot {shot_number}: {readings}"
         remedy = f"bring {names} back, then the same command or, after complete shots, hpe-rig resume"
         raise InstrumentError(
             "conditions", what, "the bench is not as the bench file asks, or its sensor fails", remedy

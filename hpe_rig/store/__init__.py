@@ -11,7 +11,7 @@
     writer.py        ``RunWriter``: creates the file; writes records, settings, ground truth and status
     validation.py    validation of a file of unknown origin
     reader.py        ``read_run``: the run file, shot by shot on demand
-    marks.py         verdicts on shots after the run, in a file beside the run file
+    marks.py         verdicts on shots after the run, in a file of their own
     result_file.py   ``write_result``: the result file
     listing.py       the runs of a folder, with title, result and notes
     verification.py  ``verify``: compares every checksum of a file

@@ -201,7 +201,7 @@ class RunWriter:
             self._tables["untrusted"].put(shot.index, why.encode("ascii", "replace")[:UNTRUSTED_BYTES])
 
     def write_changed_settings(self, shot: Shot, changes: str) -> None:
-        """Write what the settings after ``shot`` differ in from those before it."""
+        """Write the differences between the settings before and after ``shot``."""
         with self._committing():
             self._tables["changed_settings"].put(shot.index, changes.encode("ascii", "replace")[:UNTRUSTED_BYTES])
 

@@ -44,7 +44,7 @@ class Ledger:
         if self._step is not None:
             # Making safe begins when the last record is stored and is reported at its end, unlike the other steps.
             self.elapsed_s[step if progress.step is Step.SAFE else self._step] += now_s - self._start_s
-        # Settings are read back after the outputs are off; that belongs to making safe.
+        # Settings are read back after the outputs are off, which has no time of its own.
         self._traffic_step = step
         # Storing the shot and computing the twin's truth come after it and are no overhead of the sequencer.
         self._step, self._start_s = None if progress.step is Step.SAFE else step, now_s
@@ -91,12 +91,12 @@ def print_counts(ledger: Ledger) -> None:
     print(f"{'SCPI, 5 generators':22}{'first shot':>36}{'later shot of a sweep':>36}")
     print(f"{'':22}" + 2 * "".join(f"{name:>12}" for name in COUNTS) + f"{'s at 57600 Bd':>16}")
     totals: tuple[Counter[str], Counter[str]] = (Counter(), Counter())
-    for step in (Step.CONFIGURE, Step.VERIFY, Step.ENABLE, Step.FIRE, Step.COLLECT):
+    for step in (Step.CONFIGURE, Step.VERIFY, Step.ENABLE, Step.FIRE, Step.COLLECT, Step.SAFE):
         counts = ledger.counts[0, step], ledger.counts[1, step]
         for total, count in zip(totals, counts, strict=True):
             total.update(count)
         # Messages between the last record and the end of the shot switch outputs off.
-        name = "make safe" if step is Step.COLLECT else step.value
+        name = {Step.COLLECT: "make safe", Step.SAFE: "read back"}.get(step, step.value)
         print(f"{name:22}" + "".join(f"{count[key]:12}" for count in counts for key in COUNTS))
     cells = "".join(f"{total[key]:12}" for total in totals for key in COUNTS)
     print(f"{'total':22}{cells}{totals[1]['bytes'] / RS232_BYTES_PER_S:16.2f}\n")
