@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
+from hpe_rig.measurement.awake import kept_awake
 from hpe_rig.measurement.background import detached
 from hpe_rig.measurement.mover import Mover, choose_mover, require_mover
 from hpe_rig.measurement.recording import RunRecorder
@@ -54,7 +55,7 @@ def record_run(
         refuse_to_replace(path)
     timer = stages or Stages()
     # Interrupts end the innermost block. They are held back while the file is closed and the bench is made safe.
-    with uninterrupted(), ExitStack() as stack:
+    with uninterrupted(), kept_awake(not setup.bench.bench.simulated), ExitStack() as stack:
         create = partial(RunWriter, path, setup.scene, setup.bench, setup.plan, options)
         recorder = stack.enter_context(RunRecorder(path, create, defer=replaces))
         stack.enter_context(interruptible())

@@ -174,7 +174,9 @@ def real(tmp_path: Path, calibration: str) -> Path:
     text = read_bench().text.replace("simulated = true", "simulated = false").replace("Simulated bench", "Real bench")
     text = text.replace('source = "assumed: no hydrophone has seen it"', f'source = "hydrophone"\n{calibration}')
     for number, role in enumerate(("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")):
-        text = text.replace(f"[generators.{role}]", f'[generators.{role}]\naddress = "GPIB0::{10 + number}::INSTR"')
+        text = text.replace(
+            f"[generators.{role}]", f'[generators.{role}]\nserial = "none"\naddress = "GPIB0::{10 + number}::INSTR"'
+        )
     path = tmp_path / "real.toml"
     path.write_text(text, encoding="utf-8")
     return path
