@@ -55,6 +55,7 @@ Inlet = Literal[
     "tracking_train.trigger",
     "tracking_pulser.trigger",
     "digitizer.trigger",
+    "digitizer.channel_b",
     "transducer.drive",
     "tracking_transducer.drive",
 ]

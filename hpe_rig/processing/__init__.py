@@ -7,6 +7,7 @@
     compilation.py     optional compilation of loops by Numba
     estimators.py      estimators by name: echoes -> displacement -> harmonics
     budget.py          uncertainty of each estimate, source by source
+    first_pulse.py     the tracking pulse of each record
     shot_tracking.py   echoes and displacement of a stored shot
     shot_fitting.py    harmonic fit of a shot: options, prior, beam averaging
     motion_model.py    fitted displacement of each pulse

@@ -35,7 +35,8 @@ class ErrorSources:
     gate has been subtracted, and trigger jitter with it. ``gate_edge``: relative amplitude error from the ends of the
     gate. ``quantisation_m``: for each frequency along and across its phasor; empty if noise dithers the codes.
     ``carrier_relative``: difference of the echo's mean frequency from the carrier, for estimators that divide by the
-    carrier, unless the averaging predicts it.
+    carrier, unless the averaging predicts it. ``first_pulse_s``: root mean square of the time by which all pulses may
+    come later than assumed; ``late_part_s``: largest such time of a later part of the pulses alone.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -45,6 +46,8 @@ class ErrorSources:
     gate_edge: float = 0.0
     quantisation_m: tuple[tuple[float, float], ...] = ()
     carrier_relative: float = 0.0
+    first_pulse_s: float = 0.0
+    late_part_s: float = 0.0
 
     @property
     def jitter_m(self) -> float:
@@ -154,7 +157,19 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
         Component("sound speed", sources.sound_speed_uncertainty * peak_m, 0.0),
         Component("gate off focus", averaging.offset_relative * peak_m, 0.0),
         *(Component(source, relative * peak_m, 0.0) for source, relative in optional if relative),
+        *_first_pulse(float(fit.frequency_hz[index]), peak_m, sources),
     )
+
+
+def _first_pulse(frequency_hz: float, peak_m: float, sources: ErrorSources) -> tuple[Component, ...]:
+    """Return the component of an unknown first pulse; empty if it is known."""
+    if not sources.first_pulse_s:
+        return ()
+    phase_rad = 2 * math.pi * frequency_hz * sources.first_pulse_s
+    # Two parts of equal length, apart by an angle, have a sum shorter by the cosine of half the angle.
+    apart_rad = min(2 * math.pi * frequency_hz * sources.late_part_s, math.pi)
+    amplitude_m = peak_m * (1 - math.cos(apart_rad / 2))
+    return (Component("first pulse", amplitude_m, min(phase_rad, math.sqrt(PHASE_VARIANCE_LIMIT))),)
 
 
 def _noise_components(

@@ -20,6 +20,7 @@ from hpe_rig.processing.echo.conditioning import (
     gate_statistics,
 )
 from hpe_rig.processing.echo.gate import EchoGate, margin_samples
+from hpe_rig.processing.first_pulse import PulseAssignment, assign_pulses
 from hpe_rig.processing.motion.displacement import Motion, relative_to
 from hpe_rig.processing.motion.gate_tracking import add_gate_motion, track_gate
 from hpe_rig.processing.motion.phase_shift import coherent
@@ -40,6 +41,7 @@ class ShotRecords:
     gate: GatedRecords
     statistics: GateStatistics
     reference: GatedRecords | None
+    assignment: PulseAssignment
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +68,14 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     long shot are computed while its checksums are verified, so that its file is read once.
     """
     margin, block_statistics = margin_needed(scene, shot), list[GateStatistics]()
+    assignment = assign_pulses(shot, stored)
+    placement = assignment.placement
     records = stored.records.shot_blocks(
         shot.index,
         samples_needed(scene, shot),
         margin=margin,
         visit=lambda codes: block_statistics.append(code_statistics(codes)),
+        placement=placement,
     )
     if not records.valid.any():
         damaged = records.damaged is not None and bool(records.damaged.any())
@@ -79,7 +84,10 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     return ShotRecords(
         gate=records,
         statistics=concatenate_statistics(block_statistics) if block_statistics else gate_statistics(records),
-        reference=None if gate is None else stored.records.shot_blocks(shot.index, gate, margin=margin),
+        reference=None
+        if gate is None
+        else stored.records.shot_blocks(shot.index, gate, margin=margin, placement=placement),
+        assignment=assignment,
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.processing.first_pulse import PulseAssignment
 from hpe_rig.processing.harmonics.fit_checks import Line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.motion.displacement import Motion
@@ -26,17 +27,25 @@ def missing_record_warnings(recorded: BoolArray, damaged: BoolArray) -> Iterator
     """Yield warnings of records that a complete shot lacks.
 
     ``recorded`` (pulse,): an intact record exists. ``damaged`` (pulse,): its checksum fails; these are reported
-    elsewhere. If the last one is missing, a lost first trigger may instead have shifted all records by one pulse.
+    elsewhere.
     """
     missing = int((~recorded & ~damaged).sum())
-    if missing and not recorded[-1] and not damaged[-1]:
-        yield (
-            "the last record is missing: were the first triggers lost instead of the last, every phase is off by "
-            "whole pulse periods"
-        )
     if missing:
         yield (
             f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
+        )
+
+
+def first_pulse_warnings(assignment: PulseAssignment) -> Iterator[str]:
+    """Yield a warning if it is unknown which pulse a shot's records start with."""
+    last, missing = max(assignment.shifts), assignment.placement.unlocated
+    if last:
+        lost = "a trigger was" if missing == 1 else f"{missing} triggers were"
+        later = "one pulse" if last == 1 else f"up to {last} pulses"
+        yield (
+            f"{lost} lost, and it is unknown which: the records may come {later} later than assumed, which the "
+            "uncertainty of the phase includes; record the toneburst at the second input (digitizer.monitor_range_v), "
+            "or check the trigger cable and digitizer.trigger_level_v"
         )
 
 

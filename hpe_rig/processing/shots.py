@@ -30,6 +30,7 @@ from hpe_rig.processing.shot_fitting import (
 from hpe_rig.processing.shot_tracking import ShotRecords, WindowMotion, read_shot, window_motion
 from hpe_rig.processing.shot_warnings import (
     drift_warnings,
+    first_pulse_warnings,
     fit_warnings,
     line_warnings,
     medium_warnings,
@@ -152,6 +153,7 @@ def _estimate_window(
         if motion.coherent is None
         else quantisation_m(motion.echoes, records.gate.volts_per_code, motion.coherent, fit),
         carrier_relative=carrier_error(motion.measured, motion.measured_coherent) if spec.by_carrier else 0.0,
+        **_first_pulse_errors(records, shot),
     )
     reference = phase_reference_of(scene, shot)
     estimates = estimates_of(fit, sources, shot_averaging(scene, fit, settings.averaging), true_m, reference)
@@ -174,6 +176,7 @@ def _estimate_window(
         axial_offset_m=shot.axial_offset_m,
         estimates=estimates,
         warnings=(
+            *records.assignment.remarks,
             *_record_warnings(records, selection, motion, complete),
             *fit_warnings(fit, float(motion.measured.largest_step)),
             *medium_warnings(fit, settings.false_alarm),
@@ -208,6 +211,13 @@ def _fit_with_aliasing(
     return fit
 
 
+def _first_pulse_errors(records: ShotRecords, shot: Shot) -> dict[str, float]:
+    """Return the fields of ``ErrorSources`` for an unknown first pulse."""
+    assignment, period_s = records.assignment, 1 / shot.tracking_train.rate_hz
+    late_part_s = max(assignment.shifts) * period_s if assignment.within_shot else 0.0
+    return {"first_pulse_s": assignment.shift_rms * period_s, "late_part_s": late_part_s}
+
+
 def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowMotion, complete: bool) -> Iterator[str]:
     """Yield warnings of records in the window that are missing, damaged, clipped, or unlike the others in energy."""
     gate, window = records.gate, selection.window
@@ -216,6 +226,7 @@ def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowM
     # In an incomplete shot the records after the stop never came.
     if complete:
         yield from missing_record_warnings(recorded, damaged)
+        yield from first_pulse_warnings(records.assignment)
     used = recorded & selection.used
     clipped = records.statistics.at_full_scale(gate.code_limits)[window] & used
     yield from record_warnings(damaged, int((used & ~motion.echoes.valid).sum()), int(clipped.sum()))

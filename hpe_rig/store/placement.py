@@ -31,7 +31,8 @@ class Placement:
         pulse: int64 (record,), the pulse of each record, -1 for none.
         delivered: (record,), True for the records that arrived; there are as many places as planned pulses.
         loose: (record,), True if the number of pulses since the record before is not measured but assumed to be 1.
-        unlocated: number of missing pulses whose place is unknown; the first pulses may be among them.
+        unlocated: number of missing pulses at the end of the train, or anywhere if there are no trigger times. Those at
+            its start may be missing instead. After stray triggers a capture ends before the train.
         stray: numbers of the records of triggers between the pulses.
         remarks: faults of the trigger times, as sentences.
     """
@@ -114,7 +115,7 @@ def _placement(train: _Train, delivered: BoolArray) -> Placement:
     known = np.setdiff1d(np.concatenate([placed, untimed[~unknown]]), stray)
     pulse[known] -= pulse[known].min()
     pulse[pulse >= pulses] = -1
-    unlocated = 0 if delivered.all() else max(0, pulses - 1 - int(pulse.max()))
+    unlocated = pulses - 1 - int(pulse.max())
     return Placement(pulse, delivered, loose, unlocated, tuple(stray.tolist()))
 
 
@@ -168,7 +169,7 @@ class _Train:
         """Return the parts of the train between steps of the counter; the pulses of the first one start at 0."""
         pieces = list(self._pieces())
         if not any(stop - start >= MIN_SEGMENT for start, stop in pieces):
-            # Too few records to tell stray triggers from the train.
+            # Too few records to distinguish stray triggers from the train.
             pieces = [(0, 1)]
         segments = list[_Segment]()
         for start, stop in pieces:

@@ -424,6 +424,11 @@ class StoredRun:
         marks = {shot: text for shot, text in self.marks.items() if shot not in shots}
         return write_marks(self.path, self.identity, marks if why is None else marks | dict.fromkeys(shots, why))
 
+    @property
+    def imported(self) -> bool:
+        """Whether the records are those of another program, which states the pulse of each."""
+        return "[recording]" in self.bench_toml.splitlines()
+
     def rows(self, shot: int) -> ShotRows:
         """Return the values of ``shot`` other than its echoes, to copy them; missing or damaged values are blank."""
         shape = self.records.shape

@@ -110,17 +110,21 @@ def hann(count: int) -> FloatArray:
     return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
 
 
+def deviating_levels(log_energy: FloatArray) -> BoolArray:
+    """Return which of the logarithmic energies (..., pulse) are unlike the others of their realisation."""
+    deviation = np.abs(log_energy - np.median(log_energy, axis=-1, keepdims=True))
+    # For a normal distribution the median absolute deviation is 0.6745 standard deviations.
+    standard_deviation = np.median(deviation, axis=-1, keepdims=True) / 0.6745
+    return np.asarray(deviation > np.maximum(MAX_ENERGY_DEVIATION * standard_deviation, np.log(2)))
+
+
 def deviating_pulses(echoes: EchoGate) -> BoolArray:
     """Return which valid pulses (pulse,) have an energy unlike the others', in at least one realisation.
 
     Causes are leaked tonebursts, spikes, and dropped or clipped records. The energy is that of the whole gate, so that
     leakage outside the tracked band counts too; motion hardly changes it. At least half of the pulses must be sound.
     """
-    log_energy = np.log(np.maximum(echoes.energy[..., echoes.valid], np.finfo(np.float64).tiny))
-    deviation = np.abs(log_energy - np.median(log_energy, axis=-1, keepdims=True))
-    # For a normal distribution the median absolute deviation is 0.6745 standard deviations.
-    standard_deviation = np.median(deviation, axis=-1, keepdims=True) / 0.6745
-    deviates = deviation > np.maximum(MAX_ENERGY_DEVIATION * standard_deviation, np.log(2))
+    deviates = deviating_levels(np.log(np.maximum(echoes.energy[..., echoes.valid], np.finfo(np.float64).tiny)))
     pulses = np.zeros(echoes.valid.shape, dtype=bool)
     pulses[echoes.valid] = deviates.any(axis=tuple(range(deviates.ndim - 1)))
     return pulses

@@ -1,0 +1,251 @@
+"""Which tracking pulse came first: evidence for the pulse of each record where trigger times leave it open.
+
+Records of pulses near a toneburst are disturbed: the toneburst leaks into them, or its echo does. The plan knows which
+pulses these are, so the disturbed records of a shot show by how many pulses its records are shifted. The second input
+is preferred to the echoes: on a T piece at the output of the toneburst generator it records the toneburst itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from hpe_rig.arrays import BoolArray, FloatArray, Int64Array
+from hpe_rig.plan import SETTLING_S, Shot
+from hpe_rig.processing.echo.conditioning import code_statistics, concatenate_statistics, deviating_levels
+
+if TYPE_CHECKING:
+    from hpe_rig.store import Placement, StoredRun
+
+CLEAN, NEAR, INSIDE = 0, 1, 2
+"""Kinds of pulses: undisturbed, within the reach of a toneburst's echoes, and with a toneburst during the record."""
+MIN_OVERLAP: Final = 0.2
+"""Fraction of a record, or of a shorter toneburst, above which the toneburst certainly disturbs the record."""
+START_RATES: Final = (0.005, 0.5, 0.95)
+"""Assumed fraction of records with deviating energy by kind of pulse; replaced by the observed fractions."""
+MIN_EVIDENCE: Final = 12.0
+"""Logarithm of the likelihood ratio above which disturbed records follow the tonebursts, and not chance."""
+MIN_RATIO: Final = 7.0
+"""Logarithm of the likelihood ratio above which the less likely of two shifts is excluded."""
+CHANGE: Final = -14.0
+"""Logarithm of the probability of a lost or stray trigger at any one record."""
+MAX_STRAY: Final = 3
+"""Number of stray triggers that are considered if there are no trigger times."""
+MAX_TERMS: Final = 20_000_000
+"""Number of records times shifts above which evidence is not evaluated."""
+MAX_DOUBT: Final = 1e-3
+"""Probability of another pulse above which a record is left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class PulseAssignment:
+    """The pulses of the records of a shot, and what remains unknown about them.
+
+    ``shifts``: numbers of pulses by which all records may come later than assigned, equally likely; (0,) if none does.
+    ``within_shot``: the shift may begin at any record.
+    """
+
+    placement: Placement
+    shifts: tuple[int, ...] = (0,)
+    within_shot: bool = False
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def shift_rms(self) -> float:
+        """Root mean square of the possible shifts, in pulse periods."""
+        return float(np.sqrt(np.mean(np.square(self.shifts))))
+
+
+def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
+    """Return the pulse of each record of ``shot``, by trigger times and, where these leave it open, by tonebursts.
+
+    A train has as many pulses as the shot has records. So a shot with all of its records has lost no trigger, unless
+    stray triggers took the place of pulses; those are assumed to account for all missing pulses. In a shot that was
+    not completed, missing records at the end are no sign of lost triggers.
+    """
+    placement = stored.records.placement(shot.index)
+    assignment = PulseAssignment(placement, remarks=tuple(_time_remarks(placement)))
+    timeless = bool(placement.delivered.any() and placement.loose[placement.delivered].all())
+    known = stored.imported or not stored.shot_complete[shot.index]
+    if known or not (placement.unlocated or timeless):
+        return assignment
+    kinds = pulse_kinds(shot)
+    for name in ("monitor", "echo") if kinds.any() else ():
+        disturbed = _disturbed_records(shot, stored, name)
+        shifted = None if disturbed is None else _by_tonebursts(assignment, kinds, disturbed, timeless)
+        if shifted is not None:
+            return shifted
+    lost = 0 if placement.delivered.all() else placement.unlocated
+    return replace(assignment, shifts=tuple(range(lost + 1)), within_shot=bool(lost and placement.loose.any()))
+
+
+def pulse_kinds(shot: Shot) -> Int64Array:
+    """Return the kind of each pulse of ``shot``, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``."""
+    line, kinds = shot.timeline, np.full(shot.timeline.pulse_onset_s.size, CLEAN)
+    if not line.burst_onset_s.size:
+        return kinds
+    start_s, end_s = (line.pulse_onset_s + offset_s for offset_s in line.record_offset_s)
+    latest = np.searchsorted(line.burst_onset_s, end_s + line.pulse_length_s) - 1
+    onset_s = np.where(latest >= 0, line.burst_onset_s[np.maximum(latest, 0)], np.inf)
+    reach_s = line.burst_length_s + line.record_offset_s[1] + line.push_delay_s + SETTLING_S
+    kinds[start_s < onset_s + reach_s] = NEAR
+    overlap_s = np.minimum(end_s, onset_s + line.burst_length_s) - np.maximum(start_s, onset_s)
+    record_s = line.record_offset_s[1] - line.record_offset_s[0]
+    kinds[overlap_s > MIN_OVERLAP * min(record_s, line.burst_length_s)] = INSIDE
+    return kinds
+
+
+def _time_remarks(placement: Placement) -> list[str]:
+    """Return a sentence for each fault of the triggers that the trigger times reveal."""
+    remarks = [f"{remark}: the records after it are counted on" for remark in placement.remarks]
+    if placement.stray:
+        numbers = ", ".join(str(record + 1) for record in placement.stray[:5])
+        more = ", ..." if len(placement.stray) > 5 else ""
+        remarks.append(
+            f"{len(placement.stray)} records come from stray triggers between the pulses (record {numbers}{more}) and "
+            "are left out: check the trigger cable and digitizer.trigger_level_v"
+        )
+    return remarks
+
+
+def _disturbed_records(shot: Shot, stored: StoredRun, name: str) -> BoolArray | None:
+    """Return which records (record,) of an input have a deviating energy; None if it was not recorded or is damaged."""
+    from hpe_rig.store import StoreError
+
+    if name == "monitor" and shot.capture.monitor_range_v is None:
+        return None
+    records, samples = stored.records.shape[1:]
+    step = max(1, (1 << 21) // samples)
+    try:
+        blocks = stored.records.chunks(shot.index, step, name)
+        statistics = concatenate_statistics([code_statistics(codes) for _, codes in blocks])
+    except StoreError:
+        return None
+    delivered = stored.records.placement(shot.index).delivered
+    # Rounding has a variance of 1/12 code²; without it, constant codes would have an infinite level.
+    variance = np.maximum(statistics.mean_square - statistics.mean**2, 0.0) + 1 / 12
+    disturbed = np.zeros(records, bool)
+    disturbed[delivered] = deviating_levels(np.log(variance[delivered]))
+    return disturbed
+
+
+def _by_tonebursts(
+    assignment: PulseAssignment, kinds: Int64Array, disturbed: BoolArray, timeless: bool
+) -> PulseAssignment | None:
+    """Return the assignment for which the ``disturbed`` records (record,) are those of pulses near a toneburst.
+
+    None if the disturbed records do not follow the tonebursts at any shift.
+    """
+    placement = assignment.placement
+    records = np.flatnonzero(placement.pulse >= 0)
+    strays = MAX_STRAY if timeless else 0
+    shifts = np.arange(-strays, placement.unlocated + strays + 1)
+    if records.size * shifts.size > MAX_TERMS:
+        return None
+    # Pulses outside the train have no records.
+    padded = np.concatenate([np.full(shifts.size, -1), kinds, np.full(shifts.size, -1)])
+    shifted_kinds = padded[placement.pulse[records][:, None] + shifts + shifts.size]
+    changes = placement.loose[records] & (np.arange(records.size) > 0)
+    posterior, evidence = _posterior(shifted_kinds, disturbed[records], changes)
+    if evidence < MIN_EVIDENCE:
+        return None
+    if not changes.any():
+        return _with_common_shift(assignment, shifts, posterior[0])
+    return _with_shifts(assignment, records, shifts, posterior)
+
+
+def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> tuple[FloatArray, float]:
+    """Return the probability of each shift at each record, (record, shift), and the evidence for any of them.
+
+    ``kinds`` (record, shift): kind of the pulse, -1 outside the train. The shift can change at records with
+    ``changes`` (record,). Evidence is the logarithm of the likelihood ratio to disturbances by chance.
+    """
+    rates = np.array(START_RATES)
+    for _ in range(3):
+        by_kind = np.log(np.stack([1 - rates, rates]))
+        likelihood = np.where(kinds < 0, -np.inf, by_kind[disturbed.astype(np.int64)[:, None], kinds])
+        posterior, total = _forward_backward(likelihood, changes)
+        weight = [np.where(kinds == kind, posterior, 0.0).sum(axis=1) for kind in (CLEAN, NEAR, INSIDE)]
+        # Half a record of each sort, so that no rate becomes 0 or 1.
+        rates = np.array([(w[disturbed].sum() + 0.5) / (w.sum() + 1.0) for w in weight])
+        rates = np.maximum.accumulate(rates)
+    fraction = (disturbed.sum() + 0.5) / (disturbed.size + 1)
+    chance = np.log(np.where(disturbed, fraction, 1 - fraction)).sum()
+    return posterior, float(total - chance)
+
+
+def _forward_backward(likelihood: FloatArray, changes: BoolArray) -> tuple[FloatArray, float]:
+    """Return the posterior (record, state) of a chain that changes its state rarely, and the log likelihood."""
+    records, states = likelihood.shape
+    # Records without a change in between share one state.
+    start = np.flatnonzero(np.concatenate([[True], changes[1:]]))
+    step = np.add.reduceat(likelihood, start, axis=0)
+    forward, backward = np.empty_like(step), np.zeros_like(step)
+    forward[0] = step[0] - np.log(states)
+    for index in range(1, start.size):
+        forward[index] = _mixed(forward[index - 1]) + step[index]
+    for index in range(start.size - 2, -1, -1):
+        backward[index] = _mixed(backward[index + 1] + step[index + 1])
+    joint = forward + backward
+    total = float(np.logaddexp.reduce(forward[-1]))
+    posterior = np.exp(joint - np.logaddexp.reduce(joint, axis=1, keepdims=True))
+    by_record: FloatArray = np.repeat(posterior, np.diff(np.append(start, records)), axis=0)
+    return by_record, total
+
+
+def _mixed(log_probability: FloatArray) -> FloatArray:
+    """Return log probabilities (state,) after a possible change of state."""
+    others = np.logaddexp.reduce(log_probability) + CHANGE - np.log(log_probability.size)
+    return np.logaddexp(log_probability, others)
+
+
+def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterior: FloatArray) -> PulseAssignment:
+    """Return the assignment with one shift of all records, given the ``posterior`` (shift,)."""
+    possible = shifts[np.log(np.maximum(posterior, 1e-300)) > np.log(posterior.max()) - MIN_RATIO]
+    used = int(possible[0])
+    placement = assignment.placement.shifted(np.full(assignment.placement.pulse.size, used))
+    remarks = assignment.remarks
+    if used:
+        remarks += (_lost_first(used),)
+    return replace(assignment, placement=placement, shifts=tuple((possible - used).tolist()), remarks=remarks)
+
+
+def _with_shifts(
+    assignment: PulseAssignment, records: Int64Array, shifts: Int64Array, posterior: FloatArray
+) -> PulseAssignment | None:
+    """Return the assignment with shifts that change within the shot, given the ``posterior`` (record, shift).
+
+    None if no shift is certain at any record.
+    """
+    placement = assignment.placement
+    best = posterior.argmax(axis=1)
+    certain = posterior.max(axis=1) > 1 - MAX_DOUBT
+    if not certain.any():
+        return None
+    pulse = np.where(certain, placement.pulse[records] + shifts[best], -1)
+    repeated = np.isin(pulse, np.flatnonzero(np.bincount(pulse[pulse >= 0]) > 1))
+    moved = placement.pulse.copy()
+    moved[records] = np.where(repeated, -1, pulse)
+    remarks = assignment.remarks
+    for index in np.flatnonzero(np.diff(shifts[best[certain]])):
+        before, after = shifts[best[certain]][index : index + 2]
+        what = f"{_triggers(after - before)} lost" if after > before else f"{_triggers(before - after)} too many"
+        first, last = records[certain][index : index + 2] + 1
+        remarks += (
+            f"{what} between record {first} and {last}: the tonebursts in the records show it, and the records between "
+            "these are left out",
+        )
+    if (first_shift := int(shifts[best[certain][0]])) > 0:
+        remarks += (_lost_first(first_shift),)
+    return replace(assignment, placement=replace(placement, pulse=moved), remarks=remarks)
+
+
+def _lost_first(count: int) -> str:
+    triggers = "trigger was" if count == 1 else f"{count} triggers were"
+    return f"the first {triggers} lost: the tonebursts in the records show it"
+
+
+def _triggers(count: int) -> str:
+    return "a trigger was" if count == 1 else f"{count} triggers were"

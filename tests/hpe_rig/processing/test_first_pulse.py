@@ -1,0 +1,182 @@
+"""The first tracking pulse of a shot: trigger times, tonebursts in the records, or an uncertainty of whole periods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hpe_rig import load_scene, measure
+from hpe_rig.bench import read_bench
+from hpe_rig.plan.shots import Shot, make_plan
+from hpe_rig.processing.first_pulse import CLEAN, INSIDE, NEAR, PulseAssignment, assign_pulses, pulse_kinds
+from hpe_rig.result import ShotResult
+from hpe_rig.store import Placement, StoreError, place_records
+
+FAULTS = "simulation.instruments.trigger_faults"
+PERIODS_RAD = 2 * math.pi / 4000
+NPT = 'acquisition_mode = "npt"'
+T_PIECE = """
+[[wiring]]
+source = "toneburst.output"
+target = "digitizer.channel_b"
+delay_s = 5e-9
+"""
+
+
+@pytest.fixture(scope="module")
+def muscle() -> Shot:
+    return make_plan(load_scene("bovine-muscle"), read_bench().bench).shots[0]
+
+
+def bench(folder: Path, lines: str, cables: str = "") -> Path:
+    path = folder / "bench.toml"
+    path.write_text(read_bench().text.replace("[digitizer]", f"[digitizer]\n{lines}") + cables, encoding="utf-8")
+    return path
+
+
+def estimated(folder: Path, scene: str, bench_file: Path | None = None, **faults: Any) -> ShotResult:
+    settings = {f"{FAULTS}.{name}": value for name, value in faults.items()}
+    run = measure(load_scene(scene).with_(settings), bench=bench_file, path=folder / "run.h5")
+    return run.estimate().shots[0]
+
+
+def phase_errors(shot: ShotResult) -> Iterator[tuple[float, float]]:
+    """Yield error and half width of the 95 % interval of each phase."""
+    for item in shot.estimates:
+        assert item.true_phase_rad is not None
+        yield math.remainder(item.headline.phase_rad - item.true_phase_rad, 2 * math.pi), item.headline.interval_95_rad
+
+
+def test_a_lost_first_trigger_without_tonebursts_is_part_of_the_uncertainty(tmp_path: Path) -> None:
+    shot = estimated(tmp_path, "table-1", lost=[0])
+    (error_rad, interval_rad) = next(phase_errors(shot))
+    assert error_rad == pytest.approx(200 * PERIODS_RAD, rel=0.02)
+    assert abs(error_rad) < interval_rad < 2 * error_rad
+    assert [text for text in shot.warnings if "a trigger was lost, and it is unknown which" in text]
+    assert [item.source for item in shot.estimates[0].components].count("first pulse") == 1
+
+
+@pytest.mark.parametrize(
+    ("lines", "cables", "faults", "remark"),
+    [
+        ("", "", {"lost": [0]}, "the first trigger was lost"),
+        ("monitor_range_v = 4.0", T_PIECE, {"lost": [0, 1, 300]}, "the first 2 triggers were lost"),
+        (NPT, "", {"lost": [300]}, "a trigger was lost between record"),
+        pytest.param(NPT, "", {"stray_s": [0.1001]}, "a trigger was too many", marks=pytest.mark.slow),
+        pytest.param(NPT, "", {"lost": [0]}, "the first trigger was lost", marks=pytest.mark.slow),
+    ],
+)
+def test_tonebursts_in_the_records_show_which_pulse_came_first(
+    tmp_path: Path, lines: str, cables: str, faults: dict[str, Any], remark: str
+) -> None:
+    shot = estimated(tmp_path, "bovine-muscle", bench(tmp_path, lines, cables), **faults)
+    assert [text for text in shot.warnings if remark in text]
+    for error_rad, interval_rad in phase_errors(shot):
+        assert abs(error_rad) < 1.2 * interval_rad
+        # A pulse period is 9 degrees at 100 Hz.
+        assert interval_rad < math.radians(5)
+    assert all(item.source != "first pulse" for estimate in shot.estimates for item in estimate.components)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [{"stray_s": [10.125e-3]}, {"stamp_jumps": [{"record": 31, "jump_s": 0.25}]}, {"frozen_stamps": [20, 60]}],
+)
+def test_faults_that_the_trigger_times_reveal_change_no_result(tmp_path: Path, faults: dict[str, Any]) -> None:
+    shot = estimated(tmp_path, "table-1", **faults)
+    assert [text for text in shot.warnings if "stray trigger" in text or "trigger times" in text]
+    for error_rad, interval_rad in phase_errors(shot):
+        assert abs(error_rad) < 1.2 * interval_rad < math.radians(1)
+
+
+def test_kinds_of_pulses_follow_the_tonebursts(muscle: Shot) -> None:
+    kinds, line = pulse_kinds(muscle), muscle.timeline
+    start_s = line.pulse_onset_s + line.record_offset_s[0]
+    for kind in (NEAR, INSIDE):
+        assert 0 < np.count_nonzero(kinds == kind) < 0.1 * kinds.size
+    for pulse in np.flatnonzero(kinds == INSIDE):
+        after_s = start_s[pulse] - line.burst_onset_s
+        assert np.any((after_s > -6e-6) & (after_s < line.burst_length_s))
+    assert set(pulse_kinds(make_plan(load_scene("table-1"), read_bench().bench).shots[0])) == {CLEAN}
+
+
+class Records:
+    """Records of one shot in memory, with the interface of stored ones."""
+
+    def __init__(self, shot: Shot, pulse: np.ndarray, time_s: np.ndarray, disturbed: np.ndarray, seed: int) -> None:
+        self.shape = (1, shot.capture.record_count, 64)
+        padding = self.shape[1] - pulse.size
+        delivered = np.arange(self.shape[1]) < pulse.size
+        self.by_times = place_records(delivered, np.pad(time_s, (0, padding), constant_values=np.nan), 3990.0)
+        random = np.random.default_rng(seed)
+        self.codes = np.round(300 * random.standard_normal(self.shape[1:])).astype(np.int16)
+        self.codes[: pulse.size][disturbed] *= 20
+
+    def placement(self, shot: int) -> Placement:
+        return self.by_times
+
+    def chunks(self, shot: int, pulses: int, name: str) -> Iterator[tuple[int, np.ndarray]]:
+        if name != "echo":
+            raise StoreError(name)
+        yield 0, self.codes
+
+
+class Stored:
+    """One complete shot of a run file."""
+
+    shot_complete, imported = np.ones(1, bool), False
+
+    def __init__(self, records: Records) -> None:
+        self.records = records
+
+
+def drawn(shot: Shot, seed: int, timed: bool, visible: bool) -> tuple[np.ndarray, PulseAssignment]:
+    """Return the pulse of each delivered record, -1 for stray ones, and the assignment, for drawn faults."""
+    random = np.random.default_rng(seed)
+    count = shot.capture.record_count
+    pulse = np.arange(count, dtype=float)[random.integers(0, 4) :]
+    pulse = np.delete(pulse, random.integers(40, pulse.size, random.integers(0, 3) if timed else 0))
+    if random.random() < 0.5:
+        pulse = pulse[: pulse.size - random.integers(0, 30)]
+    if timed and pulse[0] == 0 and random.random() < 0.5:
+        pulse = np.sort([*pulse, *(random.integers(20, 600, 2) + random.uniform(0.1, 0.9, 2))])[:count]
+    time_s = np.full(pulse.size, np.nan)
+    if timed:
+        time_s = 0.2 + pulse / 3990.0 * (1 + random.uniform(-1e-4, 1e-4))
+        if random.random() < 0.5:
+            time_s[random.integers(2, pulse.size - 2) :] += random.choice([0.25, -0.25, 1.3e-3, -86.1])
+    train_pulse = np.where(pulse % 1 == 0, pulse, -1).astype(int)
+    near = pulse_kinds(shot)[np.maximum(train_pulse, 0)]
+    disturbed = visible & (train_pulse >= 0) & ((near == INSIDE) | ((near == NEAR) & (random.random(near.size) < 0.5)))
+    return train_pulse, assign_pulses(shot, Stored(Records(shot, pulse, time_s, disturbed, seed)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("visible", [True, False])
+@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("draws", [25, pytest.param(400, marks=pytest.mark.slow)])
+def test_drawn_faults_are_corrected_or_stated(muscle: Shot, draws: int, timed: bool, visible: bool) -> None:
+    corrected = 0
+    for seed in range(draws):
+        pulse, assignment = drawn(muscle, seed, timed, visible)
+        assigned = assignment.placement.pulse[: pulse.size]
+        later = pulse[assigned >= 0] - assigned[assigned >= 0]
+        # Every possible shift is stated; a shift within the shot concerns a part of it.
+        stated = range(max(assignment.shifts) + 1) if assignment.within_shot else assignment.shifts
+        assert set(later.tolist()) <= set(stated), seed
+        assert assignment.within_shot or np.unique(later).size == 1, seed
+        assert np.count_nonzero(assigned >= 0) > 0.6 * pulse.size, seed
+        corrected += bool(pulse[0] > 0 and not later.any())
+    assert not visible or corrected > draws / 3
+
+
+def test_an_aborted_shot_has_lost_no_trigger(muscle: Shot) -> None:
+    pulse = np.arange(300)
+    stored = Stored(Records(muscle, pulse, 0.2 + pulse / 3990.0, np.zeros(300, bool), 1))
+    assert assign_pulses(muscle, stored).shifts == tuple(range(499))  # type: ignore[arg-type]
+    stored.shot_complete = np.zeros(1, bool)
+    assert assign_pulses(muscle, stored).shifts == (0,)  # type: ignore[arg-type]
