@@ -198,7 +198,7 @@ def _forward_backward(likelihood: FloatArray, changes: BoolArray) -> tuple[Float
 def _mixed(log_probability: FloatArray) -> FloatArray:
     """Return log probabilities (state,) after a possible change of state."""
     others = np.logaddexp.reduce(log_probability) + CHANGE - np.log(log_probability.size)
-    return np.logaddexp(log_probability, others)
+    return np.asarray(np.logaddexp(log_probability, others))
 
 
 def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterior: FloatArray) -> PulseAssignment:
