@@ -299,7 +299,10 @@ class World:
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:
-        """Return the signals of the bench at least up to ``until_ps``; cached until an instrument changes."""
+        """Return the signals of the bench, the bursts and triggers of all generators, up to ``until_ps`` at least.
+
+        Cached until an instrument changes.
+        """
         # The last evaluation is valid until an instrument changes.
         version = self.board.changes, *(generator.changes for generator in self._generators.values())
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:

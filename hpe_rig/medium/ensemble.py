@@ -200,7 +200,10 @@ def medium_ensemble(
 
 
 def _sphere_ensemble(sphere: RigidSphere, spec: _EnsembleSpec) -> Ensemble:
-    """Return the ensemble of media around ``sphere``; its tracked displacement is its peak displacement."""
+    """Return the ensemble, the responses of all media of the prior, of a rigid ``sphere`` in them.
+
+    Its tracked displacement is its peak displacement, as the sphere moves as a whole.
+    """
     node_hz = spec.nodes(SPHERE_NODES_PER_E_FOLD)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
     response = sphere.response(spec.modulus(s), spec.density_kg_per_m3, s)
@@ -287,7 +290,7 @@ def _shape_ratio_at_nodes(
 
 @functools.lru_cache(maxsize=8)
 def _off_axis_ensembles(beams: BeamWidths, spec: _EnsembleSpec) -> tuple[Ensemble, ...]:
-    """Return one ensemble of media for each lateral offset in ``beams.offsets_of_joint_fit_m``."""
+    """Return one ensemble, the responses of all media of the prior, for each of ``beams.offsets_of_joint_fit_m``."""
     node_hz, exact_nodes = _off_axis_nodes(spec.lowest_hz, spec.highest_hz)
     offsets_m = np.array(beams.offsets_of_joint_fit_m)
     modulus_pa = spec.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))

@@ -91,7 +91,10 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
 
 
 def moduli_text(scene: Scene, plan: Plan, simulated: bool = True) -> Iterator[str]:
-    """Yield the line of ``hpe-rig check`` for a scene that sweeps lateral offsets; nothing for any other scene."""
+    """Yield the line of ``hpe-rig check`` with the expected uncertainties of the moduli, or why there is none.
+
+    Yields nothing for a scene that does not sweep lateral offsets.
+    """
     if len(scene.places) < 2:
         return
     try:

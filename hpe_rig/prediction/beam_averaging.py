@@ -139,7 +139,7 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
 
 def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
-    """Return the ensemble of the medium prior, extended if a frequency on the axis is outside its range."""
+    """Return the responses of the prior's media, extended if a frequency on the axis is outside their range."""
     assert scene.excitation is not None  # noqa: S101 (callers check)
     lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
     if beams.lateral_offset_m:
@@ -226,9 +226,9 @@ def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:
 def axial_offset_factor(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:
     """Return displacement at ``offset_m`` along the beam over that at the focus, and its relative uncertainty.
 
-    The force, of sigma ``width_m`` along the beam, is much longer than wide: the displacement follows it as
-    d(z) = exp(-z^2 / 2 E_z^2). The uncertainty is the rms of d(z) / d(offset) - 1 over z normal about ``offset_m`` with
-    standard deviation ``uncertainty_m``. It also holds at the focus, where the slope of d vanishes.
+    The force, of sigma ``width_m`` along the beam, is much longer than wide: the displacement follows it as d(z) =
+    exp(-z^2 / 2 E_z^2), E_z = ``width_m``. The uncertainty is the rms of d(z) / d(offset) - 1 over z normal about
+    ``offset_m`` with standard deviation ``uncertainty_m``. It also holds at the focus, where the slope of d vanishes.
     """
     factor = np.exp(-(offset_m**2) / (2 * width_m**2))
 

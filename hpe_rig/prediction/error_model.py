@@ -76,7 +76,10 @@ def estimator_errors(
 
 
 def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) -> FloatArray:
-    """Return the tracked over the peak displacement in each draw of ``speckle`` (draw,), without noise."""
+    """Return the tracked over the peak displacement in each draw of ``speckle`` (draw,), without noise.
+
+    ``estimator`` reads the phase of the whole gate, or the phase at the peak of the spectrum.
+    """
     spec = spec_of(estimator)
     return (
         peak_ratio(conditions, speckle)

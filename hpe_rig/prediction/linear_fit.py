@@ -163,7 +163,11 @@ def fitted_over_true(
 def fitted_over_true_by_estimator(
     scene: Scene, shot: Shot, estimators: Sequence[str], simulated: bool = True
 ) -> tuple[ComplexArray | None, ...]:
-    """Return ``fitted_over_true`` for each of ``estimators``, from one motion."""
+    """Return the fitted over the true phasor of each wanted harmonic (frequency,), for each of ``estimators``.
+
+    Without noise the ratio is 1 except for aliasing. The motion is computed once for all. None if no medium is known,
+    nothing pushes, the wanted frequencies are no multiples of the burst rate, or the estimator has no fit.
+    """
     motion = _steady_motion(scene, shot, simulated)
     if motion is None:
         return (None,) * len(estimators)
@@ -173,7 +177,10 @@ def fitted_over_true_by_estimator(
 def _over_true(
     scene: Scene, shot: Shot, estimator: str, true_m: ComplexArray, displacement_m: FloatArray
 ) -> ComplexArray | None:
-    """Return the fitted over the true phasors ``true_m`` (frequency,) by one estimator; None without a fit."""
+    """Return the phasors fitted by one estimator over the true phasors ``true_m`` (frequency,); None without a fit.
+
+    ``displacement_m`` (pulse,) is the noise-free motion at the pulses: the ratio differs from 1 by aliasing alone.
+    """
     # A plan with conflicts may have no fit.
     with suppress(ValueError):
         return np.asarray(fit_noise_free(scene, shot, spec_of(estimator), displacement_m) / true_m)

@@ -100,7 +100,7 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
 
 
 def _estimator_line(prediction: Prediction, index: int) -> str:
-    """Return the row of one estimator in the table of ``prediction_text``."""
+    """Return the row of one estimator in the table of predicted errors: bias, noise, aliasing, speckle, phase."""
     errors, aliasing = prediction.expected[index], "-"
     if prediction.aliasing:
         aliasing = f"{abs(prediction.aliasing[index]) * prediction.conditions.amplitude_m * 1e9:.3g} nm"

@@ -70,6 +70,7 @@ def _creep_m(scene: Scene, time_s: FloatArray, displacement_m: FloatArray) -> Fl
     """
     if scene.excitation is None:
         return np.zeros(time_s.size)
+    # ``samples``: number of samples in a burst period; ``total_m``: creep from the first to the last period.
     samples = round(1 / (scene.excitation.burst_rate_hz * float(time_s[1] - time_s[0])))
     periods = time_s.size // samples
     if periods < 2:

@@ -77,7 +77,10 @@ def options_of(processing: Processing, prior: MediumPrior | None = None) -> Opti
 
 
 def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> MediumPrior | None:
-    """Return the prior of media that the fit of the shot uses; None if scene or estimator use none."""
+    """Return the prior that the fit of the shot uses: the motions that media can have.
+
+    None if the scene asks for least squares or process noise, the estimator takes no prior, or none is available.
+    """
     if not spec_of(estimator).takes_prior:
         return None
     if scene.processing.harmonic == "least_squares" or scene.processing.process_noise:

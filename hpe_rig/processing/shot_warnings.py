@@ -141,7 +141,11 @@ def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: floa
 
 
 def drift_warnings(fit: HarmonicFit, drift: tuple[FloatArray, BoolArray] | None) -> Iterator[str]:
-    """Yield a warning if amplitudes change between the halves of the train; ``drift``: of ``drift_between_halves``."""
+    """Yield a warning if amplitudes of one ``fit`` change between the halves of the train.
+
+    ``drift``: relative change of each amplitude (frequency,) and which changes are suspicious (frequency,); None if not
+    tested.
+    """
     if drift is not None and drift[1].any():
         rows = np.flatnonzero(drift[1])
         changes = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift[0][i] * 100:+.0f} %" for i in rows)

@@ -235,7 +235,11 @@ def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowM
 def _check(
     check: Callable[..., CheckResult], motion: WindowMotion, selection: Selection, options: Options
 ) -> CheckResult | None:
-    """Return the result of a ``check`` of ``fit_checks`` on the coherent displacement; None if it cannot be fitted."""
+    """Return the result of ``check``, a test of the fit, on the coherent displacement; None if it cannot be fitted.
+
+    The tests are those for a drift of the amplitudes between the halves of the pulses and for a spectral line in the
+    residual.
+    """
     if motion.coherent is None:
         return None
     with suppress(ValueError):

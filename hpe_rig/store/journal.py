@@ -332,7 +332,10 @@ def _lost_file_error(path: Path, what: str) -> StoreError:
 
 
 def _run_tasks(tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None]) -> None:
-    """Run the tasks of a queue one after another until it yields None; each future receives the error of its task."""
+    """Run the tasks of a queue one after another until it yields None; the body of a thread.
+
+    Each task comes with a future: when the task ends, the future is done, with the task's error if it raised one.
+    """
     while (item := tasks.get()) is not None:
         task, done = item
         try:

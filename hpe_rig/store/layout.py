@@ -229,7 +229,10 @@ def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
 
 
 def _filter() -> Mapping[str, Any]:
-    """Return the arguments of ``create_dataset`` for compression by bitshuffle; raise ``StoreError`` without it."""
+    """Return the arguments of ``create_dataset`` for compression by bitshuffle, HDF5's filter from hdf5plugin.
+
+    Raises ``StoreError`` if the package is absent or offers another filter.
+    """
     with extra("compression"):
         import hdf5plugin
     filters: Mapping[str, Any] = hdf5plugin.Bitshuffle(cname="lz4")

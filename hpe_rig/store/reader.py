@@ -277,9 +277,9 @@ class StoredRecords(Sequence[ShotRecords]):
         return stored, offset, arrival
 
     def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, Int16Array]]:
-        """Yield (first pulse, codes) of ``shot`` in steps of ``pulses``, opening the file once.
+        """Yield (first pulse, codes (pulse, sample)) of ``shot`` in blocks of ``pulses``, opening the file once.
 
-        Raises ``StoreError`` if a record is damaged.
+        ``name``: the input, "echo" or "monitor". Raises ``StoreError`` if a record is damaged.
         """
         with open_checked(self.path) as checked:
             echo, arrival = _echo(checked, self.shape, name), _arrival(checked, self.shape, shot)

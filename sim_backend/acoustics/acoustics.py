@@ -229,6 +229,7 @@ class Acoustics:
             begin_ps = int(capture.first_sample_ps[record])
             onset_ps, end_ps = int(tonebursts.onset_ps[burst]), int(tonebursts.end_ps[burst])
             span = sample_span(onset_ps - begin_ps, end_ps - begin_ps, capture)
+            # Time of each sample after the onset of the burst.
             age_ps = begin_ps - onset_ps + np.arange(span.start, span.stop) * capture.sample_period_ps
             amplitude_v = leak_per_vpp * tonebursts.amplitude_vpp[burst]
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
@@ -437,6 +438,7 @@ def burst_record_pairs(start_ps: Int64Array, end_ps: Int64Array, capture: Captur
     last_ps = first_ps + (capture.samples - 1) * capture.sample_period_ps
     first_record = np.searchsorted(last_ps, start_ps, side="left")
     count = np.maximum(np.searchsorted(first_ps, end_ps, side="right") - first_record, 0)
+    # Burst i is in the records first_record[i] .. first_record[i] + count[i] - 1; ``position`` counts them from 0.
     burst = np.repeat(np.arange(len(start_ps)), count)
     position = np.arange(len(burst)) - np.repeat(np.cumsum(count) - count, count)
     return burst, np.asarray(np.repeat(first_record, count) + position)
@@ -478,7 +480,10 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
 
 
 def _background_motion(settings: SimulationSettings) -> Callable[[Int64Array], FloatArray] | None:
-    """Return the displacement of the whole specimen, m, as a function of time after the master trigger, or None."""
+    """Return a function from times after the master trigger, ps, to the displacement of the whole specimen, m.
+
+    None without background motion, such as breathing.
+    """
     if not settings.background:
         return None
     from sim_backend.motion import background_at

@@ -101,7 +101,10 @@ class BufferQueue:
         return Code.SUCCESS
 
     def wait_refusal(self, address: int) -> Code:
-        """Return success if ``address`` is the head of the queue, which alone can be waited for."""
+        """Return whether the program can wait for the buffer at ``address``: success, or the code of refusal.
+
+        Only the head of the queue of posted buffers can be waited for.
+        """
         if not address:
             return Code.NULL_PARAM
         if address not in self.posted:

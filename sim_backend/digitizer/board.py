@@ -208,7 +208,11 @@ def _input_gain(channel: Input) -> float:
 
 
 def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Int64Array:
-    """Return the ascending times (ps) at which an engine in use triggers on the external input."""
+    """Return the ascending times (ps) when a trigger engine in use fires on the external input.
+
+    The board has two engines, J and K, each a comparator with its own level and slope. ``arriving``: voltage steps at
+    the input.
+    """
     # Operation 0 uses engine J, 1 engine K, 2 either.
     engine_indices = {0: (0,), 1: (1,), 2: (0, 1)}.get(settings.operation, ())
     edges = [np.empty(0, np.int64)]

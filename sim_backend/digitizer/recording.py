@@ -66,7 +66,10 @@ class Recording:
         return float(self._running_peak_v[number][index])
 
     def _block(self, number: int) -> FloatArray:
-        """Return the volts of a block (record, sample), and extend the running peak if the block is the next one."""
+        """Return the volts (record, sample) of block ``number``, consecutive records that are computed together.
+
+        Extends the running peak voltage if the block is the next one.
+        """
         pieces = list(self._pieces(number))
         volts = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
         if number == len(self._running_peak_v):

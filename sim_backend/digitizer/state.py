@@ -188,7 +188,10 @@ class AlazarState:
         return int(self._stamps(triggers, slice(record - 1, record))[0]) * self.type.samples_per_count
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
-        """Prepare AutoDMA; start it at once unless the program starts it by AlazarStartCapture."""
+        """Prepare AutoDMA, the transfer of records into buffers of the program; return success or refusal.
+
+        The capture starts at once, unless the program asks to start it by AlazarStartCapture.
+        """
         if self._queue is not None:
             return Code.DMA_IN_PROGRESS
         refusal = transfer.refusal(self.settings, offset) if self.dual_port else Code.UNSUPPORTED_FUNCTION

@@ -65,8 +65,9 @@ def reachable_scatterers(delays: EchoDelays, weight: FloatArray, pulse: Pulse, s
 def negligible_weight(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float) -> float:
     """Return the weight below which all scatterers together stay within ``OMITTED_FRACTION`` of the tolerance.
 
-    No echo exceeds its scatterer's weight times the pulse's amplitudes, so N scatterers below w add less than N w. The
-    bound is relative to the rms of an incoherent sum; the caller checks it against the echoes.
+    No echo exceeds its scatterer's weight times the pulse's summed amplitudes, so N scatterers of weights below w add
+    less than N w times these amplitudes. The bound is relative to the rms of an incoherent sum; the caller checks it
+    against the echoes.
     """
     if len(weight) < _MIN_SCATTERERS_TO_OMIT or tolerance <= 0:
         return 0.0

@@ -93,9 +93,10 @@ def echoes(
     sample_time_s: FloatArray,
     tolerance: float = DEFAULT_TOLERANCE,
 ) -> FloatArray:
-    """Return the echoes of `synthesise`, float64 (echo, sample), without its checks.
+    """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), without checks.
 
-    Samples may be too far apart for the pulse, since a digitizer may alias.
+    ``delays`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,). The result is within the
+    relative error ``tolerance`` of the sum. Samples may be too far apart for the pulse, since a digitizer may alias.
     """
     return _synthesise(delays, weight, pulse, sample_time_s, tolerance, None).echo
 

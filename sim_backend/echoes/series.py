@@ -420,8 +420,10 @@ def _significant_ends(
 def _pulse_bound_near_end(response: ComplexArray | None, jump: ComplexArray, reach_s: FloatArray) -> FloatArray:
     """Return a bound on each scatterer's pulse within ``reach_s`` (scatterer,) of an end of its support, (scatterer,).
 
-    ``jump`` (frequency, order) are the derivatives over factorials at that end.
+    There the pulse is a Taylor series. ``jump`` (frequency, order): its coefficients, derivatives over factorials, of
+    each frequency component of the pulse. ``response`` (frequency, scatterer): factor of each component, None for 1.
     """
+    # Coefficients (order, scatterer or 1). Sums that cancel to rounding error count as zero.
     derivative = jump.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, jump)
     size, parts_size = np.abs(derivative), np.abs(jump).sum(axis=0)
     # Horner's rule over the orders.

@@ -80,9 +80,10 @@ class HeaderTable(Generic[Entry]):
         return [tuple(filter(None, nodes)) for nodes in itertools.product(*choices)]
 
     def commands(self, message: str) -> Iterator[Command[Entry]]:
-        """Yield the commands of ``message``; raise ``ScpiError`` at the first invalid one.
+        """Yield the SCPI commands of ``message``; raise ``ScpiError`` at the first invalid one.
 
-        A header after ``;`` continues in the branch of the previous one, unless it starts with ``:`` or ``*``.
+        A header after ``;`` continues in the branch of the previous one, unless it starts with ``:`` or ``*``: in
+        ``SOUR:FREQ 1;FUNC SIN`` the second is SOUR:FUNC.
         """
         branch: Branch = ()
         for text in split_outside_quotes(message, ";"):

@@ -149,7 +149,11 @@ def set_cycles(registers: Registers, cycles: float) -> Coerced:
 
 
 def set_source(registers: Registers, source: str) -> Coerced:
-    """Return the registers with another trigger source; an external one turns Trig Out off (same connector)."""
+    """Return the registers with another trigger source, and the errors to queue for settings that change with it.
+
+    An external source turns Trig Out off, as it uses the same connector. An internal one ends an endless burst: its
+    count becomes the largest.
+    """
     state = Coerced(replace(registers, trigger_source=source))
     if source == "EXT" and registers.trigger_output:
         state = state.changed("trigger output turned off by external trigger", trigger_output=False)

@@ -198,7 +198,7 @@ def _focus_spectrum(force: GaussianSum) -> _Spectrum:
 
 
 def _error_scale(specimen: Specimen, panels: Panels) -> FloatArray:
-    """Return the displacement to which errors in each panel are relative, (panel,), up to a common factor."""
+    """Return the displacement to which errors in each panel of time are relative, (panel,), up to a common factor."""
     if not creeps_for_ever(specimen):
         return np.ones(panels.coefficient.shape[1])
     # In hours a medium creeps so far that all its motion under a toneburst would be below the tolerance.
@@ -350,6 +350,7 @@ class _Directions:
         widths = np.array(force.lateral_width_m)
         # The nodes of the narrowest Gaussian, with the spectrum most concentrated at m = 0, serve all Gaussians.
         self.m, self.min_a_m2, self.weight = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
+        # Half the squared width of each Gaussian along each direction, (direction, Gaussian).
         self._a_m2 = (np.outer(1 - self.m**2, widths**2) + (force.axial_width_m * self.m[:, None]) ** 2) / 2
         volumes = [force_volume((width, width, force.axial_width_m)) for width in force.lateral_width_m]
         self._centre_m, self._strength = np.array(force.centre_m), np.array(force.amplitude) * np.array(volumes)
@@ -466,6 +467,7 @@ class _BesselOnRay:
 
     def at(self, distance: FloatArray) -> ComplexArray:
         """Return J0 at ``distance``, any shape, from 0 to ``max_distance``."""
+        # J0 is a polynomial in each cell of distance; its variable runs from -1 to 1 over the cell. Horner's rule.
         cell, position = np.divmod(distance / _BESSEL_CELL, 1.0)
         index, position = cell.astype(np.intp), 2 * position - 1
         value = self._polynomial[0][index]

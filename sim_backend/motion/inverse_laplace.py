@@ -104,6 +104,7 @@ def panels_of(
 
 def chebyshev_matrix(count: int) -> FloatArray:
     """Return the matrix from values at the Chebyshev points, ascending, to Chebyshev coefficients, (degree, point)."""
+    # Chebyshev polynomials are orthogonal in the sum over these points: the inverse is a scaled transpose.
     matrix = chebvander(chebpts1(count), count - 1).T * (2 / count)
     matrix[0] /= 2
     return np.asarray(matrix)

@@ -82,9 +82,11 @@ class Reception:
         from sim_backend.receiver.chain import receive
         from sim_backend.receiver.elements import switch_gain
 
+        # The third harmonics of the tonebursts leak and echo as well.
         thirds = third_harmonics(tonebursts, self._settings)
         if thirds.onset_ps.size:
             volts = volts + self._acoustics.record_volts(thirds, no_bursts(), wide)
+        # The transmit/receive switch recovers after each burst and pulse.
         switch = None
         if chain.recovery_time_s is not None:
             switch = switch_gain(joined_bursts([tonebursts, pulses]), wide, chain.recovery_time_s)
@@ -125,11 +127,12 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
 
 
 def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
-    """Return the third harmonics of the tonebursts as separate bursts; none if they are zero.
+    """Return the third harmonics of the tonebursts, of transmitter and chain, as separate bursts; none if zero.
 
     They leak and echo like the tonebursts; their force is neglected.
     """
     chain, transmitter = settings.receive_chain, settings.transmitter
+    # ``relative``: third harmonic over fundamental at the transducer, (burst,).
     relative = np.full(tonebursts.onset_ps.shape, 0.0 if chain is None else chain.third_harmonic)
     if not transmitter.linear:
         from sim_backend.motion import harmonic_v, transmit_response

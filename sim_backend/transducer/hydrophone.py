@@ -125,6 +125,7 @@ def round_field(scan: Scan, wave_number_per_m: float, lateral_m: FloatArray, axi
 
 def _rings(radius_m: FloatArray, pressure: ComplexArray) -> tuple[FloatArray, ComplexArray]:
     """Return the distinct radii of a plane, (ring,), m, and the mean pressure at each."""
+    # Radii are equal within the resolution.
     ring, ring_of_point = np.unique(np.round(radius_m / _RESOLUTION_M).astype(np.int64), return_inverse=True)
     total = np.zeros(len(ring), np.complex128)
     np.add.at(total, ring_of_point, pressure)

@@ -90,7 +90,10 @@ def _fitted_intensity(
     attenuation_db_per_cm_mhz: float,
     scan: Scan | None,
 ) -> GaussianSum:
-    """Return the intensity around the focus relative to the focus, fitted by a sum of Gaussians."""
+    """Return a sum of Gaussians fitted to the intensity around the focus, relative to that at the focus.
+
+    The intensity is that of a bowl, in a medium with the given attenuation, or of the measured ``scan``.
+    """
     # Imported here, so that a Gaussian push does not load them.
     from sim_backend.transducer.hydrophone import round_field
     from sim_backend.transducer.radiation import bowl_pressure, wave_number
@@ -99,6 +102,7 @@ def _fitted_intensity(
     sigma_m, reach_m, lateral_reach_m = push_extent(transducer, frequency_hz, sound_speed_m_per_s)
     axial_m = np.linspace(-reach_m, reach_m, _AXIAL_POINTS + 1)
     lateral_m = lateral_reach_m * (np.arange(_LATERAL_POINTS) + 0.5) / _LATERAL_POINTS
+    # The intensity at the focus, on the axis, is the unit; the fit omits the axis.
     with_axis_m = np.concatenate([np.zeros(1), lateral_m])
     if scan is None:
         pressure = bowl_pressure(transducer, k, with_axis_m, axial_m)
@@ -117,7 +121,10 @@ def diffraction_width_m(transducer: Transducer, frequency_hz: float, sound_speed
 
 
 def push_extent(transducer: Transducer, frequency_hz: float, sound_speed_m_per_s: float) -> tuple[float, float, float]:
-    """Return the approximate axial sigma of the intensity, and the reach of the force along and across the beam, m."""
+    """Return the approximate axial sigma of the intensity, and the reach of the force along and across the beam, m.
+
+    Beyond the reach the force is neglected.
+    """
     # Intensity FWHM along the axis of a focused piston: 7.1 wavelengths times the f-number squared.
     f_number = transducer.focal_length_m / transducer.diameter_m
     sigma_m = 7.1 * sound_speed_m_per_s / frequency_hz * f_number**2 / 2.3548

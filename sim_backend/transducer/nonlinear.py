@@ -195,7 +195,10 @@ class _March:
             self._step(min(max(self.accuracy.step * to_focus_m, self.accuracy.min_step_m), depth_m - self.depth_m))
 
     def _step(self, step_m: float) -> None:
-        """Advance by ``step_m``: half of the diffraction, steepening, the other half."""
+        """Advance by ``step_m``: half of the diffraction, the steepening of the wave, the other half of diffraction.
+
+        Harmonics become active, about half as many again each time, as the wave steepens.
+        """
         self._diffract(step_m / 2)
         self._open_window()
         before = self._pressure()
@@ -208,6 +211,7 @@ class _March:
         self._add_change((after - before) * (self.taper * self.weight)[:, None])
         self._record(before, loss / step_m, step_m)
         self._diffract(step_m / 2)
+        # More harmonics once the highest active one, relative to the first, exceeds the threshold.
         if np.abs(after[:, -1]).max() > self.accuracy.threshold * np.abs(after[:, 0]).max():
             self.active_harmonics = min(
                 self.accuracy.harmonics, self.active_harmonics + max(2, self.active_harmonics // 2)

@@ -55,6 +55,7 @@ class Emulator:
         self._stack = ExitStack()
         lock = threading.RLock()
         ports = {role: Port(instrument(role, transport == "serial"), lock) for role in roles}
+        # If a server does not open, those already open are closed; after success they stay open.
         with ExitStack() as opening:
             opening.callback(self._stack.close)
             self.served = self._serve(transport, ports)

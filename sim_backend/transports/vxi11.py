@@ -123,7 +123,10 @@ class Vxi11Gateway:
 
 
 def _on_link(links: dict[int, Link], procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
-    """Return the result of a core procedure, XDR-encoded; raise ``struct.error`` if arguments are missing."""
+    """Return the result of a VXI-11 procedure on a link, XDR-encoded; raise ``struct.error`` if arguments are missing.
+
+    A link is a client's connection to one instrument. ``arguments`` begin with its number.
+    """
     (number,) = struct.unpack_from("!i", arguments)
     link = links.get(number)
     if link is None:
@@ -148,7 +151,7 @@ def _on_link(links: dict[int, Link], procedure: int, arguments: bytes, peer: soc
 
 
 def _execute(link: Link, procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
-    """Return the result of a procedure that needs the instrument, which no other link has locked."""
+    """Return the result of a VXI-11 procedure that needs the instrument, which no other client has locked."""
     if procedure == DEVICE_WRITE:
         return _write(link, arguments)
     if procedure == DEVICE_READ:

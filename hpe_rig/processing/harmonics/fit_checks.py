@@ -53,10 +53,13 @@ def drift_between_halves(
 ) -> tuple[FloatArray, BoolArray]:
     """Return (A_2 - A_1) / mean A of each amplitude (..., frequency) between the halves, and which are suspicious.
 
-    A suspicious change means that bursts are missing or the motion decays. The model of all pulses is that of
-    ``least_squares`` or, with a ``prior``, of ``medium_fit``. Raises ``ValueError`` as these do, and if half the pulses
-    cannot resolve the frequencies.
+    A suspicious change means that bursts are missing or the motion decays. All pulses are first fitted by least squares
+    or, with a ``prior`` of the motions that media can have, by the fit with that prior; a change of the states between
+    the halves is then fitted in addition. ``also_hz``: further frequencies of the motion. Raises ``ValueError`` if the
+    fit does, and if half the pulses cannot resolve the frequencies.
     """
+    # ``columns``: those of the wanted frequencies. ``basis``: orthonormal, spans all columns of the fit.
+    # ``mean_state``: in-phase and quadrature of the wanted frequencies, fitted to all pulses.
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     if prior is None:
         times = motion.time_s, motion.valid
@@ -66,6 +69,7 @@ def drift_between_halves(
     else:
         projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
         prior_fit = medium_fit(motion, frequency_hz, prior, background_order=background_order)
+        # ``left_vectors`` span the prior's motions. Only those count to which the data contribute.
         fitted = np.any(prior_fit.shrinkage.reshape(-1, projected.value.size) > MIN_SHRINKAGE, axis=0)
         basis = np.hstack([projected.background, projected.left_vectors[:, fitted]])
         columns, mean_state = harmonic_columns(motion.time_s, frequency_hz)[motion.valid], prior_fit.fit.state

@@ -214,7 +214,11 @@ def fit_from_state(
 
 
 def corrected_by(fit: HarmonicFit, correction_m: FloatArray) -> HarmonicFit:
-    """Return ``fit`` with ``correction_m`` (..., 2 * frequency) added to its states; covariance unchanged."""
+    """Return ``fit`` with ``correction_m`` added to its in-phase and quadrature values; covariance unchanged.
+
+    ``correction_m`` (..., 2 * frequency), m: in-phase and quadrature of the first frequency, then of the next.
+    Amplitudes and phases are computed anew from the corrected values.
+    """
     state = fit.state.copy()
     state[..., : 2 * fit.frequency_hz.size] += correction_m
     return fit_from_state(fit.frequency_hz, state, fit.state_covariance, fit.quality)

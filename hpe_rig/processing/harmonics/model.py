@@ -81,9 +81,10 @@ def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray, out: FloatArr
 
     The cycles before the first pulse are counted in exact fractions: a train that starts at 1e5 s loses no phase.
     """
+    # The first pulse is at start / unit, s, and a frequency is cycles / seconds, Hz, all four integers.
     start, unit = float(time_s[0]).as_integer_ratio()
     ratios = [float(frequency).as_integer_ratio() for frequency in frequency_hz]
-    cycles_before = np.array([cycles * start % (of * unit) / (of * unit) for cycles, of in ratios])
+    cycles_before = np.array([cycles * start % (seconds * unit) / (seconds * unit) for cycles, seconds in ratios])
     angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + cycles_before)
     columns = np.empty((time_s.size, 2 * len(cycles_before))) if out is None else out
     np.sin(angle, out=columns[:, ::2])

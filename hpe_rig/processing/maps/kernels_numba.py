@@ -86,7 +86,7 @@ def _unwrap(real_and_imag: SingleArray, angle: SingleArray) -> None:
 
 @_compile
 def squared_distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
-    """Return the sum of squares (pixel,) of ``fitted`` - ``phase`` (pixel, pulse)."""
+    """Return the residual's sum of squares (pixel,): of ``fitted`` - ``phase`` (pixel, pulse), over the pulses."""
     total = np.empty(len(phase), np.float32)
     for i in range(len(phase)):
         squares = np.float32(0)

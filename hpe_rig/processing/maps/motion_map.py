@@ -164,6 +164,7 @@ def _refuse(settings: MapSettings, gates: int, is_iq: bool) -> None:
 
 def _decimation(settings: MapSettings) -> int:
     """Return the largest decimation of the baseband that divides the gate's samples and does not alias."""
+    # A complex baseband needs one sample per inverse bandwidth.
     limit = settings.sample_rate_hz / ((BAND[1] - BAND[0]) * settings.carrier_hz)
     factors = (factor for factor in range(1, settings.gate_samples + 1) if settings.gate_samples % factor == 0)
     return max((factor for factor in factors if factor <= limit), default=1)
@@ -344,6 +345,7 @@ def _mean_power(z: ComplexSingleArray) -> SingleArray:
     """Return the mean power (line, gate) of every ``STRIDE``-th pulse of the baseband (line, gate, sample, pulse)."""
     subset = np.ascontiguousarray(z[..., ::STRIDE])
     real_and_imag = subset.view(np.float32)
+    # Sum of squares over samples and pulses.
     energy = np.einsum("lgsp,lgsp->lg", real_and_imag, real_and_imag)
     return np.asarray(energy / np.float32(subset.shape[2] * subset.shape[3]))
 

@@ -305,7 +305,7 @@ def _product_with_next(before: ComplexArray, after: ComplexArray) -> ComplexArra
 
 
 def _real_product(first: ComplexArray, second: ComplexArray) -> FloatArray:
-    """Return the real part of the inner product (..., pulse) of two arrays (..., column, pulse)."""
+    """Return the real part of the inner product (..., pulse) of two arrays (..., column, pulse), over columns."""
     return np.asarray(
         np.einsum("...ij,...ij->...j", first.real, second.real)
         + np.einsum("...ij,...ij->...j", first.imag, second.imag)

@@ -29,6 +29,7 @@ def _gate(echo: ComplexArray, margin_root: FloatArray, gated: ComplexArray) -> N
 def _product(first: ComplexArray, second: ComplexArray, hz: FloatArray) -> tuple[complex, complex]:
     """Return the inner product of two echoes (bin,), and the inner product weighted by frequency."""
     real, imag, real_moment, imag_moment = 0.0, 0.0, 0.0, 0.0
+    # a + j b is the conjugate of ``first`` times ``second`` in one bin.
     for m in range(len(first)):
         a = first[m].real * second[m].real + first[m].imag * second[m].imag
         b = first[m].real * second[m].imag - first[m].imag * second[m].real
@@ -69,6 +70,7 @@ def _pulse_steps(
         length = np.sqrt(step.real**2 + step.imag**2)
         magnitude += length
         correlation += length / np.sqrt(energy[k - 1] * energy[k])
+        # Mean frequency of the part in common, times the length of the inner product.
         if length > 0:
             common += (step.conjugate() * (before + after)).real / (2 * length)
         phase[k] = phase[k - 1] + np.arctan2(step.imag, step.real)

@@ -261,7 +261,8 @@ def fourier_columns(
 ) -> FloatArray:
     """Return the Fourier transform as a real matrix (sample, 2 * bin): to real parts, then to imaginary parts.
 
-    Phases are relative to ``origin_sample``.
+    Voltages (..., sample) times this matrix are the spectrum at ``frequency_hz`` (bin,). Phases are relative to
+    ``origin_sample``.
     """
     phase = 2 * np.pi * np.outer((np.arange(samples) - origin_sample) / sample_rate_hz, frequency_hz)
     return np.hstack([np.cos(phase), -np.sin(phase)])
