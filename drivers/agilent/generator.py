@@ -7,6 +7,7 @@ it switches the output on at once.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,11 +17,13 @@ from drivers.agilent.limits import mistakes
 from drivers.agilent.models import AGILENT_33250A, MODELS, model_named
 from drivers.agilent.programs import READABLE, Group, changed, program
 from drivers.agilent.read_back import Readable, Register, whole_number
-from drivers.agilent.scpi import DroppedError, RefusedError, ScpiSession
+from drivers.agilent.scpi import DroppedError, NoReplyError, RefusedError, ScpiSession
 from drivers.interfaces import Connection, ContinuousSine, GeneratorTask, Identity, InstrumentError, Setting
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
+REOPENED: Final = "the same instrument answers, and all settings are programmed from the reset state"
+_LOG: Final = logging.getLogger("drivers")
 # The self-test takes some seconds (assumed: up to half a minute), a time-out 1.5 s.
 SELF_TEST_TIMEOUTS: Final = 20
 NO_SERIAL: Final = ("", "0")
@@ -50,6 +53,7 @@ class Agilent33250A:
         self._session = ScpiSession(connection, role)
         self._model = AGILENT_33250A
         self._identity: Identity | None = None
+        self._serial: str | None = None
         self._programmed: tuple[Register, ...] = ()
         self._output = OUTPUT_OFF
 
@@ -103,6 +107,10 @@ class Agilent33250A:
 
         Empty without either. The name has up to 12 letters, digits and underscores.
         """
+        self._serial = self._read_serial()
+        return self._serial
+
+    def _read_serial(self) -> str:
         serial = self._identified().serial
         if serial not in NO_SERIAL:
             return serial
@@ -131,8 +139,9 @@ class Agilent33250A:
     def configure(self, task: GeneratorTask, /) -> None:
         """Program ``task`` with the output off: changed settings alone if possible, else all from the reset state.
 
-        Raises ``InstrumentError`` with all ``mistakes`` before a setting is sent, and at the first group of settings
-        that the instrument refuses or changes.
+        A connection that was lost while the output was off is opened again, once. Raises ``InstrumentError`` with all
+        ``mistakes`` before a setting is sent, and at the first group of settings that the instrument refuses or
+        changes.
         """
         previous, self._programmed = self._programmed, ()
         self._output = OUTPUT_OFF
@@ -144,10 +153,19 @@ class Agilent33250A:
         groups = program(task, self._model)
         registers = tuple(register for _, group in groups for register in group)
         differing = changed(previous, registers)
-        if differing is None:
+        try:
+            if differing is None:
+                self._from_reset(groups)
+            else:
+                self._session.program("changes", self._spelled((OUTPUT_OFF, *differing)))
+        except (DroppedError, NoReplyError):
+            # Instruments and firewalls end idle connections, such as during a pause between two shots.
+            if not self._reconnected():
+                raise
             self._from_reset(groups)
-        else:
-            self._session.program("changes", self._spelled((OUTPUT_OFF, *differing)))
+            _LOG.warning(
+                "%s: the connection was lost while its output was off. It is open again: %s", self.role, REOPENED
+            )
         self._programmed = registers
 
     def sine(self, frequency_hz: float, amplitude_vpp: float, load_ohm: float = 50.0) -> None:
@@ -276,6 +294,22 @@ class Agilent33250A:
     def _switched_off(self) -> str:
         self.switch_off()
         return self.prove_off()
+
+    def _reconnected(self) -> bool:
+        """Open the lost connection again and return whether the instrument answers; raise if it is another one."""
+        identity, serial = self._identity, self._serial
+        try:
+            if not self._session.reopen():
+                return False
+            # A label is compared if it was read before: not every model has one.
+            same = self.identify() == identity and (serial is None or self.serial_number() == serial)
+        except (DroppedError, NoReplyError):
+            return False
+        if not same:
+            what = f"after a lost connection {self._identity} answers, before {identity}"
+            remedy = "connect the instruments as the bench file says, then hpe-rig resume"
+            raise InstrumentError(self.role, what, "instruments or their addresses were exchanged", remedy)
+        return True
 
     def _identified(self) -> Identity:
         return self._identity or self.identify()

@@ -139,11 +139,19 @@ class ScpiSession:
     def identify(self) -> str:
         """Return the reply to ``*IDN?``, asked twice before it counts as missing; nothing else is sent.
 
-        A reply is lost if another program sends a message before it is read.
+        A reply is lost if another program sends a message before it is read. On a dirty session late replies are
+        discarded before.
         """
         with self._lock:
+            if self._dirty:
+                with self.short_timeout():
+                    self._discard_late_replies()
+            self._dirty = True
             try:
-                return self.query(IDENTITY_QUERY)
+                self._send(IDENTITY_QUERY)
+                reply = self._receive(IDENTITY_QUERY)
+                self._dirty = False
+                return reply
             except DroppedError:
                 raise
             except InstrumentError as error:
