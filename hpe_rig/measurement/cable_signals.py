@@ -33,6 +33,8 @@ BURST_VPP = 0.1
 TTL_RANGE_V = 4.0
 MIN_PEAK = 0.05
 """Smallest signal, relative to the input range."""
+SYNCHRONOUS = 1e-3
+"""Largest scatter of synchronous edges, relative to the sample period."""
 MIN_EXPLAINED = 0.8
 """Smallest fraction of a record's energy that the waveform of the best instrument explains; others reach 0.5."""
 
@@ -102,11 +104,11 @@ def arrival(volts: FloatArray, range_v: float) -> Arrival | None:
     time_s = (lag - PRE_TRIGGER_SAMPLES) / SAMPLE_RATE_HZ
     count, period_s = len(volts), 1 / SAMPLE_RATE_HZ
     scatter_s = float(time_s.std(ddof=1)) if count > 1 else period_s
-    # Equal values leave an uncertainty of the sample period over the number of records.
-    u_s = math.hypot(scatter_s / math.sqrt(count), period_s / count)
-    if role == "digitizer":
-        # The edge is synchronous with the sample clock, so that its rounding is the same in every record.
-        u_s = period_s / math.sqrt(12)
+    # Rounding to samples: an edge that is synchronous with the sample clock is rounded by the same amount in every
+    # record, other edges by amounts that average out. The carrier of a burst shows fractions of a sample.
+    is_synchronous = role not in BURSTS and scatter_s < SYNCHRONOUS * period_s
+    rounding_s = period_s / math.sqrt(12) if is_synchronous else period_s / count
+    u_s = math.hypot(scatter_s / math.sqrt(count), rounding_s)
     return Arrival(role, float(time_s.mean()), u_s, bool(sign.mean() < 0))
 
 

@@ -21,10 +21,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from drivers.alazar.api import SIGNATURES, load_library
-from hpe_rig.bench import parse_bench, read_bench, twin_tables
+from hpe_rig.bench import Bench, parse_bench, read_bench, twin_tables
 from hpe_rig.bench.emulation import addressed
+from hpe_rig.cli import commands, commission as command
+from hpe_rig.measurement import Tap, commission
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.runs.run import open_run, process
@@ -85,6 +88,13 @@ def connect(path: Path, world: World) -> list[object]:
 @contextmanager
 def metal(folder: Path, library: Path, scene: str, *edits: tuple[str, str]) -> Iterator[Path]:
     """Yield a real bench's file, with all that it names alive: generators at VISA addresses, a board in the library."""
+    with metal_and_world(folder, library, scene, *edits) as (path, _):
+        yield path
+
+
+@contextmanager
+def metal_and_world(folder: Path, library: Path, scene: str, *edits: tuple[str, str]) -> Iterator[tuple[Path, World]]:
+    """As ``metal``, with the world behind the wires."""
     text = SIMULATED
     for old, new in edits:
         assert old in text
@@ -106,7 +116,7 @@ def metal(folder: Path, library: Path, scene: str, *edits: tuple[str, str]) -> I
         path = folder / "metal.toml"
         path.write_text(spelled, encoding="utf-8")
         kept = connect(library, world)
-        yield path
+        yield path, world
         assert not any(world.outputs_on().values())
         assert world.digitizer_idle()
         assert kept
@@ -163,3 +173,48 @@ def test_the_compiled_library_has_every_function_and_refuses_what_nobody_carries
     library = load_library(name=str(copy))
     assert library.AlazarGetBoardBySystemID(1, 1) is None
     assert library.AlazarStartCapture(1) == 572
+
+
+@pytest.mark.parametrize("reversed_cable", [False, True])
+def test_the_bench_behind_wires_is_commissioned(tmp_path: Path, library_path: Path, reversed_cable: bool) -> None:
+    """The person at the terminal is replaced; all else is as on metal."""
+    with metal_and_world(tmp_path, library_path, "table-1") as (path, world):
+        bench = read_bench(path).bench
+
+        def move(instruments: Bench, tap: Tap | None) -> None:
+            assert instruments.world is None
+            assert not any(world.outputs_on().values())
+            delay_s = bench.path_delay_s(tap.source, tap.target) if tap and tap.target else 0.0
+            at_fault = reversed_cable and tap == Tap("toneburst.output", "transducer.drive")
+            world.plug([(tap.source, "digitizer.channel_b", delay_s + 5e-9, at_fault)] if tap else [])
+
+        results = commission(bench, move, np.random.default_rng(1), 8)
+    faults = {result.source: result.fault for result in results if result.fault}
+    assert list(faults) == ["toneburst.output"] * reversed_cable
+    for result in results:
+        if not result.fault:
+            error_s = result.delay_s - bench.path_delay_s(result.source, result.target)
+            assert abs(error_s) < 2.5 * result.delay_u_s
+
+
+def test_ctrl_c_at_a_question_leaves_outputs_off_and_the_bench_file_as_it_was(
+    tmp_path: Path, library_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    questions: list[str] = []
+
+    def answer(question: str) -> str:
+        questions.append(question)
+        if len(questions) == 3:
+            raise KeyboardInterrupt
+        return "yes"
+
+    monkeypatch.setattr(command, "has_terminal", lambda: True)
+    monkeypatch.setattr(command, "_answer", answer)
+    with metal(tmp_path, library_path, "table-1") as path:
+        before = path.read_text(encoding="utf-8")
+        done = CliRunner().invoke(commands, ["commission", str(path)])
+        assert done.exit_code == 130, done.output
+        assert path.read_text(encoding="utf-8") == before
+    assert "interrupted; every output is off, verified" in done.output
+    assert "amplifier switched off?" in questions[0]
+    assert questions[2].startswith("2 of 13: T piece at burst_train.output; ")
