@@ -2,12 +2,13 @@
 
     connection   one connection to one instrument, whatever its resource name
     resources    GPIB, USB, RS-232, HiSLIP and VXI-11, by pyvisa
+    rs232        settings of RS-232 lines, and pacing to the instrument's input buffer
     sockets      raw TCP sockets, by the standard library
     prologix     instruments behind a Prologix GPIB adapter
     failures     reasons why a connection fails, in words
     bounded      calls of libraries, limited in time
 
-Other packages use ``VisaConnection``, ``PrologixAdapter``, ``NoVisaError`` and ``OpenError``.
+Other packages use ``VisaConnection``, ``PrologixAdapter``, ``SerialSettings``, ``NoVisaError`` and ``OpenError``.
 """
 
 import lazy_loader

@@ -9,6 +9,7 @@ from drivers.visa.bounded import open_within
 from drivers.visa.failures import OpenError, failure_of
 from drivers.visa.prologix import PrologixAdapter, PrologixInstrument
 from drivers.visa.resources import VisaLine, open_failure
+from drivers.visa.rs232 import FACTORY_SETTINGS, PacedLine, SerialSettings
 from drivers.visa.sockets import OPEN_TIMEOUT_S, TIMEOUT_S, TcpLine, TextLine, tcp_endpoint
 
 
@@ -17,7 +18,8 @@ class VisaConnection:
     """One text connection; replies come without line end.
 
     ``address`` is a VISA resource name. ``adapter`` is the Prologix adapter in front of the instrument. ``backend``
-    and ``lock`` are described at ``VisaLine``; raw sockets and Prologix adapters have no lock.
+    and ``lock`` are described at ``VisaLine``; raw sockets and Prologix adapters have no lock. ``serial`` applies to
+    RS-232 lines, which are also paced to the instrument's input buffer.
 
     Raises ``OpenError`` when the connection cannot be opened within ``OPEN_TIMEOUT_S``, ``ConnectionError`` when it is
     lost, and ``TimeoutError`` from ``read`` when no reply comes within ``timeout_s``.
@@ -30,8 +32,11 @@ class VisaConnection:
         backend: str = "",
         adapter: PrologixAdapter | None = None,
         lock: bool = False,
+        serial: SerialSettings = FACTORY_SETTINGS,
     ) -> None:
         self.address = address
+        self._serial = serial
+        self._line_end = "\n"
         self._backend, self._adapter, self._lock = backend, adapter, lock
         self._open(timeout_s)
 
@@ -60,9 +65,9 @@ class VisaConnection:
         self._open(self._timeout_s)
 
     def write(self, message: str) -> None:
-        """Send ``message`` and a line feed."""
+        """Send ``message`` and a line end."""
         try:
-            self._line.write(message.encode("latin-1") + b"\n")
+            self._line.write((message + self._line_end).encode("latin-1"))
         except Exception as error:
             raise ConnectionError(f"cannot write to {self.address!r}: {failure_of(error).what}") from error
 
@@ -81,10 +86,12 @@ class VisaConnection:
 
     def _open(self, timeout_s: float) -> None:
         try:
-            self._line = open_within(OPEN_TIMEOUT_S, lambda: self._open_line(timeout_s))
+            self._line: TextLine = open_within(OPEN_TIMEOUT_S, lambda: self._open_line(timeout_s))
             if self._line.is_rs232:
+                self._line_end = self._serial.line_end
+                self._line = PacedLine(self._line, self._line_end)
                 # Over RS-232 the 33250A refuses commands until this one ends its local mode.
-                self._line.write(b"SYST:REM\n")
+                self._line.write(f"SYST:REM{self._line_end}".encode())
         except OpenError:
             raise
         except Exception as error:
@@ -96,4 +103,4 @@ class VisaConnection:
             return PrologixInstrument(self._adapter, self.address)
         if endpoint := tcp_endpoint(self.address):
             return TcpLine(endpoint, timeout_s, is_rs232=self.address.upper().startswith("ASRL"))
-        return VisaLine(self.address, timeout_s, self._backend, self._lock)
+        return VisaLine(self.address, timeout_s, self._backend, self._lock, self._serial)

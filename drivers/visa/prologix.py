@@ -58,7 +58,10 @@ class PrologixAdapter:
         """Send ``message`` to an instrument; a late reply, of whichever instrument, is dropped."""
         self._line.discard_replies()
         text = message.removesuffix(b"\n")
-        self._line.write(self._selection(gpib_address) + SPECIAL_BYTES.sub(b"\x1b\\1", text) + b"\n")
+        # An instrument whose reply is missing may still be waiting to send it.
+        clear = b"++clr\n" if gpib_address in self._silent_addresses else b""
+        self._silent_addresses.discard(gpib_address)
+        self._line.write(self._selection(gpib_address) + clear + SPECIAL_BYTES.sub(b"\x1b\\1", text) + b"\n")
         self._is_reply_requested = False
 
     def read(self, gpib_address: str) -> bytes:
@@ -67,7 +70,11 @@ class PrologixAdapter:
         if commands := self._selection(gpib_address) + request:
             self._line.write(commands)
         self._is_reply_requested = True
-        return self._line.read()
+        try:
+            return self._line.read()
+        except TimeoutError:
+            self._silent_addresses.add(gpib_address)
+            raise
 
     def close(self) -> None:
         """Close the adapter; a lost or closed one is no error."""
@@ -82,6 +89,7 @@ class PrologixAdapter:
         except Exception as error:
             raise OpenError(self.address, open_failure(self.address, error)) from error
         self._selected = ""
+        self._silent_addresses: set[str] = set()
         self._is_reply_requested = False
 
     def _open_line(self, timeout_s: float) -> TextLine:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, final
 
 from drivers.visa.bounded import within
 from drivers.visa.failures import MUTE, NO_DEVICE, UNREACHABLE, Failure, OpenError, failure_of
+from drivers.visa.rs232 import FACTORY_SETTINGS, SerialSettings
 from drivers.visa.sockets import tcp_endpoint
 
 if TYPE_CHECKING:
@@ -35,8 +36,6 @@ LAN_RESOURCE: Final = re.compile(
 HISLIP_PORT: Final = 4880
 PORTMAPPER_PORT: Final = 111
 LOCK_TIMEOUT_MS: Final = 200
-# Factory setting of the 33250A's RS-232 interface; 8 data bits, no parity and 1 stop bit are VISA's own default.
-SERIAL_BAUD: Final = 57600
 BUS_PACKAGES: Final = {
     "GPIB": ", or linux-gpib and pip install gpib-ctypes",
     "USB": ", or pip install pyusb and a libusb",
@@ -68,17 +67,23 @@ class VisaLine:
     the library when the resource cannot be opened.
     """
 
-    def __init__(self, address: str, timeout_s: float, backend: str, lock: bool) -> None:
+    def __init__(
+        self, address: str, timeout_s: float, backend: str, lock: bool, serial: SerialSettings = FACTORY_SETTINGS
+    ) -> None:
         import pyvisa
 
         self._resource = _message_resource(address, backend)
         try:
             self.timeout_s = timeout_s
             self._resource.read_termination = "\n"
+            self._has_device_clear = _has_device_clear(self._resource)
+            self._is_reply_missing = False
             self.is_rs232 = isinstance(self._resource, pyvisa.resources.SerialInstrument)
             if isinstance(self._resource, pyvisa.resources.SerialInstrument):
-                self._resource.baud_rate = SERIAL_BAUD
-                self._resource.flow_control = pyvisa.constants.ControlFlow.dtr_dsr
+                # 8 data bits, no parity and 1 stop bit are VISA's own default.
+                self._resource.baud_rate = serial.baud
+                self._resource.flow_control = pyvisa.constants.ControlFlow[serial.handshake]
+                self._resource.read_termination = serial.line_end[-1]
             if lock:
                 self._lock()
         except Exception:
@@ -95,7 +100,12 @@ class VisaLine:
         self._resource.timeout = timeout_s * 1e3
 
     def write(self, message: bytes) -> None:
-        """Send ``message``."""
+        """Send ``message``, after a missing reply with the interface cleared: it may still be waiting to send that."""
+        if self._is_reply_missing and self._has_device_clear:
+            # A failure shows at the message.
+            with suppress(Exception):
+                self._resource.clear()
+        self._is_reply_missing = False
         self._resource.write_raw(message)
 
     def read(self) -> bytes:
@@ -106,8 +116,10 @@ class VisaLine:
             reply = bytes(self._resource.read_raw())
         except pyvisa.VisaIOError as error:
             if error.error_code == pyvisa.constants.StatusCode.error_timeout:
+                self._is_reply_missing = True
                 raise TimeoutError from error
             raise
+        self._is_reply_missing = False
         if not reply:
             # Over HiSLIP pyvisa-py returns at once if no query followed the last reply.
             raise TimeoutError
@@ -152,6 +164,19 @@ def _message_resource(address: str, backend: str) -> MessageBasedResource:
         return resource
     resource.close()
     raise ValueError(f"{type(resource).__name__} carries no text messages")
+
+
+def _has_device_clear(resource: MessageBasedResource) -> bool:
+    """Return whether VISA's clear reaches the instrument's own interface: on GPIB, USB and VXI-11 gateways to GPIB.
+
+    A reply that is not read blocks these interfaces; RS-232 has none, and HiSLIP numbers its replies.
+    """
+    import pyvisa
+
+    kinds = pyvisa.resources
+    if isinstance(resource, kinds.TCPIPInstrument):
+        return "::hislip" not in resource.resource_name.lower()
+    return isinstance(resource, (kinds.GPIBInstrument, kinds.USBInstrument))
 
 
 def open_failure(address: str, error: BaseException) -> Failure:

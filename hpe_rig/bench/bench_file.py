@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field
 
 from drivers.agilent import MODEL_NAMES
 from drivers.alazar import BOARD_NAMES, BoardModel, model_named
+from drivers.visa import Handshake, Termination
 from hpe_rig.scene import (
     Count,
     DelayS,
@@ -98,6 +99,12 @@ class Generator(Section):
     """VISA resource name; not needed on the simulated bench."""
     interface: str | None = None
     """VISA resource name of the adapter before it, such as PRLGX-TCPIP0::host::1234::INTFC; default: none."""
+    baud: Annotated[int, Field(ge=300, le=1_000_000, strict=True)] = 57600
+    """Speed of an RS-232 line, as at the instrument's front panel; 8 data bits, no parity, 1 stop bit."""
+    handshake: Handshake = "dtr_dsr"
+    """Handshake of an RS-232 line, as at the front panel; whichever it is, the line is paced by queries too."""
+    termination: Termination = "lf"
+    """Line end of commands and replies on an RS-232 line."""
     serial: Serial | None = None
     """Serial number, or label of a model without one; hpe-rig bench BENCH --identify enters it. Default: not compared.
     "none": this instrument keeps neither, and its role is taken on trust."""

@@ -270,7 +270,7 @@ def _connect(world: World | None, bench: BenchFile, stack: ExitStack, answers: A
         from drivers.alazar import load_library
 
         addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
-        connect = _visa_connections(addresses, "", answers, lock)
+        connect = _visa_connections(addresses, "", answers, lock, bench)
         return Connections(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None, addresses)
     world = world or _world({}, bench)
     if bench.transport is None:
@@ -327,10 +327,20 @@ def open_emulator(
 
 
 def _visa_connections(
-    addresses: Mapping[str, tuple[str, str | None]], backend: str, answers: Answers, lock: bool = False
+    addresses: Mapping[str, tuple[str, str | None]],
+    backend: str,
+    answers: Answers,
+    lock: bool = False,
+    bench: BenchFile | None = None,
 ) -> Callable[[str], Connection]:
-    """Return the function that opens the connection of a role; an adapter that several share is opened once."""
-    from drivers.visa import OpenError, PrologixAdapter, VisaConnection
+    """Return the function that opens the connection of a role; an adapter that several share is opened once.
+
+    The settings of RS-232 lines are those of ``bench``.
+    """
+    from drivers.visa import OpenError, PrologixAdapter, SerialSettings, VisaConnection
+
+    generators = {} if bench is None else bench.generators.by_role
+    lines = {role: SerialSettings(item.baud, item.handshake, item.termination) for role, item in generators.items()}
 
     # Each adapter, or the reason why it cannot be opened, is used by the thread of its bus alone.
     adapters: dict[str, PrologixAdapter | OpenError] = {}
@@ -350,7 +360,8 @@ def _visa_connections(
         address, interface = addresses[role]
         try:
             before = adapter(interface) if interface else None
-            connection = VisaConnection(address, backend=backend, adapter=before, lock=lock)
+            serial = lines.get(role, SerialSettings())
+            connection = VisaConnection(address, backend=backend, adapter=before, lock=lock, serial=serial)
         except OpenError as error:
             key = f"generators.{role}.{'interface' if interface else 'address'}"
             raise InstrumentError(role, str(error), error.why, f"{error.remedy} (key {key})") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
+import time
 from contextlib import suppress
 from typing import final
 
@@ -52,13 +53,19 @@ class SocketServer:
 
 @final
 class SerialServer:
-    """A SCPI instrument on a pseudo terminal, which programs open like an RS-232 port."""
+    """A SCPI instrument on a pseudo terminal, which programs open like an RS-232 port.
 
-    def __init__(self, port: Port) -> None:
+    It has no handshake: bytes beyond ``buffer_bytes`` that arrive while the instrument carries out a line, which takes
+    ``busy_s``, are lost.
+    """
+
+    def __init__(self, port: Port, buffer_bytes: int = MAX_BYTES, busy_s: float = 0.0) -> None:
         """Open a pseudo terminal, and serve the instrument at ``port`` over it in a thread."""
         import tty
 
         self._port = port
+        self._buffer_bytes, self._busy_s = buffer_bytes, busy_s
+        self.lost_bytes = 0
         self._server_end, self._client_end = os.openpty()
         # Without raw mode the terminal would echo commands back as replies.
         tty.setraw(self._client_end)
@@ -79,17 +86,28 @@ class SerialServer:
         """Answer the lines on the terminal until ``close`` is called."""
         import select
 
-        lines = LineBuffer()
+        buffer = b""
         # Another thread cannot interrupt a read or write of the terminal; the pipe wakes this one.
         while True:
-            ready, _, _ = select.select([self._server_end, self._wake], [], [])
+            ready, _, _ = select.select([self._server_end, self._wake], [], [], 0.0 if b"\n" in buffer else None)
             if self._wake in ready:
                 return
-            # RS-232 cannot be closed: a line that is too long is lost, as in a full buffer.
-            with suppress(EOFError):
-                for line in lines.completed_by(os.read(self._server_end, RECEIVE_BYTES)):
-                    if not self._send(self._port.answer(line)):
-                        return
+            if ready:
+                buffer = self._kept(buffer + os.read(self._server_end, RECEIVE_BYTES))
+            line, end, rest = buffer.partition(b"\n")
+            if end:
+                buffer = rest
+                time.sleep(self._busy_s)
+                if not self._send(self._port.answer(line)):
+                    return
+
+    def _kept(self, received: bytes) -> bytes:
+        """Return the bytes that fit into the buffer; a line that does not fit at all is lost."""
+        kept = received[: self._buffer_bytes]
+        if len(kept) == self._buffer_bytes and b"\n" not in kept:
+            kept = b""
+        self.lost_bytes += len(received) - len(kept)
+        return kept
 
     def _send(self, reply: bytes) -> bool:
         """Send a reply and return True, or False if the server is closed meanwhile."""

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -176,11 +176,14 @@ def test_another_model_than_the_bench_file_says_is_refused_by_name(served: tuple
 
 
 def test_a_bench_that_nobody_serves_is_refused_by_role_and_address() -> None:
-    with socket.socket() as deaf:
-        # Bound and not listening: nobody else can take the port, and whoever knocks is refused.
-        deaf.bind(("127.0.0.1", 0))
-        nobody = f"TCPIP0::127.0.0.1::{deaf.getsockname()[1]}::SOCKET"
-        places = dict.fromkeys(read_bench().bench.generators.by_role, (nobody, None))
+    with ExitStack() as stack:
+        places = {}
+        for role in read_bench().bench.generators.by_role:
+            deaf = stack.enter_context(socket.socket())
+            # Bound and not listening: nobody else can take the port, and whoever knocks is refused.
+            deaf.bind(("127.0.0.1", 0))
+            places[role] = (f"TCPIP0::127.0.0.1::{deaf.getsockname()[1]}::SOCKET", None)
+        nobody = places["master"][0]
         text = addressed(read_bench(), "socket", places).replace('transport = "socket"\n', "")
         bench = parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
         setup = prepare("bovine-muscle")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import time
 from itertools import count
 from pathlib import Path
@@ -19,6 +20,10 @@ from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare
 from hpe_rig.plan import PlanError
 from hpe_rig.scene import SettingsError
+from sim_backend.generator.instrument import Generator33250A
+from sim_backend.transports import Emulator
+from sim_backend.wiring import SimulatedClock
+from sim_backend.world import GeneratorConnection
 
 TITLE = read_bench().bench.title
 
@@ -104,3 +109,39 @@ def test_an_assumed_calibration_is_refused_on_a_real_bench_with_how_to_measure_o
 def test_a_measured_calibration_is_taken(tmp_path: Path, source: str) -> None:
     edits = (TITLE, "Room 12"), ("assumed: no hydrophone has seen it", source)
     prepare("bovine-muscle", real(tmp_path / "metal.toml", *edits))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+def test_serial_lines_have_the_settings_of_the_bench_file(tmp_path: Path) -> None:
+    import termios
+
+    generator = GeneratorConnection(Generator33250A(SimulatedClock(), 100e-9), SimulatedClock(), 0.0)
+    roles = tuple(read_bench().bench.generators.by_role)
+    with Emulator("serial", lambda role, over_serial: generator, roles) as emulator:
+        path = real(tmp_path / "metal.toml", (TITLE, "Room 12"))
+        text = path.read_text(encoding="utf-8")
+        for number, role in enumerate(roles, 10):
+            lines = f'\naddress = "{emulator.served[role].address}"\nbaud = 19200\nhandshake = "xon_xoff"'
+            text = text.replace(f'\naddress = "GPIB0::{number}::INSTR"', lines)
+        path.write_text(text, encoding="utf-8")
+        with opening.open_each(read_bench(path).bench) as instruments:
+            identified = [role for role, item in instruments.items() if not isinstance(item, Exception)]
+            assert sorted(identified) == sorted(roles)
+            for role in roles:
+                device = emulator.served[role].address.removeprefix("ASRL").removesuffix("::INSTR")
+                terminal = os.open(device, os.O_RDWR | os.O_NOCTTY)
+                flags, _, _, _, speed, *_ = termios.tcgetattr(terminal)
+                os.close(terminal)
+                assert (speed, bool(flags & termios.IXON)) == (termios.B19200, True)
+
+
+def test_a_wrong_setting_of_a_serial_line_is_a_mistake_with_the_choices(tmp_path: Path) -> None:
+    path = real(tmp_path / "metal.toml", (TITLE, "Room 12"))
+    wrong = '\nbaud = "fast"\nhandshake = "hardware"\ntermination = "\\n"\naddress = "GPIB0::10::INSTR"'
+    text = path.read_text(encoding="utf-8").replace('\naddress = "GPIB0::10::INSTR"', wrong)
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"3 mistakes") as caught:
+        read_bench(path)
+    keys = [mistake.path for mistake in caught.value.mistakes]
+    assert keys == [f"generators.master.{key}" for key in ("baud", "handshake", "termination")]
+    assert "'dtr_dsr'" in str(caught.value)
