@@ -53,8 +53,8 @@ def resolved_host(host: str) -> str:
     """
     name = literal_host(host)
     with suppress(OSError, UnicodeError):
-        found = {literal_host(str(entry[4][0])) for entry in socket.getaddrinfo(name, None)}
-        return min(found, key=lambda address: (":" in address, address))
+        addresses = {literal_host(str(entry[4][0])) for entry in socket.getaddrinfo(name, None)}
+        return min(addresses, key=lambda address: (":" in address, address))
     return name
 
 
@@ -115,9 +115,9 @@ def _lan_port(host: str, port: str) -> str:
     return f"TCPIP::{host}" if port in SCPI_PORTS else f"TCPIP::{host}:{int(port)}"
 
 
-def _lan_device(host: Callable[[str], str], place: str, device: str = "inst0") -> str:
-    """Return the name of a LAN device; ``place`` is a host, which pyvisa-py lets a port of VXI-11 follow."""
-    name, _, port = place.partition(",")
+def _lan_device(host: Callable[[str], str], host_text: str, device: str = "inst0") -> str:
+    """Return the name of a LAN device; ``host_text`` may end with a port of VXI-11 (pyvisa-py)."""
+    name, _, port = host_text.partition(",")
     match = re.fullmatch(r"(inst|hislip)(\d+)(?:,(\d+))?", device, re.IGNORECASE)
     number = int(match[2]) if match else 0
     port = (match[3] if match and match[3] not in (None, HISLIP_PORT) else "") or port
@@ -156,7 +156,7 @@ def resolved_names(bench: BenchFile) -> dict[str, str]:
 
 
 def shared_addresses(bench: BenchFile, names: Mapping[str, str]) -> Iterator[Mistake]:
-    """Yield a mistake for each generator whose address leads to the instrument of another role."""
+    """Yield a mistake for each generator with the same instrument as another role."""
     roles: dict[str, str] = {}
     for role, name in names.items():
         first = roles.setdefault(name, role)

@@ -93,21 +93,21 @@ class SerialServer:
             if self._wake in ready:
                 return
             if ready:
-                buffer = self._kept(buffer + os.read(self._server_end, RECEIVE_BYTES))
-            line, end, rest = buffer.partition(b"\n")
+                buffer = self._buffered(buffer + os.read(self._server_end, RECEIVE_BYTES))
+            line, end, following = buffer.partition(b"\n")
             if end:
-                buffer = rest
+                buffer = following
                 time.sleep(self._busy_s)
                 if not self._send(self._port.answer(line)):
                     return
 
-    def _kept(self, received: bytes) -> bytes:
+    def _buffered(self, received: bytes) -> bytes:
         """Return the bytes that fit into the buffer; a line that does not fit at all is lost."""
-        kept = received[: self._buffer_bytes]
-        if len(kept) == self._buffer_bytes and b"\n" not in kept:
-            kept = b""
-        self.lost_bytes += len(received) - len(kept)
-        return kept
+        buffer = received[: self._buffer_bytes]
+        if len(buffer) == self._buffer_bytes and b"\n" not in buffer:
+            buffer = b""
+        self.lost_bytes += len(received) - len(buffer)
+        return buffer
 
     def _send(self, reply: bytes) -> bool:
         """Send a reply and return True, or False if the server is closed meanwhile."""

@@ -1,4 +1,4 @@
-"""RS-232 lines: their settings, and pacing on a line that loses what the instrument's buffer cannot hold."""
+"""RS-232 lines: their settings, and pacing to an input buffer that loses further bytes."""
 
 from __future__ import annotations
 
