@@ -35,8 +35,7 @@ class ErrorSources:
     gate has been subtracted, and trigger jitter with it. ``gate_edge``: relative amplitude error from the ends of the
     gate. ``quantisation_m``: for each frequency along and across its phasor; empty if noise dithers the codes.
     ``carrier_relative``: difference of the echo's mean frequency from the carrier, for estimators that divide by the
-    carrier, unless the averaging predicts it. ``first_pulse_s``: root mean square of the time by which all pulses may
-    come later than assumed; ``late_part_s``: largest such time of a later part of the pulses alone.
+    carrier, unless the averaging predicts it.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -46,8 +45,6 @@ class ErrorSources:
     gate_edge: float = 0.0
     quantisation_m: tuple[tuple[float, float], ...] = ()
     carrier_relative: float = 0.0
-    first_pulse_s: float = 0.0
-    late_part_s: float = 0.0
 
     @property
     def jitter_m(self) -> float:
@@ -157,19 +154,36 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
         Component("sound speed", sources.sound_speed_uncertainty * peak_m, 0.0),
         Component("gate off focus", averaging.offset_relative * peak_m, 0.0),
         *(Component(source, relative * peak_m, 0.0) for source, relative in optional if relative),
-        *_first_pulse(float(fit.frequency_hz[index]), peak_m, sources),
     )
 
 
-def _first_pulse(frequency_hz: float, peak_m: float, sources: ErrorSources) -> tuple[Component, ...]:
-    """Return the component of an unknown first pulse; empty if it is known."""
-    if not sources.first_pulse_s:
-        return ()
-    phase_rad = 2 * math.pi * frequency_hz * sources.first_pulse_s
+def with_first_pulse(
+    estimates: Sequence[Estimate], alternatives: Sequence[Sequence[Estimate]], late_part_s: float = 0.0
+) -> tuple[Estimate, ...]:
+    """Return ``estimates`` with the uncertainty of an unknown first pulse.
+
+    ``alternatives``: the estimates for every other possible first pulse; all are equally likely. ``late_part_s``:
+    largest time by which a later part of the pulses alone may come later than assumed.
+    """
+    by_frequency = zip(estimates, zip(*alternatives, strict=True), strict=True)
+    return tuple(
+        replace(estimate, components=(*estimate.budget, _first_pulse(estimate, others, late_part_s)))
+        for estimate, others in by_frequency
+    )
+
+
+def _first_pulse(estimate: Estimate, alternatives: Sequence[Estimate], late_part_s: float) -> Component:
+    """Return root mean square deviations of the alternatives, the estimate itself included."""
+    best, others = estimate.headline, [item.headline for item in alternatives]
+    count = len(others) + 1
+    change_m = math.hypot(*(other.amplitude_m - best.amplitude_m for other in others)) / math.sqrt(count)
+    # Differences of phase beyond half a turn count as the smaller angle on the other side.
+    changes_rad = (math.remainder(other.phase_rad - best.phase_rad, 2 * math.pi) for other in others)
+    change_rad = math.hypot(*changes_rad) / math.sqrt(count)
     # Two parts of equal length, apart by an angle, have a sum shorter by the cosine of half the angle.
-    apart_rad = min(2 * math.pi * frequency_hz * sources.late_part_s, math.pi)
-    amplitude_m = peak_m * (1 - math.cos(apart_rad / 2))
-    return (Component("first pulse", amplitude_m, min(phase_rad, math.sqrt(PHASE_VARIANCE_LIMIT))),)
+    apart_rad = min(2 * math.pi * estimate.frequency_hz * late_part_s, math.pi)
+    loss_m = best.amplitude_m * (1 - math.cos(apart_rad / 2))
+    return Component("first pulse", math.hypot(change_m, loss_m), min(change_rad, math.sqrt(PHASE_VARIANCE_LIMIT)))
 
 
 def _noise_components(

@@ -33,6 +33,8 @@ CHANGE: Final = -14.0
 """Logarithm of the probability of a lost or stray trigger at any one record."""
 MAX_STRAY: Final = 3
 """Number of stray triggers that are considered if there are no trigger times."""
+MAX_ALTERNATIVES: Final = 6
+"""Number of possible first pulses for which a shot is estimated, in addition to the assigned one."""
 MAX_TERMS: Final = 20_000_000
 """Number of records times shifts above which evidence is not evaluated."""
 MAX_DOUBT: Final = 1e-3
@@ -52,10 +54,15 @@ class PulseAssignment:
     within_shot: bool = False
     remarks: tuple[str, ...] = ()
 
-    @property
-    def shift_rms(self) -> float:
-        """Root mean square of the possible shifts, in pulse periods."""
-        return float(np.sqrt(np.mean(np.square(self.shifts))))
+    def alternatives_s(self, shot: Shot) -> list[float]:
+        """Return by how much the records may come later than assigned; of many possibilities an even selection."""
+        shifts = np.array(self.shifts[1:])
+        selected = np.unique(np.linspace(0, shifts.size - 1, MAX_ALTERNATIVES).round().astype(np.int64))
+        return [float(shift) / shot.tracking_train.rate_hz for shift in shifts[selected]]
+
+    def late_part_s(self, shot: Shot) -> float:
+        """Return the largest time by which a later part of the records alone may be late."""
+        return max(self.shifts) / shot.tracking_train.rate_hz if self.within_shot else 0.0
 
 
 def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:

@@ -4,7 +4,7 @@ pulse."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,6 +59,15 @@ class WindowMotion:
     measured_coherent: Motion | None
     tracked: Motion
     coherent: Motion | None
+
+    def delayed(self, delay_s: float) -> WindowMotion:
+        """Return the motion with ``tracked`` and ``coherent`` later by ``delay_s``."""
+        coherent_motion = self.coherent
+        if coherent_motion is not None:
+            coherent_motion = replace(coherent_motion, time_s=coherent_motion.time_s + delay_s)
+        return replace(
+            self, tracked=replace(self.tracked, time_s=self.tracked.time_s + delay_s), coherent=coherent_motion
+        )
 
 
 def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:

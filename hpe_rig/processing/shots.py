@@ -12,7 +12,7 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
-from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of
+from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
 from hpe_rig.processing.harmonics.fit_checks import drift_between_halves, residual_line
@@ -144,19 +144,16 @@ def _estimate_window(
     # Records to displacement of each pulse to harmonics.
     motion = window_motion(scene, shot, records, selection, spec.motion)
     fit = _fit_with_aliasing(scene, shot, motion, selection, options, settings)
-    # The sources of uncertainty that depend on this shot are added to those of the scene.
-    sources = replace(
-        settings.sources,
-        subtracts_jitter=motion.reference is not None,
-        gate_edge=motion.echoes.edge_uncertainty(spec.gate_window),
-        quantisation_m=()
-        if motion.coherent is None
-        else quantisation_m(motion.echoes, records.gate.volts_per_code, motion.coherent, fit),
-        carrier_relative=carrier_error(motion.measured, motion.measured_coherent) if spec.by_carrier else 0.0,
-        **_first_pulse_errors(records, shot),
-    )
+    sources = _error_sources(records, motion, fit, settings)
     reference = phase_reference_of(scene, shot)
     estimates = estimates_of(fit, sources, shot_averaging(scene, fit, settings.averaging), true_m, reference)
+    if max(records.assignment.shifts):
+        alternatives = []
+        for late_s in records.assignment.alternatives_s(shot):
+            late_fit = _fit_with_aliasing(scene, shot, motion.delayed(late_s), selection, options, settings)
+            averaging = shot_averaging(scene, late_fit, settings.averaging)
+            alternatives.append(estimates_of(late_fit, sources, averaging, None, reference))
+        estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     recorded = records.gate.valid[selection.window]
     # Two checks of the residual, for the warnings.
     drift = None if motion.reference is not None else _check(drift_between_halves, motion, selection, options)
@@ -189,6 +186,22 @@ def _estimate_window(
     )
 
 
+def _error_sources(
+    records: ShotRecords, motion: WindowMotion, fit: HarmonicFit, settings: _RunSettings
+) -> ErrorSources:
+    """Return the sources of uncertainty of the scene with those that depend on the shot."""
+    spec = settings.spec
+    return replace(
+        settings.sources,
+        subtracts_jitter=motion.reference is not None,
+        gate_edge=motion.echoes.edge_uncertainty(spec.gate_window),
+        quantisation_m=()
+        if motion.coherent is None
+        else quantisation_m(motion.echoes, records.gate.volts_per_code, motion.coherent, fit),
+        carrier_relative=carrier_error(motion.measured, motion.measured_coherent) if spec.by_carrier else 0.0,
+    )
+
+
 def _fit_with_aliasing(
     scene: Scene,
     shot: Shot,
@@ -209,13 +222,6 @@ def _fit_with_aliasing(
         with suppress(ValueError):
             return with_aliasing_error(fit, motion.coherent, prior, fitter, options.background_order)
     return fit
-
-
-def _first_pulse_errors(records: ShotRecords, shot: Shot) -> dict[str, float]:
-    """Return the fields of ``ErrorSources`` for an unknown first pulse."""
-    assignment, period_s = records.assignment, 1 / shot.tracking_train.rate_hz
-    late_part_s = max(assignment.shifts) * period_s if assignment.within_shot else 0.0
-    return {"first_pulse_s": assignment.shift_rms * period_s, "late_part_s": late_part_s}
 
 
 def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowMotion, complete: bool) -> Iterator[str]:

@@ -10,7 +10,7 @@ from hpe_rig.bench import twin_of
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named, origin
 from hpe_rig.plan import scene_of_shot, timing_pictures
 from hpe_rig.prediction import detection_text, extrapolation_text
-from hpe_rig.processing import margin_needed, samples_needed
+from hpe_rig.processing import assign_pulses, margin_needed, samples_needed
 from hpe_rig.report import figures, page_tables, provenance as report_provenance
 from hpe_rig.report.badges import badges
 from hpe_rig.report.depth_profile import profile_pictures
@@ -258,7 +258,7 @@ def _display(
     samples = slice(0, last)
     if 2 * shot.capture.record_count * last > MAX_SHOT_BYTES:
         samples = slice(max(0, needed.start - margin), min(last, needed.stop + margin))
-    records = run.records.gated(shot.index, samples)
+    records = run.records.gated(shot.index, samples, placement=assign_pulses(shot, run.stored).placement)
     pictures = list(timing_pictures(shot))
     echoes = echo_view(scene, shot, records, first_sample=samples.start)
     if echoes is not None:

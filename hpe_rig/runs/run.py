@@ -205,14 +205,15 @@ class Run:
 
     def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
         """Return the echoes of every pulse of ``shot``, (pulse, sample), also outside the processing window."""
-        from hpe_rig.processing import margin_needed, samples_needed, shot_echoes
+        from hpe_rig.processing import assign_pulses, margin_needed, samples_needed, shot_echoes
 
         whole_train = {"window_start_s": 0.0, "window_length_s": None}
         planned_shot = self.plan.shots[shot]
         scene = scene_of_shot(self.scene, planned_shot)
         unwindowed = scene.model_copy(update={"processing": scene.processing.model_copy(update=whole_train)})
         samples = gate or samples_needed(scene, planned_shot)
-        records = self.records.gated(shot, samples, margin=margin_needed(scene, planned_shot))
+        placement = assign_pulses(planned_shot, self.stored).placement
+        records = self.records.gated(shot, samples, margin=margin_needed(scene, planned_shot), placement=placement)
         return shot_echoes(unwindowed, planned_shot, records, select(unwindowed, planned_shot))
 
     def refreshed(self) -> Run:

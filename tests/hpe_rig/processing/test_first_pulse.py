@@ -180,3 +180,23 @@ def test_an_aborted_shot_has_lost_no_trigger(muscle: Shot) -> None:
     assert assign_pulses(muscle, stored).shifts == tuple(range(499))  # type: ignore[arg-type]
     stored.shot_complete = np.zeros(1, bool)
     assert assign_pulses(muscle, stored).shifts == (0,)  # type: ignore[arg-type]
+
+
+def test_amplitudes_that_depend_on_the_first_pulse_through_the_prior_are_uncertain(tmp_path: Path) -> None:
+    """The medium prior relates phases to media: phases off by a pulse period shift its amplitudes by 7 %."""
+    shot = estimated(tmp_path, "bovine-muscle-synchronous", lost=[0])
+    for estimate, (error_rad, interval_rad) in zip(shot.estimates, phase_errors(shot), strict=True):
+        assert abs(error_rad) < interval_rad
+        assert estimate.true_amplitude_m is not None
+        error_m = estimate.headline.amplitude_m - estimate.true_amplitude_m
+        assert 0.02 * estimate.true_amplitude_m < abs(error_m) < estimate.headline.interval_95_m
+
+
+def test_the_motion_of_a_run_follows_the_same_assignment(tmp_path: Path) -> None:
+    scene = load_scene("bovine-muscle")
+    lost = scene.with_({f"{FAULTS}.lost": [0, 1, 2]})
+    complete, shifted = (measure(item, path=tmp_path / f"{name}.h5") for item, name in ((scene, "a"), (lost, "b")))
+    difference_m = shifted.displacement_m(0)[3:] - complete.displacement_m(0)[3:]
+    assert np.isnan(shifted.displacement_m(0)[:3]).all()
+    # Noise is that of other pulses; a shift by three pulses would be 30 % of the motion.
+    assert np.nanstd(difference_m) < 0.1 * np.nanstd(complete.displacement_m(0))
