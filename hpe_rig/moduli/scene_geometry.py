@@ -124,8 +124,9 @@ def vibration_at(
 ) -> Vibration:
     """Return the vibration measured in the gate of ``scene``, with the uncertainties of the tracked position.
 
-    ``measured``: frequencies (Hz), phasors (m) and covariance (m^2) as in ``Vibration``; ``axial_m`` the gate's
-    distance from the focus. The scene has [beams].
+    ``measured``: frequencies (frequency,), Hz; phasors (frequency,), m; and their covariance, m^2, of real and
+    imaginary parts (2 * frequency, 2 * frequency). ``axial_m``: the gate's distance from the focus. The scene has
+    [beams].
     """
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of requires them)

@@ -173,7 +173,11 @@ def with_first_pulse(
 
 
 def _first_pulse(estimate: Estimate, alternatives: Sequence[Estimate], late_part_s: float) -> Component:
-    """Return root mean square deviations of the alternatives, the estimate itself included."""
+    """Return the uncertainty component of an unknown first pulse: how amplitude and phase depend on it.
+
+    Root mean square deviations of the ``alternatives``, the estimate itself included. If only a later part of the
+    pulses comes ``late_part_s`` later, the parts of the motion differ in phase and partly cancel.
+    """
     best, others = estimate.headline, [item.headline for item in alternatives]
     count = len(others) + 1
     change_m = math.hypot(*(other.amplitude_m - best.amplitude_m for other in others)) / math.sqrt(count)

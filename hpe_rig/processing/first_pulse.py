@@ -72,27 +72,35 @@ def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
     stray triggers took the place of pulses; those are assumed to account for all missing pulses. In a shot that was
     not completed, missing records at the end are no sign of lost triggers.
     """
+    # ``timeless``: no record has a usable trigger time. ``known``: the pulse of each record is not in doubt.
     placement = stored.records.placement(shot.index)
     assignment = PulseAssignment(placement, remarks=tuple(_time_remarks(placement)))
     timeless = bool(placement.delivered.any() and placement.loose[placement.delivered].all())
     known = stored.imported or not stored.shot_complete[shot.index]
     if known or not (placement.unlocated or timeless):
         return assignment
+    # Records disturbed by tonebursts: at the second input, or else in the echoes.
     kinds = pulse_kinds(shot)
     for name in ("monitor", "echo") if kinds.any() else ():
         disturbed = _disturbed_records(shot, stored, name)
         shifted = None if disturbed is None else _by_tonebursts(assignment, kinds, disturbed, timeless)
         if shifted is not None:
             return shifted
+    # No evidence: any of the missing pulses may have come before the first record.
     lost = 0 if placement.delivered.all() else placement.unlocated
     return replace(assignment, shifts=tuple(range(lost + 1)), within_shot=bool(lost and placement.loose.any()))
 
 
 def pulse_kinds(shot: Shot) -> Int64Array:
-    """Return the kind of each pulse of ``shot``, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``."""
+    """Return how tonebursts disturb the record of each pulse, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``.
+
+    NEAR: the record starts before the echoes of the last toneburst have ended. INSIDE: it overlaps with the toneburst
+    itself.
+    """
     line, kinds = shot.timeline, np.full(shot.timeline.pulse_onset_s.size, CLEAN)
     if not line.burst_onset_s.size:
         return kinds
+    # Start and end of each pulse's record, and the onset of the latest toneburst before its end, infinite without one.
     start_s, end_s = (line.pulse_onset_s + offset_s for offset_s in line.record_offset_s)
     latest = np.searchsorted(line.burst_onset_s, end_s + line.pulse_length_s) - 1
     onset_s = np.where(latest >= 0, line.burst_onset_s[np.maximum(latest, 0)], np.inf)
@@ -118,7 +126,10 @@ def _time_remarks(placement: Placement) -> list[str]:
 
 
 def _disturbed_records(shot: Shot, stored: StoredRun, name: str) -> BoolArray | None:
-    """Return which records (record,) of an input have a deviating energy; None if it was not recorded or is damaged."""
+    """Return which records (record,) of an input have an energy unlike that of the others.
+
+    ``name``: the input, "echo" or "monitor". None if it was not recorded or is damaged.
+    """
     from hpe_rig.store import StoreError
 
     if name == "monitor" and shot.capture.monitor_range_v is None:
@@ -151,9 +162,10 @@ def _by_tonebursts(
     shifts = np.arange(-strays, placement.unlocated + strays + 1)
     if records.size * shifts.size > MAX_TERMS:
         return None
-    # Pulses outside the train have no records.
+    # Kinds (record, shift) of the pulses that the records would have; -1 outside the train, which has no records.
     padded = np.concatenate([np.full(shifts.size, -1), kinds, np.full(shifts.size, -1)])
     shifted_kinds = padded[placement.pulse[records][:, None] + shifts + shifts.size]
+    # The shift may change where the number of pulses since the record before is assumed, not measured.
     changes = placement.loose[records] & (np.arange(records.size) > 0)
     posterior, evidence = _posterior(shifted_kinds, disturbed[records], changes)
     if evidence < MIN_EVIDENCE:
@@ -166,9 +178,11 @@ def _by_tonebursts(
 def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> tuple[FloatArray, float]:
     """Return the probability of each shift at each record, (record, shift), and the evidence for any of them.
 
-    ``kinds`` (record, shift): kind of the pulse, -1 outside the train. The shift can change at records with
-    ``changes`` (record,). Evidence is the logarithm of the likelihood ratio to disturbances by chance.
+    ``kinds`` (record, shift): kind of the pulse that the record would have, -1 outside the train. ``disturbed``
+    (record,). The shift can change at records with ``changes`` (record,). Evidence is the logarithm of the likelihood
+    ratio to disturbances by chance.
     """
+    # ``rates``: fraction of disturbed records by kind of pulse. It and the shifts are estimated three times.
     rates = np.array(START_RATES)
     for _ in range(3):
         by_kind = np.log(np.stack([1 - rates, rates]))
@@ -177,6 +191,7 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
         weight = [np.where(kinds == kind, posterior, 0.0).sum(axis=1) for kind in (CLEAN, NEAR, INSIDE)]
         # Half a record of each sort, so that no rate becomes 0 or 1.
         rates = np.array([(w[disturbed].sum() + 0.5) / (w.sum() + 1.0) for w in weight])
+        # Pulses nearer to a toneburst are disturbed at least as often.
         rates = np.maximum.accumulate(rates)
     fraction = (disturbed.sum() + 0.5) / (disturbed.size + 1)
     chance = np.log(np.where(disturbed, fraction, 1 - fraction)).sum()
@@ -184,11 +199,16 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
 
 
 def _forward_backward(likelihood: FloatArray, changes: BoolArray) -> tuple[FloatArray, float]:
-    """Return the posterior (record, state) of a chain that changes its state rarely, and the log likelihood."""
+    """Return the posterior (record, state) of a chain that rarely changes its state, and the data's log likelihood.
+
+    ``likelihood`` (record, state): its logarithm. The state can change at records with ``changes`` (record,). Computed
+    by the forward-backward algorithm of hidden Markov models.
+    """
     records, states = likelihood.shape
     # Records without a change in between share one state.
     start = np.flatnonzero(np.concatenate([[True], changes[1:]]))
     step = np.add.reduceat(likelihood, start, axis=0)
+    # Log probabilities of the records up to each step (forward) and after it (backward), for each state.
     forward, backward = np.empty_like(step), np.zeros_like(step)
     forward[0] = step[0] - np.log(states)
     for index in range(1, start.size):
@@ -203,13 +223,16 @@ def _forward_backward(likelihood: FloatArray, changes: BoolArray) -> tuple[Float
 
 
 def _mixed(log_probability: FloatArray) -> FloatArray:
-    """Return log probabilities (state,) after a possible change of state."""
+    """Return log probabilities (state,) after a possible change of state, which has the probability exp(``CHANGE``)."""
     others = np.logaddexp.reduce(log_probability) + CHANGE - np.log(log_probability.size)
     return np.asarray(np.logaddexp(log_probability, others))
 
 
 def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterior: FloatArray) -> PulseAssignment:
-    """Return the assignment with one shift of all records, given the ``posterior`` (shift,)."""
+    """Return the assignment with one shift of all records, given the ``posterior`` (shift,).
+
+    The first of the shifts that are not excluded is used; the others remain as possible further shifts.
+    """
     possible = shifts[np.log(np.maximum(posterior, 1e-300)) > np.log(posterior.max()) - MIN_RATIO]
     used = int(possible[0])
     placement = assignment.placement.shifted(np.full(assignment.placement.pulse.size, used))
@@ -231,10 +254,12 @@ def _with_shifts(
     certain = posterior.max(axis=1) > 1 - MAX_DOUBT
     if not certain.any():
         return None
+    # Records of an uncertain pulse, and records that would share a pulse, get none.
     pulse = np.where(certain, placement.pulse[records] + shifts[best], -1)
     repeated = np.isin(pulse, np.flatnonzero(np.bincount(pulse[pulse >= 0]) > 1))
     moved = placement.pulse.copy()
     moved[records] = np.where(repeated, -1, pulse)
+    # A sentence for each change of the shift between certain records, and for one that the records start with.
     remarks = assignment.remarks
     for index in np.flatnonzero(np.diff(shifts[best[certain]])):
         before, after = shifts[best[certain]][index : index + 2]

@@ -134,7 +134,11 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
 
 
 def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
-    """Write the attributes and texts of the run, and create the datasets of text by shot."""
+    """Write the attributes and texts of the run, and create the datasets of text by shot.
+
+    ``snapshot``: the instruments' settings in each shot. ``untrusted``: why a shot cannot be relied on.
+    ``changed_settings``: differences of the settings after a shot from those before it.
+    """
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,

@@ -75,6 +75,7 @@ def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> P
     timed = records[np.isfinite(time_s[records])]
     if not timed.size or not np.isfinite(rate_hz):
         return counted
+    # Steps from each trigger to the next, in pulse periods.
     step = np.diff(time_s[timed]) * rate_hz
     near = np.abs(step - 1) < TOLERANCE
     if timed.size == records.size and near.all():
@@ -90,7 +91,10 @@ def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> P
 
 
 def _standing(step: FloatArray) -> BoolArray:
-    """Return which records repeat the trigger time of the record before, (record,), at least two in a row."""
+    """Return which records repeat the trigger time of the record before, (record,), at least two in a row.
+
+    ``step`` (record - 1,): time from each record to the next, in pulse periods.
+    """
     same = np.concatenate([[False], np.abs(step) < TOLERANCE, [False]])
     before = np.concatenate([[False], same[:-2]])
     return np.asarray(same[:-1] & (before | same[1:]))
@@ -98,12 +102,14 @@ def _standing(step: FloatArray) -> BoolArray:
 
 def _placement(train: _Train, delivered: BoolArray) -> Placement:
     """Return the placement of the delivered records: those of the train, and those without usable trigger time."""
+    # Segments of the train have measured numbers of pulses; the first record of each further segment does not.
     pulses, segments = delivered.size, train.segments()
     pulse, loose = np.full(pulses, -1), np.zeros(pulses, bool)
     placed = train.record[np.concatenate([segment.index for segment in segments])]
     pulse[placed] = np.concatenate([segment.pulse for segment in segments])
     loose[[train.record[segment.index[0]] for segment in segments[1:]]] = True
     stray = np.setdiff1d(train.record, placed)
+    # Records without a usable trigger time are counted from the placed record before.
     untimed = np.setdiff1d(np.flatnonzero(delivered), train.record)
     before = np.maximum(np.searchsorted(placed, untimed) - 1, 0)
     pulse[untimed] = pulse[placed[before]] + untimed - placed[before]
@@ -112,6 +118,7 @@ def _placement(train: _Train, delivered: BoolArray) -> Placement:
     unknown = (after > untimed) & (untimed > placed[before]) & (pulse[after] - pulse[untimed] != after - untimed)
     loose[untimed[after < untimed]] = True
     pulse[untimed[unknown]] = -1
+    # The first record that has a pulse gets pulse 0.
     known = np.setdiff1d(np.concatenate([placed, untimed[~unknown]]), stray)
     pulse[known] -= pulse[known].min()
     pulse[pulse >= pulses] = -1
@@ -147,7 +154,10 @@ class _Train:
     stray: frozenset[int] = frozenset()
 
     def within(self, pulses: int) -> _Train:
-        """Return the train with its largest gaps closed until its span fits the planned ``pulses``."""
+        """Return the train with its largest gaps closed until its span fits the planned ``pulses``.
+
+        A gap that is too long is a fault: a stray record at an end of the train, or a step of the counter elsewhere.
+        """
         train, segments = self, self.segments()
         while segments[-1].pulse[-1] - segments[0].pulse[0] >= pulses:
             gap, number = max((segment.largest_gap, number) for number, segment in enumerate(segments))
@@ -166,7 +176,10 @@ class _Train:
         return train
 
     def segments(self) -> list[_Segment]:
-        """Return the parts of the train between steps of the counter; the pulses of the first one start at 0."""
+        """Return the parts of the train between steps of the digitizer's counter; the first one's pulses start at 0.
+
+        Records that fit into no part come from stray triggers and are omitted.
+        """
         pieces = list(self._pieces())
         if not any(stop - start >= MIN_SEGMENT for start, stop in pieces):
             # Too few records to distinguish stray triggers from the train.
@@ -175,6 +188,7 @@ class _Train:
         for start, stop in pieces:
             pulse = np.round(self.period[start:stop] - self.period[start]).astype(np.int64)
             segment = _Segment(np.arange(start, stop), pulse)
+            # Join whole periods to the segment before. Others are a new segment, after the fewest pulses possible.
             periods = self._periods_after(segments, start)
             if periods is not None:
                 segments[-1] = segments[-1].joined(segment, periods)
@@ -203,6 +217,7 @@ class _Train:
 
     def _pieces(self) -> Iterator[tuple[int, int]]:
         """Yield start and end of every series of records that are whole periods apart."""
+        # A break: no whole number of periods, or fewer than the untimed records in between need.
         step = np.diff(self.period)
         untimed = np.diff(self.record) - 1
         whole = np.round(step)

@@ -82,6 +82,7 @@ class Recording:
         """Yield the volts of a block's records, one piece for each snapshot of the bench."""
         size = _records_per_block(self._segments[-1][1].capture)
         first = number * size
+        # A segment is the first record of a snapshot and the snapshot, which holds until the next one starts.
         ends = [start for start, _ in self._segments[1:]] + [first + size]
         for (start, captured), end in zip(self._segments, ends, strict=True):
             low, high = max(0, start - first), min(size, end - first)

@@ -46,6 +46,7 @@ def echo_pulse(settings: SimulationSettings, carrier_hz: float) -> Pulse:
     """
     scatterers = settings.scatterers
     pulse = _ideal_pulse(scatterers.pulse, carrier_hz, scatterers.bandwidth, scatterers.band_centre_hz)
+    # A measured pulse replaces it; the middle of its samples is time 0.
     if scatterers.measured_pulse is not None:
         rate_hz, samples = scatterers.measured_pulse_rate_hz, scatterers.measured_pulse
         pulse = sampled_pulse(np.array(samples), rate_hz, -(len(samples) - 1) / 2 / rate_hz)

@@ -193,7 +193,7 @@ def draw_thinned(
     """Return draws of only those scatterers that reach the gate and are strong enough for ``tolerance``.
 
     ``reach_s``: earliest and latest delay that counts. Scatterers are independent, so the number that falls into a
-    smaller box is binomial. The statistics of the echoes are those of `draw_field`, the random numbers are not.
+    smaller box is binomial. Echoes have the same statistics as those of all scatterers, but from other random numbers.
     Reflectors are in every draw.
     """
     scatterers, beams = settings.scatterers, settings.beams

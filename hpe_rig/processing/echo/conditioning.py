@@ -111,7 +111,10 @@ def hann(count: int) -> FloatArray:
 
 
 def deviating_levels(log_energy: FloatArray) -> BoolArray:
-    """Return which of the logarithmic energies (..., pulse) are unlike the others of their realisation."""
+    """Return which of the logarithmic energies (..., pulse) are unlike the others of their realisation.
+
+    Unlike: farther from the median than ``MAX_ENERGY_DEVIATION`` standard deviations, and than a factor of two.
+    """
     deviation = np.abs(log_energy - np.median(log_energy, axis=-1, keepdims=True))
     # For a normal distribution the median absolute deviation is 0.6745 standard deviations.
     standard_deviation = np.median(deviation, axis=-1, keepdims=True) / 0.6745

@@ -196,10 +196,11 @@ def medium_kalman(
     *,
     background_order: int = 0,
 ) -> MediumFit:
-    """Return the fit of ``medium_fit`` computed by a Kalman filter, which adds the correlation of its innovations.
+    """Return the fit with a prior of media by a Kalman filter, which adds the correlation of its innovations.
 
     The filter estimates coordinates a of the motion x = F a, with F the factor of the prior; their initial covariance
-    is (k s)² I, with s the rms motion and k = PRIOR_WIDENING. Scale s and noise are those of ``medium_fit``.
+    is (k s)² I, with s the rms motion and k = PRIOR_WIDENING. Scale s and noise are first estimated by the fit in
+    closed form, ``medium_fit``, which has the same result.
     """
     closed_form = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
     frequency_hz, evidence = closed_form.fit.frequency_hz, closed_form.evidence
