@@ -1,4 +1,4 @@
-"""Signals of a commissioning: a waveform for each instrument, by which records show whose signal arrives, and when.
+"""Signals of a commissioning: a waveform for each instrument, which identifies it in records, and its arrival time.
 
 The generators' pulses differ in width, their bursts in carrier and cycles. The digitizer's trigger output stays high
 for the rest of the record.
@@ -41,7 +41,7 @@ MIN_EXPLAINED = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A signal in the records: of which role, when after the trigger (u: standard uncertainty), and its polarity."""
+    """A signal in the records: its role, its time after the trigger with standard uncertainty u, and its polarity."""
 
     role: str
     time_s: float

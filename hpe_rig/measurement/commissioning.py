@@ -21,11 +21,11 @@ from hpe_rig.bench import Bench, BenchFile, open_bench, silent_world
 from hpe_rig.measurement.cable_signals import SAMPLE_RATE_HZ, Arrival, arrival, capture_of, command_pulse, tasks
 
 FIRES: Final = 32
-"""Master triggers at each place of the T piece; u of a delay then is about a tenth of a sample period."""
+"""Master triggers at each place of the T piece; u of a delay is a tenth to half of a sample period."""
 DEADLINE_S: Final = 0.3
 """Time from a master trigger to the arrival of its record in this process."""
 MAX_LEAD_U: Final = 4.0
-"""Number of standard uncertainties by which a signal may seem to arrive before it starts."""
+"""Largest lead of a signal at the end of its cable, in standard uncertainties, that counts as rounding."""
 TWIN_T_PIECE_S: Final = 5e-9
 CHAIN: Final = ("master", "burst_train", "toneburst", "tracking_train", "digitizer", "tracking_pulser")
 
@@ -43,7 +43,7 @@ class Tap:
 
 @dataclass(frozen=True, slots=True)
 class CableResult:
-    """One cable: its delay with standard uncertainty u, NaN if it was not measured, and what is wrong with it."""
+    """One cable: its delay with standard uncertainty u, NaN if it was not measured, and its fault in words."""
 
     source: str
     target: str
@@ -170,7 +170,7 @@ def _records(
     instruments: Bench,
     capture: Capture,
     source: MasterTrigger,
-    others: Sequence[Generator],
+    triggered: Sequence[Generator],
     rng: np.random.Generator | None = None,
 ) -> FloatArray:
     """Fire ``source`` once a record and return the records that came, in volts: (record, channel, sample).
@@ -182,7 +182,7 @@ def _records(
     try:
         digitizer.arm()
         # Downstream first: no generator may trigger an output that is not ready.
-        for generator in others:
+        for generator in triggered:
             generator.enable_output()
         for _ in range(capture.record_count):
             # The twin's clock advances in whole microseconds, which always meet the same phase of the sample clock.
@@ -202,8 +202,9 @@ def _records(
 def _signal(tap: Tap, instruments: Bench, bench: BenchFile, fires: int, rng: np.random.Generator) -> Arrival | None:
     """Return the signal at ``tap``; raise ``InstrumentError`` without triggers, and if it is at channel A."""
     capture = capture_of(_role(tap.source), bench, fires)
-    others = instruments.generators[:0:-1]
-    records = _records(instruments, capture, instruments.master, others, rng)
+    # Every generator except the master, which is the first one.
+    triggered = instruments.generators[:0:-1]
+    records = _records(instruments, capture, instruments.master, triggered, rng)
     if len(records) < fires:
         what = f"{len(records)} of {fires} records came with the T piece at {tap}"
         remedy = "look at T piece and cables, digitizer.trigger_level_v of at most 1.5 V, begin again"

@@ -1,4 +1,4 @@
-"""Record of a commissioning in the bench file: measured delays, and what was proven when."""
+"""Record of a commissioning in the bench file: measured delays, and the proven cables with the date."""
 
 from __future__ import annotations
 
