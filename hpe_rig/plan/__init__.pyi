@@ -18,7 +18,13 @@ from .gate_profile import (
     with_gate as with_gate,
     without_shared_echoes as without_shared_echoes,
 )
-from .interference import SETTLING_S as SETTLING_S, disturbed_pulses as disturbed_pulses
+from .interference import (
+    CLEAN as CLEAN,
+    INSIDE as INSIDE,
+    NEAR as NEAR,
+    disturbed_pulses as disturbed_pulses,
+    pulse_kinds as pulse_kinds,
+)
 from .omitted import omissions as omissions
 from .phase_reference import PhaseReference as PhaseReference, phase_reference_of as phase_reference_of
 from .selection import (

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray
+from hpe_rig.arrays import BoolArray, Int64Array
 from hpe_rig.plan.shots import Shot
 
 SETTLING_S = 4.5e-6
@@ -14,6 +14,10 @@ SETTLING_S = 4.5e-6
 2.5 mm behind it, and the filters' ringing down to a thousandth (twin, scripts/validation/paper/twin.py)."""
 MIN_FREE_S = 1e-9
 """Shortest interval of admissible delays that is reported."""
+CLEAN, NEAR, INSIDE = 0, 1, 2
+"""Kinds of pulses: undisturbed, within the reach of a toneburst's echoes, and with a toneburst during the record."""
+MIN_OVERLAP = 0.2
+"""Fraction of a record, or of a shorter toneburst, above which the toneburst certainly disturbs the record."""
 
 
 def forbidden_window_s(shot: Shot) -> tuple[float, float]:
@@ -36,6 +40,27 @@ def disturbed_pulses(shot: Shot) -> BoolArray:
     # The last burst before each pulse decides, because all windows are equally long.
     latest = np.searchsorted(bursts_s, pulses_s - start_s, side="left") - 1
     return (latest >= 0) & (pulses_s < bursts_s[np.maximum(latest, 0)] + end_s)
+
+
+def pulse_kinds(shot: Shot) -> Int64Array:
+    """Return how tonebursts disturb the record of each pulse, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``.
+
+    NEAR: the record starts before the echoes of the last toneburst have ended. INSIDE: it overlaps with the toneburst
+    itself.
+    """
+    line, kinds = shot.timeline, np.full(shot.timeline.pulse_onset_s.size, CLEAN)
+    if not line.burst_onset_s.size:
+        return kinds
+    # Start and end of each pulse's record, and the onset of the latest toneburst before its end, infinite without one.
+    start_s, end_s = (line.pulse_onset_s + offset_s for offset_s in line.record_offset_s)
+    latest = np.searchsorted(line.burst_onset_s, end_s + line.pulse_length_s) - 1
+    onset_s = np.where(latest >= 0, line.burst_onset_s[np.maximum(latest, 0)], np.inf)
+    reach_s = line.burst_length_s + line.record_offset_s[1] + line.push_delay_s + SETTLING_S
+    kinds[start_s < onset_s + reach_s] = NEAR
+    overlap_s = np.minimum(end_s, onset_s + line.burst_length_s) - np.maximum(start_s, onset_s)
+    record_s = line.record_offset_s[1] - line.record_offset_s[0]
+    kinds[overlap_s > MIN_OVERLAP * min(record_s, line.burst_length_s)] = INSIDE
+    return kinds
 
 
 def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:

@@ -13,16 +13,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray, Int64Array
-from hpe_rig.plan import SETTLING_S, Shot
+from hpe_rig.plan import CLEAN, INSIDE, NEAR, Shot, pulse_kinds
 from hpe_rig.processing.echo.conditioning import code_statistics, concatenate_statistics, deviating_levels
 
 if TYPE_CHECKING:
     from hpe_rig.store import Placement, StoredRun
 
-CLEAN, NEAR, INSIDE = 0, 1, 2
-"""Kinds of pulses: undisturbed, within the reach of a toneburst's echoes, and with a toneburst during the record."""
-MIN_OVERLAP: Final = 0.2
-"""Fraction of a record, or of a shorter toneburst, above which the toneburst certainly disturbs the record."""
 START_RATES: Final = (0.005, 0.5, 0.95)
 """Assumed fraction of records with deviating energy by kind of pulse; replaced by the observed fractions."""
 MIN_EVIDENCE: Final = 12.0
@@ -89,27 +85,6 @@ def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
     # No evidence: any of the missing pulses may have come before the first record.
     lost = 0 if placement.delivered.all() else placement.unlocated
     return replace(assignment, shifts=tuple(range(lost + 1)), within_shot=bool(lost and placement.loose.any()))
-
-
-def pulse_kinds(shot: Shot) -> Int64Array:
-    """Return how tonebursts disturb the record of each pulse, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``.
-
-    NEAR: the record starts before the echoes of the last toneburst have ended. INSIDE: it overlaps with the toneburst
-    itself.
-    """
-    line, kinds = shot.timeline, np.full(shot.timeline.pulse_onset_s.size, CLEAN)
-    if not line.burst_onset_s.size:
-        return kinds
-    # Start and end of each pulse's record, and the onset of the latest toneburst before its end, infinite without one.
-    start_s, end_s = (line.pulse_onset_s + offset_s for offset_s in line.record_offset_s)
-    latest = np.searchsorted(line.burst_onset_s, end_s + line.pulse_length_s) - 1
-    onset_s = np.where(latest >= 0, line.burst_onset_s[np.maximum(latest, 0)], np.inf)
-    reach_s = line.burst_length_s + line.record_offset_s[1] + line.push_delay_s + SETTLING_S
-    kinds[start_s < onset_s + reach_s] = NEAR
-    overlap_s = np.minimum(end_s, onset_s + line.burst_length_s) - np.maximum(start_s, onset_s)
-    record_s = line.record_offset_s[1] - line.record_offset_s[0]
-    kinds[overlap_s > MIN_OVERLAP * min(record_s, line.burst_length_s)] = INSIDE
-    return kinds
 
 
 def _time_remarks(placement: Placement) -> list[str]:

@@ -11,7 +11,7 @@ from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.commissioning import commissioned
 from hpe_rig.plan.checks.depth_gates import gates_over_depth
-from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory
+from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory, trigger_times
 from hpe_rig.plan.checks.excitation import excitation, interference
 from hpe_rig.plan.checks.identity import identity
 from hpe_rig.plan.checks.output import drive, generators, transducer_limits
@@ -46,7 +46,7 @@ ESTIMATE: Final[tuple[Check, ...]] = (
     gates_over_depth,
     background,
 )
-BOARD: Final[tuple[Check, ...]] = (board, capture_mode, memory, periods, commissioned)
+BOARD: Final[tuple[Check, ...]] = (board, capture_mode, trigger_times, memory, periods, commissioned)
 CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, *BOARD)
 """Every check, in the order of ``hpe-rig check``."""
 RECORD_CHECKS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)

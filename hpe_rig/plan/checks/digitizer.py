@@ -12,6 +12,7 @@ from drivers.alazar import BoardModel, mistakes
 from drivers.interfaces import Capture
 from hpe_rig.bench import BenchFile, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult, in_hz, pass_or_refuse
+from hpe_rig.plan.interference import pulse_kinds
 from hpe_rig.plan.selection import select
 from hpe_rig.plan.shots import Plan, reference_gate
 from hpe_rig.scene import Scene
@@ -82,6 +83,21 @@ def background(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     text = f"the background is {abs(motion_m[0]) * 1e3:.3g} mm off the focus at the first pulse"
     remedy = "another simulation.background phase_rad or processing.window_start_s: the gate begins at the focus"
     yield pass_or_refuse("gate at focus", abs(motion_m[0]) < acquisition.gate_length_m / 2, text, remedy)
+
+
+def trigger_times(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield a warning if nothing in the records shows lost and stray triggers: NPT records have no trigger times."""
+    if bench.digitizer.mode != "npt":
+        return
+    near = int(np.count_nonzero(pulse_kinds(plan.shots[0])))
+    text = (
+        f"acquisition_mode = npt records no trigger times, and {near} records coincide with a toneburst or its echoes"
+    )
+    if near:
+        yield CheckResult("trigger times", "passed", f"{text}, which show lost and stray triggers")
+    else:
+        remedy = 'acquisition_mode = "traditional"'
+        yield CheckResult("trigger times", "warning", f"{text}: a stray trigger shifts later records unnoticed", remedy)
 
 
 def board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

@@ -12,8 +12,9 @@ import pytest
 
 from hpe_rig import load_scene, measure
 from hpe_rig.bench import read_bench
+from hpe_rig.plan import CLEAN, INSIDE, NEAR, pulse_kinds
 from hpe_rig.plan.shots import Shot, make_plan
-from hpe_rig.processing.first_pulse import CLEAN, INSIDE, NEAR, PulseAssignment, assign_pulses, pulse_kinds
+from hpe_rig.processing.first_pulse import PulseAssignment, assign_pulses
 from hpe_rig.result import ShotResult
 from hpe_rig.store import Placement, StoreError, place_records
 

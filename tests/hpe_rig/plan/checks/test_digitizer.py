@@ -96,6 +96,15 @@ def test_a_single_port_capture_is_planned_within_the_records_that_have_a_trigger
     assert not [each for each in check_plan(short, bench, make_plan(short, bench)) if each.check == "trigger times"]
 
 
+@pytest.mark.parametrize(("name", "level"), [("table-1", "warning"), ("bovine-muscle", "passed")])
+def test_npt_records_without_a_toneburst_in_any_are_warned_of(tmp_path: Path, name: str, level: str) -> None:
+    scene = parse_scene(name, shipped_scenes()[name]).scene
+    for lines, levels in (('acquisition_mode = "npt"', [level]), ("", [])):
+        bench = bench_with(tmp_path / "bench.toml", lines)
+        results = check_plan(scene, bench, make_plan(scene, bench))
+        assert [result.level for result in results if result.check == "trigger times"] == levels
+
+
 def test_records_above_a_thousand_are_captured_and_none_is_lost(tmp_path: Path) -> None:
     scene = parse_scene("edited", edited(TABLE_1, "tracking", "pulse_count = 1200")).scene
     bench = single_port(tmp_path, "max_records = 2000")
