@@ -49,4 +49,4 @@ def record_commissioning(path: Path, before: BenchText, results: Sequence[CableR
         what = "its instruments or cables were changed during the commissioning, which is not recorded"
         raise SettingsError(f"bench {path.stem}", [Mistake("", what, "commission again")])
     with atomic_file(path) as draft:
-        draft.write_text(with_commissioning(text, path.stem, results, day), encoding="utf-8", newline="")
+        draft.write_text(with_commissioning(text, path.stem, results, day), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,10 @@ from typer.testing import CliRunner
 
 from hpe_rig.bench import read_bench
 from hpe_rig.cli import commands, commission as command
-from hpe_rig.measurement import CableResult
+from hpe_rig.cli.options import WatchOptions
+from hpe_rig.cli.watch import supervise
+from hpe_rig.measurement import CableResult, prepare
+from hpe_rig.plan import CheckResult
 
 
 @pytest.fixture
@@ -38,6 +42,15 @@ def test_a_fault_is_printed_with_its_cable_and_nothing_is_recorded(path: Path, m
     assert "master.output -> burst_train.trigger: no signal." in done.output
     assert "1 of 1 cables are not proven" in done.output
     assert path.read_text(encoding="utf-8") == before
+
+
+def test_a_run_on_an_unproven_bench_warns_before_an_output_is_enabled(tmp_path: Path) -> None:
+    announced: list[str] = []
+    for finding in (CheckResult("commissioning", level, "text", "remedy") for level in ("passed", "warning")):
+        setup = replace(prepare("bovine-muscle"), findings=(finding,))
+        with supervise(setup, tmp_path / "run.h5", "run", WatchOptions(), announced.append):
+            pass
+    assert announced == ["WARNING commissioning: text. Try: remedy."]
 
 
 def test_a_real_bench_needs_a_terminal_and_an_amplifier_that_is_off(

@@ -283,6 +283,19 @@ def test_delays_and_proofs_are_written_between_the_comments_of_the_bench_file(tm
     assert written(path, results_with()).text == after.text
 
 
+def test_cables_on_one_line_each_are_completed_as_well(tmp_path: Path) -> None:
+    text = read_bench().text
+    head = text[: text.index("[[wiring]]")]
+    lines = "\n".join(f'    {{ source = "{source}", target = "{target}" }},  # blue' for source, target in ENDS)
+    path = tmp_path / "bench.toml"
+    first_table = head.index("[limits]")
+    path.write_text(f"{head[:first_table]}wiring = [\n{lines}\n]\n\n{head[first_table:]}", encoding="utf-8")
+    after = written(path, results_with())
+    assert [cable.delay_s for cable in after.bench.wiring] == pytest.approx([1e-9 * n for n in range(1, 8)])
+    assert after.bench.commissioning is not None
+    assert after.text.count("# blue") == 7
+
+
 def test_a_commissioning_with_a_fault_withdraws_the_one_before(tmp_path: Path) -> None:
     path = tmp_path / "bench.toml"
     path.write_text(read_bench().text, encoding="utf-8")
