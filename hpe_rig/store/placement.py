@@ -84,6 +84,7 @@ def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> P
         return replace(counted, pulse=pulse, loose=np.zeros(pulses, bool))
     # The clock of the digitizer may be wrong by up to one per cent, which adds up over long gaps.
     period_s = (float(np.median(step[near])) if near.any() else 1.0) / rate_hz
+    # Records that repeat a trigger time are left out of the train, and counted from the record before.
     frozen = _standing(step)
     train = _Train(timed[~frozen], time_s[timed[~frozen]] / period_s).within(pulses)
     placement = _placement(train, delivered)

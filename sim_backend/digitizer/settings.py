@@ -43,7 +43,8 @@ def input_control(
 def trigger_operation(operation: int, engines: Sequence[int]) -> Changes | None:
     """Return the settings changed by a command to both trigger engines; None if it is refused.
 
-    ``engines``: number, source, slope and level of the first engine, then of the second.
+    ``engines``: number (0 or 1), source, slope and level (0 to 255) of the first engine, then of the second, as codes
+    of the vendor's library. ``operation``: its code for which engines trigger.
     """
     first, second = engines[:4], engines[4:]
     valid = len(engines) == 8 and 0 <= operation <= 6 and {first[0], second[0]} == {0, 1}

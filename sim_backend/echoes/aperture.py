@@ -51,6 +51,7 @@ def beam_response(
 
     x, y = (0.0, 0.0) if of_push else settings.beams.lateral_offset_m
     lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
+    # The beam is computed at a few frequencies, the nodes, and interpolated to the exponentials (lines) of the pulse.
     node_hz, mixture, nodes_to_lines = _band(pulse)
     reach_m = float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
     at_nodes, delay_ratio = pulse_echo_beam(settings, node_hz, *reach_m, mixture, of_push).at(lateral_m, axial_m)

@@ -396,6 +396,7 @@ def _significant_ends(
 
     ``reach_s`` (scatterer,): largest change of the delay by the motion.
     """
+    # Scatterers with a pulse large enough at its start, then at its end.
     scatterers = [
         np.flatnonzero(
             np.abs(scatterer_rows.weight) * _pulse_bound_near_end(scatterer_rows.response, jump, reach_s) > limit
@@ -403,6 +404,7 @@ def _significant_ends(
         for jump in tables.jump
     ]
     scatterer = np.concatenate(scatterers)
+    # 0 for a start, 1 for an end; its time at rest, and the samples within reach of it.
     end = np.repeat([0, 1], [len(indices) for indices in scatterers])
     time_s = scatterer_rows.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[end]
     first_sample = sample_time_s.searchsorted(time_s - reach_s[scatterer])

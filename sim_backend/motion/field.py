@@ -460,6 +460,7 @@ class _BesselOnRay:
         # Imported here, so that scenes without a field do not load it.
         from scipy.special import jv
 
+        # In each cell of distance, a polynomial through the values at Chebyshev nodes.
         node = np.cos((np.arange(_BESSEL_NODES) + 0.5) * np.pi / _BESSEL_NODES)
         middle = (np.arange(int(max_distance / _BESSEL_CELL) + 1) + 0.5) * _BESSEL_CELL
         value = jv(0, rotation * (middle + node[:, None] * _BESSEL_CELL / 2))

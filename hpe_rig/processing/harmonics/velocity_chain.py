@@ -59,9 +59,9 @@ def velocity_to_harmonics(
     The gain sinc(f / f_prf) of the difference, its half-interval delay and the 90 degrees between velocity and
     displacement are removed. ``also_hz``: further driven frequencies, kept out of the residual and the band-pass. The
     band-pass removes a background except for the difference between the ends of the series; from ``background_order``
-    (of the displacement) 2 on, its polynomial is fitted and subtracted first. The covariance is that of
-    ``velocity_noise`` through all steps. Band-pass and Hann window in slow time can be left out. Raises ``ValueError``
-    for unevenly spaced pulses, and if the pulses cannot resolve the frequencies.
+    (of the displacement) 2 on, its polynomial is fitted and subtracted first. The covariance is the velocities' noise
+    carried through all steps. Band-pass and Hann window in slow time can be left out. Raises ``ValueError`` for
+    unevenly spaced pulses, and if the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
