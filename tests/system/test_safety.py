@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.interfaces import InstrumentError, RecordBlock
+from hpe_rig.bench import Condition
 from hpe_rig.bench.instruments import Bench, UnsafeBenchError, proven_off
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench
@@ -23,6 +24,10 @@ from hpe_rig.measurement.sequencer import SAFETY_MARGIN_S, Progress, Step, acqui
 from hpe_rig.measurement.setup import Setup
 
 Prepare = Callable[..., Setup]
+
+
+ABSENT = Condition(name="level", command=("no-such-program-here",))
+"""A condition without limits, so that every shot has the step that reads conditions."""
 
 
 def run_until(setup: Setup, step: Step, error: BaseException) -> Bench:
@@ -36,7 +41,7 @@ def run_until(setup: Setup, step: Step, error: BaseException) -> Bench:
     def measure() -> None:
         with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
             seen.append(bench)
-            for _ in acquire(setup.plan, bench, observe):
+            for _ in acquire(setup.plan, bench, observe, conditions=[ABSENT]):
                 pass
 
     with pytest.raises(type(error)):
