@@ -24,6 +24,11 @@ from .comparison import (
 )
 from .conditions import Reading as Reading, read_conditions as read_conditions
 from .emulation import emulate as emulate
+from .identification import (
+    displayed_roles as displayed_roles,
+    lasting_serial as lasting_serial,
+    with_serials as with_serials,
+)
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
 from .interrupts import (
     INTERRUPTS as INTERRUPTS,

@@ -29,6 +29,10 @@ def bench_command(
             "--off", help="Only switch every output off and verify it, even if another program uses the bench."
         ),
     ] = False,
+    identify: Annotated[
+        bool,
+        typer.Option("--identify", help="Show each role on its instrument, ask, and write serial numbers to BENCH."),
+    ] = False,
     wide: Annotated[bool, typer.Option("--wide", help="Print every column.")] = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
@@ -37,12 +41,19 @@ def bench_command(
     # A run file describes a bench that may no longer exist: nothing can be switched or tested.
     is_run_file = bench is not None and bench.suffix == ".h5"
     if off:
-        if compare is not None or self_test or is_run_file:
+        if compare is not None or self_test or identify or is_run_file:
             what = "it only switches the instruments of a bench file off"
             raise SettingsError("--off", [Mistake("", what, "hpe-rig bench BENCH.toml --off")])
         from hpe_rig.cli.off import switch_all_off
 
         raise typer.Exit(switch_all_off(bench))
+    if identify:
+        from hpe_rig.cli.identify import identify as identify_instruments
+
+        if compare is not None or self_test:
+            mistake = Mistake("", "it only writes serial numbers into a bench file", "hpe-rig bench BENCH --identify")
+            raise SettingsError("--identify", [mistake])
+        raise typer.Exit(identify_instruments(bench))
     from hpe_rig.cli.bench import bench_state, compare_with, print_conditions, print_report
 
     if bench is not None and is_run_file and (self_test or compare is None):

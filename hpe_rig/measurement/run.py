@@ -13,6 +13,7 @@ from pathlib import Path
 from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
 from hpe_rig.measurement.awake import kept_awake
 from hpe_rig.measurement.background import detached
+from hpe_rig.measurement.full_scale import end_at_full_scale
 from hpe_rig.measurement.mover import Mover, choose_mover, require_mover
 from hpe_rig.measurement.recording import RunRecorder
 from hpe_rig.measurement.sequencer import (
@@ -105,7 +106,8 @@ def _record(
             opening = open_bench(points[first.point].scene, bench_file, setup.plan.roles, first.index)
             bench = stack.enter_context(opening)
         # Lateral offsets are those of the whole run: a segment may have a single one.
-        events = acquire(segment, bench, observer, choose_mover(setup.plan, bench, move), bench_file.conditions)
+        mover = choose_mover(setup.plan, bench, move)
+        events = end_at_full_scale(acquire(segment, bench, observer, mover, bench_file.conditions))
         with timer("configure"), closing(events):
             for event in events:
                 with timer("store"):

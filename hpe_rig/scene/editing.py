@@ -1,4 +1,4 @@
-"""Changing numbers in a scene's TOML text; comments, order and spacing stay."""
+"""Changing values in the TOML text of a scene or bench; comments, order and spacing stay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hpe_rig.scene.keys import Number, container_at
 from hpe_rig.scene.mistakes import KeyPath, Mistake, SettingsError, dotted
 
 
-def edited_text(text: str, values: Mapping[KeyPath, Number]) -> str:
+def edited_text(text: str, values: Mapping[KeyPath, Number | str]) -> str:
     """Return the TOML ``text`` with ``values``; an absent key is added at the end of its section.
 
     Raises ``SettingsError`` with every path that does not exist, such as an entry beyond a list's end.
@@ -33,7 +33,7 @@ def edited_text(text: str, values: Mapping[KeyPath, Number]) -> str:
     return tomlkit.dumps(document)
 
 
-def _append(section: Table, key: str, value: Number) -> None:
+def _append(section: Table, key: str, value: Number | str) -> None:
     """Add a key after the others, and before trailing comments, which usually describe the next section."""
     body = section.value.body
     trailing: list[Comment | Whitespace] = []

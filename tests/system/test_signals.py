@@ -183,13 +183,13 @@ def test_a_lost_master_ends_the_shot_when_the_plan_says_so(
 
 
 def test_an_input_beyond_its_range_becomes_a_warning_of_the_result(prepared: Prepare, tmp_path: Path) -> None:
-    small = ("[acquisition]", "[acquisition]\ninput_range_v = 0.05")
+    small = ("[acquisition]", "[acquisition]\ninput_range_v = 0.2")
     clean, loud = (
-        process(record_run(prepared("table-1", *edits), tmp_path / f"{name}.h5"))
+        process(record_run(prepared("bovine-muscle", *edits), tmp_path / f"{name}.h5"))
         for name, edits in (("clean", ()), ("loud", (small,)))
     )
     assert not any("left its range" in warning for warning in clean.warnings)
-    assert any("shot 1: the digitizer's input left its range of 0.05 V" in warning for warning in loud.warnings)
+    assert any("shot 1: the digitizer's input left its range of 0.2 V" in warning for warning in loud.warnings)
     with h5py.File(tmp_path / "loud.h5") as file:
         assert file["records/clipped"][()].tolist() == [1]
 

@@ -1,0 +1,51 @@
+"""A first shot at full scale in every record ends the run; its records are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from drivers.interfaces import InstrumentError
+from hpe_rig.cli.app import app
+from hpe_rig.measurement import prepare
+from hpe_rig.measurement.run import record_run
+from hpe_rig.scene import scene_text
+from hpe_rig.store import read_run
+
+SCENE = scene_text("table-1")[1]
+
+
+def scene(folder: Path, echo_rms_v: float) -> Path:
+    """Return the path of a scene of two shots with echoes of ``echo_rms_v`` in the range of the digitizer."""
+    path = folder / "scene.toml"
+    text = SCENE.replace("[acquisition]\n", "[acquisition]\nrepeats = 2\ninput_range_v = 0.2\n")
+    text = text.replace("snr_db = 40.0", f"snr_db = 40.0\necho_rms_v = {echo_rms_v}")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_full_scale_in_every_record_of_the_first_shot_ends_the_run_with_its_records(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with pytest.raises(InstrumentError, match=r"all \d+ records of shot 1 reach full scale \(\+-0\.2 V\)") as error:
+        record_run(prepare(scene(tmp_path, 5.0)), path)
+    assert "hpe-rig resume" in str(error.value)
+    run = read_run(path)
+    assert (run.status, run.shot_complete.tolist()) == ("failed", [False, False])
+    assert run.records[0].valid.all()
+
+
+def test_some_records_at_full_scale_do_not_end_the_run(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    text = scene_text("bovine-muscle")[1].replace("[acquisition]", "[acquisition]\ninput_range_v = 0.2")
+    path.write_text(text, encoding="utf-8")
+    run = read_run(record_run(prepare(path), tmp_path / "run.h5"))
+    assert (run.status, run.clipped) == ("complete", (0,))
+
+
+def test_the_command_says_what_to_change(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["run", str(scene(tmp_path, 5.0)), "--output", str(tmp_path / "run.h5")])
+    assert result.exit_code == 1
+    assert "a larger acquisition.input_range_v or less gain" in result.output
+    assert "holds the records that had arrived" in result.output
