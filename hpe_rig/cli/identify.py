@@ -88,7 +88,7 @@ def write(path: Path, serials: Mapping[str, str]) -> None:
 
 
 def _cables_text(bench: BenchFile, role: str) -> str:
-    """Return in words the cables by which a person recognises the instrument of ``role``."""
+    """Return in words the cables at the instrument of ``role``."""
     triggers = [cable.source for cable in bench.wiring if cable.target == f"{role}.trigger"]
     targets = [cable.target for cable in bench.wiring if cable.source == f"{role}.output"]
     cables = [f"with {' and '.join(triggers)} at its trigger input"] if triggers else ["without a trigger cable"]

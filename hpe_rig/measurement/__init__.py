@@ -7,7 +7,7 @@
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     background.py     storage and observers in threads of their own while outputs are on
     awake.py          the computer does not sleep during a run
-    full_scale.py     end of a run whose first shot is at full scale throughout
+    full_scale.py     end of a run if its first shot is at full scale throughout
     recording.py      events of the sequencer -> run file
     pause.py          a pause between two shots, from the terminal or the live page
     stop_request.py   a safe stop requested by another process

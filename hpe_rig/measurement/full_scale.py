@@ -1,4 +1,4 @@
-"""End of a run whose first shot is at full scale in every record: such records measure nothing."""
+"""End of a run if its first shot is at full scale in every record: such records measure nothing."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hpe_rig.bench import BenchFile
+from hpe_rig.bench import BenchFile, commissioned_digest
 from hpe_rig.plan.checks.check_result import CheckResult, Level
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
@@ -14,7 +14,8 @@ def identity(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult
     """Yield whether exchanged generators would be noticed before tonebursts are triggered at the pulse rate.
 
     Settings read back cannot show an exchange: every generator reports the settings of the role at its address. The
-    plan is refused where an exchange exceeds ``limits.max_duty``, and a generator's ``serial`` is not stated.
+    plan is refused where an exchange exceeds ``limits.max_duty``, a generator's ``serial`` is not stated, and the bench
+    was not commissioned as it is.
     """
     if bench.simulated or scene.excitation is None:
         return
@@ -34,6 +35,7 @@ def identity(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult
         f"generators without serial: {', '.join(unknown)}; two of them exchanged, tonebursts at the pulse rate would "
         f"have duty {duty:.3g}, limits.max_duty = {bench.limits.max_duty:g}"
     )
+    commissioned = bench.commissioning is not None and bench.commissioning.digest == commissioned_digest(bench)
     remedy = 'hpe-rig bench BENCH --identify, or serial = "none" for an instrument that keeps no label'
-    level: Level = "refused" if missing and duty > bench.limits.max_duty else "warning"
+    level: Level = "refused" if missing and not commissioned and duty > bench.limits.max_duty else "warning"
     yield CheckResult("identity", level, text, remedy if missing else "hpe-rig bench before every run")
