@@ -16,6 +16,7 @@ Modules, from the typed command to its output::
     keys.py         keys pressed during a run
     queue.py        several runs, one after another
     bench.py        state of a bench, and its comparison with another
+    identify.py     roles on the displays of the generators, serial numbers into the bench file
     off.py          outputs switched off and verified
     commission.py   questions and table of a commissioning
     listing.py      runs of a folder; extensions of other packages
