@@ -253,8 +253,9 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
             ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
         ):
             metal = metal.replace(simulated, real)
+        metal = re.sub(r"(\[generators\.\w+\]\n)", r'\1serial = "none"\n', metal)
         (folder / "metal.toml").write_text(metal, encoding="utf-8")
-        environment = {**os.environ, "TMPDIR": str(folder)}
+        environment = {**os.environ, "HPE_RIG_LOCKS": str(folder)}
         loaded = [sys.executable, "-c", RUNNER, str(folder / "scene.toml"), str(TRAIN_S)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         runner = stack.enter_context(
