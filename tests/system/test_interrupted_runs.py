@@ -43,7 +43,7 @@ OUTPUTS = 5
 # Loads everything once, then forks a run for each line it is sent: how slow, whether it waits with its first records
 # until there is a file `go`, its folder and its command.
 RUNNER = """
-import json, os, signal, sys, threading, time, typer
+import dataclasses, json, os, signal, sys, threading, time, typer
 from contextlib import suppress
 from pathlib import Path
 from drivers.alazar.digitizer import AlazarDigitizer
@@ -77,11 +77,11 @@ class Both:
     timeout_s = property(lambda self: self.there.timeout_s, lambda self, value: setattr(self.there, "timeout_s", value))
 
 connections_of = opening._connect
-def both(simulation, bench, first_shot, stack, lock=True):
-    there = connections_of(simulation, bench, first_shot, stack, lock)
+def both(world, bench, *others, **options):
+    there = connections_of(world, bench, *others, **options)
     here = opening._world({"scatterers": {"per_cell": 0.05}}, bench)
     connect = lambda role: Both(there.connect(role), here.connect(role))
-    return opening.Connections(connect, here.alazar_library, here.clock, None)
+    return dataclasses.replace(there, connect=connect, library=here.alazar_library, clock=here.clock)
 opening._connect = both
 records = AlazarDigitizer.records
 def slowly(board, deadline_s):
@@ -195,6 +195,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
             ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
         ):
             metal = metal.replace(simulated, real)
+        metal = re.sub(r"(\[generators\.\w+\]\n)", r'\1serial = "none"\n', metal)
         (folder / "metal.toml").write_text(metal, encoding="utf-8")
         # Locks of its own: what else goes on on this machine is at other benches, if with a board of that number.
         own = {**os.environ, "HPE_RIG_LOCKS": str(folder)}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -41,7 +42,7 @@ SHORT = (
 
 # Loads everything once, then forks a run for each line: folder, stalling sink, step, shot, records and command.
 RUNNER = """
-import json, os, signal, sys, threading, time
+import dataclasses, json, os, signal, sys, threading, time
 from contextlib import suppress
 from pathlib import Path
 from drivers.alazar.digitizer import AlazarDigitizer
@@ -76,11 +77,11 @@ class Both:
     timeout_s = property(lambda self: self.there.timeout_s, lambda self, value: setattr(self.there, "timeout_s", value))
 
 connections_of = opening._connect
-def both(simulation, bench, first_shot, stack, lock=True):
-    there = connections_of(simulation, bench, first_shot, stack, lock)
+def both(world, bench, *others, **options):
+    there = connections_of(world, bench, *others, **options)
     here = opening._world({"scatterers": {"per_cell": 0.05}}, bench)
     connect = lambda role: Both(there.connect(role), here.connect(role))
-    return opening.Connections(connect, here.alazar_library, opening.WallClock(), None)
+    return dataclasses.replace(there, connect=connect, library=here.alazar_library)
 opening._connect = both
 
 records = AlazarDigitizer.records
