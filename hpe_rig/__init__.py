@@ -17,7 +17,7 @@ scene/        plan/   bench/   measurement/ store/     processing/   result/   r
 
 before a measurement: prediction/, design/; after it: moduli/, runs/; physics of the specimen: medium/
 files and code of others: recordings/, extensions/; around the flow: live/, study/, validation/, cli/
-arrays.py: types of arrays; queued_file.py: files that nobody waits for; startup.py: Ctrl-C while the program loads
+arrays.py: types of arrays; queued_file.py: files written by a thread; startup.py: Ctrl-C while the program loads
 
 what                                        equation of the paper          where
 burst train, spectrum of its force          (17), (18)                     prediction/, sim_backend/motion

@@ -22,7 +22,7 @@ RETRY_S: Final = 0.05
 
 @final
 class WritingThread:
-    """Writes chunks in the order in which they were queued."""
+    """Writes chunks in the order of their arrival."""
 
     def __init__(self) -> None:
         self._tasks = SimpleQueue[Callable[[], None] | None]()
@@ -75,7 +75,7 @@ class QueuedFile(io.RawIOBase):
         return bool(self._target.isatty())
 
     def fileno(self) -> int:
-        """Return the target's descriptor. On Windows there is none: click would write to the console by itself."""
+        """Return the target's descriptor. On Windows there is none: click would bypass the queue."""
         if sys.platform == "win32":
             raise io.UnsupportedOperation("fileno")
         return int(self._target.fileno())

@@ -4,7 +4,7 @@ Modules, from the typed command to its output::
 
     entry.py        ``main``: Ctrl-C while the program loads
     app.py          the program with all commands
-    streams.py      standard streams that nobody waits for
+    streams.py      standard streams without waiting
     options.py      arguments and options of several commands
     measuring.py    commands that measure: run, resume, queue, live, align
     stored_runs.py  commands on stored runs: process, report, compare, moduli, verify, list

@@ -77,7 +77,7 @@ else:
         try:
             return os.tcgetpgrp(descriptor) == os.getpgrp()
         except OSError as error:
-            # Nobody is stopped by a terminal that is not the one of the session.
+            # A terminal other than that of the session stops no process.
             if error.errno == errno.ENOTTY:
                 return True
             raise

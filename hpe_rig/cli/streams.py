@@ -1,6 +1,6 @@
-"""Standard streams that nobody waits for: a stalled terminal, a pipe without a reader or a full disk stops no run.
+"""Standard streams without waiting: a stalled terminal, a pipe without a reader or a full disk stops no run.
 
-Standard error carries messages: its lines are dropped and counted if nobody reads. Standard output carries results:
+Standard error carries messages: without a reader its lines are dropped and counted. Standard output carries results:
 nothing is dropped, and the end of the program waits for a slow reader such as a pager.
 """
 
@@ -38,7 +38,7 @@ class Streams:
 
 def queue_streams() -> Streams:
     """Replace the standard streams by queued ones, and missing ones by empty ones."""
-    # A file opened later would get the descriptor of a closed stream, and what is printed would be written to it.
+    # A file opened later would get the descriptor of a closed stream, and printed text would be written to it.
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115, PTH123
@@ -129,7 +129,7 @@ def _written(thread: WritingThread, arrived: list[int], patience_s: float | None
 
 
 def _dropped_text(lines: int) -> str:
-    return f"hpe-rig: {lines} lines were not shown: nobody read them in time\n"
+    return f"hpe-rig: {lines} lines were not shown, because none was read for too long\n"
 
 
 def _missing_results_text(failure: OSError) -> str:

@@ -5,7 +5,7 @@
     mover.py          movement of the tracking transducer between shots
     conditions.py     a wait until the conditions of the bench are within limits
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
-    background.py     storage and observers in threads of their own while outputs are on
+    background.py     storage and observers in separate threads while outputs are on
     awake.py          the computer does not sleep during a run
     full_scale.py     end of a run if its first shot is at full scale throughout
     recording.py      events of the sequencer -> run file

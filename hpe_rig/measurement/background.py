@@ -1,6 +1,6 @@
-"""Work in threads of its own while outputs are on: the measuring thread waits for no disk, terminal or network.
+"""Storage and observers in separate threads while outputs are on: the measuring thread waits for no disk or terminal.
 
-Storage is one queue of tasks in order; observers get the newest progress. What either raises is raised in the measuring
+Storage is one queue of tasks in order; observers get the newest progress. An error of either is raised in the measuring
 thread at its next step, which ends the shot with its outputs off.
 """
 
@@ -117,7 +117,7 @@ class BackgroundTasks:
 
 @contextmanager
 def detached(observer: Observer) -> Iterator[Observer]:
-    """Yield ``observer`` such that it is called in a thread of its own while outputs may be on.
+    """Yield ``observer`` such that it is called in a separate thread while outputs may be on.
 
     While a call lasts, further progress within the same step of the shot is left out. In the other steps the observer
     is called directly: outputs are off, so that it may wait, as for the end of a pause.
@@ -138,5 +138,5 @@ def detached(observer: Observer) -> Iterator[Observer]:
     try:
         yield observe
     finally:
-        # What the observer writes to is closed after this.
+        # After this the caller closes the files of the observer.
         tasks.wait(STOP_S)

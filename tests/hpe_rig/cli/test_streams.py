@@ -1,0 +1,117 @@
+"""Standard streams that are missing, full, closed or not read: the command ends, and says what is missing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+from hpe_rig.store import read_run
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs /dev/full and pipes with a small buffer")
+
+PROGRAM = [sys.executable, "-m", "hpe_rig"]
+LIST = "scenes"
+"""A command that prints some kB and opens nothing."""
+MANY_LINES = """
+import sys
+from hpe_rig.cli import app
+app.app = lambda: print("a line of a long table\\n" * 20_000, end="")
+app.main()
+"""
+
+
+@contextmanager
+def unread(command: list[str], stream: str, cwd: Path) -> Iterator[tuple[subprocess.Popen[bytes], IO[bytes]]]:
+    """Yield a program whose ``stream`` is a pipe without space; the end that reads comes with it."""
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    for size in (4096, 1):
+        try:
+            while True:
+                os.write(writer, bytes(size))
+        except BlockingIOError:
+            pass
+    os.set_blocking(writer, True)
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, stream: writer}
+    process = subprocess.Popen(command, cwd=cwd, **streams)  # type: ignore[call-overload]
+    os.close(writer)
+    with open(reader, "rb") as file:  # noqa: PTH123
+        try:
+            yield process, file
+        finally:
+            process.kill()
+            process.wait()
+
+
+def test_results_that_cannot_be_printed_are_reported_with_exit_code_1_and_the_run_file_is_complete(
+    tmp_path: Path,
+) -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [*PROGRAM, "run", "table-1", "--output", "run.h5"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            cwd=tmp_path,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1, done.stderr
+    assert "results are missing: standard output cannot be written (No space left on device). Try:" in done.stderr
+    assert read_run(tmp_path / "run.h5").status == "complete"
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+def test_streams_that_are_missing_or_full_end_no_command(tmp_path: Path, closed: str) -> None:
+    command = f"exec '{sys.executable}' -m hpe_rig {LIST} {closed}"
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ("bovine-muscle" in done.stdout) == (">&-" not in closed.replace("2>&-", ""))
+
+
+def test_a_reader_that_has_read_enough_is_no_mistake(tmp_path: Path) -> None:
+    command = f"'{sys.executable}' -m hpe_rig {LIST} | head -1"
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+    assert done.stdout.count("\n") == 1
+
+
+def test_results_wait_for_a_slow_reader_and_arrive_completely(tmp_path: Path) -> None:
+    with unread([sys.executable, "-c", MANY_LINES], "stdout", tmp_path) as (process, file):
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(4.0)
+        assert file.read().count(b"a line of a long table\n") == 20_000
+        assert process.wait(20) == 0
+
+
+def test_a_signal_ends_the_wait_for_the_reader_of_results(tmp_path: Path) -> None:
+    with unread([sys.executable, "-c", MANY_LINES], "stdout", tmp_path) as (process, _):
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(3.0)
+        process.send_signal(signal.SIGINT)
+        start_s = time.monotonic()
+        assert process.wait(20) == 130
+        assert time.monotonic() - start_s < 5.0
+
+
+def test_messages_without_a_reader_do_not_keep_the_program(tmp_path: Path) -> None:
+    with unread([*PROGRAM, "--log-level", "debug", "check", "no-such-scene"], "stderr", tmp_path) as (process, _):
+        assert process.wait(30) == 2
+
+
+def test_a_movement_that_nobody_can_confirm_ends_the_run_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    from hpe_rig.cli.watch import _wait_for_line
+    from hpe_rig.store import StoreError
+
+    with Path(os.devnull).open(encoding="utf-8") as empty:
+        monkeypatch.setattr(sys, "stdin", empty)
+        with pytest.raises(StoreError, match=r"standard input has ended.*--yes"):
+            _wait_for_line()
