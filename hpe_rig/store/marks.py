@@ -40,7 +40,8 @@ def read_marks(run_file: Path, identity: Mapping[str, str], shots: int) -> tuple
     try:
         tables = _tables(path)
         if tables["run"] != identity:
-            return {}, f"{path.name} belongs to another run than {run_file.name}: its marks are not applied"
+            why = f"{path.name} belongs to another run than {run_file.name}: its marks are not applied"
+            return {}, f"{why}. Try: move it to its run file, or away"
         return {_shot(entry, shots): f"{MARKED_BAD}: {_why(entry)}" for entry in tables["bad"]}, ""
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         cause = reason(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"

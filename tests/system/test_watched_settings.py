@@ -108,6 +108,16 @@ def test_a_setting_that_no_shot_programs_is_stored_if_it_differs_after_the_shot(
     assert line == f"shot 1 of run.h5: after it {text}"
 
 
+def test_a_setting_changed_and_changed_back_is_found_where_an_error_was_queued_meanwhile(
+    prepared: Prepare, tmp_path: Path, worlds: list[World]
+) -> None:
+    path = tmp_path / "run.h5"
+    meddler = another_program(worlds, "toneburst", "VOLT 2;NONSENSE;VOLT 1")
+    with pytest.raises(InstrumentError, match=r"shot 1 is not to be trusted: toneburst: .*error queue: -113"):
+        record_run(prepared("bovine-muscle-synchronous", TWICE), path, meddler)
+    assert "error queue: -113" in read_run(path).untrusted[0]
+
+
 def test_an_error_that_is_queued_after_the_outputs_are_off_is_stored(
     prepared: Prepare, tmp_path: Path, worlds: list[World]
 ) -> None:
