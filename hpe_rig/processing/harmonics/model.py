@@ -155,16 +155,19 @@ def _model(
             f"try at least {states + 1} pulses or fewer frequencies"
         )
     products = matrix.T @ matrix
-    condition = _condition(matrix, products)
+    condition = _condition(matrix, products, harmonic_states)
     if not condition <= largest_condition:
         raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition, largest_condition))
     if also_hz:
         # At most half of the remaining degrees of freedom go to further frequencies; noise is estimated from the
         # others.
-        further = _further_columns(time_s, frequency_hz, np.array(also_hz))[:, : (pulses - states) // 2]
-        every_pulse = np.hstack([every_pulse, further])
-        resolved = states + _resolvable(every_pulse[valid], states, largest_condition)
-        every_pulse = every_pulse[:, :resolved]
+        groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
+        numbers = [states, *(states + np.cumsum([group.shape[1] for group in groups], dtype=np.int64)).tolist()]
+        numbers = [number for number in numbers if number <= states + (pulses - states) // 2]
+        wanted = [*np.hsplit(every_pulse[:, :harmonic_states], frequency_hz.size), every_pulse[:, harmonic_states:]]
+        scaled = np.hstack([_scaled(group[valid]) for group in (*wanted, *groups)])
+        resolved = _resolved_columns(scaled, numbers, largest_condition)
+        every_pulse = np.hstack([every_pulse, *groups])[:, :resolved]
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
     root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
@@ -185,12 +188,16 @@ def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) 
     return np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
 
 
-def _condition(matrix: FloatArray, products: FloatArray) -> float:
-    """Return the condition number of ``matrix`` (pulse, state) with columns scaled to unit length; ``products`` is H'H.
+def _condition(matrix: FloatArray, products: FloatArray, harmonic_states: int) -> float:
+    """Return the condition number of ``matrix`` (pulse, state) with scaled columns; ``products`` is H'H.
 
-    1 is best; it grows as the pulses resolve the frequencies less.
+    1 is best; it grows as the pulses resolve the frequencies less. Columns are scaled to unit length, sin and cos of a
+    frequency to unit rms length as in ``_scaled``.
     """
-    length = np.sqrt(np.diagonal(products)).clip(min=np.finfo(np.float64).tiny)
+    square = np.diagonal(products).copy()
+    pairs = square[:harmonic_states].reshape(-1, 2)
+    pairs[:] = pairs.mean(axis=1, keepdims=True)
+    length = np.sqrt(square).clip(min=np.finfo(np.float64).tiny)
     # The eigenvalues of H'H are the squared singular values: accurate enough up to a condition of 1e4.
     smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(length, length)).tolist()
     if smallest > largest / MAX_CONDITION_OF_PRODUCTS**2:
@@ -199,29 +206,38 @@ def _condition(matrix: FloatArray, products: FloatArray) -> float:
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
-def _resolvable(matrix: FloatArray, wanted_count: int, largest_condition: float) -> int:
-    """Return how many further columns of ``matrix`` the pulses resolve, after its first ``wanted_count`` columns.
+def _scaled(columns: FloatArray) -> FloatArray:
+    """Return ``columns`` (pulse, column), such as sin and cos of one frequency, over their common rms length.
 
-    They are as many as keep the condition number of all columns below ``largest_condition``.
+    A shift of time zero rotates sin into cos. With a common scale it leaves singular values unchanged, so that the
+    choice of columns does not depend on time zero.
     """
-    scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
+    length = np.sqrt(np.mean(np.sum(columns**2, axis=0))) if columns.size else 1.0
+    return columns / max(length, np.finfo(np.float64).tiny)
+
+
+def _resolved_columns(scaled: FloatArray, numbers: Sequence[int], largest_condition: float) -> int:
+    """Return the largest of ``numbers``, ascending, such that so many first columns of ``scaled`` are resolved.
+
+    Resolved are columns with a condition number of at most ``largest_condition``; the first number always counts.
+    """
     gram = scaled.T @ scaled
     # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
-    low, high = 0, matrix.shape[1] - wanted_count
+    low, high = 0, len(numbers) - 1
     # All columns are tried first: they are often resolved.
     middle = high
     while low < high:
-        smallest, *_, largest = np.linalg.eigvalsh(gram[: wanted_count + middle, : wanted_count + middle])
+        smallest, *_, largest = np.linalg.eigvalsh(gram[: numbers[middle], : numbers[middle]])
         if largest <= largest_condition**2 * smallest:
             low = middle
         else:
             high = middle - 1
         middle = (low + high + 1) // 2
-    return low
+    return numbers[low]
 
 
-def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
-    """Return sin and cos (pulse, column) of those further frequencies ``also_hz`` that the train can distinguish.
+def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> list[FloatArray]:
+    """Return sin and cos (pulse, 2) of each of the further frequencies ``also_hz`` that the train can distinguish.
 
     From the lowest up, a frequency is left out if it aliases within the train's resolution of zero or of a lower one.
     Half the pulse rate has one column only.
@@ -229,21 +245,17 @@ def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: Floa
     # Frequencies closer than this, after aliasing, cannot be distinguished.
     rate_hz = pulse_rate_hz(time_s)
     resolution_hz = 0.9 / float(time_s[-1] - time_s[0])
-    used_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
+    used_hz, groups = aliased_hz(frequency_hz, rate_hz), []
     for frequency, aliased in zip(np.sort(also_hz), aliased_hz(np.sort(also_hz), rate_hz), strict=True):
-        if aliased >= resolution_hz and np.abs(used_hz - aliased).min() >= resolution_hz:
-            used_hz = np.append(used_hz, aliased)
-            new_hz.append(frequency)
-    if not new_hz:
-        return np.zeros((time_s.size, 0))
-    # At half the pulse rate only the alternating column (-1)^k remains.
-    at_nyquist = np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0)
-    columns = harmonic_columns(time_s, np.where(at_nyquist, 0.0, new_hz))
-    if at_nyquist.any():
-        alternating = np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))
-        column = 2 * int(np.argmax(at_nyquist))
-        columns = np.hstack([columns[:, :column], alternating[:, None], columns[:, column + 2 :]])
-    return columns
+        if aliased < resolution_hz or np.abs(used_hz - aliased).min() < resolution_hz:
+            continue
+        used_hz = np.append(used_hz, aliased)
+        if np.isclose(frequency, rate_hz / 2, rtol=1e-6, atol=0):
+            # At half the pulse rate only the alternating column (-1)^k remains.
+            groups.append(np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))[:, None])
+        else:
+            groups.append(harmonic_columns(time_s, np.array([frequency])))
+    return groups
 
 
 def pulse_rate_hz(time_s: FloatArray) -> float:

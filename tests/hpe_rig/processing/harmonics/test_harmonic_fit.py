@@ -388,3 +388,26 @@ def test_one_pulse_more_than_states_states_an_uncertainty() -> None:
     assert np.isfinite(stated).all()
     # chi-square of one degree of freedom: its mean over 500 is known to 6 %, three of these; the state's as well
     assert np.mean(fit.state[:, :20] ** 2 / stated.mean(axis=0)) == pytest.approx(1, abs=0.4)
+
+
+@pytest.mark.parametrize("shift_s", [131e-6, 1e-3, 3.3e-3, 10e-3])
+@pytest.mark.parametrize("estimator", [least_squares, kalman])
+def test_no_amplitude_depends_on_time_zero(estimator: Callable[..., HarmonicFit], shift_s: float) -> None:
+    """Pulses with gaps resolve only some of 60 driven frequencies; which ones must not depend on time zero.
+
+    The fit is linear, so that a shift of time changes phases by exactly 2 pi f t and leaves rounding otherwise.
+    """
+    generator = np.random.default_rng(5)
+    time_s = np.arange(798) / 3990.0
+    valid = time_s % 0.01 > 1e-3
+    driven_hz = 100.0 * np.arange(1, 61)
+    wave = np.sin(2 * np.pi * np.outer(time_s, driven_hz) + 0.3) @ (1e-6 / np.arange(1, 61))
+    displacement_m = wave + 1e-8 * generator.standard_normal(798)
+    before, after = (
+        estimator(_motion(displacement_m, time_s + shift, valid), HARMONICS[:8], also_hz=driven_hz, background_order=1)
+        for shift in (0.0, shift_s)
+    )
+    assert after.state.shape == before.state.shape
+    np.testing.assert_allclose(after.amplitude_m, before.amplitude_m, rtol=1e-6)
+    turned = np.exp(1j * (before.phase_rad - after.phase_rad - 2 * np.pi * np.array(HARMONICS[:8]) * shift_s))
+    np.testing.assert_allclose(turned, 1.0, atol=1e-6)
