@@ -24,6 +24,9 @@ from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.store import read_run
+from sim_backend.transports import emulator
+from sim_backend.transports.lines import SerialServer
+from sim_backend.transports.loopback import Port
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
 FAST = {"socket", "prologix"}
@@ -49,6 +52,27 @@ def bench_over(folder: Path, transport: str, *edits: tuple[str, str]) -> Path:
 def in_process(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     path = tmp_path_factory.mktemp("in_process") / "run.h5"
     return request.param, record_run(prepare(request.param), path)
+
+
+@needs_pty
+def test_a_measurement_over_serial_lines_that_lose_bytes_beyond_256_gives_the_records_of_the_one_in_process(
+    in_process: tuple[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, path = in_process
+    lines: list[SerialServer] = []
+
+    def narrow_line(port: Port) -> SerialServer:
+        lines.append(SerialServer(port, buffer_bytes=256, busy_s=0.002))
+        return lines[-1]
+
+    monkeypatch.setattr(emulator, "SERVERS", {**emulator.SERVERS, "serial": narrow_line})
+    over = read_run(record_run(prepare(scene, bench_over(tmp_path, "serial")), tmp_path / "run.h5"))
+    direct = read_run(path)
+    assert over.status == "complete"
+    assert len(lines) == 5
+    assert sum(line.lost_bytes for line in lines) == 0
+    for one, other in zip(over.records, direct.records, strict=True):
+        np.testing.assert_array_equal(one.codes, other.codes)
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
