@@ -31,7 +31,7 @@ from hpe_rig.plan import (
     without_shared_echoes,
 )
 from hpe_rig.prediction import beam_widths
-from hpe_rig.processing import HarmonicFit, displacement_residual_m, shot_fit
+from hpe_rig.processing import HarmonicFit, assign_pulses, displacement_residual_m, shot_fit
 from hpe_rig.result import DETECTED
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun
@@ -98,7 +98,8 @@ def _detected_vibration(
 def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted: list[str]) -> Iterator[HarmonicFit]:
     """Yield the harmonic fit of every usable shot of a gate; add the other shots, with the reason, to ``omitted``.
 
-    Usable shots are complete, trusted, not marked bad, of the strongest force and the first burst length.
+    Usable shots are complete, trusted, not marked bad, of the strongest force and the first burst length, and their
+    first pulse is known.
     """
     beams = beam_widths(gate.scene, estimator, off_axis_offsets_m(source.plan))
     for shot in gate.plan.shots:
@@ -121,7 +122,11 @@ def _unusable(shot: Shot, stored: StoredRun, plan: Plan) -> str:
         return f"untrusted: {reason}"
     if mark := stored.marks.get(shot.index):
         return mark
-    return "" if has_strongest_push(shot, plan) else "of a weaker force or another burst length"
+    if not has_strongest_push(shot, plan):
+        return "of a weaker force or another burst length"
+    # The covariance of a fit does not contain a common shift of all its phases.
+    known = max(assign_pulses(shot, stored).shifts) == 0
+    return "" if known else "triggers were lost, and it is unknown which pulse came first"
 
 
 def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:

@@ -6,7 +6,7 @@ when records are read, so that a faulty trigger time costs no record.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -21,6 +21,10 @@ smaller; the clock error of the digitizer is removed before."""
 MIN_SEGMENT: Final = 2
 """Minimum number of consecutive records, whole periods apart, that belong to the train although a step of the counter
 separates them from the records before. A single such record comes from a stray trigger."""
+
+
+MAX_CLOSED_GAPS: Final = 20
+"""Number of steps of the counter by whole periods that are recognised in one shot; records after more have no pulse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +164,9 @@ class _Train:
         A gap that is too long is a fault: a stray record at an end of the train, or a step of the counter elsewhere.
         """
         train, segments = self, self.segments()
-        while segments[-1].pulse[-1] - segments[0].pulse[0] >= pulses:
+        for _ in range(MAX_CLOSED_GAPS):
             gap, number = max((segment.largest_gap, number) for number, segment in enumerate(segments))
-            if gap <= 1:
+            if gap <= 1 or segments[-1].pulse[-1] - segments[0].pulse[0] < pulses:
                 break
             segment = segments[number]
             position = int(np.argmax(np.diff(segment.pulse)))
@@ -181,22 +185,20 @@ class _Train:
 
         Records that fit into no part come from stray triggers and are omitted.
         """
-        pieces = list(self._pieces())
-        if not any(stop - start >= MIN_SEGMENT for start, stop in pieces):
-            # Too few records to distinguish stray triggers from the train.
-            pieces = [(0, 1)]
-        segments = list[_Segment]()
+        pieces, parts = list(self._pieces()), list[list[_Segment]]()
+        # Without a regular series, the first record is assumed to be part of the train.
+        irregular = all(stop - start < MIN_SEGMENT for start, stop in pieces)
         for start, stop in pieces:
             pulse = np.round(self.period[start:stop] - self.period[start]).astype(np.int64)
-            segment = _Segment(np.arange(start, stop), pulse)
+            piece, last = _Segment(np.arange(start, stop), pulse), parts[-1][-1] if parts else None
             # Join whole periods to the segment before. Others are a new segment, after the fewest pulses possible.
-            periods = self._periods_after(segments, start)
-            if periods is not None:
-                segments[-1] = segments[-1].joined(segment, periods)
-            elif stop - start >= MIN_SEGMENT or len(pieces) == 1 or self._precedes_reset(start):
-                advance = segments[-1].pulse[-1] + self._min_periods(segments[-1], start) if segments else 0
-                segments.append(replace(segment, pulse=pulse + advance))
-        return segments
+            periods = None if last is None else self._periods_after(last, start)
+            if last is not None and periods is not None:
+                parts[-1].append(replace(piece, pulse=last.pulse[-1] + periods + pulse))
+            elif stop - start >= MIN_SEGMENT or (irregular and last is None) or self._precedes_reset(start):
+                advance = 0 if last is None else last.pulse[-1] + self._min_periods(last, start)
+                parts.append([replace(piece, pulse=pulse + advance)])
+        return [_joined(part) for part in parts]
 
     def _precedes_reset(self, start: int) -> bool:
         """Return whether ``start`` is the first record and the next one has an earlier trigger time."""
@@ -207,14 +209,14 @@ class _Train:
         last = segment.index[-1]
         return int(self.record[start] - self.record[last] - (start - last) + 1)
 
-    def _periods_after(self, segments: list[_Segment], start: int) -> int | None:
-        """Return the periods from the last segment to ``start``; None if they are not whole, or too few."""
-        if not segments or start in self.resets:
+    def _periods_after(self, segment: _Segment, start: int) -> int | None:
+        """Return the periods from the end of ``segment`` to ``start``; None if they are not whole, or too few."""
+        if start in self.resets:
             return None
-        periods = float(self.period[start] - self.period[segments[-1].index[-1]])
-        whole = round(periods)
-        fits = whole >= self._min_periods(segments[-1], start) and abs(periods - whole) < TOLERANCE
-        return whole if fits else None
+        periods = float(self.period[start] - self.period[segment.index[-1]])
+        rounded = round(periods)
+        fits = rounded >= self._min_periods(segment, start) and abs(periods - rounded) < TOLERANCE
+        return rounded if fits else None
 
     def _pieces(self) -> Iterator[tuple[int, int]]:
         """Yield start and end of every series of records that are whole periods apart."""
@@ -241,7 +243,7 @@ class _Segment:
         """The largest number of pulses from one record to the next, 0 for a single record."""
         return int(np.diff(self.pulse).max(initial=0))
 
-    def joined(self, other: _Segment, periods: int) -> _Segment:
-        """Return both segments as one; ``other`` starts ``periods`` after the end of this one."""
-        pulse = np.concatenate([self.pulse, self.pulse[-1] + periods + other.pulse])
-        return _Segment(np.concatenate([self.index, other.index]), pulse)
+
+def _joined(parts: Sequence[_Segment]) -> _Segment:
+    """Return consecutive parts of a segment as one."""
+    return _Segment(np.concatenate([part.index for part in parts]), np.concatenate([part.pulse for part in parts]))

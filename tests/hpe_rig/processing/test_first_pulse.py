@@ -12,6 +12,8 @@ import pytest
 
 from hpe_rig import load_scene, measure
 from hpe_rig.bench import read_bench
+from hpe_rig.moduli import Source
+from hpe_rig.moduli.run_vibrations import vibrations_of
 from hpe_rig.plan import CLEAN, INSIDE, NEAR, pulse_kinds
 from hpe_rig.plan.shots import Shot, make_plan
 from hpe_rig.processing.first_pulse import PulseAssignment, assign_pulses
@@ -185,7 +187,10 @@ def test_an_aborted_shot_has_lost_no_trigger(muscle: Shot) -> None:
 
 def test_amplitudes_that_depend_on_the_first_pulse_through_the_prior_are_uncertain(tmp_path: Path) -> None:
     """The medium prior relates phases to media: phases off by a pulse period shift its amplitudes by 7 %."""
-    shot = estimated(tmp_path, "bovine-muscle-synchronous", lost=[0])
+    run = measure(load_scene("bovine-muscle-synchronous").with_({f"{FAULTS}.lost": [0]}), path=tmp_path / "run.h5")
+    shot = run.estimate().shots[0]
+    _, omitted = vibrations_of([Source("run", run.scene, run.plan, run.stored)])
+    assert "shot 1, triggers were lost, and it is unknown which pulse came first" in omitted[0]
     for estimate, (error_rad, interval_rad) in zip(shot.estimates, phase_errors(shot), strict=True):
         assert abs(error_rad) < interval_rad
         assert estimate.true_amplitude_m is not None

@@ -114,6 +114,25 @@ def test_rows_that_already_have_the_numbers_of_their_pulses_keep_them() -> None:
         assert place_records(delivered, times_s, RATE_HZ).is_identity
 
 
+def test_a_second_trigger_after_each_pulse_is_stray() -> None:
+    placement = placed(np.repeat(np.arange(400), 2) + np.tile([0.0, 0.4], 400))
+    np.testing.assert_array_equal(placement.pulse, np.where(np.arange(800) % 2, -1, np.arange(800) // 2))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_trigger_times_give_every_pulse_one_record_at_most(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    count, scale = int(random.integers(1, PULSES + 1)), 10.0 ** random.uniform(-6, 3)
+    time_s = random.choice([np.sort, np.array])(random.uniform(-scale, scale, count))
+    if seed % 2:
+        time_s = np.round(time_s * RATE_HZ * random.choice([0.5, 1.0, 2.0])) / RATE_HZ
+    time_s[random.random(count) < 0.1] = np.nan
+    pulse = of_times(time_s).pulse
+    assert pulse[count:].max(initial=-1) == -1
+    assert -1 <= pulse.min() <= pulse.max() < PULSES
+    assert np.bincount(pulse[pulse >= 0]).max(initial=0) <= 1
+
+
 def test_few_records_are_placed_without_a_train() -> None:
     assert of_times(np.array([0.1])).pulse[:2].tolist() == [0, -1]
     assert of_times(np.array([0.1, 0.1 + 0.4 / RATE_HZ])).pulse[:2].tolist() == [0, -1]
