@@ -278,9 +278,11 @@ class Agilent33250A:
                 raise
             return f"{self._switched_off()}, over the connection opened again"
         except InstrumentError:
-            # In local mode the instrument may also be silent. A later attempt then finds it in remote mode.
+            # In local mode the instrument may also be silent. A busy one, or one on a slow line, answers late.
             self._session.write("SYST:REM")
-            raise
+            self.switch_off()
+            self._session.verify("output off", self._spelled((OUTPUT_OFF,)))
+            return "read back as off, answered late"
 
     def close(self) -> None:
         """Close the connection; the instrument keeps its state."""

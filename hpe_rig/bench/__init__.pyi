@@ -29,7 +29,12 @@ from .identification import (
     lasting_serial as lasting_serial,
     with_serials as with_serials,
 )
-from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
+from .instruments import (
+    WITHOUT_OUTPUT as WITHOUT_OUTPUT,
+    Bench as Bench,
+    DigitizerNotIdleError as DigitizerNotIdleError,
+    UnsafeBenchError as UnsafeBenchError,
+)
 from .interrupts import (
     INTERRUPTS as INTERRUPTS,
     Terminated as Terminated,
@@ -39,6 +44,7 @@ from .interrupts import (
 from .inventory import (
     BenchReport as BenchReport,
     InstrumentReport as InstrumentReport,
+    OffState as OffState,
     Settings as Settings,
     survey as survey,
     switch_off as switch_off,

@@ -32,6 +32,8 @@ Answer = TypeVar("Answer")
 
 SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
 """Order of making safe: the generators of the push first."""
+WITHOUT_OUTPUT = ("digitizer",)
+"""Roles without an output of their own: the trigger output of the board starts a generator, which is off."""
 
 
 class UnsafeBenchError(Exception):
@@ -43,14 +45,35 @@ class UnsafeBenchError(Exception):
         proven: Mapping[str, str],
         tried: Sequence[Instrument] = (),
     ) -> None:
-        lines = "\n".join(f"  {role}: {error}" for role, error in failures)
+        lines = "\n".join(f"  {role}: {_without_role(error)}" for role, error in failures)
         off_text = f"\nKnown to be off: {_proofs_text(proven)}." if proven else ""
+        outputs = [role for role, _ in failures if role not in WITHOUT_OUTPUT]
         super().__init__(
-            f"THE BENCH MAY STILL BE DRIVING: not proven off: {', '.join(role for role, _ in failures)}\n{lines}\n"
+            f"THE BENCH MAY STILL BE DRIVING: not proven off: {', '.join(outputs)}\n{lines}\n"
             f"Switch these outputs off by hand, now; programmed trains are finite and end by themselves.{off_text}"
         )
         self.roles = tuple(role for role, _ in failures)
         self.reasons = {role: str(error) for role, error in failures}
+        self.proven = dict(proven)
+        self._tried = tuple(tried)
+
+    def concerns(self, instruments: Sequence[Instrument]) -> bool:
+        """Return whether switching off was tried on every one of ``instruments``."""
+        return all(any(item is tried for tried in self._tried) for item in instruments)
+
+
+class DigitizerNotIdleError(InstrumentError):
+    """The digitizer could not be verified to be idle; it drives nothing. The outputs in ``proven`` are off."""
+
+    def __init__(self, error: BaseException, proven: Mapping[str, str], tried: Sequence[Instrument]) -> None:
+        off_text = f"; off, verified: {_proofs_text(proven)}" if proven else ""
+        super().__init__(
+            "digitizer",
+            f"it is not verified to be idle ({_without_role(error)})",
+            f"the board or its driver does not answer; it drives nothing{off_text}",
+            "end other programs that use the board, restart the computer",
+        )
+        self.reasons = {"digitizer": str(self)}
         self.proven = dict(proven)
         self._tried = tuple(tried)
 
@@ -147,15 +170,18 @@ def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
     """Make each of ``instruments`` safe, whatever happens to the others; return the proofs by role.
 
     All are sent the command before any is asked, those on different buses at the same time, so that no instrument
-    waits for one that does not answer. Raises ``UnsafeBenchError`` for those that cannot be verified.
+    waits for one that does not answer. Raises ``UnsafeBenchError`` for outputs that cannot be verified, and
+    ``DigitizerNotIdleError`` if all outputs are off.
     """
     with uninterrupted():
         answers = _ask_buses(instruments, _make_bus_safe)
         proven = {role: answer for role, answer in answers.items() if isinstance(answer, str)}
         failures = [(role, answer) for role, answer in answers.items() if not isinstance(answer, str)]
         # Raised inside the block, so that a deferred interrupt cannot replace this message.
-        if failures:
+        if any(role not in WITHOUT_OUTPUT for role, _ in failures):
             raise UnsafeBenchError(failures, proven, instruments)
+        for _, error in failures:
+            raise DigitizerNotIdleError(error, proven, instruments)
     return proven
 
 
@@ -215,6 +241,11 @@ def _proof(instrument: Instrument) -> str | Exception:
         except Exception as error:
             failure = error
     return failure
+
+
+def _without_role(error: BaseException) -> str:
+    """Return the text of ``error`` without the role at its beginning, which the message states already."""
+    return str(error).removeprefix(f"{error.role}: ") if isinstance(error, InstrumentError) else str(error)
 
 
 def _proofs_text(proven: Mapping[str, str]) -> str:

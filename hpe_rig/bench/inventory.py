@@ -12,7 +12,7 @@ from typing import Final
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
 from hpe_rig.bench.bench_file import BenchFile, DigitizerBoard
 from hpe_rig.bench.identity import reported_serials, serial_mistakes, shared_serials
-from hpe_rig.bench.instruments import UnsafeBenchError, make_safe
+from hpe_rig.bench.instruments import DigitizerNotIdleError, UnsafeBenchError, make_safe
 from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
 
@@ -89,7 +89,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
             mistakes = serial_mistakes(bench, {role: item for role, item in serials.items() if isinstance(item, str)})
             for role, text in mistakes.items():
                 announce(f"{role}: {text}")
-    except UnsafeBenchError as error:
+    except (UnsafeBenchError, DigitizerNotIdleError) as error:
         errors, proven = errors | error.reasons, error.proven
     roles = [role for role in (*bench.generators.by_role, "digitizer") if role in proven or role in errors]
     return tuple(

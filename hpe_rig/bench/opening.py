@@ -17,7 +17,14 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
 from hpe_rig.bench.identity import require_serials
-from hpe_rig.bench.instruments import SAFE_ORDER, Bench, UnsafeBenchError, make_safe, proven_off
+from hpe_rig.bench.instruments import (
+    SAFE_ORDER,
+    Bench,
+    DigitizerNotIdleError,
+    UnsafeBenchError,
+    make_safe,
+    proven_off,
+)
 from hpe_rig.bench.interrupts import interruptible, uninterrupted
 from hpe_rig.bench.lines import Answer, Answers, ask_buses
 from hpe_rig.bench.lock import exclusive
@@ -74,9 +81,13 @@ def open_bench(
                 yield instruments
         except BaseException as error:
             identified = answers.identified
-            # An UnsafeBenchError about all of these instruments means that switching them off has just been tried.
-            if not (isinstance(error, UnsafeBenchError) and error.concerns(identified)):
-                proofs = make_safe(identified)
+            if not _was_tried(error, identified):
+                try:
+                    proofs = make_safe(identified)
+                except DigitizerNotIdleError as failure:
+                    # It drives nothing, so that the first error remains the one to report.
+                    error.add_note(str(failure))
+                    proofs = failure.proven
                 # An unidentified real instrument may be on, and the operator must look.
                 if identified or not bench.simulated:
                     error.add_note(proven_off(roles, proofs))
@@ -100,8 +111,16 @@ def open_each(bench: BenchFile, lock: bool = True, off: bool = False) -> Iterato
                 connections = _connect(None, bench, stack, answers, lock)
                 _open_all(connections, (*bench.generators.by_role, "digitizer"), bench, stack, answers, off)
                 yield answers.by_role
-        finally:
-            make_safe(answers.identified)
+        except BaseException as error:
+            if not _was_tried(error, answers.identified):
+                make_safe(answers.identified)
+            raise
+        make_safe(answers.identified)
+
+
+def _was_tried(error: BaseException, instruments: Sequence[Instrument]) -> bool:
+    """Return whether ``error`` says that switching off all of ``instruments`` has just been tried."""
+    return isinstance(error, UnsafeBenchError | DigitizerNotIdleError) and error.concerns(instruments)
 
 
 def _open_all(

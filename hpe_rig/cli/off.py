@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hpe_rig.bench import read_bench, switch_off
+from hpe_rig.bench import WITHOUT_OUTPUT, OffState, read_bench, switch_off
 from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
@@ -17,14 +17,19 @@ def switch_all_off(path: Path | None) -> int:
     console = wide_console()
     console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")
     rows = [
-        (item.role, item.address, "off" if item.proven else "NOT PROVEN", item.reason.removeprefix(f"{item.role}: "))
+        (item.role, item.address, _output_text(item), item.reason.removeprefix(f"{item.role}: "))
         for item in instruments
     ]
     console.print(rich_table(("role", "address", "output", "evidence"), rows, words=4))
     unproven = [item.role for item in instruments if not item.proven]
-    outputs = [role for role in unproven if role != "digitizer"]
+    outputs = [role for role in unproven if role not in WITHOUT_OUTPUT]
     if outputs:
         console.print(f"NOT PROVEN OFF: {', '.join(outputs)}: switch them off by hand, now", style="bold")
         return EXIT_UNSAFE
-    # The board only triggers a generator, and the output of that generator is off.
     return EXIT_INSTRUMENT if unproven else 0
+
+
+def _output_text(item: OffState) -> str:
+    if item.role in WITHOUT_OUTPUT:
+        return "drives nothing"
+    return "off" if item.proven else "NOT PROVEN"

@@ -209,6 +209,7 @@ def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_mea
         return proof(generator)
 
     monkeypatch.setattr(Agilent33250A, "prove_off", unreachable)
+    monkeypatch.setattr(Agilent33250A, "make_safe", unreachable)
 
     def run() -> None:
         with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles):
