@@ -67,7 +67,14 @@ CLOSED: Final = Failure(
     "it was switched off, restarted, or ends idle connections",
     "check its power, open the bench again",
 )
-UNEXPLAINED: Final = Failure("", "the address, the cable or the power is wrong", "check power, cable and address")
+NO_ADDRESS: Final = Failure(
+    "this is no VISA address",
+    "it is misspelt or incomplete",
+    "an address from the list of hpe-rig bench, such as TCPIP0::192.168.1.20::5025::SOCKET",
+)
+UNEXPLAINED: Final = Failure(
+    "", "the address, the cable or the power is wrong", "check these, or see what hpe-rig bench finds"
+)
 
 SYSTEM_ERRORS: Final = {
     errno.ECONNREFUSED: REFUSED,
@@ -92,6 +99,7 @@ STATUS_CODES: Final = {
     "error_resource_locked": BUSY,
     "error_connection_lost": CLOSED,
     "error_no_permission": NO_PERMISSION,
+    "error_invalid_resource_name": NO_ADDRESS,
 }
 """Failures by the name of pyvisa's status code; other codes have pyvisa's own description."""
 EXCEPTION_TEXTS: Final = (

@@ -33,7 +33,7 @@ Answer = TypeVar("Answer")
 SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
 """Order of making safe: the generators of the push first."""
 WITHOUT_OUTPUT = ("digitizer",)
-"""Roles without an output of their own: the trigger output of the board starts a generator, which is off."""
+"""Roles without an output: the trigger output of the board starts a generator, which is off."""
 
 
 class UnsafeBenchError(Exception):

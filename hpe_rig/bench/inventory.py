@@ -80,7 +80,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
     errors: dict[str, str] = {}
     proven: dict[str, str] = {}
     try:
-        with open_each(bench, lock=False, off=True) as instruments:
+        with open_each(bench, lock=False) as instruments:
             errors = {role: str(item) for role, item in instruments.items() if isinstance(item, Exception)}
             identified = [item for item in instruments.values() if not isinstance(item, Exception)]
             proven = make_safe(identified)
@@ -103,8 +103,14 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
     ``self_test`` runs the self-tests of all instruments that have one, after all outputs are off. Raises
     ``UnsafeBenchError`` if an output cannot be verified to be off.
     """
-    with open_each(bench) as instruments:
-        reports = tuple(_report(role, item, bench, clock_s) for role, item in instruments.items())
+    snapshots: dict[str, Settings] = {}
+
+    def read_settings(item: Instrument) -> None:
+        snapshots[item.role] = item.snapshot()
+
+    # Settings are reported as another program left them.
+    with open_each(bench, before_off=read_settings) as instruments:
+        reports = tuple(_report(role, item, bench, snapshots, clock_s) for role, item in instruments.items())
         # A search of the buses takes seconds, and a self-test may drive an output: all are off before.
         make_safe([item for item in instruments.values() if not isinstance(item, Exception)])
         addresses = () if bench.simulated else visa_addresses()
@@ -118,16 +124,20 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
 
 
 def _report(
-    role: str, item: Instrument | Exception, bench: BenchFile, clock_s: Callable[[], float]
+    role: str,
+    item: Instrument | Exception,
+    bench: BenchFile,
+    snapshots: Mapping[str, Settings],
+    clock_s: Callable[[], float],
 ) -> InstrumentReport:
     address = bench.address_text(role)
     if isinstance(item, Exception):
         return InstrumentReport(role, address, problems=(str(item),))
     try:
-        # Only queries, so that the settings of other programs are reported as they were found.
         identity, latency_s = _timed_identity(item, clock_s)
         identity = replace(identity, serial=item.serial_number())
-        settings = item.snapshot()
+        # If the first attempt failed, its error is that of the second one.
+        settings = snapshots[role] if role in snapshots else item.snapshot()
     except InstrumentError as error:
         return InstrumentReport(role, address, problems=(str(error),))
     problems = list(_digitizer_problems(bench.digitizer, settings)) if role == "digitizer" else []

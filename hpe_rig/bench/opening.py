@@ -73,7 +73,7 @@ def open_bench(
                 if bench.simulated and world is None and scene is not None:
                     world = _world(twin_tables(scene), bench, first_shot)
                 connections = _connect(world, bench, stack, answers, lock=True)
-                _open_all(connections, sorted(roles, key=SAFE_ORDER.index), bench, stack, answers, off=True)
+                _open_all(connections, sorted(roles, key=SAFE_ORDER.index), bench, stack, answers)
                 drivers = _identified(answers)
                 instruments = Bench(bench.simulated, connections.clock, connections.world, file=bench, **drivers)
                 instruments.make_safe()
@@ -96,11 +96,14 @@ def open_bench(
 
 
 @contextmanager
-def open_each(bench: BenchFile, lock: bool = True, off: bool = False) -> Iterator[Mapping[str, Answer]]:
+def open_each(
+    bench: BenchFile, lock: bool = True, before_off: Callable[[Instrument], None] = lambda instrument: None
+) -> Iterator[Mapping[str, Answer]]:
     """Yield every instrument of the bench file by role, identified, or the error instead.
 
-    No setting is changed, unless ``off``: then each output is switched off as soon as its instrument has identified
-    itself. On exit the identified ones are made safe and verified. Without ``lock`` another program may be using them.
+    Each output is switched off as soon as its instrument has identified itself and ``before_off`` has returned, in a
+    thread of each bus. On exit the identified ones are made safe and verified. Without ``lock`` another program may be
+    using them.
     """
     with uninterrupted(), ExitStack() as stack:
         if lock:
@@ -109,7 +112,7 @@ def open_each(bench: BenchFile, lock: bool = True, off: bool = False) -> Iterato
         try:
             with interruptible():
                 connections = _connect(None, bench, stack, answers, lock)
-                _open_all(connections, (*bench.generators.by_role, "digitizer"), bench, stack, answers, off)
+                _open_all(connections, (*bench.generators.by_role, "digitizer"), bench, stack, answers, before_off)
                 yield answers.by_role
         except BaseException as error:
             if not _was_tried(error, answers.identified):
@@ -124,32 +127,50 @@ def _was_tried(error: BaseException, instruments: Sequence[Instrument]) -> bool:
 
 
 def _open_all(
-    connections: Connections, roles: Sequence[str], bench: BenchFile, stack: ExitStack, answers: Answers, off: bool
+    connections: Connections,
+    roles: Sequence[str],
+    bench: BenchFile,
+    stack: ExitStack,
+    answers: Answers,
+    before_off: Callable[[Instrument], None] = lambda instrument: None,
 ) -> None:
-    """Open and identify the instruments of ``roles`` on all buses at the same time, those in this process last.
+    """Open, identify and switch off the instruments of ``roles``, on all buses at the same time; see ``open_each``.
 
-    With ``off`` each output is switched off as soon as its instrument has identified itself.
+    Those in this process come last.
     """
+
+    def switch_off(instrument: Instrument) -> None:
+        # A failure here is repeated or repaired when the bench is made safe.
+        with suppress(Exception):
+            before_off(instrument)
+        with suppress(Exception):
+            instrument.switch_off()
+
     buses: dict[str, list[str]] = {}
     for role in sorted(roles, key=SAFE_ORDER.index):
         buses.setdefault(connections.bus(role), []).append(role)
     in_process = buses.pop("", [])
-    ask_buses(buses.values(), partial(_identify_on_bus, connections, bench, answers, off), answers)
+    ask_buses(buses.values(), partial(_identify_on_bus, connections, bench, answers, switch_off), answers)
     for role in in_process:
         try:
             instrument = connections.instrument(role, bench)
             stack.callback(_close_quietly, instrument)
             instrument.identify()
             answers.by_role[role] = instrument
+            switch_off(instrument)
         except Exception as error:
             answers.by_role[role] = error
     answers.by_role = {role: answers.by_role[role] for role in roles}
 
 
 def _identify_on_bus(
-    connections: Connections, bench: BenchFile, answers: Answers, off: bool, roles: Sequence[str]
+    connections: Connections,
+    bench: BenchFile,
+    answers: Answers,
+    switch_off: Callable[[Instrument], None],
+    roles: Sequence[str],
 ) -> None:
-    """Deliver the instruments of ``roles``, which share a bus, to ``answers``.
+    """Add the instruments of ``roles``, which share a bus, to ``answers``, and switch each off.
 
     On a shared bus each is first asked briefly: an instrument that answers does not wait for silent ones.
     """
@@ -171,10 +192,7 @@ def _identify_on_bus(
         finally:
             line.timeout_s = default_s
         answers.add(role, instrument)
-        if off:
-            # A failure here is repeated or repaired when the bench is made safe.
-            with suppress(Exception):
-                instrument.switch_off()
+        switch_off(instrument)
         return None
 
     silent = list(lines)
