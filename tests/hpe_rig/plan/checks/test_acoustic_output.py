@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import DriveCalibration, OutputLimits, file_differences, read_bench
 from hpe_rig.bench.opening import open_bench
-from hpe_rig.measurement.setup import prepare
+from hpe_rig.measurement.setup import prepare, setup_of_run
 from hpe_rig.plan.checks.acoustic_output import (
     AcousticOutput,
     _reduction,
@@ -23,7 +23,9 @@ from hpe_rig.plan.checks.acoustic_output import (
     highest_output,
 )
 from hpe_rig.plan.checks.check_result import CheckResult, PlanError, refuse_conflicts
+from hpe_rig.result import Provenance
 from hpe_rig.scene import SettingsError, shipped_scenes
+from hpe_rig.store import read_run
 
 LIMITS = OutputLimits(full_drive_vpp=1.0, max_duty=0.05, max_burst_length_s=250e-6, max_bursts=200)
 
@@ -224,3 +226,12 @@ def test_the_dates_of_two_bench_files_are_compared() -> None:
     (difference,) = file_differences(before, after)
     assert difference.text("A", "B") == "bench file: calibration date 2026-03-05 in A, 2027-03-05 in B"
     assert not file_differences(before, before)
+
+
+@pytest.mark.parametrize(("started", "level"), [("2026-03-05T23:00:00+01:00", "passed"), ("2026-03-06", "warning")])
+def test_a_stored_run_is_checked_for_the_day_of_its_measurement(started: str, level: str) -> None:
+    stored = read_run(Path(__file__).parents[3] / "fixtures" / "run_files" / "specimen.h5")
+    assert not of("calibration", setup_of_run(stored).findings)
+    bench = stored.bench_toml.replace("focus_depth_m", "valid_until = 2026-03-05\nfocus_depth_m", 1)
+    dated = replace(stored, bench_toml=bench, provenance=Provenance(started=started))
+    assert [finding.level for finding in of("calibration", setup_of_run(dated).findings)] == [level]
