@@ -9,8 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
+from typing import Final
 
+from hpe_rig.measurement.background import BackgroundTasks
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
 from hpe_rig.measurement.stop_request import (
     POLL_INTERVAL_S,
@@ -22,6 +25,9 @@ from hpe_rig.measurement.stop_request import (
     write_request,
 )
 from hpe_rig.store import StoreError, reason
+
+CLEAR_S: Final = 2.0
+"""Time that the folder of the run file gets for the removal of requests after the run."""
 
 
 def pause_path(run_file: Path) -> Path:
@@ -95,14 +101,18 @@ def clear_pause(run_file: Path, run_id: str = "") -> None:
 
 @contextmanager
 def clearing_requests(run_file: Path, run_id: str) -> Iterator[None]:
-    """Remove the requests to pause or stop the run ``run_id`` at the end of the block."""
+    """Remove the requests to pause or stop the run ``run_id`` at the end of the block.
+
+    A share that does not answer within ``CLEAR_S`` keeps them.
+    """
+    tasks = BackgroundTasks("requests")
     try:
         yield
     finally:
-        clear_pause(run_file, run_id)
+        tasks.submit(partial(clear_pause, run_file, run_id))
+        tasks.submit(partial(clear_stop, run_file, run_id))
         # An error about a request that cannot be removed must not hide how the run ended.
-        with suppress(StoreError):
-            clear_stop(run_file, run_id)
+        tasks.wait(CLEAR_S)
 
 
 def with_requests(
