@@ -38,8 +38,8 @@ MAX_BACKLOG_BYTES = 256_000_000
 """Records in memory that wait for the disk; beyond it the shot ends."""
 MAX_SIMULATED_BACKLOG_BYTES = 16_000_000
 """As above on a simulated bench, which drives nothing: there the measurement waits for the disk."""
-GIVE_UP_S = 10.0
-"""Time that the disk gets after a second signal: two of its shortened time-outs."""
+GIVE_UP_S = 30.0
+"""Time that a slow disk gets after a second signal: one that does not answer is given up after a time-out of 5 s."""
 
 
 class CreateWriter(Protocol):
@@ -74,26 +74,34 @@ class RunRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None and not self._wait_for_storage(aborted=not isinstance(error, Exception)):
-            # The thread may still hold the locks of the library, so that nothing else can be written.
-            error.add_note(f"the disk of {self._path} does not answer: its last records may be missing")
-            return
-        if self._writer is not None:
-            self._writer.__exit__(kind, error, trace)
+        # The records of a complete run were waited for after each shot.
+        is_closed = error is None or self._wait_for(self._storage, error, hurried=not isinstance(error, Exception))
+        closing = BackgroundTasks("close")
+        if is_closed and self._writer is not None:
+            closing.submit(partial(self._writer.__exit__, kind, error, trace))
+            is_closed = self._wait_for(closing, error)
+        closing.check()
         if error is not None:
-            error.add_note(self._content_after_error())
+            unwritten = f"the disk of {self._path} does not answer: its last records may be missing"
+            error.add_note(self._content_after_error() if is_closed else unwritten)
 
-    def _wait_for_storage(self, aborted: bool) -> bool:
-        """Wait until the records so far are written, a second signal discards them; return whether the disk answers."""
+    def _wait_for(self, tasks: BackgroundTasks, error: BaseException | None, hurried: bool = False) -> bool:
+        """Wait for the end of ``tasks`` and return whether the disk answers.
+
+        A signal discards records that wait for the disk. It is raised afterwards unless the run ends by an ``error``.
+        """
         try:
             with interruptible():
-                while not self._storage.wait(POLL_S):
-                    if aborted:
+                while not tasks.wait(POLL_S):
+                    if hurried:
                         self._hurry()
         except INTERRUPTS:
             self._storage.discard()
             self._hurry()
-            return self._storage.wait(GIVE_UP_S)
+            is_finished = tasks.wait(GIVE_UP_S)
+            if error is None:
+                raise
+            return is_finished
         return True
 
     def _hurry(self) -> None:
