@@ -20,7 +20,6 @@ from typing import Final
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.bench.interrupts import interruptible
 from hpe_rig.bench.resource_name import resolved_names, resource_names, shared_addresses
 from hpe_rig.scene import SettingsError, printable
 
@@ -74,8 +73,7 @@ def exclusive(bench: BenchFile) -> Iterator[None]:
     if bench.simulated:
         yield
         return
-    with interruptible():
-        names = resolved_names(bench)
+    names = resolved_names(bench)
     if mistakes := list(shared_addresses(bench, names)):
         raise SettingsError(f"bench {bench.title}", mistakes)
     with locked(_lock_names(bench, names)):
