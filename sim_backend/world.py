@@ -103,7 +103,11 @@ class GeneratorConnection:
 
 
 def _generator(clock: SimulatedClock, instruments: Instruments, model: str, number: int) -> Generator33250A:
-    """Return a generator with a serial number, or a label where the model has none, unless the twin has neither."""
+    """Return the twin's generator ``number``, of ``model``.
+
+    With ``instruments.serial_numbers`` generators can be told apart: by their serial numbers, or, as a 33250A reports
+    none, by the name of stored state 4.
+    """
     serial = f"MY4400000{number}" if instruments.serial_numbers else "0"
     generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial))
     if instruments.serial_numbers:
@@ -161,7 +165,8 @@ class World:
         self._added: tuple[Cable, ...] = ()
         self._cables = cables_of(wiring, SOURCES, TARGETS)
         trigger_order(self._cables, (*GENERATORS, "digitizer"))
-        self._own_acoustics = acoustics is None
+        # Acoustics given by the caller hold for every lateral offset; the twin's are built for one, at their first use.
+        self._acoustics_given = acoustics is not None
         self._physics = acoustics
         self._lateral_m = 0.0
         self.clock = SimulatedClock()
@@ -174,8 +179,11 @@ class World:
         )
         self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
         self.board.faults = instruments.trigger_faults
+        # The last evaluation, and the instruments' counters of changes for which it is valid.
         self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None
+        # Records of the last capture.
         self._recording: Recording | None = None
+        # Signals of the captures before the last one.
         self._past: deque[CaptureSnapshot] = deque(maxlen=MAX_CAPTURES - 1)
 
     def connect(self, role: str, over_serial: bool = False) -> GeneratorConnection:
@@ -188,13 +196,16 @@ class World:
     def plug(self, cables: Sequence[Plug]) -> None:
         """Add ``cables`` to the wiring by T pieces; those added before are removed."""
         self._added = cables_of(cables, SOURCES, TARGETS)
+        # The cached evaluation is that of the old wiring.
         self._evaluated = None
 
     def move_tracking(self, lateral_m: float) -> None:
         """Move the tracking transducer to a lateral offset from the push, for all captures from now on."""
         if lateral_m != self._lateral_m:
             self._lateral_m = lateral_m
-            self._physics = None if self._own_acoustics else self._physics
+            # The twin's own acoustics are for the old offset: discarded, they are built for the new one at next use.
+            if not self._acoustics_given:
+                self._physics = None
 
     def alazar_library(self) -> AlazarLibrary:
         """Return the digitizer's function table, freshly loaded."""
@@ -208,8 +219,8 @@ class World:
         """Return whether no capture is running."""
         if not self.board.running:
             return True
-        complete = self.triggers(self.clock.now_ps).complete(self.clock.now_ps)
-        return complete >= self.board.armings[-1].settings.record_count
+        complete_records = self.triggers(self.clock.now_ps).complete(self.clock.now_ps)
+        return complete_records >= self.board.armings[-1].settings.record_count
 
     def emissions(self) -> tuple[Bursts, Bursts, dict[str, int]]:
         """Return tonebursts and tracking pulses at the transducer, and the ignored triggers by role.
@@ -246,7 +257,7 @@ class World:
 
     def _capture(self, index: int) -> CaptureSnapshot:
         """Return the bench's signals for capture ``index``; raise ``IndexError`` if it does not exist."""
-        captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
+        captures = [*self._past, self._last_capture(self.clock.now_ps)] if self.board.armings else []
         if not -len(captures) <= index < len(captures):
             raise IndexError(f"capture {index} of {len(captures)}: arm the digitizer before asking for the truth")
         return captures[index]
@@ -257,25 +268,32 @@ class World:
         """Start a capture with ``settings``."""
         self.board.stop(self.clock.now_ps)
         if self.board.armings:
-            self._past.append(self._captured(self.clock.now_ps))
+            self._past.append(self._last_capture(self.clock.now_ps))
         if not any(self.outputs_on().values()):
             # Nothing earlier matters, so the time a shot takes does not grow with the measurement.
             for generator in self._generators.values():
                 generator.forget_past()
             self.board.armings.clear()
         self.board.arm(self.clock.now_ps, settings)
+        # The records so far are those of the capture before.
         self._recording = None
 
     def triggers(self, until_ps: int) -> AcceptedTriggers:
         """Return the accepted triggers of the last arming, complete at least up to ``until_ps``."""
-        return self._captured(until_ps).triggers
+        return self._last_capture(until_ps).triggers
 
     def volts(self, until_ps: int, records: slice, channel: int) -> FloatArray:
-        """Return the voltage at ``channel`` for consecutive ``records``, (record, sample); echoes are at channel 0."""
-        arriving = [cable for cable in (*self._cables, *self._added) if cable.target in INPUTS[channel : channel + 1]]
+        """Return the voltage at ``channel`` for consecutive ``records``, (record, sample).
+
+        It is the sum of the signals of all cables to that input; echoes are at channel 0.
+        """
+        # A slice, because a channel without an input on the bench has no cables.
+        inputs = INPUTS[channel : channel + 1]
+        arriving = [cable for cable in (*self._cables, *self._added) if cable.target in inputs]
         if channel == 0 and not arriving:
             return self._recorded(until_ps).volts(records)
-        direct_v = direct_volts(arriving, self._evaluate(until_ps).emissions, self._captured(until_ps).capture, records)
+        capture = self._last_capture(until_ps).capture
+        direct_v = direct_volts(arriving, self._evaluate(until_ps).emissions, capture, records)
         return direct_v + self._recorded(until_ps).volts(records) if channel == 0 else direct_v
 
     def peak_v(self, until_ps: int, count: int) -> float:
@@ -286,7 +304,7 @@ class World:
         """Return the records of the last capture, with its signals up to ``until_ps``."""
         if self._recording is None:
             self._recording = Recording(self._acoustics().record_volts)
-        self._recording.update(self._captured(until_ps), self.clock.now_ps)
+        self._recording.update(self._last_capture(until_ps), self.clock.now_ps)
         return self._recording
 
     def _acoustics(self) -> Physics:
@@ -301,16 +319,15 @@ class World:
     def _evaluate(self, until_ps: int) -> Evaluation:
         """Return the signals of the bench, the bursts and triggers of all generators, up to ``until_ps`` at least.
 
-        Cached until an instrument changes.
+        The last evaluation is cached until an instrument changes.
         """
-        # The last evaluation is valid until an instrument changes.
         version = self.board.changes, *(generator.changes for generator in self._generators.values())
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
             return self._evaluated[1]
         # Endless emissions are evaluated up to the next whole second, others to their end.
         is_endless = self.board.times_out or any(generator.endless for generator in self._generators.values())
-        horizon_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S if is_endless else FAR_PS
-        evaluation = self._propagate(horizon_ps)
+        next_second_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S
+        evaluation = self._propagate(next_second_ps if is_endless else FAR_PS)
         self._evaluated = (version, evaluation)
         return evaluation
 
@@ -350,7 +367,7 @@ class World:
             arming=arming, triggers=triggers, tonebursts=tonebursts, pulses=pulses, origin_ps=origin_ps
         )
 
-    def _captured(self, until_ps: int) -> CaptureSnapshot:
+    def _last_capture(self, until_ps: int) -> CaptureSnapshot:
         """Return the bench's signals for the last capture, up to ``until_ps``; raise ``ValueError`` without one."""
         captured = self._evaluate(until_ps).captured
         if captured is None:

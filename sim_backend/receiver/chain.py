@@ -16,17 +16,17 @@ from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_
 from sim_backend.settings import ReceiveChain
 
 _RECORDS_PER_CHUNK = 64
-TRAIL = 24
+TRAILING_SAMPLES = 24
 """Samples that the chain needs after the last output sample, since the sampled filters are not exactly causal."""
 
 
-def lead_s(chain: ReceiveChain) -> float:
+def settling_s(chain: ReceiveChain) -> float:
     """Return how much earlier than its output the chain's input must begin, for ``chain.tail_tolerance``."""
     bands = [band for band in (chain.notch, chain.band_pass, chain.second_band_pass) if band is not None]
     return ringing_s(bands, chain.tail_tolerance)
 
 
-def fast_length(samples: int) -> int:
+def fast_fft_length(samples: int) -> int:
     """Return the smallest number from ``samples`` on without a prime factor above 5, for a fast Fourier transform."""
     # Imported here: a scene whose receiver distorts nothing has no receive chain and does not need SciPy.
     from scipy.fft import next_fast_len
@@ -43,9 +43,9 @@ def receive(
 ) -> FloatArray:
     """Return the output of the chain, float64 (record, sample), for ``volts`` (record, sample) at the transducer.
 
-    The filters are periodic in each record, so its first `lead_s` and its last `TRAIL` samples are not valid.
-    ``switch`` (record, sample) is the transmission of the T/R switch, None for 1. ``rng`` draws the preamplifier's
-    noise, if the chain has any.
+    The filters are periodic in each record, so its first `settling_s` and its last `TRAILING_SAMPLES` samples are not
+    valid. ``switch`` (record, sample) is the transmission of the T/R switch, None for 1. ``rng`` draws the
+    preamplifier's noise, if the chain has any.
     """
     frequency_hz: FloatArray = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
     out = np.empty_like(volts)

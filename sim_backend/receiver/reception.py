@@ -15,13 +15,14 @@ import numpy as np
 
 from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.receiver.streams import RecordStream
-from sim_backend.receiver.timing import STENCIL, has_clock_error, jittered, sampled_with_clock_error
+from sim_backend.receiver.timing import SLOPE_MARGIN, has_clock_error, jittered, sampled_with_clock_error
 from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, joined_bursts, no_bursts
 
-# Children of the seed, after those of the acoustics.
+# Numbers of the streams of random numbers, above those of the acoustics; every stream comes from the scene's seed.
 _CHAIN_NOISE_STREAM = 100
 _CLOCK_STREAM = 101
+# Added to four times the seed, so that the jitters of pulser and tonebursts are independent.
 _PULSER_SALT, _TONEBURST_SALT = 1, 2
 
 
@@ -38,8 +39,8 @@ class Physics(Protocol):
 def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
     """Return ``acoustics`` with receive chain, trigger jitter and clock error of the settings, if there are any."""
     instruments = settings.instruments
-    needed = settings.receive_chain is not None or instruments.trigger_jitter_s > 0 or has_clock_error(instruments)
-    return Reception(acoustics, settings) if needed else acoustics
+    is_ideal = settings.receive_chain is None and instruments.trigger_jitter_s <= 0 and not has_clock_error(instruments)
+    return acoustics if is_ideal else Reception(acoustics, settings)
 
 
 class Reception:
@@ -107,23 +108,30 @@ class Reception:
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:
-    """Return the longer and finer capture that chain and clock need, and the slice of its samples that is wanted."""
+    """Return the longer and finer capture that chain and clock need, and the slice of its samples that is wanted.
+
+    Finer by the oversampling of the receive chain. Longer at both ends, by the samples from which a sample's slope is
+    computed (clock errors) and by those over which the chain's filters ring. Slice and capture count fine samples.
+    """
     chain = settings.receive_chain
     fine = 1 if chain is None else chain.oversampling
-    margin = STENCIL if has_clock_error(settings.instruments) else 0
-    # Samples before the capture, and in all.
-    lead, total = margin, capture.samples * fine + 2 * margin
     period_ps = capture.sample_period_ps // fine
+    wanted = capture.samples * fine
+    # Numbers of additional samples before and after the wanted ones.
+    before = after = SLOPE_MARGIN if has_clock_error(settings.instruments) else 0
     if chain is not None:
-        from sim_backend.receiver.chain import TRAIL, fast_length, lead_s
+        from sim_backend.receiver.chain import TRAILING_SAMPLES, fast_fft_length, settling_s
 
-        ringing = math.ceil(lead_s(chain) * PS_PER_S / period_ps)
-        after = margin + TRAIL if ringing else margin
-        total = fast_length(margin + ringing + capture.samples * fine + after)
-        lead = total - capture.samples * fine - after
-    first_ps = capture.first_sample_ps - lead * period_ps
-    wide = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=total)
-    return wide, slice(lead, lead + capture.samples * fine, fine)
+        settling = math.ceil(settling_s(chain) * PS_PER_S / period_ps)
+        if settling:
+            before += settling
+            after += TRAILING_SAMPLES
+        # Padded in front to a length with a fast Fourier transform.
+        before = fast_fft_length(before + wanted + after) - wanted - after
+    first_ps = capture.first_sample_ps - before * period_ps
+    samples = before + wanted + after
+    wide = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=samples)
+    return wide, slice(before, before + wanted, fine)
 
 
 def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
@@ -139,11 +147,11 @@ def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
 
         first, third = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))
         specimen = settings.specimen or Specimen()
-        response = [
+        first_response, third_response = (
             transmit_response(n * tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
             for n in (1, 3)
-        ]
-        relative += np.abs(third / np.where(first > 0, first, 1.0)) * response[1] / response[0]
+        )
+        relative += np.abs(third / np.where(first > 0, first, 1.0)) * third_response / first_response
     if not relative.any():
         return no_bursts()
     return replace(

@@ -20,8 +20,8 @@ from sim_backend.wiring import PS_PER_S, Bursts
 
 # Central difference, exact for polynomials of degree six: error 2e-4 of the slope at 9 MHz and 100 MHz sampling.
 _SLOPE = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60
-STENCIL = 3
-"""Samples on either side that a slope needs."""
+SLOPE_MARGIN = 3
+"""Number of samples on either side of a sample that its slope is computed from."""
 
 
 def jittered(bursts: Bursts, rms_s: float, seed: int, origin_ps: int = 0, index: int = 0) -> Bursts:
@@ -65,18 +65,18 @@ def sampled_with_clock_error(
 ) -> FloatArray:
     """Return the ``selected`` samples of ``volts`` (record, sample), as sampled by a clock with offset and jitter.
 
-    ``selected`` leaves `STENCIL` samples on either side. A late sample differs by lateness times slope, to first order;
-    the second order is (2 pi 9 MHz x 0.1 ns)² / 2 = 2e-5 for a jitter of 0.1 ns.
+    ``selected`` leaves `SLOPE_MARGIN` samples on either side. A late sample differs by lateness times slope, to first
+    order; the second order is (2 pi 9 MHz x 0.1 ns)² / 2 = 2e-5 for a jitter of 0.1 ns.
     """
     first, last = selected.start, selected.stop
     slope = sum(
         weight * volts[:, first + shift : last + shift : selected.step]
-        for shift, weight in zip(range(-STENCIL, STENCIL + 1), _SLOPE, strict=True)
+        for shift, weight in zip(range(-SLOPE_MARGIN, SLOPE_MARGIN + 1), _SLOPE, strict=True)
         if weight
     )
     exact = volts[:, selected]
     step = selected.step or 1
-    # Lateness in sample periods.
+    # Lateness in sample periods: the clock's offset adds up over the record.
     lateness = np.arange(exact.shape[1]) * (step * instruments.sample_clock_offset)
     if instruments.sample_clock_jitter_s:
         lateness = lateness + rng.standard_normal(exact.shape) * (instruments.sample_clock_jitter_s / period_s)

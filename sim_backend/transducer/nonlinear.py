@@ -130,7 +130,8 @@ class _March:
         """Start the march at the bowl: choose nodes over lateral wave numbers, and compute the fundamental's spectrum.
 
         Attributes with a 1 (q1, w1, kz1, first) belong to the fundamental, those without (q, w, kz, higher) to the
-        harmonics.
+        harmonics: wave numbers q across the beam with quadrature weights w, wave numbers kz along it, and spectra.
+        ``higher[n]`` is harmonic n + 1, with the first ``length[n]`` of the common wave numbers q.
         """
         self.transducer, self.layer, self.frequency_hz = transducer, layer, frequency_hz
         self.surface_pa, self.accuracy = surface_pa, accuracy
@@ -155,10 +156,10 @@ class _March:
         self.w = self.q * np.tile(weight, self.accuracy.harmonics)
         self.length = nodes_per_panel * np.arange(1, self.accuracy.harmonics + 1)
         self.higher = [np.zeros(size, dtype=np.complex128) for size in self.length]
-        self._wave_numbers()
-        self.first = self._bowl()
+        self._set_wave_numbers()
+        self.first = self._bowl_spectrum()
 
-    def _wave_numbers(self) -> None:
+    def _set_wave_numbers(self) -> None:
         """Set the wave numbers, and their components along the axis, of all harmonics in the present layer."""
         n = np.arange(1, self.accuracy.harmonics + 1)
         self.k = self.layer.wave_number(np.asarray(n * self.frequency_hz, dtype=np.float64), self.frequency_hz)
@@ -166,7 +167,7 @@ class _March:
         self.kz1 = np.sqrt(self.k[0] ** 2 - self.q1**2)
         self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.length, strict=True)]
 
-    def _bowl(self) -> ComplexArray:
+    def _bowl_spectrum(self) -> ComplexArray:
         """Return the spectrum of the fundamental at depth 0, from the waves of every ring of the bowl."""
         from scipy.special import j0
 
@@ -186,7 +187,7 @@ class _March:
         self.first *= transmission
         self.higher = [transmission * spectrum for spectrum in self.higher]
         self.layer = layer
-        self._wave_numbers()
+        self._set_wave_numbers()
 
     def go_to(self, depth_m: float) -> None:
         """March to ``depth_m`` in steps that shrink towards the focus."""
@@ -197,22 +198,25 @@ class _March:
     def _step(self, step_m: float) -> None:
         """Advance by ``step_m``: half of the diffraction, the steepening of the wave, the other half of diffraction.
 
+        Diffraction acts on the spectra, steepening on the pressures (node, harmonic) at nodes across the beam.
         Harmonics become active, about half as many again each time, as the wave steepens.
         """
         self._diffract(step_m / 2)
-        self._open_window()
-        before = self._pressure()
+        self._set_nodes_across_beam()
+        before_pa = self._pressure()
         # Only points in front of the surface of the bowl steepen.
         focal_length_m = self.transducer.focal_length_m
         surface_m = focal_length_m - np.sqrt(np.maximum(focal_length_m**2 - self.r**2, 0.0))
         in_front = self.depth_m >= surface_m
-        after, loss = before.copy(), np.zeros(len(self.r))
-        after[in_front], loss[in_front] = advance(before[in_front], step_m, self.frequency_hz, self.layer)
-        self._add_change((after - before) * (self.taper * self.weight)[:, None])
-        self._record(before, loss / step_m, step_m)
+        # Shocks take ``shock_loss`` (node,), W/m², from the intensity.
+        after_pa, shock_loss = before_pa.copy(), np.zeros(len(self.r))
+        after_pa[in_front], shock_loss[in_front] = advance(before_pa[in_front], step_m, self.frequency_hz, self.layer)
+        # Transformed to spectra by quadrature over the nodes. The taper ends the change smoothly at the window's edge.
+        self._add_change((after_pa - before_pa) * (self.taper * self.weight)[:, None])
+        self._record(before_pa, shock_heat_w_per_m3=shock_loss / step_m, step_m=step_m)
         self._diffract(step_m / 2)
         # More harmonics once the highest active one, relative to the first, exceeds the threshold.
-        if np.abs(after[:, -1]).max() > self.accuracy.threshold * np.abs(after[:, 0]).max():
+        if np.abs(after_pa[:, -1]).max() > self.accuracy.threshold * np.abs(after_pa[:, 0]).max():
             self.active_harmonics = min(
                 self.accuracy.harmonics, self.active_harmonics + max(2, self.active_harmonics // 2)
             )
@@ -224,8 +228,13 @@ class _March:
             self.higher[n] *= np.exp(-1j * self.kz[n] * step_m)
         self.depth_m += step_m
 
-    def _open_window(self) -> None:
-        """Set the nodes across the beam at the present depth, and the tables of J0 from spectra to pressures there."""
+    def _set_nodes_across_beam(self) -> None:
+        """Set the nodes across the beam at the present depth, and the tables of J0 from spectra to pressures there.
+
+        The nodes fill a window around the beam: radii ``r`` with quadrature weights ``weight`` (of r dr) and ``taper``,
+        1 inside and falling to 0 at the window's edge. ``bessel1`` and ``bessel`` (node, wave number) are the tables of
+        the fundamental and of the harmonics. Nothing changes while the window stays the same.
+        """
         from scipy.special import j0
 
         bowl = self.transducer
@@ -233,24 +242,26 @@ class _March:
         reach_m = max(edge_m + _WINDOW_MARGIN_M, _MIN_WINDOW_M)
         # Rounded up, so that few windows are computed.
         grid_m = 0.75e-3 if reach_m < 6e-3 else 3e-3
-        window = (grid_m * math.ceil(reach_m / grid_m), self.active_harmonics)
-        if window == self._window:
+        radius_m = grid_m * math.ceil(reach_m / grid_m)
+        if self._window == (radius_m, self.active_harmonics):
             return
-        self._window = window
-        fastest = max(self.active_harmonics * self.panel, abs(self.k[0]))
-        self.r, weight = _gauss(0, window[0], _nodes(window[0] * fastest) + 40)
+        self._window = (radius_m, self.active_harmonics)
+        largest_wave_number = max(self.active_harmonics * self.panel, abs(self.k[0]))
+        self.r, weight = _gauss(0, radius_m, _nodes(radius_m * largest_wave_number) + 40)
         self.weight = weight * self.r
-        position = np.clip((self.r / window[0] - 0.8) / 0.2, 0, 1)
+        # The outer fifth of the window: 0 at its inner and 1 at its outer edge.
+        position = np.clip((self.r / radius_m - 0.8) / 0.2, 0, 1)
         self.taper = np.cos(np.pi / 2 * position) ** 2
         self.bessel1 = j0(np.outer(self.r, self.q1))
         # Single precision halves the time of the march, with an error of 1e-6 of the harmonics.
         self.bessel = np.empty((len(self.r), self.length[self.active_harmonics - 1]), dtype=np.float32)
-        for row, r_m in zip(self.bessel, self.r, strict=True):
-            row[:] = j0(r_m * self.q[: len(row)])
+        for node_table, r_m in zip(self.bessel, self.r, strict=True):
+            node_table[:] = j0(r_m * self.q[: len(node_table)])
 
     def _pressure(self) -> ComplexArray:
         """Return the pressure of the harmonics at the nodes across the beam, (node, harmonic), from their spectra."""
         first = self.bessel1 @ (self.first * self.w1)
+        # The real table times complex spectra, as a product of real matrices: half the operations of a complex table.
         size = self.length[self.active_harmonics - 1]
         spectra = np.zeros((size, self.active_harmonics - 1), dtype=np.complex64)
         for n in range(1, self.active_harmonics):
@@ -261,7 +272,8 @@ class _March:
     def _add_change(self, change: ComplexArray) -> None:
         """Add the change of pressure by steepening, (node, harmonic), to the spectra of the harmonics.
 
-        ``change`` has the weights of the integral over nodes.
+        ``change`` is multiplied by the weights of the integral over nodes. An oblique wave has a path longer by
+        k / kz, over which it steepens more.
         """
         self.first += (self.bessel1.T @ change[:, 0]) * (self.k[0] / self.kz1)
         higher = np.ascontiguousarray(change[:, 1:], dtype=np.complex64).view(np.float32)
@@ -275,6 +287,7 @@ class _March:
         loss = self.layer.attenuation_np_per_m(frequency_hz)
         heat = np.abs(pressure) ** 2 @ loss / self.layer.impedance + shock_heat_w_per_m3
         self.axis_results.append((self.depth_m, pressure[0], float(heat[0]), self.layer.impedance))
+        # Of the ring of each node; the force is the absorbed power over the sound speed.
         volume = 2 * np.pi * self.weight * step_m
         force = heat / self.layer.sound_speed_m_per_s
         self.force_results.append(np.stack([np.full(len(self.r), self.depth_m), self.r, volume, force]))

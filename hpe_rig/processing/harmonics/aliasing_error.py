@@ -1,7 +1,7 @@
 """Aliasing error of a harmonic fit without a prior of media.
 
 Tonebursts drive harmonics far above half the pulse rate. A fit of the wanted harmonics ignores them, so they alias onto
-the wanted ones. The fit is linear. With x the states (in-phase and quadrature) of all harmonics, its error is
+the wanted ones. The fit is linear. With x the states (in-phase and quadrature) of all harmonics, its aliasing error is
 
     e = M x,    M = S - W A
 
@@ -11,10 +11,11 @@ j of M is the error of the fit on the noise-free motion of direction j of the pr
 The prior of media gives the statistics of x, hence of e:
 
     before correction    Cov e = sum_m p_m s_m² (M x_m)(M x_m)' + s² (M D)(M D)'
-    correction           E[e | data] = M E[x | data]
-    after correction     Cov[e | data] = M Cov[x | data] M'
+    correction           mean of e given the data = M (mean of x given the data)
+    after correction     Cov(e | data) = M Cov(x | data) M'
 
-m are the members, D the deviations from their span.
+m are the members of the ensemble with posterior probability p_m and scale s_m, D the deviations from their span with
+the scale s of the ensemble.
 
 A known systematic effect is corrected, and the uncertainty of the correction remains (GUM, 3.2.3 and 3.2.4).
 Derivation: docs/explanation/medium-prior.md.
@@ -43,23 +44,29 @@ FitFunction = Callable[[Motion], HarmonicFit]
 def with_aliasing_error(
     fit: HarmonicFit, motion: Motion, prior: MediumPrior, fit_function: FitFunction, background_order: int = 0
 ) -> HarmonicFit:
-    """Return ``fit`` with the covariance of its aliasing error, and with a fit corrected for the expected aliasing.
+    """Return ``fit`` with the covariance of its aliasing error added, and with the corrected fit attached to it.
 
-    Harmonics above half the pulse rate alias onto the wanted ones; the error e of a linear fit is E = M x, with x the
-    states of all harmonics. ``fit`` is ``fit_function`` of a displacement with the timing of ``motion``. ``motion`` and
-    the prior determine the medium, hence x. The result's ``aliasing_corrected`` is ``fit`` minus E[e | data], with
-    Cov[e | data]. Raises ``ValueError`` if the pulses cannot constrain the prior.
+    Harmonics above half the pulse rate alias onto the wanted ones. This error is M x for a linear fit, with x the
+    states of all harmonics. ``fit`` is ``fit_function`` of a displacement with the timing of ``motion``. A fit of
+    ``motion`` with the ``prior`` of media estimates x: the corrected fit, ``aliasing_corrected``, is ``fit`` minus the
+    mean of the error given the data, with the error's covariance given the data. Raises ``ValueError`` if the pulses
+    cannot constrain the prior.
     """
-    prior_fit = medium_fit(motion, fit.frequency_hz, prior, background_order=background_order)
-    evidence = prior_fit.evidence
+    fit_with_prior = medium_fit(motion, fit.frequency_hz, prior, background_order=background_order)
+    evidence = fit_with_prior.evidence
     pulses = PulseTimes.of(motion.time_s, motion.valid)
     error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)  # M
-    mean_m, covariance_m2, member_errors = posterior_of_states(motion, prior_fit, prior, error_matrix, background_order)
+    # The error M x given the data: its mean, its covariance, and its remainder for every member of the ensemble.
+    mean_m, posterior_m2, member_errors = posterior_of_states(
+        motion, fit_with_prior, prior, error_matrix, background_order
+    )
     corrected = corrected_by(fit, mean_m)
     medium = medium_posterior(prior, evidence, corrected, member_errors)
-    corrected = with_aliasing(corrected, covariance_m2, prior_fit.fit, medium)
+    corrected = with_aliasing(corrected, posterior_m2, fit_with_prior.fit, medium)
+    # Before the correction the error has the larger covariance of M x over the media of the ensemble.
     ensemble_m2 = _ensemble_covariance_m2(error_matrix, prior, evidence)
-    return replace(with_aliasing(fit, ensemble_m2, prior_fit.fit, medium), aliasing_corrected=corrected)
+    uncorrected = with_aliasing(fit, ensemble_m2, fit_with_prior.fit, medium)
+    return replace(uncorrected, aliasing_corrected=corrected)
 
 
 def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> FloatArray:
@@ -70,11 +77,10 @@ def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, eviden
     # First term: each member with its posterior probability p_m and its own scale s_m.
     member_errors = prior.members @ error_matrix.T  # M x_m, (member, state)
     member_weights = evidence.probability * evidence.member_scale_m2
+    members_m2 = (member_errors.T * member_weights) @ member_errors
     # Second term: media outside the span of the members, scaled like the whole ensemble.
     deviation_errors = prior.deviation[:, None] * error_matrix.T  # M D
-    return (
-        member_errors.T * member_weights
-    ) @ member_errors + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
+    return members_m2 + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
 
 
 @functools.lru_cache(maxsize=8)
@@ -86,7 +92,7 @@ def _error_matrix(
     The fit ignores harmonics above half the pulse rate, so they alias. Cached for shots of the same timing.
     """
     indices = prior.harmonic_indices(np.array(wanted_hz))
-    motions = prior.sampled_motions(pulses.time_s, indices)[0]  # A, of each direction
+    motions, _ = prior.sampled_motions(pulses.time_s, indices)  # A, of each direction
     fitted_states = _fit_noise_free(motions.T, pulses, fit_function)[..., : 2 * len(wanted_hz)]  # W A
     return np.asarray(prior.states(indices) - fitted_states.T)
 

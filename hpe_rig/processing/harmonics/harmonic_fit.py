@@ -103,18 +103,26 @@ def least_squares(
     ``ValueError`` if the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
-    times = motion.time_s, motion.valid
-    model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
-    wanted_states, (pulses, states) = model.wanted_states, model.matrix.shape
+    model = linear_model(
+        motion.time_s,
+        motion.valid,
+        frequency_hz,
+        largest_condition,
+        background_order=background_order,
+        also_hz=also_hz,
+    )
+    wanted_states = model.wanted_states
+    pulses, states = model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
     degrees: FloatArray | float = float(pulses - states)
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     # model.root is R^-1, with H'H = R'R of the model's matrix H: for unit noise the covariance is R^-1 R^-1'.
     if motion.step_noise_ratio is not None:
         orthonormal, step_noise_ratio = model.matrix @ model.root, np.asarray(motion.step_noise_ratio)
-        energy, degrees = difference_noise_moments(orthonormal, np.ones(states), step_noise_ratio)
+        expected_energy, degrees = difference_noise_moments(orthonormal, np.ones(states), step_noise_ratio)
+        # The fitted states are ``weights`` @ displacement.
         weights = model.root[wanted_states] @ orthonormal.T
-        variance, covariance = step_covariance(residual, step_noise_ratio, weights, energy)
+        variance, covariance = step_covariance(residual, step_noise_ratio, weights, expected_energy)
     else:
         covariance = variance[..., None, None] * (model.root[wanted_states] @ model.root[wanted_states].T)
     quality = FitQuality(
@@ -139,8 +147,10 @@ def difference_noise_moments(
     """
     differences = np.diff(columns, axis=0)  # D Q
     sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]  # L'Q
-    count, energy = len(differences), np.einsum("ij,ij->j", differences, differences)  # energy: |D q|² of each column
-    removed, inner = shrinkage * (2 - shrinkage), differences.T @ differences  # g, Q'D'D Q
+    count = len(differences)
+    energy = np.einsum("ij,ij->j", differences, differences)  # |D q|² of each column
+    removed = shrinkage * (2 - shrinkage)  # g
+    inner = differences.T @ differences  # Q'D'D Q
     # tr A: two noise terms in each difference, minus the energy that the fit has removed.
     white = 2 * count - removed @ energy
     # Expected energy of the walk: |D (1 - Q h Q') L|², expanded with D L = 1.
@@ -160,18 +170,21 @@ def difference_noise_moments(
 
 
 def step_covariance(
-    residual: FloatArray, step_noise_ratio: FloatArray, weights: FloatArray, energy: FloatArray
+    residual: FloatArray, step_noise_ratio: FloatArray, weights: FloatArray, expected_energy: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the white variance (...) of one pulse, and the covariance (..., row, row) of ``weights`` @ displacement.
+    """Return the white-noise variance (...) of one pulse, and the covariance (..., row, row) of the fitted states.
 
-    The displacement has white noise and a random walk with ``step_noise_ratio`` times its variance per step.
-    ``weights`` (..., row, pulse): of the fitted states. The variance is the energy of the pulse-to-pulse differences of
-    the ``residual`` (..., pulse) over their expected ``energy`` from ``difference_noise_moments``.
+    The states are ``weights`` (..., row, pulse) @ displacement. The displacement has white noise and a random walk,
+    whose steps have ``step_noise_ratio`` (...) times the white variance. That variance is estimated from the residual
+    (..., pulse): the energy (sum of squares) of its pulse-to-pulse differences over ``expected_energy`` (...), the
+    energy expected for a white variance of 1 (``difference_noise_moments``).
     """
     differences = np.diff(residual, axis=-1)
-    variance = np.einsum("...i,...i->...", differences, differences) / energy
-    # A step shifts every later pulse: its weight is the sum of the weights after it.
+    variance = np.einsum("...i,...i->...", differences, differences) / expected_energy
+    # A step shifts all later pulses: its weight is the sum of their weights, cumulated from the last pulse backwards.
+    # So the steps are in reverse order, which does not change the sum over steps below.
     step_weights = np.cumsum(weights[..., :0:-1], axis=-1)
+    # Covariance for unit variance: sum over pulses, or over steps, of the products of their weights.
     white, random_walk = (rows @ np.swapaxes(rows, -1, -2) for rows in (weights, step_weights))
     return variance, np.asarray(variance[..., None, None] * (white + step_noise_ratio[..., None, None] * random_walk))
 
@@ -188,8 +201,8 @@ def fit_from_state(
     ``state`` (..., state): A cos(phase) and A sin(phase) of each frequency; further entries may follow.
     ``state_covariance`` (..., state, state). ``aliasing_m2``: the part of it that is aliasing.
     """
-    count = frequency_hz.size
-    in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]
+    wanted = 2 * frequency_hz.size
+    in_phase, quadrature = state[..., 0:wanted:2], state[..., 1:wanted:2]
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
     total = _along_phasor(state_covariance, phase)
@@ -198,18 +211,18 @@ def fit_from_state(
     # phase variance of a weak amplitude therefore depend on noise only.
     noise = total - aliasing
     phase_variance = phase_variance_rad2(amplitude, total[..., 1, 1], _conditional_variance(noise))
-    weights = _polar_weights(total, phase_variance)
+    to_polar = _polar_factors(total, phase_variance)
     rician_bias_m2 = rectified_variance_m2(amplitude, _conditional_variance(noise), np.maximum(noise[..., 1, 1], 0.0))
     return HarmonicFit(
         frequency_hz=frequency_hz,
         amplitude_m=amplitude,
         phase_rad=phase,
-        covariance=np.asarray(total * weights),
+        covariance=np.asarray(total * to_polar),
         rician_bias_m2=rician_bias_m2,
         state=state,
         state_covariance=state_covariance,
         quality=quality,
-        aliasing=None if aliasing_m2 is None else np.asarray(aliasing * weights),
+        aliasing=None if aliasing_m2 is None else np.asarray(aliasing * to_polar),
     )
 
 
@@ -229,19 +242,27 @@ def with_aliasing(
 ) -> HarmonicFit:
     """Return ``fit`` with the covariance ``aliasing_m2`` (..., state, state) of its aliasing error added.
 
-    ``prior_fit`` is a fit of the same motion with the prior of media, so its amplitudes are free of this error. The
-    error can be as large as the amplitudes of ``fit``, so the phase variance is computed from those of ``prior_fit``.
+    Aliasing error: harmonics above half the pulse rate that ``fit`` attributes to the wanted ones. It can be as large
+    as the amplitudes of ``fit``, so the phase variance is computed with the amplitudes of ``prior_fit`` instead. That
+    fit of the same motion has a prior of media for all harmonics; it is in error only where the prior is.
     ``medium``: posterior of the medium, attached to the result.
     """
-    count, total_m2 = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
-    total_m2[..., :count, :count] += aliasing_m2
+    wanted = slice(2 * fit.frequency_hz.size)
+    total_m2 = fit.state_covariance.copy()
+    total_m2[..., wanted, wanted] += aliasing_m2
     total, aliasing = (_along_phasor(covariance, fit.phase_rad) for covariance in (total_m2, aliasing_m2))
-    prior_aliasing = 0.0 if prior_fit.aliasing is None else prior_fit.aliasing[..., 0, 0]
-    prior_noise = prior_fit.covariance[..., 0, 0] - prior_aliasing
-    phase_variance = phase_variance_at_rad2(prior_fit.amplitude_m, prior_noise, fit.amplitude_m, total)
-    weights = _polar_weights(total, phase_variance)
+    # Only noise can look like a motion where there is none. What the prior leaves uncertain grows with the motion.
+    prior_uncertainty_m2 = 0.0 if prior_fit.aliasing is None else prior_fit.aliasing[..., 0, 0]
+    phase_variance = phase_variance_at_rad2(
+        prior_fit.amplitude_m,
+        noise_m2=prior_fit.covariance[..., 0, 0] - prior_uncertainty_m2,
+        observed_m=fit.amplitude_m,
+        covariance_m2=total,
+    )
+    # From errors along and across the phasor to errors of amplitude and phase.
+    to_polar = _polar_factors(total, phase_variance)
     return replace(
-        fit, covariance=total * weights, state_covariance=total_m2, aliasing=aliasing * weights, medium=medium
+        fit, covariance=total * to_polar, state_covariance=total_m2, aliasing=aliasing * to_polar, medium=medium
     )
 
 
@@ -250,13 +271,13 @@ def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray
 
     ``state_covariance`` (..., state, state): of in-phase and quadrature. ``phase`` (..., frequency): rotates each pair.
     """
-    count = phase.shape[-1]
+    frequencies = phase.shape[-1]
     rotation = np.empty((*phase.shape, 2, 2))
     rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(phase)
     rotation[..., 0, 1] = np.sin(phase)
     rotation[..., 1, 0] = -rotation[..., 0, 1]
     # The 2 x 2 block of each frequency's pair of states, rotated to its phasor.
-    pairs = np.arange(2 * count).reshape(count, 2)
+    pairs = np.arange(2 * frequencies).reshape(frequencies, 2)
     blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
     rotated = rotation @ blocks @ np.swapaxes(rotation, -1, -2)
     # Symmetrised: rounding leaves the off-diagonal elements unequal.
@@ -269,13 +290,13 @@ def _conditional_variance(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(covariance[..., 0, 0] - covariance[..., 0, 1] ** 2 / across, 0.0))
 
 
-def _polar_weights(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
+def _polar_factors(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
     """Return factors (..., frequency, 2, 2) from covariance along and across a phasor to that of amplitude and phase.
 
     ``along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
     That across it, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
     """
     across, tiny = along_phasor[..., 1, 1], np.finfo(np.float64).tiny
-    scale = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))
-    diagonal = np.stack([np.ones_like(scale), scale], axis=-1)
+    radians_per_metre = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))
+    diagonal = np.stack([np.ones_like(radians_per_metre), radians_per_metre], axis=-1)
     return np.asarray(diagonal[..., :, None] * diagonal[..., None, :])

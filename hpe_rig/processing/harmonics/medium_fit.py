@@ -120,8 +120,9 @@ def _step_noise(
     columns = np.hstack([projected.background, projected.left_vectors])
     background_shrinkage = np.ones((*shrinkage.shape[:-1], projected.background.shape[1]))
     all_shrinkage = np.concatenate([background_shrinkage, shrinkage], axis=-1)
-    energy, degrees = difference_noise_moments(columns, all_shrinkage, step_noise_ratio)
-    pulse_m2, step_noise_m2 = step_covariance(residual, step_noise_ratio, weights @ projected.left_vectors.T, energy)
+    expected_energy, degrees = difference_noise_moments(columns, all_shrinkage, step_noise_ratio)
+    pulse_weights = weights @ projected.left_vectors.T
+    pulse_m2, step_noise_m2 = step_covariance(residual, step_noise_ratio, pulse_weights, expected_energy)
     # Differences between pulses do not contain slow drift such as creep: a residual far above the step noise counts.
     # A random walk of n steps, minus its mean, has n / 6 times the variance of a step.
     explained_m2 = pulse_m2 * (1 + step_noise_ratio * len(projected.left_vectors) / 6)

@@ -75,18 +75,24 @@ class MediumPrior:
         return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
 
     def sampled_motions(self, time_s: FloatArray, harmonic_indices: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return the motions at ``time_s`` of every direction (pulse, direction) and of some harmonics (pulse, state).
+        """Return two linear models of the displacement at ``time_s``, as matrices whose rows are pulses.
 
-        The second are sin and cos of each harmonic in ``harmonic_indices``. Each distinct instant of the burst period
-        is computed once, and all harmonics as powers of one exponential, which is faster than a sine for each.
+        The first (pulse, direction) times the directions of a medium (real parts of its response at the nodes, then
+        imaginary parts) is the medium's displacement. The second (pulse, state), sin and cos of every harmonic in
+        ``harmonic_indices``, times their in-phase and quadrature states is the displacement of these harmonics alone.
         """
+        # Computed once for each distinct instant of the burst period, then repeated for the pulses at that instant.
         first, repeats = self.distinct_instants(time_s)
-        powers = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
-        motion, wanted_powers = powers @ self.spectrum, powers[:, list(harmonic_indices)]
-        # Real and imaginary parts, interleaved: j conj(exp(jwt)) = sin + j cos.
-        wanted = 1j * np.conj(wanted_powers)
-        wanted_pairs = np.stack([wanted.real, wanted.imag], axis=-1).reshape(len(wanted), -1)
-        return np.hstack([motion.imag, motion.real])[repeats], wanted_pairs[repeats]
+        # exp(jwt) of every harmonic as powers of one exponential, which is faster than a sine for each.
+        phasors = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
+        # The displacement is Im(weights @ response), (instant, node): the response's real part has the factor
+        # Im(weights), its imaginary part Re(weights).
+        weights = phasors @ self.spectrum
+        displacement = np.hstack([weights.imag, weights.real])
+        # sin and cos of each harmonic in turn: j conj(exp(jwt)) = sin + j cos.
+        sin_cos = 1j * np.conj(phasors[:, list(harmonic_indices)])
+        harmonic_displacement = np.stack([sin_cos.real, sin_cos.imag], axis=-1).reshape(len(sin_cos), -1)
+        return displacement[repeats], harmonic_displacement[repeats]
 
     def distinct_instants(self, time_s: FloatArray) -> tuple[IndexArray, IndexArray]:
         """Return the index of one pulse for each distinct instant of the burst period, and each pulse's instant.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies
 
-from sim_backend.receiver.chain import TRAIL, fast_length, lead_s, receive
+from sim_backend.receiver.chain import TRAILING_SAMPLES, fast_fft_length, receive, settling_s
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled, switch_gain
 from sim_backend.receiver.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.timing import jittered, sampled_with_clock_error
@@ -75,7 +75,7 @@ def test_filters_are_causal_and_have_rung_down_when_they_say(centre_hz, bandwidt
     tail_s = ringing_s([band], tolerance)
     # Far above the band the response of order 1 falls only like 1/f: what remains at 64 f0 is Gibbs' ripple.
     step_s = 1 / (128 * centre_hz)
-    samples = fast_length(int(max(6 * tail_s, 40 / centre_hz) / step_s))
+    samples = fast_fft_length(int(max(6 * tail_s, 40 / centre_hz) / step_s))
     frequency_hz = np.fft.rfftfreq(samples, step_s)
     smooth = np.exp(-((frequency_hz / (12 * centre_hz)) ** 2))
     impulse = np.fft.irfft(band_pass(band, frequency_hz) * smooth)
@@ -105,13 +105,13 @@ def test_linear_chain_is_the_product_of_its_filters_whatever_the_route():
 
 
 def test_samples_before_the_lead_do_not_matter():
-    """The chain over a record that begins `lead_s` earlier equals the chain over one that begins ten times earlier."""
+    """The chain over a record that begins `settling_s` earlier equals the chain over one from ten times earlier."""
     chain = FULL.model_copy(update={"noise_v_per_sqrt_hz": None})
     rng = np.random.default_rng(3)
-    lead = int(np.ceil(lead_s(chain) / PERIOD_S))
+    lead = int(np.ceil(settling_s(chain) / PERIOD_S))
     volts = 1e-3 * rng.standard_normal((4, 10 * lead + 300))
     long, short = receive(volts, chain, PERIOD_S), receive(volts[:, 9 * lead :], chain, PERIOD_S)
-    wanted = slice(-300 - TRAIL, -TRAIL)
+    wanted = slice(-300 - TRAILING_SAMPLES, -TRAILING_SAMPLES)
     error = np.abs(long[:, wanted] - short[:, wanted]).max()
     # Each of the 22 samples of an e-fold in the tail may hold the largest input, times the gain for small signals.
     gain = chain.log_amplifier.slope_v_per_decade / np.log(10) / (2 * chain.log_amplifier.knee_v)
@@ -170,8 +170,8 @@ def test_a_switch_without_bursts_is_no_factor():
 
 
 @pytest.mark.parametrize("samples", [1, 7, 97, 512, 1213, 2049, 5000])
-def test_fast_length_has_small_factors_and_is_not_much_longer(samples):
-    length = fast_length(samples)
+def test_fast_fft_length_has_small_factors_and_is_not_much_longer(samples):
+    length = fast_fft_length(samples)
     rest = length
     for factor in (2, 3, 5):
         while rest % factor == 0:
@@ -291,8 +291,8 @@ def test_widened_capture_holds_the_wanted_one():
     assert wide.first_sample_ps[0] + kept.start * wide.sample_period_ps == 90_000_000
     assert len(range(*kept.indices(wide.samples))) == 512
     assert kept.step * wide.sample_period_ps == 10_000
-    assert kept.start * wide.sample_period_ps * 1e-12 >= lead_s(chain)
-    assert wide.samples - kept.stop >= 3 + TRAIL
+    assert kept.start * wide.sample_period_ps * 1e-12 >= settling_s(chain)
+    assert wide.samples - kept.stop >= 3 + TRAILING_SAMPLES
 
 
 def test_third_harmonic_comes_from_the_ceiling_and_from_what_is_set():
