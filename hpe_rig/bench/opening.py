@@ -80,17 +80,7 @@ def open_bench(
                 require_serials(bench, instruments.instruments)
                 yield instruments
         except BaseException as error:
-            identified = answers.identified
-            if not _was_tried(error, identified):
-                try:
-                    proofs = make_safe(identified)
-                except DigitizerNotIdleError as failure:
-                    # It drives nothing, so that the first error remains the one to report.
-                    error.add_note(str(failure))
-                    proofs = failure.proven
-                # An unidentified real instrument may be on, and the operator must look.
-                if identified or not bench.simulated:
-                    error.add_note(proven_off(roles, proofs))
+            _make_safe_after(error, answers.identified, roles, bench)
             raise
         make_safe(answers.identified)
 
@@ -108,22 +98,34 @@ def open_each(
     with uninterrupted(), ExitStack() as stack:
         if lock:
             stack.enter_context(exclusive(bench))
-        answers = Answers(stack)
+        answers, roles = Answers(stack), (*bench.generators.by_role, "digitizer")
         try:
             with interruptible():
                 connections = _connect(None, bench, stack, answers, lock)
-                _open_all(connections, (*bench.generators.by_role, "digitizer"), bench, stack, answers, before_off)
+                _open_all(connections, roles, bench, stack, answers, before_off)
                 yield answers.by_role
         except BaseException as error:
-            if not _was_tried(error, answers.identified):
-                make_safe(answers.identified)
+            _make_safe_after(error, answers.identified, roles, bench)
             raise
         make_safe(answers.identified)
 
 
-def _was_tried(error: BaseException, instruments: Sequence[Instrument]) -> bool:
-    """Return whether ``error`` says that switching off all of ``instruments`` has just been tried."""
-    return isinstance(error, UnsafeBenchError | DigitizerNotIdleError) and error.concerns(instruments)
+def _make_safe_after(
+    error: BaseException, identified: Sequence[Instrument], roles: Sequence[str], bench: BenchFile
+) -> None:
+    """Make the ``identified`` instruments safe after ``error``, and add to it what is verified to be off."""
+    # Such an error about all of these instruments means that switching them off has just been tried.
+    if isinstance(error, UnsafeBenchError | DigitizerNotIdleError) and error.concerns(identified):
+        return
+    try:
+        proofs = make_safe(identified)
+    except DigitizerNotIdleError as failure:
+        # It drives nothing, so that the first error remains the one to report.
+        error.add_note(str(failure))
+        proofs = failure.proven
+    # An unidentified real instrument may be on, and the operator must look.
+    if identified or not bench.simulated:
+        error.add_note(proven_off(roles, proofs))
 
 
 def _open_all(

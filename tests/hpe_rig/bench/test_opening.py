@@ -213,8 +213,9 @@ def test_an_interrupt_ends_the_opening_at_once_with_the_output_off() -> None:
         watch = Watch(world)
         timer = threading.Timer(1.0, signal.raise_signal, (signal.SIGINT,))
         timer.start()
-        with pytest.raises(KeyboardInterrupt), interruptible():
+        with pytest.raises(KeyboardInterrupt) as caught, interruptible():
             switch_off(bench, print)
+        assert f"off, verified: {REACHABLE} read back as off" in caught.value.__notes__[0]
         assert watch.elapsed_s < 2.5
         assert not world.outputs_on()[REACHABLE]
         timer.join()
