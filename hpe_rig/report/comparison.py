@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpe_rig.bench import settings_differences
+from hpe_rig.plan import phase_reference_of
 from hpe_rig.result import (
     PALETTE,
     RECTIFIED,
@@ -33,7 +34,7 @@ from hpe_rig.result import (
 )
 from hpe_rig.runs import Run, open_run
 from hpe_rig.scene import parse_toml
-from hpe_rig.store import read_snapshots
+from hpe_rig.store import StoreError, read_snapshots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -133,9 +134,11 @@ def comparison_schema() -> dict[str, Any]:
 def compare_runs(first: Path, second: Path, estimator: str | None = None) -> Comparison:
     """Return the comparison of two runs, estimated from their records; repeats are averaged.
 
-    ``estimator`` replaces that of each scene. Raises as ``open_run`` and ``Run.estimate``.
+    ``estimator`` replaces that of each scene. Raises as ``open_run`` and ``Run.estimate``, and ``StoreError`` if the
+    phases of the two runs count from different events.
     """
     runs = open_run(first), open_run(second)
+    _refuse_unlike_phases(*runs)
     # Estimated again: stored results may come from other versions or estimators.
     results = runs[0].estimate(estimator), runs[1].estimate(estimator)
     pairs, alone = _pairs(_points(results[0]), _points(results[1]), (first.name, second.name))
@@ -148,6 +151,16 @@ def compare_runs(first: Path, second: Path, estimator: str | None = None) -> Com
         results=tuple(row for setting, (a, b) in pairs for row in _result_differences(setting, a, b)),
         alone=tuple(alone),
     )
+
+
+def _refuse_unlike_phases(first: Run, second: Run) -> None:
+    """Raise ``StoreError`` if the phases of two runs count from different events."""
+    events = [phase_reference_of(run.scene).event for run in (first, second)]
+    if events[0] != events[1]:
+        raise StoreError(
+            f"{first.path.name} and {second.path.name} cannot be compared: their phases count from {events[0]} and "
+            f"from {events[1]}. Try: runs that both have an [excitation], or both none."
+        )
 
 
 @dataclass(frozen=True, slots=True)

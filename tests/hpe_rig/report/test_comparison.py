@@ -63,6 +63,17 @@ def test_half_the_motion_is_told_from_chance_whatever_else_differs(runs: tuple[P
     assert figure.axes[2].lines[0].get_ydata()[0] < -5
 
 
+def test_runs_whose_phases_count_from_different_events_are_refused_in_one_sentence(
+    runs: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    pushed = hpe.measure("bovine-muscle", path=tmp_path / "m.h5")
+    done = CliRunner().invoke(app, ["compare", str(runs[0]), str(pushed.path)])
+    assert done.exit_code == 2
+    message = " ".join(done.stderr.split())
+    assert "a.h5 and m.h5 cannot be compared" in message
+    assert "from the master trigger's edge and from the first toneburst's arrival at the gate" in message
+
+
 @pytest.mark.parametrize(("amplitude", "phase"), [(0.3, 0.1), (2.0, 0.0), (1.0, -3.0)])
 def test_the_probability_is_that_of_chi_square_with_two_degrees_of_freedom(amplitude: float, phase: float) -> None:
     found = _probability((amplitude * 2e-9, phase * 0.01), (2e-9, 0.01))
