@@ -33,7 +33,7 @@ class BackgroundTasks:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._tasks = SimpleQueue[tuple[Task, int]]()
+        self._tasks = SimpleQueue[tuple[Task, int] | None]()
         self._ended = SimpleQueue[tuple[Task, int, BaseException | None]]()
         self._discarding = threading.Event()
         self._started = self._has_failed = False
@@ -84,6 +84,10 @@ class BackgroundTasks:
         """Discard all tasks that have not begun."""
         self._discarding.set()
 
+    def end(self) -> None:
+        """End the thread after the tasks so far; none may be submitted after this."""
+        self._tasks.put(None)
+
     def _put(self, task: Task, size_bytes: int) -> None:
         self.unfinished += 1
         self.backlog_bytes += size_bytes
@@ -103,8 +107,8 @@ class BackgroundTasks:
 
     def _run(self) -> None:
         failure: BaseException | None = None
-        while True:
-            task, size_bytes = self._tasks.get()
+        while (item := self._tasks.get()) is not None:
+            task, size_bytes = item
             if failure is None and not self._discarding.is_set():
                 try:
                     task()
@@ -112,7 +116,7 @@ class BackgroundTasks:
                     failure = error
             self._ended.put((task, size_bytes, failure))
             # Otherwise its records would stay in memory until the next task.
-            del task
+            del task, item
 
 
 @contextmanager
@@ -140,3 +144,4 @@ def detached(observer: Observer) -> Iterator[Observer]:
     finally:
         # After this the caller closes the files of the observer.
         tasks.wait(STOP_S)
+        tasks.end()

@@ -74,12 +74,24 @@ class RunRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        try:
+            self._close(kind, error, trace)
+        finally:
+            self._storage.end()
+
+    def _close(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Wait for the records so far, close the run file in a thread, and note in ``error`` what the file holds."""
         # The records of a complete run were waited for after each shot.
         is_closed = error is None or self._wait_for(self._storage, error, hurried=not isinstance(error, Exception))
         closing = BackgroundTasks("close")
         if is_closed and self._writer is not None:
             closing.submit(partial(self._writer.__exit__, kind, error, trace))
-            is_closed = self._wait_for(closing, error)
+            try:
+                is_closed = self._wait_for(closing, error)
+            finally:
+                closing.end()
         closing.check()
         if error is not None:
             unwritten = f"the disk of {self._path} does not answer: its last records may be missing"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.measurement import Progress, Step, StopRequested, recording
+from hpe_rig.measurement import Progress, Step, StopRequested, record_run, recording
 from hpe_rig.measurement.background import BackgroundTasks, detached
 from hpe_rig.measurement.recording import RunRecorder
 from hpe_rig.measurement.sequencer import ShotBlock, ShotDone
@@ -153,3 +153,12 @@ def test_a_disk_that_falls_behind_by_more_than_memory_may_hold_ends_the_shot_wit
     # What had arrived is written all the same.
     assert written == 5
     assert len(disk.blocks) == 6
+
+
+def test_a_run_leaves_no_thread_behind(tmp_path: Path) -> None:
+    before = set(threading.enumerate())
+    record_run(prepare("table-1"), tmp_path / "run.h5")
+    for thread in set(threading.enumerate()) - before:
+        # A thread that nobody ends would be alive after any time.
+        thread.join(5.0)
+    assert set(threading.enumerate()) <= before
