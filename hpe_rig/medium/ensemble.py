@@ -152,7 +152,7 @@ class _EnsembleSpec:
         )
 
     def are_voigt(self) -> BoolArray:
-        """Return which members (member,) are Voigt media."""
+        """Return which members (member,) are Voigt media: all near a known medium, else those of the first family."""
         return np.ones(self.members, bool) if self.known_medium else np.arange(self.members) % len(FAMILIES) == 0
 
     def width_factors(self, width_log_sd: float) -> tuple[FloatArray, FloatArray]:
@@ -179,7 +179,8 @@ def medium_ensemble(
 
     ``pushed``: the medium itself in beams of these widths, or a sphere in it that is tracked as a whole. The media
     cover soft tissue, or are Voigt media near ``known_medium`` if that is given. A low-discrepancy sequence fills the
-    parameter ranges evenly, so there is no random seed.
+    parameter ranges evenly, so there is no random seed. ``members``: number of media; off the axis of the push it is
+    ``OFF_AXIS_MEMBERS`` instead.
     """
     spec = _EnsembleSpec(
         lowest_hz=lowest_hz,
@@ -190,8 +191,10 @@ def medium_ensemble(
     )
     if isinstance(pushed, RigidSphere):
         return _sphere_ensemble(pushed, spec)
-    # Cache keys are normalised, so that equal ensembles are computed once.
+    # The ensembles are cached by their arguments. Arguments that do not matter get one value, so that equal ensembles
+    # are computed once.
     if pushed.lateral_offset_m:
+        # One computation gives the ensembles of all offsets of the joint fit; the one for this offset is returned.
         offsets_m = pushed.offsets_of_joint_fit_m or (pushed.lateral_offset_m,)
         beams = replace(pushed, lateral_offset_m=0.0, offsets_of_joint_fit_m=offsets_m)
         ensembles = _off_axis_ensembles(beams, replace(spec, members=OFF_AXIS_MEMBERS))
@@ -226,33 +229,36 @@ def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
     width_factor, length_factor = spec.width_factors(beams.width_log_sd)
     across_m2 = (beams.force_width_m[0] * width_factor) ** 2
     along_m2 = (beams.force_width_m[2] * length_factor) ** 2
-    # Averaging over a tracking beam equals a force that is wider by its energy's variance.
+    # Averaging over a tracking beam equals a force that is wider by the variance of the beam's echo energy.
     area_m2 = beams.tracking_area_m2
     tracked, by_area = focal_displacement(shear_k2, across_m2 + area_m2, along_m2 + beams.depth_sd_m**2)
     peak, _ = focal_displacement(shear_k2, across_m2, along_m2)
     # The factor of a force that is not Gaussian applies to tracked and peak motion: their ratio is the Gaussian's.
-    shape = 1.0 if beams.force is None else _shape_ratio(beams, shear_k2, width_factor)
-    tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape / modulus_pa)
+    shape_ratio = 1.0 if beams.force is None else _shape_ratio(beams.force, beams, shear_k2, width_factor)
+    # The closed form is the displacement times the modulus.
+    tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape_ratio / modulus_pa)
     ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness, voigt=spec.are_voigt())
+    # Cached and shared by all callers, hence read-only.
     for array in (node_hz, tracked, peak, steepness, ensemble.voigt):
         array.flags.writeable = False
     return ensemble
 
 
-def _shape_ratio(beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatArray) -> ComplexArray:
-    """Return the motion under ``beams.force`` over the motion under the Gaussian, (member, frequency).
+def _shape_ratio(force: PushForce, beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatArray) -> ComplexArray:
+    """Return the motion under ``force`` over the motion under a Gaussian force of the widths of ``beams``.
 
-    ``shear_k2`` (member, frequency): squared wave number q^2 = rho w^2 / G of shear waves. ``width_factor`` (member,):
-    width of the member's force over that in ``beams``. The ratio depends on two numbers: |q| times the force's width,
-    and the loss angle of the modulus, -arg q^2. A wider force therefore has the ratio of a proportionally larger |q|.
-    The ratio is computed at Chebyshev nodes in ln |q| and in the loss angle, and interpolated between them.
+    The ratio is (member, frequency). ``shear_k2`` (member, frequency): squared wave number q^2 = rho w^2 / G of shear
+    waves. ``width_factor`` (member,): width of the member's force over that in ``beams``. The ratio depends on two
+    numbers: |q| times the force's width, and the loss angle of the modulus, -arg q^2. A wider force therefore has the
+    ratio of a proportionally larger |q|. The ratio is computed at Chebyshev nodes in ln |q| and in the loss angle, and
+    interpolated between them.
     """
     wave_number, loss_rad = np.sqrt(np.abs(shear_k2)), np.clip(-np.angle(shear_k2), 0.0, np.pi / 2)
     lowest = float(wave_number.min())
     highest = min(float(wave_number.max()), MAX_RELATIVE_WAVE_NUMBER / beams.force_width_m[0])
     wave_nodes = _nodes(lowest, highest, SHAPE_NODES)
     loss_nodes = np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
-    ratio = _shape_ratio_at_nodes(beams, tuple(wave_nodes.tolist()), tuple(loss_nodes.tolist()))
+    ratio = _shape_ratio_at_nodes(force, beams, tuple(wave_nodes.tolist()), tuple(loss_nodes.tolist()))
     # Chebyshev coefficients (wave, loss) of the ratio, from its values at the nodes.
     wave_basis = chebvander(_log_position(wave_nodes, lowest, highest), SHAPE_NODES - 1)
     loss_basis = chebvander(4 * loss_nodes / np.pi - 1, LOSS_NODES - 1)
@@ -266,24 +272,24 @@ def _shape_ratio(beams: BeamWidths, shear_k2: ComplexArray, width_factor: FloatA
 
 @functools.lru_cache(maxsize=8)
 def _shape_ratio_at_nodes(
-    beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]
+    force: PushForce, beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]
 ) -> ComplexArray:
-    """Return the motion under ``beams.force`` over that under the Gaussian, (wave, loss), on a grid of media.
+    """Return the tracked motion under ``force`` over that under a Gaussian force, (wave, loss), on a grid of media.
 
+    The Gaussian has the widths of ``beams``. Its motion has a closed form; the ratio corrects it for the force's shape.
     ``wave_per_m``: wave numbers |q| of shear waves. ``loss_rad``: loss angles of the modulus.
     """
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
     region = TrackedRegion(lateral_m=np.zeros(1), across_m2=beams.tracking_area_m2, along_m2=beams.depth_sd_m**2)
     wave, loss = np.meshgrid(wave_per_m, loss_rad, indexing="ij")
-    # Any density and frequency that give these wave numbers: 1 Hz and 1000 kg/m^3.
+    # The ratio depends on wave number and loss angle only, so any density and frequency that give these wave numbers
+    # will do: 1000 kg/m^3 and 1 Hz. The modulus is rho w^2 / |q|^2 exp(j loss).
     modulus_pa = np.asarray(1000.0 * (2 * np.pi / wave) ** 2 * np.exp(1j * loss), np.complex128).ravel()
     medium = HarmonicMedium(np.ones(modulus_pa.size), modulus_pa)
-    # The ratio depends on wave number and loss only, not on density and frequency themselves.
     shaped, gaussian = (
-        shear_motion(medium, force, region, quick=True).value[:, 0]
-        for force in (beams.force, PushForce.gaussian(beams.force_width_m))
-        if force is not None
+        shear_motion(medium, shape, region, quick=True).value[:, 0]
+        for shape in (force, PushForce.gaussian(beams.force_width_m))
     )
     return np.asarray((shaped / gaussian).reshape(wave.shape))
 
@@ -354,6 +360,7 @@ def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
         _law_modulus("voigt", s, modulus, low_viscosity),
         _law_modulus("maxwell", s, modulus, maxwell_viscosity),
     )
+    # The members take the material laws in turn.
     return np.asarray(np.choose((np.arange(members) % len(FAMILIES))[:, None], families))
 
 
@@ -395,6 +402,7 @@ def _even_sequence(count: int, dimensions: int) -> FloatArray:
 
 def _nodes(lowest: float, highest: float, count: int) -> FloatArray:
     """Return Chebyshev nodes (node,) in the logarithm, both ends included."""
+    # From -1 at the lowest to 1 at the highest, as in ``_log_position``.
     position = -np.cos(np.linspace(0, np.pi, count))
     return np.asarray(np.sqrt(lowest * highest) * (highest / lowest) ** (position / 2))
 

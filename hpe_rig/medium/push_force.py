@@ -182,14 +182,16 @@ def _fitted_force(
     reach_m = MAX_REACH * sigma_m
     rim_m = max(reach_m / (2 * f_number), 3 * spot_m)
     across_m = np.geomspace(NARROWEST * spot_m, WIDEST * rim_m, WIDTHS)
-    # Points are denser towards the axis, where the beam is narrow.
+    # Radii that grow as the square of their index: denser towards the axis, where the beam is narrow.
     lateral_m = FIT_RADIUS * WIDEST * rim_m * ((np.arange(FIT_POINTS) + 0.5) / FIT_POINTS) ** 2
     axial_m = np.linspace(-reach_m, reach_m, 2 * math.ceil(5 * MAX_REACH) + 1)
     # Outside the geometric beam and its edge the intensity counts as zero, which saves most of the time.
     inside_m = lateral_m[lateral_m < 1.3 * rim_m]
+    # The point on the axis is added to divide by the intensity at the focus, in the middle of ``axial_m``.
     sampled = intensity(np.concatenate([np.zeros(1), inside_m]), axial_m)
     relative = np.zeros((axial_m.size, lateral_m.size))
     relative[:, : inside_m.size] = sampled[:, 1:] / sampled[axial_m.size // 2, 0]
+    # Stations along the axis; their distance is also the sigma along the axis of every Gaussian.
     step_m = STATION_STEP * sigma_m
     count = math.ceil(reach_m / step_m)
     centre_m = np.asarray(step_m * np.arange(-count, count + 1), np.float64)
@@ -199,10 +201,11 @@ def _fitted_force(
         """Return the weights with the force faded out at ``reach`` sigmas."""
         return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADE_LENGTH)[:, None] * weights)
 
-    longer = (ending_at(REACH + REACH_UNCERTAINTY) - ending_at(REACH - REACH_UNCERTAINTY)) / 2
-    # exp(-2 alpha z) relative to the focus, to first order in the error of alpha.
-    lossier = -2 * loss_uncertainty_np_per_m * centre_m[:, None] * ending_at(REACH)
-    unsure = ("reach", _rows(longer)), ("loss", _rows(lossier))
+    # Changes of the weights by one standard uncertainty of the end and of the attenuation alpha. The intensity is
+    # attenuated by exp(-2 alpha z) relative to the focus; its change is of first order in the error of alpha.
+    change_by_reach = (ending_at(REACH + REACH_UNCERTAINTY) - ending_at(REACH - REACH_UNCERTAINTY)) / 2
+    change_by_loss = -2 * loss_uncertainty_np_per_m * centre_m[:, None] * ending_at(REACH)
+    unsure = ("reach", _rows(change_by_reach)), ("loss", _rows(change_by_loss))
     return PushForce(
         across_m=tuple(across_m.tolist()),
         along_m=step_m,
@@ -213,29 +216,34 @@ def _fitted_force(
 
 
 def _fitted_weights(
-    value: FloatArray, lateral_m: FloatArray, axial_m: FloatArray, across_m: FloatArray, centre_m: FloatArray
+    intensity: FloatArray, lateral_m: FloatArray, axial_m: FloatArray, across_m: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """Return the weights (station, width) of the Gaussians closest to ``value`` (axial, lateral), in least squares.
+    """Return the weights (station, width) of the sum of Gaussians closest to ``intensity`` (axial, lateral).
 
-    ``across_m`` (width,): sigmas across. ``centre_m`` (station,): positions along the axis. The squares are integrated
-    over the volume. ``value`` is padded with zeros beyond its ends, because Gaussians there would be undetermined.
+    The squared difference, integrated over the volume, is smallest. A Gaussian is centred on the axis at one of
+    ``centre_m`` (station,) and has one of the sigmas ``across_m`` (width,) across; its sigma along the axis is the
+    distance of two stations. ``axial_m``: an odd number of points, evenly spaced about the focus at 0. ``lateral_m``:
+    radii in proportion to the square of a half-integer index.
     """
-    step_m, spacing_m = centre_m[1] - centre_m[0], axial_m[1] - axial_m[0]
-    padding = math.ceil(3 * step_m / spacing_m)
+    station_step_m, spacing_m = centre_m[1] - centre_m[0], axial_m[1] - axial_m[0]
+    # Zeros are appended at both ends of the axis, because Gaussians there would be undetermined.
+    padding = math.ceil(3 * station_step_m / spacing_m)
     middle = len(axial_m) // 2
     padded_m = spacing_m * np.arange(-padding - middle, padding + middle + 1)
-    # Square root of a ring's area: radius times ring width, which grows as the square root of the radius.
-    weight = lateral_m**0.75
-    # Value = along @ weights @ across': a separable problem, solved by one pseudoinverse on either side.
-    along = np.exp(-0.5 * ((padded_m[:, None] - centre_m) / step_m) ** 2)
-    across = weight[:, None] * np.exp(-0.5 * (lateral_m[:, None] / across_m) ** 2)
-    target = np.pad(value, ((padding, padding), (0, 0))) * weight
+    # A ring's area is in proportion to radius times ring width. For quadratic spacing the width is in proportion to
+    # radius^0.5, hence the area to radius^1.5. Least squares need its square root.
+    root_area = lateral_m**0.75
+    # Intensity = along @ weights @ across': a separable problem, solved by one pseudoinverse on either side.
+    along = np.exp(-0.5 * ((padded_m[:, None] - centre_m) / station_step_m) ** 2)
+    across = root_area[:, None] * np.exp(-0.5 * (lateral_m[:, None] / across_m) ** 2)
+    target = np.pad(intensity, ((padding, padding), (0, 0))) * root_area
     return np.asarray(
         np.linalg.pinv(along, rcond=RANK_TOLERANCE) @ target @ np.linalg.pinv(across, rcond=RANK_TOLERANCE).T
     )
 
 
 def _rows(matrix: FloatArray) -> Weights:
+    """Return the rows of ``matrix`` as tuples, which are hashable."""
     return tuple(tuple(row) for row in matrix.tolist())
 
 

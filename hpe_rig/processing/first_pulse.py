@@ -3,6 +3,9 @@
 Records of pulses near a toneburst are disturbed: the toneburst leaks into them, or its echo does. The plan knows which
 pulses these are, so the disturbed records of a shot show by how many pulses its records are shifted. The second input
 is preferred to the echoes: on a T piece at the output of the toneburst generator it records the toneburst itself.
+
+A *shift* is the number of pulses by which a record comes later than its placement by trigger times says. It is 2, for
+example, if the first two triggers of a train were lost, so that record 1 is that of pulse 3.
 """
 
 from __future__ import annotations
@@ -41,8 +44,9 @@ MAX_DOUBT: Final = 1e-3
 class PulseAssignment:
     """The pulses of the records of a shot, and what remains unknown about them.
 
-    ``shifts``: numbers of pulses by which all records may come later than assigned, equally likely; (0,) if none does.
-    ``within_shot``: the shift may begin at any record.
+    ``placement``: the assigned pulse of each record. ``shifts``: numbers of pulses by which all records may come later
+    than assigned, equally likely; (0,) if none does. ``within_shot``: the shift may begin at any record.
+    ``remarks``: sentences on lost and stray triggers.
     """
 
     placement: Placement
@@ -68,20 +72,20 @@ def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
     stray triggers took the place of pulses; those are assumed to account for all missing pulses. In a shot that was
     not completed, missing records at the end are no sign of lost triggers.
     """
-    # ``timeless``: no record has a usable trigger time. ``known``: the pulse of each record is not in doubt.
+    # ``timeless``: no record has a usable trigger time. ``is_certain``: the pulse of each record is not in doubt.
     placement = stored.records.placement(shot.index)
     assignment = PulseAssignment(placement, remarks=tuple(_time_remarks(placement)))
     timeless = bool(placement.delivered.any() and placement.loose[placement.delivered].all())
-    known = stored.imported or not stored.shot_complete[shot.index]
-    if known or not (placement.unlocated or timeless):
+    is_certain = stored.imported or not stored.shot_complete[shot.index]
+    if is_certain or not (placement.unlocated or timeless):
         return assignment
     # Records disturbed by tonebursts: at the second input, or else in the echoes.
     kinds = pulse_kinds(shot)
     for name in ("monitor", "echo") if kinds.any() else ():
         disturbed = _disturbed_records(shot, stored, name)
-        shifted = None if disturbed is None else _by_tonebursts(assignment, kinds, disturbed, timeless)
-        if shifted is not None:
-            return shifted
+        corrected = None if disturbed is None else _by_tonebursts(assignment, kinds, disturbed, timeless)
+        if corrected is not None:
+            return corrected
     # No evidence: any of the missing pulses may have come before the first record.
     lost = 0 if placement.delivered.all() else placement.unlocated
     return replace(assignment, shifts=tuple(range(lost + 1)), within_shot=bool(lost and placement.loose.any()))
@@ -129,10 +133,13 @@ def _by_tonebursts(
 ) -> PulseAssignment | None:
     """Return the assignment for which the ``disturbed`` records (record,) are those of pulses near a toneburst.
 
-    None if the disturbed records do not follow the tonebursts at any shift.
+    ``kinds`` (pulse,): whether a pulse is ``CLEAN`` of tonebursts, ``NEAR`` or ``INSIDE`` one. ``timeless``: there are
+    no trigger times, so stray triggers are possible. None if the disturbed records do not follow the tonebursts at any
+    shift.
     """
     placement = assignment.placement
     records = np.flatnonzero(placement.pulse >= 0)
+    # Lost triggers shift records to later pulses, stray triggers to earlier ones: the shifts to be compared.
     strays = MAX_STRAY if timeless else 0
     shifts = np.arange(-strays, placement.unlocated + strays + 1)
     if records.size * shifts.size > MAX_TERMS:
@@ -160,12 +167,14 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
     # ``rates``: fraction of disturbed records by kind of pulse. It and the shifts are estimated three times.
     rates = np.array(START_RATES)
     for _ in range(3):
-        by_kind = np.log(np.stack([1 - rates, rates]))
-        likelihood = np.where(kinds < 0, -np.inf, by_kind[disturbed.astype(np.int64)[:, None], kinds])
-        posterior, total = _forward_backward(likelihood, changes)
-        weight = [np.where(kinds == kind, posterior, 0.0).sum(axis=1) for kind in (CLEAN, NEAR, INSIDE)]
-        # Half a record of each sort, so that no rate becomes 0 or 1.
-        rates = np.array([(w[disturbed].sum() + 0.5) / (w.sum() + 1.0) for w in weight])
+        # Log probability of an undisturbed and of a disturbed record, by kind of its pulse.
+        log_rates = np.log(np.stack([1 - rates, rates]))
+        log_likelihood = np.where(kinds < 0, -np.inf, log_rates[disturbed.astype(np.int64)[:, None], kinds])
+        posterior, total = _forward_backward(log_likelihood, changes)
+        # Probability that a record is of each kind, (record,).
+        of_kind = [np.where(kinds == kind, posterior, 0.0).sum(axis=1) for kind in (CLEAN, NEAR, INSIDE)]
+        # Half a disturbed and half an undisturbed record are added, so that no rate becomes 0 or 1.
+        rates = np.array([(weight[disturbed].sum() + 0.5) / (weight.sum() + 1.0) for weight in of_kind])
         # Pulses nearer to a toneburst are disturbed at least as often.
         rates = np.maximum.accumulate(rates)
     fraction = (disturbed.sum() + 0.5) / (disturbed.size + 1)
@@ -173,23 +182,23 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
     return posterior, float(total - chance)
 
 
-def _forward_backward(likelihood: FloatArray, changes: BoolArray) -> tuple[FloatArray, float]:
+def _forward_backward(log_likelihood: FloatArray, changes: BoolArray) -> tuple[FloatArray, float]:
     """Return the posterior (record, state) of a chain that rarely changes its state, and the data's log likelihood.
 
-    ``likelihood`` (record, state): its logarithm. The state can change at records with ``changes`` (record,). Computed
-    by the forward-backward algorithm of hidden Markov models.
+    Here a state is a shift. ``log_likelihood`` (record, state): of each record by itself. The state can change at
+    records with ``changes`` (record,). Computed by the forward-backward algorithm of hidden Markov models.
     """
-    records, states = likelihood.shape
-    # Records without a change in between share one state.
+    records, states = log_likelihood.shape
+    # Records without a change in between share one state: they are one block, with the sum of their log likelihoods.
     start = np.flatnonzero(np.concatenate([[True], changes[1:]]))
-    step = np.add.reduceat(likelihood, start, axis=0)
-    # Log probabilities of the records up to each step (forward) and after it (backward), for each state.
-    forward, backward = np.empty_like(step), np.zeros_like(step)
-    forward[0] = step[0] - np.log(states)
+    block = np.add.reduceat(log_likelihood, start, axis=0)
+    # Log probabilities of the records up to each block (forward) and after it (backward), for each state.
+    forward, backward = np.empty_like(block), np.zeros_like(block)
+    forward[0] = block[0] - np.log(states)
     for index in range(1, start.size):
-        forward[index] = _mixed(forward[index - 1]) + step[index]
+        forward[index] = _after_possible_change(forward[index - 1]) + block[index]
     for index in range(start.size - 2, -1, -1):
-        backward[index] = _mixed(backward[index + 1] + step[index + 1])
+        backward[index] = _after_possible_change(backward[index + 1] + block[index + 1])
     joint = forward + backward
     total = float(np.logaddexp.reduce(forward[-1]))
     posterior = np.exp(joint - np.logaddexp.reduce(joint, axis=1, keepdims=True))
@@ -197,14 +206,14 @@ def _forward_backward(likelihood: FloatArray, changes: BoolArray) -> tuple[Float
     return by_record, total
 
 
-def _mixed(log_probability: FloatArray) -> FloatArray:
+def _after_possible_change(log_probability: FloatArray) -> FloatArray:
     """Return log probabilities (state,) after a possible change of state, which has the probability exp(``CHANGE``)."""
     others = np.logaddexp.reduce(log_probability) + CHANGE - np.log(log_probability.size)
     return np.asarray(np.logaddexp(log_probability, others))
 
 
 def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterior: FloatArray) -> PulseAssignment:
-    """Return the assignment with one shift of all records, given the ``posterior`` (shift,).
+    """Return the assignment with one shift of all records, given the ``posterior`` probability (shift,) of ``shifts``.
 
     The first of the shifts that are not excluded is used; the others remain as possible further shifts.
     """
@@ -220,39 +229,44 @@ def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterio
 def _with_shifts(
     assignment: PulseAssignment, records: Int64Array, shifts: Int64Array, posterior: FloatArray
 ) -> PulseAssignment | None:
-    """Return the assignment with shifts that change within the shot, given the ``posterior`` (record, shift).
+    """Return ``assignment`` with the pulse of every record moved by its most probable shift, in pulses.
 
-    None if no shift is certain at any record.
+    A shift changes within the shot where triggers were lost or stray. ``records`` (record,): numbers of the records
+    that have a pulse. ``posterior`` (record, shift): probability of each of ``shifts`` (shift,) at each of them. None
+    if no shift is certain at any record.
     """
-    placement = assignment.placement
     best = posterior.argmax(axis=1)
     certain = posterior.max(axis=1) > 1 - MAX_DOUBT
     if not certain.any():
         return None
     # Records of an uncertain pulse, and records that would share a pulse, get none.
+    placement = assignment.placement
     pulse = np.where(certain, placement.pulse[records] + shifts[best], -1)
     repeated = np.isin(pulse, np.flatnonzero(np.bincount(pulse[pulse >= 0]) > 1))
-    moved = placement.pulse.copy()
-    moved[records] = np.where(repeated, -1, pulse)
+    pulse_of_record = placement.pulse.copy()
+    pulse_of_record[records] = np.where(repeated, -1, pulse)
     # A sentence for each change of the shift between certain records, and for one that the records start with.
+    certain_shifts, certain_records = shifts[best[certain]], records[certain]
     remarks = assignment.remarks
-    for index in np.flatnonzero(np.diff(shifts[best[certain]])):
-        before, after = shifts[best[certain]][index : index + 2]
+    for index in np.flatnonzero(np.diff(certain_shifts)):
+        before, after = certain_shifts[index : index + 2]
         what = f"{_triggers(after - before)} lost" if after > before else f"{_triggers(before - after)} too many"
-        first, last = records[certain][index : index + 2] + 1
+        first, last = certain_records[index : index + 2] + 1
         remarks += (
             f"{what} between record {first} and {last}: the tonebursts in the records show it, and the records between "
             "these are left out",
         )
-    if (first_shift := int(shifts[best[certain][0]])) > 0:
+    if (first_shift := int(certain_shifts[0])) > 0:
         remarks += (_lost_first(first_shift),)
-    return replace(assignment, placement=replace(placement, pulse=moved), remarks=remarks)
+    return replace(assignment, placement=replace(placement, pulse=pulse_of_record), remarks=remarks)
 
 
 def _lost_first(count: int) -> str:
+    """Return the remark that the first ``count`` triggers of a shot were lost."""
     triggers = "trigger was" if count == 1 else f"{count} triggers were"
     return f"the first {triggers} lost: the tonebursts in the records show it"
 
 
 def _triggers(count: int) -> str:
+    """Return the subject of a remark about ``count`` triggers."""
     return "a trigger was" if count == 1 else f"{count} triggers were"
