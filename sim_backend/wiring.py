@@ -26,6 +26,22 @@ def to_ps(time_s: float) -> int:
     return round(time_s * PS_PER_S)
 
 
+def elapsed_ps(interval_ps: Int64Array, clock_error: float) -> Int64Array:
+    """Return the true duration of intervals that an instrument measures with its clock, to the nearest picosecond.
+
+    ``clock_error`` is the relative error of the clock's rate, positive if it is fast.
+    """
+    if not clock_error:
+        return interval_ps
+    # The correction is small, so that its rounding as a float is far below 1 ps.
+    return np.asarray(interval_ps - np.rint(interval_ps * (clock_error / (1 + clock_error))).astype(np.int64))
+
+
+def measured_ps(interval_ps: Int64Array, clock_error: float) -> Int64Array:
+    """Return how long true intervals last by an instrument's clock: the inverse of `elapsed_ps`."""
+    return interval_ps + np.rint(interval_ps * clock_error).astype(np.int64) if clock_error else interval_ps
+
+
 class SimulatedClock:
     """Time of the simulated bench in whole picoseconds; it advances by calls alone, and sleeping takes no real time."""
 
@@ -68,7 +84,8 @@ BURST_FIELDS = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
 class Capture:
     """Consecutive records of one arming, one an entry of ``first_sample_ps`` (record,).
 
-    ``first_record`` is the number of records before them, ``origin_ps`` time zero of the capture.
+    ``first_record`` is the number of records before them, ``origin_ps`` time zero of the capture. ``sample_period_ps``
+    is nominal, by the digitizer's clock, which has the relative rate error ``clock_error``.
     """
 
     index: int
@@ -77,6 +94,7 @@ class Capture:
     sample_period_ps: int
     samples: int
     first_record: int = 0
+    clock_error: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

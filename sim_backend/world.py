@@ -102,14 +102,16 @@ class GeneratorConnection:
         self._generator.close()
 
 
-def _generator(clock: SimulatedClock, instruments: Instruments, model: str, number: int) -> Generator33250A:
-    """Return the twin's generator ``number``, of ``model``.
+def _generator(clock: SimulatedClock, instruments: Instruments, model: str, role: str) -> Generator33250A:
+    """Return the twin's generator of ``role``, of ``model``.
 
     With ``instruments.serial_numbers`` generators can be told apart: by their serial numbers, or, as a 33250A reports
     none, by the name of stored state 4.
     """
+    number = 1 + GENERATORS.index(role)
     serial = f"MY4400000{number}" if instruments.serial_numbers else "0"
-    generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial))
+    clock_error: float = getattr(instruments.clock_error, role)
+    generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial), clock_error)
     if instruments.serial_numbers:
         generator.states.rename(("4", f"SIM_BOX_{number}"))
     return generator
@@ -171,14 +173,13 @@ class World:
         self._lateral_m = 0.0
         self.clock = SimulatedClock()
         self._generators = {
-            role: _generator(self.clock, instruments, (models or {}).get(role, "33250A"), number)
-            for number, role in enumerate(GENERATORS, 1)
+            role: _generator(self.clock, instruments, (models or {}).get(role, "33250A"), role) for role in GENERATORS
         }
         latencies = latencies_of(
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
         self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
-        self.board.faults = instruments.trigger_faults
+        self.board.faults, self.board.clock_error = instruments.trigger_faults, instruments.digitizer_clock_error
         # The last evaluation, and the instruments' counters of changes for which it is valid.
         self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None
         # Records of the last capture.

@@ -209,7 +209,8 @@ def timestamps(
     number = np.arange(records.start, records.stop)
     # A frozen counter repeats the time of its first record.
     first, last = faults.frozen_stamps or (0, 0)
-    time_ps = triggers.tick_ps[np.where((number > first) & (number <= last), first, number)] - reset_ps
+    tick_ps = triggers.clock_ps[np.where((number > first) & (number <= last), first, number)]
+    time_ps = tick_ps - arming.by_clock(np.array(reset_ps))
     for jump in faults.stamp_jumps:
         time_ps[number >= jump.record] += to_ps(jump.jump_s)
     return time_ps // period_ps & ((1 << faults.stamp_bits) - 1)

@@ -26,7 +26,9 @@ from sim_backend.wiring import (
     Steps,
     accepted,
     crossings,
+    elapsed_ps,
     joined_steps,
+    measured_ps,
     no_bursts,
     to_ps,
 )
@@ -87,21 +89,33 @@ class BoardSettings:
 
 @dataclass(frozen=True, slots=True)
 class Arming:
-    """One capture: armed at ``start_ps`` with ``settings``, ended at ``stop_ps``; ``forced_ps``: software triggers."""
+    """One capture: armed at ``start_ps`` with ``settings``, ended at ``stop_ps``; ``forced_ps``: software triggers.
+
+    ``clock_error`` is the relative error of the board's clock rate. Its clock shows the true time at ``start_ps``.
+    """
 
     index: int
     start_ps: int
     settings: BoardSettings
     stop_ps: int = 1 << 61
     forced_ps: tuple[int, ...] = ()
+    clock_error: float = 0.0
+
+    def by_clock(self, time_ps: Int64Array) -> Int64Array:
+        """Convert true times to times by the board's clock."""
+        return self.start_ps + measured_ps(time_ps - self.start_ps, self.clock_error)
+
+    def elapsed_ps(self, interval_ps: int) -> int:
+        """Return the true duration of an interval of the board's clock."""
+        return int(elapsed_ps(np.array(interval_ps), self.clock_error))
 
 
 @dataclass(frozen=True, slots=True)
 class AcceptedTriggers:
     """Triggers that an arming accepted, one record each; arrays (record,).
 
-    ``tick_ps`` is the clock tick of the trigger, ``cause`` a ``codes.TRIGGERED_BY_...``; ``ignored`` counts triggers
-    during a record.
+    ``tick_ps`` is the clock tick of the trigger, ``clock_ps`` the same by the board's own clock, ``cause`` a
+    ``codes.TRIGGERED_BY_...``; ``ignored`` counts triggers during a record.
     """
 
     tick_ps: Int64Array
@@ -109,6 +123,7 @@ class AcceptedTriggers:
     end_ps: Int64Array
     cause: Int64Array
     ignored: int
+    clock_ps: Int64Array
 
     def complete(self, time_ps: int) -> int:
         """Return how many records are complete at ``time_ps``."""
@@ -132,30 +147,35 @@ def accepted_triggers(
     ``arriving``: voltage steps at the trigger input. The board ignores triggers while it records.
     """
     settings, period_ps = arming.settings, arming.settings.sample_period_ps
-    edge_ps = _trigger_edges(settings, arriving)
+    # All times are those of the board's clock, up to the accepted triggers.
+    edge_ps = arming.by_clock(_trigger_edges(settings, arriving))
+    forced_ps = arming.by_clock(np.array(arming.forced_ps, np.int64))
+    stop_ps, horizon_ps = arming.by_clock(np.array([arming.stop_ps, min(until_ps, arming.stop_ps)])).tolist()
     ready_ps = arming.start_ps + settings.pre_samples * period_ps
-    edge_ps = _with_faults(edge_ps[(edge_ps >= ready_ps) & (edge_ps < arming.stop_ps)], faults)
-    edge_ps = np.sort(np.concatenate([edge_ps[edge_ps >= ready_ps], np.array(arming.forced_ps, np.int64)]))
+    edge_ps = _with_faults(edge_ps[(edge_ps >= ready_ps) & (edge_ps < stop_ps)], faults)
+    edge_ps = np.sort(np.concatenate([edge_ps[edge_ps >= ready_ps], forced_ps]))
     # Edges count while the board is armed and has its pre-trigger samples. The sample clock registers one at its next
     # tick.
     tick_ps = -(-edge_ps // period_ps) * period_ps
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
     busy_ps = to_end_ps + settings.pre_samples * period_ps
     if settings.timeout_ticks:
-        last_ps = min(until_ps, arming.stop_ps)
-        accepted_ps, cause = _with_timeout(tick_ps, ready_ps, busy_ps, settings, last_ps)
+        accepted_ps, cause = _with_timeout(tick_ps, ready_ps, busy_ps, settings, horizon_ps)
     else:
         accepted_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
-        forced = np.isin(accepted_ps, -(-np.array(arming.forced_ps, np.int64) // period_ps) * period_ps)
+        forced = np.isin(accepted_ps, -(-forced_ps // period_ps) * period_ps)
         cause = np.where(forced, codes.TRIGGERED_BY_SOFTWARE, codes.TRIGGERED_BY_EXTERNAL)
-    first_ps = accepted_ps + latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
-    end_ps = accepted_ps + to_end_ps
     # Triggers after the last record are not counted as ignored.
-    during_ps = tick_ps[tick_ps < end_ps[-1]] if accepted_ps.size == settings.record_count else tick_ps
+    is_full = accepted_ps.size == settings.record_count
+    during_ps = tick_ps[tick_ps < accepted_ps[-1] + to_end_ps] if is_full else tick_ps
     ignored = during_ps.size - int(np.count_nonzero(cause != codes.TRIGGERED_BY_TIMEOUT))
     if ignored:
         _LOG.info("digitizer: %d of %d triggers came while it was busy, and are ignored", ignored, during_ps.size)
-    return AcceptedTriggers(accepted_ps, first_ps, end_ps, cause, ignored)
+    true_ps = arming.start_ps + elapsed_ps(accepted_ps - arming.start_ps, arming.clock_error)
+    # Sample 0 and the end follow every trigger by equal intervals, so that rounding shifts no record against its pulse.
+    to_first_ps = latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
+    first_ps, end_ps = (true_ps + arming.elapsed_ps(interval_ps) for interval_ps in (to_first_ps, to_end_ps))
+    return AcceptedTriggers(true_ps, first_ps, end_ps, cause, ignored, accepted_ps)
 
 
 def aux_steps(arming: Arming, triggers: AcceptedTriggers, latencies: Latencies) -> Steps:
@@ -165,7 +185,7 @@ def aux_steps(arming: Arming, triggers: AcceptedTriggers, latencies: Latencies) 
     low, high = np.zeros(triggers.tick_ps.size), np.full(triggers.tick_ps.size, AUX_HIGH_V)
     settings = arming.settings
     delay_ps = settings.delay_samples * settings.sample_period_ps if latencies.aux_waits_for_delay else 0
-    rise_ps = triggers.tick_ps + latencies.aux_ps + delay_ps
+    rise_ps = triggers.tick_ps + latencies.aux_ps + arming.elapsed_ps(delay_ps)
     fall_ps = np.maximum(triggers.end_ps, rise_ps)
     return joined_steps([Steps(rise_ps, low, high), Steps(fall_ps, high, low)])
 
@@ -269,6 +289,7 @@ class Board:
     count: int = 0
     changes: int = 0
     faults: TriggerFaults = NO_FAULTS
+    clock_error: float = 0.0
 
     @property
     def times_out(self) -> bool:
@@ -277,7 +298,7 @@ class Board:
 
     def arm(self, now_ps: int, settings: BoardSettings) -> None:
         """Start a capture with ``settings``."""
-        self.armings.append(Arming(self.count, now_ps, settings))
+        self.armings.append(Arming(self.count, now_ps, settings, clock_error=self.clock_error))
         self.count += 1
         self.running = True
         self.changes += 1

@@ -34,6 +34,7 @@ class CaptureSnapshot:
             first_sample_ps=first_ps,
             sample_period_ps=settings.sample_period_ps,
             samples=settings.record_samples,
+            clock_error=self.arming.clock_error,
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sim_backend.arrays import FloatArray, Int64Array
-from sim_backend.wiring import PS_PER_S, Bursts, Cable, Capture, Emission
+from sim_backend.wiring import PS_PER_S, Bursts, Cable, Capture, Emission, elapsed_ps
 
 INPUTS = ("digitizer.channel_a", "digitizer.channel_b")
 """Inputs that a cable can lead to, by the number of the channel."""
@@ -22,7 +22,8 @@ def direct_volts(
 
     The steps of ``emissions`` are those of outputs that feed the 50 ohm of this input (`propagate`).
     """
-    sample_ps = capture.first_sample_ps[records, None] + np.arange(capture.samples) * capture.sample_period_ps
+    since_first_ps = elapsed_ps(np.arange(capture.samples) * capture.sample_period_ps, capture.clock_error)
+    sample_ps = capture.first_sample_ps[records, None] + since_first_ps
     volts = np.zeros(sample_ps.shape)
     for cable in cables:
         emission = emissions[cable.source.partition(".")[0]]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -48,6 +48,21 @@ def changes_output(before: Registers, after: Registers) -> bool:
     """Return whether the output differs between two states."""
     names = (item.name for item in fields(Registers) if item.name not in WITHOUT_EFFECT)
     return (before.output or after.output) and any(getattr(before, name) != getattr(after, name) for name in names)
+
+
+def with_clock_error(registers: Registers, clock_error: float) -> Registers:
+    """Return registers whose frequency and times include a relative error of the rate of the instrument's clock."""
+    if not clock_error:
+        return registers
+    rate = 1 + clock_error
+    return replace(
+        registers,
+        frequency_hz=registers.frequency_hz * rate,
+        width_s=registers.width_s / rate,
+        burst_period_s=registers.burst_period_s / rate,
+        delay_s=registers.delay_s / rate,
+        timer_s=registers.timer_s / rate,
+    )
 
 
 def is_endless(registers: Registers) -> bool:

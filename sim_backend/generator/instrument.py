@@ -6,7 +6,7 @@ import math
 
 from sim_backend.generator.arbitrary import WaveformMemory
 from sim_backend.generator.command_tree import REMOTE, Action, Entry, table_of
-from sim_backend.generator.emission import changes_output, is_endless, respond
+from sim_backend.generator.emission import changes_output, is_endless, respond, with_clock_error
 from sim_backend.generator.headers import Command
 from sim_backend.generator.kinds import SettingCommand
 from sim_backend.generator.models import AGILENT_33250A, Model
@@ -31,9 +31,15 @@ class Generator33250A:
     answered.
     """
 
-    def __init__(self, clock: SimulatedClock, latency_s: float, model: Model = AGILENT_33250A) -> None:
-        """Switch the generator on; ``latency_s``: from a trigger to the burst."""
+    def __init__(
+        self, clock: SimulatedClock, latency_s: float, model: Model = AGILENT_33250A, clock_error: float = 0.0
+    ) -> None:
+        """Switch the generator on; ``latency_s``: from a trigger to the burst.
+
+        ``clock_error`` is the relative error of its time base's rate, positive if it is fast.
+        """
         self._clock = clock
+        self._clock_error = clock_error
         self._latency_ps = to_ps(latency_s)
         self._replies: list[str] = []
         self._table = table_of(model.name)
@@ -105,7 +111,8 @@ class Generator33250A:
 
     def emission(self, arriving: Steps, until_ps: int) -> Emission:
         """Return past output and, without further commands, future output; ``arriving`` is the voltage at Trig In."""
-        return respond(self._history, self._software_ps, arriving, self._latency_ps, until_ps)
+        history = [(time_ps, with_clock_error(registers, self._clock_error)) for time_ps, registers in self._history]
+        return respond(history, self._software_ps, arriving, self._latency_ps, until_ps)
 
     def forget_past(self) -> None:
         """Start the history now; valid when no burst is running."""
@@ -150,7 +157,8 @@ class Generator33250A:
 
     def wait(self) -> None:
         """Advance the clock until the burst that a command has triggered ends."""
-        length_s = self.registers.delay_s + self.registers.burst_s
+        emitted = with_clock_error(self.registers, self._clock_error)
+        length_s = emitted.delay_s + emitted.burst_s
         if self._software_ps and self.registers.trigger_source == "BUS" and math.isfinite(length_s):
             self._clock.advance_to(self._software_ps[-1] + self._latency_ps + to_ps(length_s))
 

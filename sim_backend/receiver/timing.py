@@ -1,4 +1,4 @@
-"""Timing errors: trigger jitter of the generators, aperture jitter and offset of the digitizer's sample clock.
+"""Timing errors: trigger jitter of the generators, aperture jitter and rate error of the digitizer's clock.
 
     v(t + e) = v(t) + e dv/dt
 
@@ -56,14 +56,14 @@ def _hashed(word: UInt64Array) -> UInt64Array:
 
 
 def has_clock_error(instruments: Instruments) -> bool:
-    """Return whether the sample clock has jitter or an offset."""
-    return instruments.sample_clock_jitter_s > 0 or instruments.sample_clock_offset != 0
+    """Return whether the sample clock has jitter or a rate error."""
+    return instruments.sample_clock_jitter_s > 0 or instruments.digitizer_clock_error != 0
 
 
 def sampled_with_clock_error(
     volts: FloatArray, selected: slice, period_s: float, instruments: Instruments, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the ``selected`` samples of ``volts`` (record, sample), as sampled by a clock with offset and jitter.
+    """Return the ``selected`` samples of ``volts`` (record, sample), as sampled by a clock with rate error and jitter.
 
     ``selected`` leaves `SLOPE_MARGIN` samples on either side. A late sample differs by lateness times slope, to first
     order; the second order is (2 pi 9 MHz x 0.1 ns)² / 2 = 2e-5 for a jitter of 0.1 ns.
@@ -76,8 +76,9 @@ def sampled_with_clock_error(
     )
     exact = volts[:, selected]
     step = selected.step or 1
-    # Lateness in sample periods: the clock's offset adds up over the record.
-    lateness = np.arange(exact.shape[1]) * (step * instruments.sample_clock_offset)
+    # Lateness in sample periods: the clock's rate error adds up over the record.
+    clock_error = instruments.digitizer_clock_error
+    lateness = np.arange(exact.shape[1]) * (-step * clock_error / (1 + clock_error))
     if instruments.sample_clock_jitter_s:
         lateness = lateness + rng.standard_normal(exact.shape) * (instruments.sample_clock_jitter_s / period_s)
     return np.asarray(exact + lateness * slope)

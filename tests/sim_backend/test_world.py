@@ -5,6 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 
+from sim_backend.digitizer.boards import BOARDS
 from sim_backend.settings.simulation import SimulationSettings, Specimen
 from sim_backend.world import World
 
@@ -389,9 +390,9 @@ def test_the_same_messages_give_the_same_bytes_with_the_twins_own_physics():
     assert np.ptp(first.astype(int)) > 0
 
 
-def monitored(plugs, channel=2, high_v=5):
+def monitored(plugs, channel=2, high_v=5, settings=None):
     """Return one record of 256 samples of ``channel``, 128 of them before the trigger, in volts, after one shot."""
-    bench = Bench(world=World(SimulationSettings(), FIG_2, Silent()))
+    bench = Bench(world=World(SimulationSettings.model_validate(settings or {}), FIG_2, Silent()))
     bench.world.plug(plugs)
     bench.program(pulses=1, delay=0, bursts=1)
     for role in ("master", "burst_train", "tracking_train"):
@@ -453,3 +454,107 @@ def test_a_role_at_the_address_of_another_generator_programs_that_one():
     bench = Bench(world=World(SimulationSettings(), FIG_2, boxes={"toneburst": "master", "master": "toneburst"}))
     bench.send("toneburst", "OUTP 1")
     assert [role for role, on in bench.world.outputs_on().items() if on] == ["master"]
+
+
+CLOCK_ERRORS = {
+    "master": 2e-5,
+    "burst_train": -1e-5,
+    "toneburst": 5e-5,
+    "tracking_train": 3e-5,
+    "tracking_pulser": -4e-5,
+    "digitizer": -2e-5,
+}
+
+
+def fired(instruments, acoustics=None):
+    """Return a bench that has fired one shot, and the world's time of the command that fired it."""
+    settings = SimulationSettings.model_validate({"instruments": instruments})
+    bench = Bench(world=World(settings, FIG_2, acoustics or Counting()))
+    bench.arm()
+    bench.library.AlazarAbortAsyncRead(BOARD)
+    bench.library.AlazarSetRecordCount(BOARD, 40)
+    assert bench.library.AlazarStartCapture(BOARD) == 512
+    bench.program()
+    bench.send("master", MASTER + ";:TRIG:DEL 0.5")
+    return bench, bench.fire() - 100_000
+
+
+def stamps_of(bench):
+    """Return the time stamps of the 40 records, in samples."""
+    bench.world.clock.sleep(1.0)
+    stamp, stamps = ctypes.c_uint64(), []
+    for record in range(1, 41):
+        assert bench.library.AlazarGetTriggerTimestamp(BOARD, record, ctypes.byref(stamp)) == 512
+        stamps.append(stamp.value)
+    return stamps
+
+
+def true_edges_ps(fired_ps):
+    """Return the edge of the master and those of the tracking train, from the definition of a rate error."""
+    master_ps = fired_ps + 100_000 + 0.5e12 / (1 + CLOCK_ERRORS["master"])
+    delay_ps, period_ps = (value / (1 + CLOCK_ERRORS["tracking_train"]) for value in (300e6, 250e6))
+    # Two cables of 5 ns and the latency of the train's generator.
+    return master_ps, master_ps + 110_000 + delay_ps + period_ps * np.arange(40)
+
+
+def test_bursts_and_pulses_follow_the_clock_of_their_own_generator():
+    bench, fired_ps = fired({"clock_error": CLOCK_ERRORS})
+    tonebursts, pulses, ignored = bench.world.emissions()
+    master_ps, edge_ps = true_edges_ps(fired_ps)
+    burst_period_ps = 1e10 / (1 + CLOCK_ERRORS["burst_train"])
+    np.testing.assert_allclose(
+        tonebursts.onset_ps, master_ps + 220_000 + burst_period_ps * np.arange(20), rtol=0, atol=2
+    )
+    np.testing.assert_allclose(tonebursts.end_ps - tonebursts.onset_ps, 200e6 / (1 + 5e-5), rtol=0, atol=1)
+    np.testing.assert_allclose(tonebursts.carrier_hz, 3e6 * (1 + 5e-5), rtol=1e-12)
+    np.testing.assert_allclose(pulses.carrier_hz, 9e6 * (1 - 4e-5), rtol=1e-12)
+    # The digitizer passes the trigger on at its next tick.
+    since_edge_ps = pulses.onset_ps - edge_ps - 115_000
+    assert np.all((since_edge_ps > -3) & (since_edge_ps < 10_003))
+    assert set(ignored.values()) == {0}
+
+
+def test_time_stamps_are_true_times_by_the_digitizers_clock():
+    bench, fired_ps = fired({"clock_error": CLOCK_ERRORS})
+    start_ps = bench.world.board.armings[-1].start_ps
+    _, edge_ps = true_edges_ps(fired_ps)
+    ticks = np.ceil((edge_ps - start_ps) * (1 + CLOCK_ERRORS["digitizer"]) / 10_000)
+    step = BOARDS["ATS460"].samples_per_count
+    np.testing.assert_array_equal(stamps_of(bench), ticks // step * step)
+
+
+def test_samples_and_the_trigger_delay_follow_the_digitizers_clock():
+    acoustics = Counting()
+    bench, _ = fired({"clock_error": CLOCK_ERRORS}, acoustics)
+    bench.world.clock.sleep(1.0)
+    words = (ctypes.c_uint16 * SAMPLES)()
+    assert bench.library.AlazarRead(BOARD, 1, words, 2, 1, 0, SAMPLES) == 512
+    # From the pulse, 105 ns after the tick (AUX, cable 5 ns, generator 100 ns), to sample 0: 8000 samples.
+    pulses = bench.world.emissions()[1]
+    since_pulse_ps = acoustics.captures[0].first_sample_ps - (pulses.onset_ps - 115_000)
+    np.testing.assert_allclose(since_pulse_ps, 80e6 / (1 + CLOCK_ERRORS["digitizer"]), rtol=0, atol=1)
+    assert len(set(since_pulse_ps.tolist())) == 1
+
+
+def test_the_older_key_of_the_sample_clock_moves_the_time_stamps():
+    """A period that is too long by 1e-5 gives 50 ticks less for 50 ms, up to one tick of rounding for each stamp."""
+    bench, _ = fired({"sample_clock_offset": 1e-5})
+    perfect, _ = fired({})
+    change = (np.array(stamps_of(bench)) - np.array(stamps_of(perfect))) / 1e8
+    np.testing.assert_allclose(change, -1e-5 * np.array(stamps_of(perfect)) / 1e8, rtol=0, atol=2.1e-8)
+    assert change[0] < -4e-6
+
+
+def test_two_statements_of_the_digitizers_clock_are_refused():
+    instruments = {"sample_clock_offset": 1e-5, "clock_error": {"digitizer": 1e-5}}
+    with pytest.raises(ValueError, match="both state the digitizer's clock"):
+        SimulationSettings.model_validate({"instruments": instruments})
+
+
+def test_samples_of_the_second_input_follow_the_digitizers_clock():
+    """A fast clock counts 121 periods in 1.2 us: the 120 of a perfect one, and 1 % more."""
+    plugs = [("tracking_train.output", "digitizer.channel_b", 1205e-9)]
+    perfect, fast = (
+        monitored(plugs, settings={"instruments": {"clock_error": {"digitizer": error}}}) for error in (0.0, 9e-3)
+    )
+    assert (fast > 1).argmax() == (perfect > 1).argmax() + 1

@@ -29,7 +29,9 @@ def snapshot(records=RECORDS, amplitude_vpp=1.0):
     ones = np.ones(records)
     pulses = Bursts(onset_ps, onset_ps + 333_333, 9e6 * ones, 3 * ones, amplitude_vpp * ones)
     first_ps = onset_ps + 89_600_000
-    triggers = AcceptedTriggers(onset_ps, first_ps, first_ps + SAMPLES * 10_000, np.ones(records, np.int64), 0)
+    triggers = AcceptedTriggers(
+        onset_ps, first_ps, first_ps + SAMPLES * 10_000, np.ones(records, np.int64), 0, onset_ps
+    )
     arming = Arming(0, 0, BoardSettings(post_samples=SAMPLES, record_count=records))
     return CaptureSnapshot(arming, triggers, no_bursts(), pulses, 0)
 
