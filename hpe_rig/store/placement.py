@@ -2,6 +2,8 @@
 
 Records are stored in the order of arrival, with their trigger times as delivered. The placement is computed from these
 when records are read, so that a faulty trigger time costs no record.
+
+Trigger times are read from a counter in the digitizer, which can step (jump by an arbitrary time) or stand still.
 """
 
 from __future__ import annotations
@@ -79,30 +81,32 @@ def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> P
     timed = records[np.isfinite(time_s[records])]
     if not timed.size or not np.isfinite(rate_hz):
         return counted
-    # Steps from each trigger to the next, in pulse periods.
+    # Times from each trigger to the next, in pulse periods.
     step = np.diff(time_s[timed]) * rate_hz
-    near = np.abs(step - 1) < TOLERANCE
-    if timed.size == records.size and near.all():
+    is_one_period = np.abs(step - 1) < TOLERANCE
+    if timed.size == records.size and is_one_period.all():
+        # Every record has a trigger time one period after the last: the pulses are consecutive.
         pulse = counted.pulse.copy()
         pulse[records] = np.arange(records.size)
         return replace(counted, pulse=pulse, loose=np.zeros(pulses, bool))
     # The clock of the digitizer may be wrong by up to one per cent, which adds up over long gaps.
-    period_s = (float(np.median(step[near])) if near.any() else 1.0) / rate_hz
+    period_s = (float(np.median(step[is_one_period])) if is_one_period.any() else 1.0) / rate_hz
     # Records that repeat a trigger time are left out of the train, and counted from the record before.
-    frozen = _standing(step)
+    frozen = _repeated_times(step)
     train = _Train(timed[~frozen], time_s[timed[~frozen]] / period_s).within(pulses)
     placement = _placement(train, delivered)
     return replace(placement, remarks=(*_jump_remarks(train, period_s), *_freeze_remarks(timed[frozen])))
 
 
-def _standing(step: FloatArray) -> BoolArray:
+def _repeated_times(step: FloatArray) -> BoolArray:
     """Return which records repeat the trigger time of the record before, (record,), at least two in a row.
 
     ``step`` (record - 1,): time from each record to the next, in pulse periods.
     """
-    same = np.concatenate([[False], np.abs(step) < TOLERANCE, [False]])
-    before = np.concatenate([[False], same[:-2]])
-    return np.asarray(same[:-1] & (before | same[1:]))
+    repeats = np.concatenate([[False], np.abs(step) < TOLERANCE])
+    previous_repeats = np.concatenate([[False], repeats[:-1]])
+    next_repeats = np.concatenate([repeats[1:], [False]])
+    return np.asarray(repeats & (previous_repeats | next_repeats))
 
 
 def _placement(train: _Train, delivered: BoolArray) -> Placement:
@@ -132,7 +136,11 @@ def _placement(train: _Train, delivered: BoolArray) -> Placement:
 
 
 def _jump_remarks(train: _Train, period_s: float) -> Iterator[str]:
-    """Yield a sentence for each step of the counter."""
+    """Yield a sentence for each jump of the trigger times, where the digitizer's counter stepped between two segments.
+
+    Trigger times in ``train`` are in pulse periods of ``period_s``. The jump is the difference of the trigger times
+    minus the periods between the pulses of the two records.
+    """
     for before, after in pairwise(train.segments()):
         last, first = before.index[-1], after.index[0]
         jump_s = float(train.period[first] - train.period[last] - after.pulse[0] + before.pulse[-1]) * period_s
@@ -147,10 +155,10 @@ def _freeze_remarks(frozen: Int64Array) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Train:
-    """Timed records in the order of arrival: their numbers and trigger times in periods, both (timed record,).
+    """Timed records in the order of arrival: their numbers and their trigger times, both (timed record,).
 
-    ``resets``: indices of the first records after a gap that is a step of the counter. ``stray``: indices of records
-    that are stray although they are whole periods from others.
+    ``period``: the trigger times in pulse periods. ``resets``: indices of the first records after a gap that is a step
+    of the counter. ``stray``: indices of records that are stray although they are whole periods from others.
     """
 
     record: Int64Array
@@ -233,7 +241,10 @@ class _Train:
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """Records of the train without a step of the counter: indices of timed records and their pulses, both (record,)."""
+    """Consecutive part of a train, without a step of the digitizer's counter between its records.
+
+    ``index`` (record,): indices of the records in the train. ``pulse`` (record,): the pulse of each.
+    """
 
     index: Int64Array
     pulse: Int64Array

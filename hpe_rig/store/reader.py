@@ -85,8 +85,8 @@ class StoredShot:
     def placed(self, placement: Placement) -> StoredShot:
         """Return records in the order of arrival at the pulses of ``placement``."""
         record = placement.record
-        found = record >= 0
-        valid, damaged = (found & values[np.maximum(record, 0)] for values in (self.valid, self.damaged))
+        has_record = record >= 0
+        valid, damaged = (has_record & values[np.maximum(record, 0)] for values in (self.valid, self.damaged))
         return replace(self, valid=valid, damaged=damaged, record=record)
 
     @property
@@ -102,11 +102,13 @@ class StoredShot:
         if self.record is None:
             codes = self._block(pulses)
         else:
+            # One block that contains the records of all these pulses, from which each is selected.
             record = self.record[pulses]
-            last = int(record.max(initial=-1)) + 1
-            first = int(record.min(initial=last, where=record >= 0))
+            has_record = record >= 0
+            stop = int(record.max(initial=-1)) + 1
+            first = int(record.min(initial=stop, where=has_record))
             codes = np.full((record.size, self.shape[1]), MISSING)
-            codes[record >= 0] = self._block(slice(first, last))[record[record >= 0] - first]
+            codes[has_record] = self._block(slice(first, stop))[record[has_record] - first]
         codes[~self.valid[pulses]] = MISSING
         return codes
 
@@ -201,10 +203,10 @@ class StoredRecords(Sequence[ShotRecords]):
 
         ``placement``: pulses of the records; None: by the trigger times.
         """
-        # While a run writes the file, records can look damaged for a moment: they are read again.
+        # While a run writes the file, records can look damaged for a moment: they are read again after a pause.
         for attempt in range(READ_ATTEMPTS):
             with open_checked(self.path) as checked:
-                stored, offset, arrival = self._of_shot(checked, shot, gate, name, margin)
+                stored, offset_v, arrival = self._of_shot(checked, shot, gate, name, margin)
                 echo = _echo(checked, self.shape, name)
                 codes, damaged = _codes(checked, echo, f"records/{name}", stored.shot, arrival, stored.samples)
                 running = checked.attribute("status", str) == STATUSES[0]
@@ -214,7 +216,7 @@ class StoredRecords(Sequence[ShotRecords]):
             time.sleep(READ_PAUSE_S)
         time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
         scale, limits = stored.volts_per_code, stored.code_limits
-        records = ShotRecords(codes, time_s, scale, offset, limits, stored.margin, damaged)
+        records = ShotRecords(codes, time_s, scale, offset_v, limits, stored.margin, damaged)
         return records.placed(by_times if placement is None else placement)
 
     def shot_blocks(
@@ -237,21 +239,24 @@ class StoredRecords(Sequence[ShotRecords]):
         with open_checked(self.path) as checked:
             stored, _, _ = self._of_shot(checked, shot, gate, "echo", margin)
             placement = placement or _placement(checked, self.shape, stored.shot)
-        identity = placement.is_identity
+        records_are_pulses = placement.is_identity
         pulses, samples = stored.shape
-        inside = slice(stored.margin[0], samples - stored.margin[1])
+        gate_samples = slice(stored.margin[0], samples - stored.margin[1])
         copy = CodesCopy(samples) if 2 * pulses * samples <= MAX_COPY_BYTES else None
 
         def copy_and_visit(codes: Int16Array) -> None:
-            """Copy a block of codes (pulse, sample) to the temporary file; call ``visit`` with those in the gate."""
+            """Copy a block of codes (record, sample) to the temporary file, and call ``visit`` with those in the gate.
+
+            ``visit`` takes blocks of consecutive pulses: it is not called if records have other numbers than pulses.
+            """
             if copy is not None:
                 copy.add(codes)
-            if visit is not None and identity:
-                visit(codes[:, inside])
+            if visit is not None and records_are_pulses:
+                visit(codes[:, gate_samples])
 
         damaged = self.damaged(stored.shot, visit=copy_and_visit, samples=stored.samples)
         stored = replace(stored, valid=stored.valid & ~damaged, damaged=damaged, copy=copy)
-        return stored if identity else stored.placed(placement)
+        return stored if records_are_pulses else stored.placed(placement)
 
     def _of_shot(
         self, checked: CheckedFile, shot: int, gate: slice, name: str, margin: int
@@ -297,9 +302,10 @@ class StoredRecords(Sequence[ShotRecords]):
         visit: Callable[[Int16Array], None] | None = None,
         samples: slice = slice(0, 0),
     ) -> BoolArray:
-        """Return which records of ``shot`` are damaged at any input, (pulse,), reading at most ``pulses`` at a time.
+        """Return which records of ``shot`` are damaged at any input, (record,), reading at most ``pulses`` at a time.
 
-        ``visit`` is called with the codes of ``samples`` of all echoes (pulse, sample), block by block.
+        ``visit`` is called with the codes of ``samples`` of all echoes (record, sample), block by block, in the order
+        of the file.
         """
         with open_checked(self.path) as checked:
             arrival = _arrival(checked, self.shape, shot)
@@ -644,8 +650,9 @@ def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
 def _damaged_truth(checked: CheckedFile, shape: Shape) -> Iterator[str]:
     """Yield a message for each shot and dataset of the simulated truth that fails its checksum."""
     for name, dataset in _datasets_by_shot(checked, shape):
-        if name.startswith("tru"):
-            for shot in np.flatnonzero(~_all_rows(checked, name, dataset)[1]):
+        if name.startswith(("truth/", "true_harmonics/")):
+            _, intact = _all_rows(checked, name, dataset)
+            for shot in np.flatnonzero(~intact):
                 yield f"shot {shot + 1}: /{name} fails its checksum: its truth is left out"
 
 
@@ -653,8 +660,8 @@ def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
     """Return a message for each dataset with one checksum per shot that fails it in the row of ``shot``."""
     with open_checked(stored.path) as checked:
         datasets = _datasets_by_shot(checked, stored.records.shape)
-        names = [name for name, dataset in datasets if not _row(checked, name, dataset, shot)[1]]
-    return tuple(f"/{name} fails its checksum" for name in names)
+        rows = [(name, _row(checked, name, dataset, shot)) for name, dataset in datasets]
+    return tuple(f"/{name} fails its checksum" for name, (_, intact) in rows if not intact)
 
 
 def _datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
@@ -689,6 +696,7 @@ def _row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None
     values = np.asarray(dataset[index], dataset.dtype)
     if not checked.has_checksums:
         return values, True
+    # A checksum of 0 is that of values that were never written.
     expected = int(checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[: len(index)])[index])
     intact = expected in (0, digest(name, index, stored_bytes(values, dataset.dtype)))
     return (values if expected and intact else blank(dataset.dtype, values.shape)), intact
@@ -704,8 +712,10 @@ def _all_rows(checked: CheckedFile, name: str, dataset: h5py.Dataset) -> tuple[N
         return values, np.ones(values.shape[0], bool)
     expected = checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[:1])[()].tolist()
     actual = [digest(name, (index,), stored_bytes(row, dataset.dtype)) for index, row in enumerate(values)]
+    # A checksum of 0 is that of a row that was never written.
     unwritten = np.array(expected) == 0
-    intact = unwritten | np.array([pair[0] == pair[1] for pair in zip(expected, actual, strict=True)], bool)
+    matches = [stored == computed for stored, computed in zip(expected, actual, strict=True)]
+    intact = unwritten | np.array(matches, bool)
     values[unwritten | ~intact] = blank(dataset.dtype, ())
     return values, intact
 
@@ -741,10 +751,13 @@ def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
 
 
 def _placement(checked: CheckedFile, shape: Shape, shot: int) -> Placement:
-    """Return the pulse of each record of ``shot`` by the trigger times; damaged records are counted."""
+    """Return the pulse of each record of ``shot`` by the trigger times; damaged records count as arrived.
+
+    The pulse rate is that of the planned onsets; without them, or for one pulse, it is not finite.
+    """
     arrival = _arrival(checked, shape, shot)
     name = "records/pulse_onset_s"
-    onset_s = _row(checked, name, _rows(checked, name, shape), shot)[0]
+    onset_s, _ = _row(checked, name, _rows(checked, name, shape), shot)
     with np.errstate(divide="ignore", invalid="ignore"):
         rate_hz = float((shape[1] - 1) / (onset_s[-1] - onset_s[0]))
     return place_records(arrival.recorded | arrival.damaged, arrival.trigger_time_s, rate_hz)
@@ -848,6 +861,7 @@ def _echo(checked: CheckedFile, shape: Shape, name: str = "echo") -> h5py.Datase
     echo = checked.dataset(f"records/{name}", "<i2", shape)
     if echo.chunks is None:
         raise InvalidContentError(f"/records/{name} is in one piece")
+    # Only files without checksums may have other chunks.
     if checked.has_checksums and (echo.chunks[0] != 1 or echo.chunks[2] != shape[2]):
         raise InvalidContentError(f"/records/{name} has chunks of {echo.chunks}")
     return echo

@@ -1,7 +1,8 @@
 """Writer of a run file: records go to disk as they arrive, in whole chunks, while other programs may read.
 
 The order of writing makes the file safe to read at any time, also after a crash: first a chunk of echoes, then the
-marks of its records in ``recorded``, then the checksums of both. So every mark with a matching checksum is valid.
+marks in ``recorded`` that its records have arrived, then the checksums of both. So every mark with a matching checksum
+is valid. A chunk is the piece of a dataset that HDF5 stores at once: the echoes of consecutive records.
 """
 
 from __future__ import annotations
@@ -129,7 +130,7 @@ class RunWriter:
         self._chunk = self._chunks[0]
         sums = _ChunkSums(self._file, "records/recorded", self._journal)
         self._arrivals = _Arrivals(self._file, self._chunk.rows, sums)
-        self._shot: _ShotRows | None = None
+        self._shot_arrivals: _ShotArrivals | None = None
 
     def __enter__(self) -> RunWriter:
         return self
@@ -184,10 +185,10 @@ class RunWriter:
         self._refuse_other_volts(block)
         # The disk writes these records while the next ones arrive; ``finish`` waits for them.
         with self._committing(always=False, wait=False):
-            rows = self._rows_of(shot)
+            arrivals = self._arrivals_of(shot)
             index = block.first_record + np.arange(block.codes.shape[0])
             codes = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
-            self._put(rows, index, codes, block.trigger_time_s)
+            self._put(arrivals, index, codes, block.trigger_time_s)
             self._write_checksums()
 
     def write_clipped(self, shot: Shot, clipped: bool) -> None:
@@ -213,7 +214,7 @@ class RunWriter:
 
     def write_ground_truth(self, shot: Shot, displacement_m: FloatArray) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
-        recorded = np.zeros(0, bool) if self._shot is None else self._shot.recorded
+        recorded = np.zeros(0, bool) if self._shot_arrivals is None else self._shot_arrivals.recorded
         valid = np.flatnonzero(recorded)
         row_m = np.full(recorded.size, np.nan)
         row_m[valid] = displacement_m[: valid.size]
@@ -264,75 +265,80 @@ class RunWriter:
                 self._file.flush()
                 self._tables["records/shot_complete"].put(shot, 1)
 
-    def _rows_of(self, shot: Shot) -> _ShotRows:
-        """Return the marks and times of ``shot`` in progress; for a new shot, write those of the one before."""
-        if self._shot is None or self._shot.index != shot.index:
+    def _arrivals_of(self, shot: Shot) -> _ShotArrivals:
+        """Return the arrival marks and trigger times of ``shot``, to which further records are added.
+
+        For a new shot none has arrived; the remaining records of the previous shot are written first.
+        """
+        if self._shot_arrivals is None or self._shot_arrivals.shot != shot.index:
             self._write_chunk()
             self._write_checksums()
-            self._shot = _ShotRows(shot)
-        return self._shot
+            self._shot_arrivals = _ShotArrivals(shot)
+        return self._shot_arrivals
 
     def _put(
         self,
-        rows: _ShotRows,
+        arrivals: _ShotArrivals,
         index: Int64Array,
         codes: tuple[Int16Array, ...],
         time_s: FloatArray,
     ) -> None:
-        """Add records of one shot to the chunks that hold them; full chunks go to the file.
+        """Add records of one shot to the chunks that hold them, and to its ``arrivals``; full chunks go to the file.
 
         ``index`` and ``time_s`` (record,): number and trigger time. ``codes`` (record, sample) of each input.
         """
         # The records of a block can span several chunks, and a delayed record can belong to an earlier chunk.
         for number, selection in self._by_chunk(index):
-            if (rows.index, number) != self._chunk.place:
+            if (arrivals.shot, number) != self._chunk.shot_and_number:
                 self._write_chunk()
                 for chunk in self._chunks:
-                    chunk.start(rows.index, number)
-                    chunk.reload(rows.recorded[number * chunk.rows : (number + 1) * chunk.rows])
+                    chunk.start(arrivals.shot, number)
+                    chunk.reload(arrivals.recorded[number * chunk.rows : (number + 1) * chunk.rows])
             records = index[selection]
             for chunk, input_codes in zip(self._chunks, codes, strict=True):
                 chunk.put(records - number * chunk.rows, input_codes[selection])
-            rows.recorded[records] = True
-            rows.trigger_time_s[records] = time_s[selection]
+            arrivals.recorded[records] = True
+            arrivals.trigger_time_s[records] = time_s[selection]
             # The last record of a chunk: it is full.
             if records[-1] % self._chunk.rows == self._chunk.rows - 1:
                 self._write_chunk()
 
     def _by_chunk(self, index: Int64Array) -> Iterator[tuple[int, slice | BoolArray]]:
-        """Yield the number of each chunk that holds numbers of ``index`` (record,), and the selection of these records.
+        """Yield the number of each chunk that holds records of ``index`` (record,), and which of ``index`` it holds.
 
         A chunk is the piece of the dataset that HDF5 stores at once: consecutive records.
         """
-        rows = self._chunk.rows
+        records_per_chunk = self._chunk.rows
         if index.size and bool(np.all(np.diff(index) == 1)):
             # Consecutive, the usual case: slices copy nothing.
             first, last = int(index[0]), int(index[-1])
-            for number in range(first // rows, last // rows + 1):
-                yield number, slice(max(0, number * rows - first), (number + 1) * rows - first)
+            for number in range(first // records_per_chunk, last // records_per_chunk + 1):
+                start = number * records_per_chunk
+                yield number, slice(max(0, start - first), start + records_per_chunk - first)
             return
-        for number in np.unique(index // rows).tolist():
-            yield number, index // rows == number
+        for number in np.unique(index // records_per_chunk).tolist():
+            yield number, index // records_per_chunk == number
 
     def _write_chunk(self) -> None:
         """Write the current chunk of records to the file; do nothing if no record was added since the last time."""
-        if not self._chunk.unwritten:
+        if not self._chunk.has_unwritten:
             return
         for chunk in self._chunks:
             chunk.flush()
-        if len(self._chunk.unverified) >= MAX_CHUNKS_WITHOUT_CHECKSUM:
+        if len(self._chunk.pending_checksums) >= MAX_CHUNKS_WITHOUT_CHECKSUM:
             self._write_checksums()
 
     def _write_checksums(self) -> None:
         """Write checksums of the chunks written since the last call, and the marks that their records are present."""
-        if self._shot is None or not self._chunk.unverified:
+        if self._shot_arrivals is None or not self._chunk.pending_checksums:
             return
         # The library's index of the chunks must be in the file before the marks.
         self._file.flush()
-        numbers = tuple(self._chunk.unverified)
+        numbers = tuple(self._chunk.pending_checksums)
         for chunk in self._chunks:
             chunk.write_checksums()
-        self._arrivals.put(self._shot.index, numbers, self._shot.recorded, self._shot.trigger_time_s)
+        arrivals = self._shot_arrivals
+        self._arrivals.put(arrivals.shot, numbers, arrivals.recorded, arrivals.trigger_time_s)
 
     def _write_end(self) -> None:
         """Write the end time of the run: start plus duration by the monotonic clock, which is never adjusted."""
@@ -483,7 +489,7 @@ class _ChunkSums:
 
 @final
 class _Arrivals:
-    """Marks and trigger times of the records, written for each chunk of echoes, and their checksums."""
+    """Datasets of arrival marks and trigger times, written for each chunk of echoes, with their checksums."""
 
     def __init__(self, file: h5py.File, rows: int, sums: _ChunkSums) -> None:
         """Open the marks and trigger times of the records; ``rows`` is the number of records in a chunk."""
@@ -526,11 +532,11 @@ def _write_slices(dataset: h5py.Dataset, shot: int, starts: Sequence[int], slice
 
 @final
 class _Chunk:
-    """Chunk of echoes being filled; ``place`` is its (shot, number), None before the first.
+    """Chunk of echoes being filled; its ``shot_and_number`` is None before the first.
 
-    ``unwritten``: whether it has records that the file does not have. A chunk stays in memory after it is written, so
-    that a delayed record only requires writing it again. ``unverified``: future checksums, by number, of the chunks of
-    one shot written since ``write_checksums``; their codes stay in memory until then.
+    ``has_unwritten``: whether it has records that the file does not have. A chunk stays in memory after it is written,
+    so that a delayed record only requires writing it again. ``pending_checksums``: by number, of the chunks of one shot
+    written since ``write_checksums``, computed in threads; their codes stay in memory until then.
     """
 
     def __init__(self, file: h5py.File, name: str, sums: _ChunkSums, executor: Executor) -> None:
@@ -542,25 +548,25 @@ class _Chunk:
         self.rows: int = echo.chunks[1]
         self._codes = np.empty(echo.chunks[1:], "<i2")
         self._filled = np.zeros(self.rows, bool)
-        self._spare, self._lent = list[Int16Array](), list[Int16Array]()
-        self.place: tuple[int, int] | None = None
-        self.unwritten = False
-        self.unverified: dict[int, Future[int]] = {}
+        self._spare_buffers, self._buffers_in_use = list[Int16Array](), list[Int16Array]()
+        self.shot_and_number: tuple[int, int] | None = None
+        self.has_unwritten = False
+        self.pending_checksums: dict[int, Future[int]] = {}
 
     def start(self, shot: int, number: int) -> None:
         """Start chunk ``number`` of ``shot`` with all records missing."""
-        # The checksum of the chunk before may still be computed from its memory: another buffer is used.
-        if self.unverified:
-            self._lent.append(self._codes)
-            self._codes = self._spare.pop() if self._spare else np.empty_like(self._codes)
+        # The checksum of the previous chunk may still be computed from its buffer: another buffer is used.
+        if self.pending_checksums:
+            self._buffers_in_use.append(self._codes)
+            self._codes = self._spare_buffers.pop() if self._spare_buffers else np.empty_like(self._codes)
         self._filled[:] = False
-        self.place = (shot, number)
+        self.shot_and_number = (shot, number)
 
     def reload(self, recorded: BoolArray) -> None:
         """Read the ``recorded`` (pulse,) records of the current chunk from the file, to add a delayed one."""
-        if self.place is None or not recorded.any():
+        if self.shot_and_number is None or not recorded.any():
             return
-        shot, number = self.place
+        shot, number = self.shot_and_number
         first = number * self.rows
         self._codes[: recorded.size] = self._echo[shot, first : first + recorded.size]
         self._filled[: recorded.size] = recorded
@@ -571,7 +577,7 @@ class _Chunk:
         selection = slice(rows[0], rows[-1] + 1) if bool(np.all(np.diff(rows) == 1)) else rows
         self._codes[selection] = codes
         self._filled[selection] = True
-        self.unwritten = True
+        self.has_unwritten = True
 
     def write(self, shot: int, first: int, codes: Int16Array) -> None:
         """Write ``codes`` (pulse, sample), a whole chunk that starts at pulse ``first``, to the file."""
@@ -581,14 +587,14 @@ class _Chunk:
 
     def flush(self) -> None:
         """Write the current chunk to the file and start the computation of its checksum; it stays in memory."""
-        if self.place is None:
+        if self.shot_and_number is None:
             return
-        shot, number = self.place
+        shot, number = self.shot_and_number
         first = number * self.rows
         if not self._filled.all():
             self._codes[~self._filled] = MISSING
         if self._uncompressed:
-            checksum = self._executor.submit(digest, self._name, self.place, self._codes.data)
+            checksum = self._executor.submit(digest, self._name, self.shot_and_number, self._codes.data)
             # Bypasses the library's cache, which would only copy.
             self._echo.id.write_direct_chunk((shot, first, 0), self._codes)
         else:
@@ -596,26 +602,28 @@ class _Chunk:
             self._echo[shot, first : first + rows] = self._codes[:rows]
             self._echo.flush()
             _, stored = self._echo.id.read_direct_chunk((shot, first, 0))
-            checksum = self._executor.submit(digest, self._name, self.place, stored)
-        self.unverified[number] = checksum
-        self.unwritten = False
+            checksum = self._executor.submit(digest, self._name, self.shot_and_number, stored)
+        self.pending_checksums[number] = checksum
+        self.has_unwritten = False
 
     def write_checksums(self) -> None:
         """Wait for the checksums of the chunks written since the last call, and write them."""
-        if self.place is None:
+        if self.shot_and_number is None:
             return
-        self._sums.put(self.place[0], {number: checksum.result() for number, checksum in self.unverified.items()})
-        self._spare += self._lent
-        self.unverified, self._lent = {}, []
+        self._sums.put(
+            self.shot_and_number[0], {number: checksum.result() for number, checksum in self.pending_checksums.items()}
+        )
+        self._spare_buffers += self._buffers_in_use
+        self.pending_checksums, self._buffers_in_use = {}, []
 
 
 @final
-class _ShotRows:
-    """Marks and trigger times of the current shot's records, (record,)."""
+class _ShotArrivals:
+    """Marks that the records of the current shot have arrived, and their trigger times, both (record,)."""
 
     def __init__(self, shot: Shot) -> None:
         """Start a shot: no record has arrived."""
-        self.index = shot.index
+        self.shot = shot.index
         self.recorded = np.zeros(shot.capture.record_count, bool)
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
 
