@@ -38,6 +38,7 @@ from .shots import (
     SAFETY_MARGIN_S as SAFETY_MARGIN_S,
     Plan as Plan,
     Shot as Shot,
+    Timeline as Timeline,
     make_plan as make_plan,
     off_axis_offsets_m as off_axis_offsets_m,
     plans_at_offsets as plans_at_offsets,

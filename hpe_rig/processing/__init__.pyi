@@ -63,4 +63,4 @@ from .shot_tracking import (
     shot_echoes as shot_echoes,
     shot_motion as shot_motion,
 )
-from .shots import Estimates as Estimates, estimate_run as estimate_run
+from .shots import Estimates as Estimates, estimate_records as estimate_records, estimate_run as estimate_run

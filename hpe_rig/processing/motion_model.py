@@ -69,7 +69,9 @@ def stored_motion(
             residual_m2 = max(residual_m2, residual_m**2)
             # The variance of a pulse contains only the noise of its echo. Trigger jitter and motion within the gate
             # are in the residual.
-            variance_m2 *= max(1.0, residual_m2 / float(np.mean(variance_m2[valid])))
+            # Identical echoes have no variance.
+            mean_m2 = max(float(np.mean(variance_m2[valid])), float(np.finfo(np.float64).tiny))
+            variance_m2 *= max(1.0, residual_m2 / mean_m2)
     return ShotMotion(
         pulse=np.flatnonzero(selection.window),
         time_s=motion.time_s - reference.delay_s,

@@ -13,7 +13,9 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
+from hpe_rig.processing.echo.conditioning import gate_statistics
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
+from hpe_rig.processing.first_pulse import PulseAssignment
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
 from hpe_rig.processing.harmonics.fit_checks import drift_between_halves, residual_line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
@@ -27,7 +29,7 @@ from hpe_rig.processing.shot_fitting import (
     shot_averaging,
     shot_prior,
 )
-from hpe_rig.processing.shot_tracking import ShotRecords, WindowMotion, read_shot, window_motion
+from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot, window_motion
 from hpe_rig.processing.shot_warnings import (
     drift_warnings,
     first_pulse_warnings,
@@ -42,7 +44,7 @@ from hpe_rig.result import MOST_PULSES, Averaging, ShotResult
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
-    from hpe_rig.store import StoredRun
+    from hpe_rig.store import GatedRecords, StoredRun
 
 CheckResult = TypeVar("CheckResult")
 
@@ -111,6 +113,32 @@ def estimate_run(
             continue
         results += shot_results if with_motion else [replace(result, motion=None) for result in shot_results]
     return Estimates(tuple(results), failures)
+
+
+def estimate_records(
+    scene: Scene, shot: Shot, records: GatedRecords, estimator: str, shot_count: int = 1
+) -> ShotResult:
+    """Return the result of one shot from its ``records`` in memory, in the gate, without beams.
+
+    Estimate, budget and warnings are those of the same records in a run file with ``shot_count`` shots. Raises
+    ``ValueError`` if the shot cannot be estimated.
+    """
+    from hpe_rig.store import Placement
+
+    valid = records.valid
+    if not valid.any():
+        raise ValueError(NO_RECORDS)
+    settings = _RunSettings(
+        spec=spec_of(estimator),
+        averaging=(None,) * len(scene.wanted_frequencies_hz),
+        beams=None,
+        sources=error_sources_of(scene, simulated=False),
+        false_alarm=FALSE_ALARM_PROBABILITY / shot_count,
+    )
+    placement = Placement(np.where(valid, np.arange(valid.size), -1), valid, np.zeros(valid.size, bool))
+    shot_records = ShotRecords(records, gate_statistics(records), None, PulseAssignment(placement))
+    result = _estimate_window(scene, shot, shot_records, settings, None, True)
+    return result if shot_count * valid.size <= MOST_PULSES else replace(result, motion=None)
 
 
 def _estimate_shot(scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSettings) -> list[ShotResult]:

@@ -6,6 +6,8 @@ result_warnings.py  warnings of a result
 reprocessing.py     scene and plan at several values of the processing settings
 run.py              an open run file: ``open_run(path) -> Run``
 checked_scene.py    predictions for a scene before it is measured
+codes.py            integers of a recording as codes
+echoes.py           gated echoes of any program as records in memory, estimated like those of a stored run
 importing.py        a recording of another program -> run file
 mapping.py          a recording of many lines -> map of its motion
 settings_files.py   schemas of scene, bench and simulation; files with every key

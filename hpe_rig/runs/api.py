@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,16 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.measurement import BenchSource, prepare, provenance_now, record_run, source_text
-from hpe_rig.result import Result, ShotResult, Stages
+from hpe_rig.result import Result, Stages
+from hpe_rig.runs.echoes import EchoSettings, Samples, estimate_trains
 from hpe_rig.runs.estimation import chosen_estimator
 from hpe_rig.runs.result_warnings import incomplete_warnings
 from hpe_rig.runs.run import Run, open_run
-from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
+from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, parse_scene
 from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
     from hpe_rig.moduli import ModuliResult
-    from hpe_rig.processing import Estimates
 
 
 def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLike[str] | None = None) -> Run:
@@ -131,8 +130,10 @@ def estimate(
     """Return amplitude and phase of the motion in gated echoes of any program.
 
     ``rf`` (..., pulse, sample), real: the samples of the gate in volts or codes, with pulses ``1 / pulse_rate_hz``
-    apart. ``margin``: number of samples before and after the gate; six carrier periods on either side avoid edge
-    effects. A pulse with a sample that is not finite is missing. Each entry of the leading axes becomes a shot of the
+    apart. Integers of up to 16 bits count as codes of a digitizer: their rounding is part of u, and full scale is
+    reported. ``margin``: number of samples before and after the gate; six carrier periods on either side avoid edge
+    effects. A pulse with a sample that is not finite is missing, and one with a deviating energy is omitted. Budget and
+    warnings are those of the same echoes after ``import_records``. Each entry of the leading axes becomes a shot of the
     result, in C order. Phases are those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive
     away from the transducer. An entry without an estimate is left out, with a warning that states the reason. Raises
     ``TypeError`` if ``rf`` is not real, ``SettingsError`` for an unknown estimator, and ``ValueError`` for invalid
@@ -141,24 +142,20 @@ def estimate(
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
     """
-    volts = _real(rf)
-    if not 0 < pulse_rate_hz < np.inf:
-        raise ValueError(f"a pulse rate of {pulse_rate_hz:g} Hz: it must be positive and finite")
-    stages = Stages()
-    estimator_name = chosen_estimator(estimator)
-    acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
-    acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
-    shot_of = partial(
-        _shot,
-        acquired=acquired,
+    samples = _real(rf)
+    stages, estimator_name = Stages(), chosen_estimator(estimator)
+    settings = EchoSettings(
+        sample_rate_hz=sample_rate_hz,
         pulse_rate_hz=pulse_rate_hz,
+        carrier_hz=carrier_hz,
         frequencies_hz=frequencies_hz,
-        estimator=estimator_name,
+        sound_speed_m_per_s=sound_speed_m_per_s,
+        margin=margin,
     )
     with stages("process"):
-        estimates = _shots(volts.reshape(-1, *volts.shape[-2:]), shot_of)
+        estimates = estimate_trains(samples.reshape(-1, *samples.shape[-2:]), settings, estimator_name)
     return Result(
-        title=f"Echoes of shape {volts.shape}",
+        title=f"Echoes of shape {samples.shape}",
         run_file="",
         simulated=False,
         status="complete",
@@ -173,64 +170,8 @@ def estimate(
     )
 
 
-def _shots(
-    trains: NDArray[np.floating[Any]], shot_of: Callable[[int, NDArray[np.floating[Any]]], ShotResult]
-) -> Estimates:
-    """Return the estimates of ``trains`` (train, pulse, sample); raise the first ``ValueError`` if no train has one."""
-    from hpe_rig.processing import Estimates
-
-    shots, errors = list[ShotResult](), dict[int, ValueError]()
-    for index, volts in enumerate(trains):
-        try:
-            shots.append(shot_of(index, volts))
-        except ValueError as error:
-            errors[index] = error
-    if errors and not shots:
-        raise errors[0]
-    return Estimates(tuple(shots), {index: str(error) for index, error in errors.items()})
-
-
-def _shot(
-    index: int,
-    volts: NDArray[np.floating[Any]],
-    *,
-    acquired: dict[str, Any],
-    pulse_rate_hz: float,
-    frequencies_hz: Sequence[float],
-    estimator: Estimator,
-) -> ShotResult:
-    """Return the estimates of one train (pulse, sample); ``acquired`` are further arguments of ``EchoGate``."""
-    from hpe_rig.processing import (
-        EchoGate,
-        ErrorSources,
-        estimate as estimate_motion,
-        estimates_of,
-        spec_of,
-    )
-
-    valid = np.isfinite(volts).all(axis=-1)
-    # Subtract the digitizer's offset. One mean for all pulses preserves the stationary part of the echo.
-    centred = volts - volts[valid].mean() if valid.any() else volts
-    pulse_time_s = np.arange(valid.size) / pulse_rate_hz
-    echoes = EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired)
-    edge = echoes.edge_uncertainty(spec_of(estimator).gate_window)
-    fit = estimate_motion(echoes, frequencies_hz, estimator)
-    return ShotResult(
-        shot=index,
-        repeat=0,
-        burst_length_s=None,
-        force_fraction=None,
-        pulses_used=fit.quality.pulses,
-        pulses_missing=int((~valid).sum()),
-        residual_m=float(fit.quality.residual_rms_m),
-        estimates=estimates_of(fit, ErrorSources(acquired["sound_speed_m_per_s"], gate_edge=edge)),
-        warnings=(),
-        pulse_rate_hz=pulse_rate_hz,
-    )
-
-
-def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
-    """Return ``rf`` as float32 if it is float32, else as float64."""
+def _real(rf: ArrayLike) -> Samples:
+    """Return ``rf`` as an array; raise an error if it is not real, lacks an axis or holds no echo."""
     values = np.asarray(rf)
     if values.dtype.kind not in "iuf":
         raise TypeError(f"expected rf as real numbers (..., pulse, sample), not {values.dtype}")
@@ -238,7 +179,7 @@ def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
         raise ValueError(f"rf has shape {values.shape}: it needs the axes (..., pulse, sample)")
     if not values.size:
         raise ValueError(f"rf has shape {values.shape}: it holds no echo")
-    return values if values.dtype == np.float32 else values.astype(np.float64)
+    return values
 
 
 def _as_list(values: Any) -> Any:

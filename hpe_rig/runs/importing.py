@@ -25,6 +25,7 @@ from hpe_rig.bench import parse_bench
 from hpe_rig.measurement import plan_and_check
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.recordings import Recording, read_recording, read_settings
+from hpe_rig.runs.codes import FULL_SCALE_CODES, MAX_CODE, UNSTATED_SCALE_V, are_codes, signed_codes, zero_code
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import (
     KeyPath,
@@ -39,8 +40,6 @@ from hpe_rig.scene import (
 )
 from hpe_rig.store import RunWriter, WriteOptions, free_path
 
-MAX_CODE = 32766
-"""Code of the largest value: one below full scale, which counts as clipped."""
 MIN_GATE_RMS_CODES = 30.0
 """RMS of the gate in codes below which quantisation adds noticeably to the noise."""
 MIN_RANGE_V, MAX_RANGE_V = 1e-6, 1e4
@@ -206,7 +205,7 @@ def _to_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
     Integers of up to 16 bits are kept, other values are quantised.
     """
     values = recording.values
-    if values.dtype.kind in "iu" and values.dtype.itemsize <= 2:
+    if are_codes(values):
         return _shifted_codes(recording)
     largest = float(np.abs(values).max())
     unit_v = 1.0 if recording.scale_v is None else recording.scale_v
@@ -225,16 +224,13 @@ def _to_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
 def _shifted_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
     """Return integers of up to 16 bits as codes around zero, as ``_to_codes``."""
     values, scale_v = recording.values, recording.scale_v
-    zero = 0 if values.dtype.kind == "i" else 1 << (8 * values.dtype.itemsize - 1)
-    centred = values.astype(np.int32) - zero
-    # A run file marks missing records with the lowest int16, so that code is not available for samples.
-    codes = np.maximum(centred, -MAX_CODE - 1).astype(np.int16)
-    raised = int((centred < -MAX_CODE - 1).sum())
-    inferred = [f"{raised} samples of the lowest code are replaced by the next higher code"] if raised else []
+    zero, codes, inferred = zero_code(values), signed_codes(values), []
+    if raised := int((values.astype(np.int32) - zero < -FULL_SCALE_CODES).sum()):
+        inferred.append(f"{raised} samples of the lowest code are replaced by the next higher code")
     if zero:
         inferred.append(f"integers without sign: {zero} is zero volts")
     if scale_v is None:
-        scale_v = 2.0 / (2 * (MAX_CODE + 1) + 1)
+        scale_v = UNSTATED_SCALE_V
         inferred.append("volts are not stated: the codes of 16 bits span plus and minus 1 V")
     return codes, scale_v, inferred
 

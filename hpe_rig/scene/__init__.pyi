@@ -60,9 +60,11 @@ from .quantities import (
 from .scene import Scene as Scene, ScenePoint as ScenePoint, scene_mistakes as scene_mistakes
 from .sections import (
     SWEPT_LISTS as SWEPT_LISTS,
+    Acquisition as Acquisition,
     Excitation as Excitation,
     Medium as Medium,
     Processing as Processing,
+    Tracking as Tracking,
 )
 from .settings_file import (
     MAX_TEXT_BYTES as MAX_TEXT_BYTES,

@@ -34,7 +34,12 @@ from .reader import (
     read_run as read_run,
     read_snapshots as read_snapshots,
 )
-from .records import GatedRecords as GatedRecords, ShotRecords as ShotRecords, assemble as assemble
+from .records import (
+    MISSING as MISSING,
+    GatedRecords as GatedRecords,
+    ShotRecords as ShotRecords,
+    assemble as assemble,
+)
 from .result_file import write_result as write_result
 from .validation import InvalidContentError as InvalidContentError, open_checked as open_checked
 from .verification import (

@@ -1,0 +1,106 @@
+"""Echoes as an array and as an imported run file: the same estimates, budget and warnings."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hpe_rig as hpe
+from hpe_rig.processing import ESTIMATORS, margin_samples
+
+RATES: dict[str, Any] = {"sample_rate_hz": 50e6, "pulse_rate_hz": 4000.0, "carrier_hz": 5e6}
+MOVED_HZ, SPEED = 200.0, 1540.0
+PULSES, SAMPLES = 80, 240
+SCENE = """
+title = "Echoes of another program"
+[tracking]
+cycles = 2
+[acquisition]
+gate_depth_m = 1.8e-3
+gate_length_m = 1.0e-3
+[processing]
+frequencies_hz = [200.0]
+"""
+
+
+def codes(motion_m: NDArray[np.float64], noise: float = 0.02, codes_rms: float = 3000.0) -> NDArray[np.int16]:
+    """Return the echoes (pulse, sample) of scatterers with the rigid ``motion_m`` (pulse,), rounded to codes."""
+    rng = np.random.default_rng(3)
+    depth_m, weight = rng.uniform(-1e-3, 5e-3, 400), rng.normal(size=400)
+    late_s = np.arange(SAMPLES) / RATES["sample_rate_hz"] - 2 * (depth_m[:, None] + motion_m[:, None, None]) / SPEED
+    pulse = np.exp(-2 * (late_s * RATES["carrier_hz"] / 1.5) ** 2) * np.cos(2 * np.pi * RATES["carrier_hz"] * late_s)
+    echo = np.einsum("s,pst->pt", weight, pulse)
+    echo = echo / echo.std() + noise * rng.normal(size=echo.shape)
+    return np.rint(codes_rms * echo).astype(np.int16)
+
+
+def sine_m(amplitude_m: float, frequency_hz: float = MOVED_HZ) -> NDArray[np.float64]:
+    return np.asarray(amplitude_m * np.sin(2 * np.pi * frequency_hz * np.arange(PULSES) / RATES["pulse_rate_hz"] + 0.5))
+
+
+def disturbed(echoes: NDArray[np.int16]) -> NDArray[np.int16]:
+    """Return the echoes with a pulse of other energy and one that reaches full scale."""
+    echoes = echoes.copy()
+    echoes[20] *= 4
+    echoes[40, SAMPLES // 2] = 32767
+    return echoes
+
+
+CASES = {
+    "noise": codes(sine_m(500e-9)),
+    "coarse codes": codes(sine_m(500e-9), noise=0.0, codes_rms=12.0),
+    "motion that is not fitted": codes(sine_m(500e-9) + sine_m(200e-9, 730.0)),
+    "growing": codes(sine_m(500e-9) * np.linspace(0.5, 1.5, PULSES)),
+    "large steps": codes(sine_m(250e-6)),
+    "disturbed": disturbed(codes(sine_m(500e-9))),
+}
+SAID = {
+    "motion that is not fitted": "the residual has a line",
+    "growing": "the amplitude changes from the first half",
+    "large steps": "quarter wavelengths",
+    "disturbed": "energy differs",
+}
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, hpe.Run]:
+    folder = tmp_path_factory.mktemp("echoes")
+    scene: Path = folder / "scene.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    return {
+        name: hpe.import_records(echoes, scene, folder / f"{number}.h5", axes="pulse,sample", **RATES)
+        for number, (name, echoes) in enumerate(CASES.items())
+    }
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_an_array_has_estimates_budget_and_warnings_of_the_imported_run(
+    imported: dict[str, hpe.Run], case: str
+) -> None:
+    run = imported[case]
+    (planned,) = run.plan.shots
+    count = margin_samples(RATES["sample_rate_hz"], RATES["carrier_hz"])
+    rf = CASES[case][:, planned.gate.start - count : planned.gate.stop + count]
+    # Phases of the run count from the master trigger; the first pulse senses the motion later.
+    late_rad = 2 * math.pi * MOVED_HZ * planned.timeline.sensing_s[0]
+    for estimator in ESTIMATORS:
+        (shot,) = hpe.estimate(rf, **RATES, frequencies_hz=[MOVED_HZ], estimator=estimator, margin=(count, count)).shots
+        (expected_shot,) = run.estimate(estimator).shots
+        (estimate,), (expected,) = shot.estimates, expected_shot.estimates
+        assert estimate.amplitude_m == pytest.approx(expected.amplitude_m, rel=1e-6), estimator
+        assert math.remainder(estimate.phase_rad - expected.phase_rad - late_rad, 2 * math.pi) == pytest.approx(
+            0, abs=1e-6
+        )
+        assert [part.source for part in estimate.budget] == [part.source for part in expected.budget]
+        for part, expected_part in zip(estimate.budget, expected.budget, strict=True):
+            assert part.amplitude_m == pytest.approx(expected_part.amplitude_m, rel=1e-3, abs=1e-14), part.source
+            assert part.phase_rad == pytest.approx(expected_part.phase_rad, rel=1e-3, abs=1e-8), part.source
+        assert shot.warnings == expected_shot.warnings
+        assert (shot.pulses_used, shot.pulses_missing) == (expected_shot.pulses_used, expected_shot.pulses_missing)
+        if case in SAID:
+            assert any(SAID[case] in warning for warning in shot.warnings), (estimator, shot.warnings)
