@@ -10,6 +10,10 @@ returns whenever the motion does, so no number of pulses averages it. A displace
 by their slopes; the errors of samples are independent. Where the motion crosses many codes the error is nearly white:
 that part is in the residual of the fit already and is not counted here.
 
+A displacement u takes the samples through sum |s| u / q codes. Identical echoes therefore do not exclude a motion: a
+sine of amplitude A sweeps 2 A and changes no code with probability exp(-2 A sum |s| / q). If all amplitudes are equally
+likely before, the root mean square of A is q / (sqrt(2) sum |s|), and the phase is unknown.
+
 sigma follows from the scatter of the echoes about their mean. Rounding contributes q²/12 minus the part in the mean
 echo, which does not change with the motion:
 
@@ -19,6 +23,8 @@ Source: Widrow and Kollar, Quantization Noise (2008), chapters 4 and 5.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -34,6 +40,8 @@ HARMONICS = 8
 """Harmonics of the sawtooth: without noise the higher ones have 7 % of its power, with noise of 0.1 codes none."""
 BISECTIONS = 30
 """Bisections of the noise: to 1e-9 of its range."""
+PHASE_RESOLUTION_RAD = float(np.finfo(np.float32).eps)
+"""Phase below which a motion is not resolved: volts are numbers of single precision."""
 SLOPES = 24
 """Number of slopes, quantiles of the samples' slopes, for which the error is computed."""
 
@@ -44,16 +52,23 @@ def quantisation_m(
     """Return the standard uncertainty of each harmonic from rounding to the digitizer's codes, m (frequency, 2).
 
     The two values are along and across its phasor. ``code_v``: volts of one code. ``motion``: displacement of one
-    train, ``fit``: its harmonics. Empty if noise dithers the codes, so that the residual of the fit contains the error.
+    train, ``fit``: its harmonics. If the echoes are identical, both are that of a motion which changes no code. Empty
+    if noise dithers the codes, so that the residual of the fit contains the error.
     """
     used = motion.valid
     per_m = 4 * np.pi * echoes.carrier_hz / echoes.sound_speed_m_per_s
     slope_energy = per_m**2 * float(np.mean(echoes.energy[used]))
     # The noise estimated from the echoes includes that of rounding, code_v² / 12 if it is random.
     scatter_v2 = float(np.mean(motion.variance_m2[used])) * slope_energy
-    if not code_v > 0 or scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
+    if not code_v > 0:
         return ()
     slope = _slopes(echoes)
+    samples = echoes.gate_samples / slope.size
+    hidden_m = max(code_v / (samples * float(np.sum(slope))), PHASE_RESOLUTION_RAD / per_m)
+    if np.ptp(motion.displacement_m[used]) < hidden_m:
+        return ((hidden_m / math.sqrt(2),) * 2,) * fit.frequency_hz.size
+    if scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
+        return ()
     # The mean rounding error is a sawtooth of the voltage: harmonic n of it at each slope of the echo and each pulse.
     angle = 2 * np.pi / code_v * np.outer(slope, motion.displacement_m[used])
     weights, basis = _phasor_weights(motion, fit)
@@ -68,7 +83,6 @@ def quantisation_m(
         beyond_noise = np.abs(wave @ weights.T) ** 2 - in_residual[:, None] * white
         # harmonic_v2 is the mean over all voltages that a sample may have.
         variance += (slope**2 @ (harmonic_v2 * beyond_noise)).reshape(variance.shape)
-    samples = echoes.gate_samples / slope.size
     along, across = (np.sqrt(np.maximum(variance, 0.0) / samples) / np.sum(slope**2)).T.tolist()
     return tuple(zip(along, across, strict=True))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,12 @@ frequencies_hz = [200.0]
 """
 
 
-def codes(motion_m: NDArray[np.float64], noise: float = 0.02, codes_rms: float = 3000.0) -> NDArray[np.int16]:
+def codes(
+    motion_m: NDArray[np.float64], noise: float = 0.02, codes_rms: float = 3000.0, seed: int = 3
+) -> NDArray[np.int16]:
     """Return the echoes (pulse, sample) of scatterers with the rigid ``motion_m`` (pulse,), rounded to codes."""
-    rng = np.random.default_rng(3)
-    depth_m, weight = rng.uniform(-1e-3, 5e-3, 400), rng.normal(size=400)
+    rng = np.random.default_rng(seed)
+    depth_m, weight = rng.uniform(-0.5e-3, 4.2e-3, 60), rng.normal(size=60)
     late_s = np.arange(SAMPLES) / RATES["sample_rate_hz"] - 2 * (depth_m[:, None] + motion_m[:, None, None]) / SPEED
     pulse = np.exp(-2 * (late_s * RATES["carrier_hz"] / 1.5) ** 2) * np.cos(2 * np.pi * RATES["carrier_hz"] * late_s)
     echo = np.einsum("s,pst->pt", weight, pulse)
@@ -51,13 +54,13 @@ def disturbed(echoes: NDArray[np.int16]) -> NDArray[np.int16]:
     return echoes
 
 
-CASES = {
-    "noise": codes(sine_m(500e-9)),
-    "coarse codes": codes(sine_m(500e-9), noise=0.0, codes_rms=12.0),
-    "motion that is not fitted": codes(sine_m(500e-9) + sine_m(200e-9, 730.0)),
-    "growing": codes(sine_m(500e-9) * np.linspace(0.5, 1.5, PULSES)),
-    "large steps": codes(sine_m(250e-6)),
-    "disturbed": disturbed(codes(sine_m(500e-9))),
+CASES: dict[str, Callable[[], NDArray[np.int16]]] = {
+    "noise": lambda: codes(sine_m(500e-9)),
+    "coarse codes": lambda: codes(sine_m(500e-9), noise=0.0, codes_rms=12.0),
+    "motion that is not fitted": lambda: codes(sine_m(500e-9) + sine_m(200e-9, 730.0)),
+    "growing": lambda: codes(sine_m(500e-9) * np.linspace(0.5, 1.5, PULSES)),
+    "large steps": lambda: codes(sine_m(250e-6)),
+    "disturbed": lambda: disturbed(codes(sine_m(500e-9))),
 }
 SAID = {
     "motion that is not fitted": "the residual has a line",
@@ -67,25 +70,14 @@ SAID = {
 }
 
 
-@pytest.fixture(scope="module")
-def imported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, hpe.Run]:
-    folder = tmp_path_factory.mktemp("echoes")
-    scene: Path = folder / "scene.toml"
-    scene.write_text(SCENE, encoding="utf-8")
-    return {
-        name: hpe.import_records(echoes, scene, folder / f"{number}.h5", axes="pulse,sample", **RATES)
-        for number, (name, echoes) in enumerate(CASES.items())
-    }
-
-
 @pytest.mark.parametrize("case", CASES)
-def test_an_array_has_estimates_budget_and_warnings_of_the_imported_run(
-    imported: dict[str, hpe.Run], case: str
-) -> None:
-    run = imported[case]
+def test_an_array_has_estimates_budget_and_warnings_of_the_imported_run(case: str, tmp_path: Path) -> None:
+    echoes, scene = CASES[case](), tmp_path / "scene.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    run = hpe.import_records(echoes, scene, tmp_path / "run.h5", axes="pulse,sample", **RATES)
     (planned,) = run.plan.shots
     count = margin_samples(RATES["sample_rate_hz"], RATES["carrier_hz"])
-    rf = CASES[case][:, planned.gate.start - count : planned.gate.stop + count]
+    rf = echoes[:, planned.gate.start - count : planned.gate.stop + count]
     # Phases of the run count from the master trigger; the first pulse senses the motion later.
     late_rad = 2 * math.pi * MOVED_HZ * planned.timeline.sensing_s[0]
     for estimator in ESTIMATORS:
@@ -104,3 +96,37 @@ def test_an_array_has_estimates_budget_and_warnings_of_the_imported_run(
         assert (shot.pulses_used, shot.pulses_missing) == (expected_shot.pulses_used, expected_shot.pulses_missing)
         if case in SAID:
             assert any(SAID[case] in warning for warning in shot.warnings), (estimator, shot.warnings)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("rounded", [True, False])
+def test_identical_echoes_have_the_amplitude_of_a_motion_that_changes_no_code_and_no_phase(
+    estimator: str, rounded: bool
+) -> None:
+    echo = np.random.default_rng(4).normal(size=SAMPLES)
+    rf = np.tile(np.rint(200 * echo).astype(np.int16) if rounded else echo, (PULSES, 1))
+    (shot,) = hpe.estimate(rf, **RATES, frequencies_hz=[MOVED_HZ, 600.0], estimator=estimator).shots
+    # White noise has a slope of pi / sqrt(3) times its rms and the sampling rate.
+    slope_per_m = 200 * math.pi / math.sqrt(3) * RATES["sample_rate_hz"] * 2 / SPEED
+    expected_m = 1 / (math.sqrt(2) * SAMPLES * math.sqrt(2 / math.pi) * slope_per_m)
+    for estimate in shot.estimates:
+        rounding = {part.source: part for part in estimate.budget}["quantisation"]
+        if rounded:
+            assert rounding.amplitude_m == pytest.approx(expected_m, rel=0.1)
+        assert 0 < estimate.amplitude_m < rounding.amplitude_m < 1e-9
+        assert 1.8 < estimate.headline.phase_uncertainty_rad < math.inf
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fraction", [0.02, 0.3, 1.0])
+def test_a_motion_no_larger_than_one_that_changes_no_code_is_within_its_interval(fraction: float) -> None:
+    """Of 40 draws at least 34 are within 2 u; the smallest motion leaves nearly all echoes identical."""
+    slope_per_m = 12.0 * 2 * math.pi * RATES["carrier_hz"] * 2 / SPEED
+    hidden_m = 1 / (SAMPLES * math.sqrt(2 / math.pi) * slope_per_m)
+    within = 0
+    for seed in range(40):
+        echoes = codes(sine_m(fraction * hidden_m), noise=0.0, codes_rms=12.0, seed=seed)
+        (shot,) = hpe.estimate(echoes, **RATES, frequencies_hz=[MOVED_HZ]).shots
+        headline = shot.estimates[0].headline
+        within += abs(headline.amplitude_m - fraction * hidden_m) < 2 * headline.amplitude_uncertainty_m
+    assert within >= 34
