@@ -61,7 +61,8 @@ def dose_text(scene: Scene) -> Iterator[str]:
     if excitation is None or twin is None:
         return
     yield from _push_text(twin, excitation)
-    frequency_hz, intensity_w_per_m2 = np.array(scene.wanted_frequencies_hz[:LISTED_FREQUENCIES]), None
+    frequency_hz = np.array(scene.wanted_frequencies_hz[:LISTED_FREQUENCIES])
+    intensity_w_per_m2 = None
     for length_s in excitation.burst_length_s:
         dose = twin.dose(excitation, length_s, frequency_hz)
         if dose is None:
@@ -119,8 +120,14 @@ def _linearity_text(twin: TwinDeclaration, excitation: Excitation, intensity_w_p
     if twin.settings.propagation is not None:
         return
     beams, sound_speed = twin.settings.beams, twin.sound_speed_m_per_s
-    geometry = twin.push_focus_depth_m, beams.transducer.diameter_m, beams.excitation_width_m[0], sound_speed
-    distortion = focal_distortion(intensity_w_per_m2, excitation.carrier_hz, *geometry)
+    distortion = focal_distortion(
+        intensity_w_per_m2,
+        excitation.carrier_hz,
+        focus_m=twin.push_focus_depth_m,
+        diameter_m=beams.transducer.diameter_m,
+        width_m=beams.excitation_width_m[0],
+        sound_speed_m_per_s=sound_speed,
+    )
     if distortion > MAX_LINEAR_DISTORTION:
         yield (
             f"push: simulated as linear propagation, but the distortion at the focus is {distortion:.2g} (IEC 61949); "
@@ -173,12 +180,14 @@ def extrapolation_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
     # The full width at half maximum of a focused intensity is 1.03 lambda F / D.
     width_m = 1.03 / 2.3548 * sound_speed / drive.carrier_hz * focus_m / diameter_m
     measured = focal_distortion(drive.sppa_w_per_m2, drive.carrier_hz, focus_m, diameter_m, width_m, sound_speed)
-    linear, intensity, rarefaction = (np.array(column) for column in SHOCKED)
-    # The measured intensity already includes shocks; the table is a function of the linear wave.
-    distortion = float(np.interp(measured, linear * np.sqrt(intensity), linear))
+    linear, intensity_ratio, rarefaction_ratio = (np.array(column) for column in SHOCKED)
+    # The table is a function of the distortion of a linear wave. The measured intensity already includes shocks, so
+    # its distortion is that of the linear wave times the root of the intensity ratio.
+    distortion = float(np.interp(measured, linear * np.sqrt(intensity_ratio), linear))
+    # Effect of shocks at the drive in use over that at the drive of the calibration.
     changes = [
-        float(np.interp(distortion * drive_ratio, linear, column) / np.interp(distortion, linear, column)) - 1
-        for column in (intensity, rarefaction)
+        float(np.interp(distortion * drive_ratio, linear, ratio) / np.interp(distortion, linear, ratio)) - 1
+        for ratio in (intensity_ratio, rarefaction_ratio)
     ]
     if max(abs(change) for change in changes) > MIN_OUTPUT_CHANGE:
         yield (
@@ -189,9 +198,11 @@ def extrapolation_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
 
 
 def _push_diameter_m(scene: Scene, simulated: bool) -> float | None:
-    """Return the diameter of the transducer that pushes, m; None if it is unknown."""
-    beams, twin = scene.beams, twin_of(scene) if simulated else None
-    # With two transducers the declared aperture is the one that tracks.
-    if beams is not None and beams.transducer_diameter_m is not None and beams.push_focus_depth_m is None:
+    """Return the diameter of the transducer that pushes, m: the declared one, else the twin's; None if unknown."""
+    # ``push_focus_depth_m`` declares a second transducer, which pushes; the declared diameter is then that of the first
+    # one, which only tracks. The transducer of the twin does both.
+    beams = scene.beams
+    if beams is not None and beams.push_focus_depth_m is None and beams.transducer_diameter_m is not None:
         return beams.transducer_diameter_m
+    twin = twin_of(scene) if simulated else None
     return None if twin is None else twin.settings.beams.transducer.diameter_m

@@ -86,14 +86,14 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarSetCaptureClock(self, handle: Any, source: int, rate: int, edge: int, decimation: int) -> int:
-        return self._set(settings.capture_clock(self._state.type, source, rate, edge, decimation))
+        return self._set(settings.clock_changes(self._state.type, source, rate, edge, decimation))
 
     @_with_handle()
     def AlazarInputControl(self, handle: Any, channel: int, coupling: int, range_id: int, impedance: int) -> int:
         """Set coupling, range and impedance of an input."""
         if not self._state.has_channel(channel):
             return Code.NOT_SUPPORT_THIS_CHANNEL
-        return self._set(settings.input_control(self._state.settings, channel, coupling, range_id, impedance))
+        return self._set(settings.input_changes(self._state.settings, channel, coupling, range_id, impedance))
 
     @_with_handle()
     def AlazarSetBWLimit(self, handle: Any, channel: int, on: int) -> int:
@@ -101,19 +101,19 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarSetTriggerOperation(self, handle: Any, operation: int, *engines: int) -> int:
-        return self._set(settings.trigger_operation(operation, engines))
+        return self._set(settings.trigger_operation_changes(operation, engines))
 
     @_with_handle()
     def AlazarSetExternalTrigger(self, handle: Any, coupling: int, range_id: int) -> int:
-        return self._set(settings.external_trigger(self._state.type, coupling, range_id))
+        return self._set(settings.external_trigger_changes(self._state.type, coupling, range_id))
 
     @_with_handle()
     def AlazarSetTriggerDelay(self, handle: Any, samples: int) -> int:
-        return self._set(settings.trigger_delay(self._state.type, samples))
+        return self._set(settings.trigger_delay_changes(self._state.type, samples))
 
     @_with_handle()
     def AlazarSetTriggerTimeOut(self, handle: Any, ticks: int) -> int:
-        return self._set(settings.within("timeout_ticks", ticks, 0, 0xFFFFFFFF))
+        return self._set(settings.changes_within("timeout_ticks", ticks, 0, 0xFFFFFFFF))
 
     @_with_handle()
     def AlazarConfigureAuxIO(self, handle: Any, mode: int, parameter: int) -> int:
@@ -130,7 +130,7 @@ class AlazarLibrary:
     @_with_handle()
     def AlazarSetRecordSize(self, handle: Any, pre: int, post: int) -> int:
         """Set the samples of a record before and after the trigger."""
-        size = settings.record_size(self._state.type, pre, post, self._state.instruments.samples_per_channel)
+        size = settings.record_size_changes(self._state.type, pre, post, self._state.instruments.samples_per_channel)
         return self._set(size, Code.INVALID_SIZE)
 
     @_with_handle()

@@ -106,7 +106,7 @@ class EchoDelays:
         """Return the same delays with the rest position in the middle of the motion, where the series is shortest."""
         high, low = self.amplitude_s.max(axis=0), self.amplitude_s.min(axis=0)
         middle_s = (high + low) / 2
-        # A small offset costs no term, but moving every delay costs time.
+        # A small offset costs no term of the series, but moving every delay costs time.
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
         return EchoDelays(
@@ -124,17 +124,19 @@ def distinct_echoes(
 
     The delay of a scatterer changes by ``amplitude_s`` (echo, shape) times ``shape`` (shape, scatterer). Within a group
     no scatterer's delay changes the phase of the pulse's highest frequency by more than `EQUAL_ECHO_FRACTION` of
-    ``tolerance``. A periodic motion with a whole number of pulses per period has that many groups, however long it
-    lasts.
+    ``tolerance``, the relative error of an echo. Only one echo of a group has to be computed: of a periodic motion with
+    n pulses per period there are n groups, however long it lasts.
     """
     highest_rad_per_s = 2 * np.pi * max(abs(hz) for hz in pulse.frequency_hz)
+    # Phase for a unit of each amplitude, (shape,), at the scatterer that moves most. The shapes share the tolerance
+    # equally, hence times their number.
     phase_rad_per_s = highest_rad_per_s * np.abs(shape).max(axis=1, initial=0.0) * len(shape)
-    # Amplitudes in steps of the largest negligible difference; equal rows are one group.
-    step = np.rint(amplitude_s * (phase_rad_per_s / (EQUAL_ECHO_FRACTION * tolerance))) if tolerance else amplitude_s
+    # Amplitudes rounded to multiples of the largest negligible difference; equal rows are one group.
+    rounded = np.rint(amplitude_s * (phase_rad_per_s / (EQUAL_ECHO_FRACTION * tolerance))) if tolerance else amplitude_s
     # Equal rows become neighbours by sorting; each change starts a new group.
-    order = np.lexsort(step.T)
+    order = np.lexsort(rounded.T)
     is_new = np.ones(len(order), dtype=np.bool_)
-    is_new[1:] = (step[order[1:]] != step[order[:-1]]).any(axis=1)
+    is_new[1:] = (rounded[order[1:]] != rounded[order[:-1]]).any(axis=1)
     group = np.empty(len(order), dtype=np.int64)
     group[order] = np.cumsum(is_new) - 1
     return order[is_new], group
@@ -149,14 +151,18 @@ def check_delays(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArr
 
 
 def check_axes(arrays: dict[str, FloatArray], axes: dict[str, str]) -> None:
-    """Raise ValueError if an array has another number of axes or two arrays differ in the length of a shared axis."""
-    length: dict[str, tuple[str, int]] = {}
+    """Raise ValueError if an array has another number of axes or two arrays differ in the length of a shared axis.
+
+    ``axes``: by name of the array the names of its axes, such as "shape, scatterer".
+    """
+    # By axis: the first array that has it, and its length there.
+    first_use: dict[str, tuple[str, int]] = {}
     for name, array in arrays.items():
-        names = axes[name].split(", ")
-        if array.ndim != len(names):
+        axis_names = axes[name].split(", ")
+        if array.ndim != len(axis_names):
             raise ValueError(f"{name} has shape {array.shape}: its axes must be ({axes[name]})")
-        for axis, size in zip(names, array.shape, strict=True):
-            first, expected = length.setdefault(axis, (name, size))
+        for axis, size in zip(axis_names, array.shape, strict=True):
+            first, expected = first_use.setdefault(axis, (name, size))
             if size != expected:
                 raise ValueError(
                     f"{name} has length {size} along its axis '{axis}' and {first} has {expected}: make them equal"

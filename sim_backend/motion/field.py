@@ -104,13 +104,15 @@ class FocusField:
                 f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
                 "Try: a field that reaches as far as the scatterers."
             )
-        # Squared coordinates, mapped from inner edge and reach to -1 and 1.
+        # Squared coordinates, mapped from inner edge and reach to -1 and 1; the depth itself for an asymmetric field.
         axes = zip((lateral_m, axial_m), inner, reach, strict=True)
-        positions = [np.clip(2 * (at**2 - low**2) / (high**2 - low**2) - 1, -1.0, 1.0) for at, low, high in axes]
+        lateral_position, axial_position = (
+            np.clip(2 * (at**2 - low**2) / (high**2 - low**2) - 1, -1.0, 1.0) for at, low, high in axes
+        )
         if self.asymmetric:
-            positions[1] = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
-        lateral = chebvander(positions[0], self.shape.shape[1] - 1)
-        axial = chebvander(positions[1], self.shape.shape[2] - 1)
+            axial_position = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
+        lateral = chebvander(lateral_position, self.shape.shape[1] - 1)
+        axial = chebvander(axial_position, self.shape.shape[2] - 1)
         # p: point, m: mode, l and a: lateral and axial Chebyshev degree.
         return np.asarray(np.einsum("pl,mla,pa->pm", lateral, self.shape, axial, optimize=True))
 
@@ -198,13 +200,19 @@ def _focus_spectrum(force: GaussianSum) -> _Spectrum:
 
 
 def _error_scale(specimen: Specimen, panels: Panels) -> FloatArray:
-    """Return the displacement to which errors in each panel of time are relative, (panel,), up to a common factor."""
+    """Return the displacement to which errors in each panel of time are relative, (panel,), up to a common factor.
+
+    ``panels``: displacement after a step of force, a Chebyshev series in each interval of time (panel). The scale is
+    constant, except for a medium that creeps without end: there it is the displacement so far. Relative to the
+    displacement of the last panel, hours later, all motion under a toneburst would be below the tolerance.
+    """
     if not creeps_for_ever(specimen):
         return np.ones(panels.coefficient.shape[1])
-    # In hours a medium creeps so far that all its motion under a toneburst would be below the tolerance.
-    largest = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
-    smallest = largest[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
-    return np.asarray(np.maximum(largest, smallest) / smallest)
+    # The sum of its coefficients (degree, panel, point) bounds a Chebyshev series; the largest over points so far.
+    bound_so_far = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
+    # Shear waves are still in the force before this time: the scale does not fall below the displacement then.
+    smallest = bound_so_far[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
+    return np.asarray(np.maximum(bound_so_far, smallest) / smallest)
 
 
 @dataclass(frozen=True, slots=True)
