@@ -43,11 +43,11 @@ From scripts/validation/aperture.py."""
 
 
 AveragingRatio = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""Tracked over peak motion (frequency,), its standard deviation over media, and its relative steepness.
+"""Tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
 
-The steepness is the change with the logarithm of the tracking beam's area. Deviation and steepness have the relative
-amplitude as real part and the phase (rad) as imaginary part. Over the ensemble the ratio is the exponential of its mean
-logarithm, the steepness a root mean square."""
+The steepness is the size of the ratio's relative change per unit of the logarithm of the tracking beam's area.
+Deviation and steepness are pairs of real numbers: relative amplitude as real part, phase (rad) as imaginary part. Over
+the ensemble the ratio is the exponential of its mean logarithm, the steepness a root mean square."""
 
 
 def predicted_averaging(
@@ -73,9 +73,11 @@ def predicted_averaging(
         return (_with_scene_offsets(scene, gaussian_motion),) * frequency_hz.size
     # The ensemble assumes dense scatterers: few of them change its loss in the proportion known for a Gaussian motion.
     loss_scale = (1 - gaussian) / (1 - beams.gaussian_averaging())
+    # Standard deviation over speckle of the logarithm of the tracking beam's effective area.
     area_spread = spread / -beams.gaussian_steepness()
     ratio, deviation, steepness = averaging_ratio(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
+    # Fields of ``Averaging``, (frequency,).
     columns = {
         "factor": factor,
         "phase_rad": np.angle(ratio),
@@ -97,38 +99,42 @@ def predicted_averaging(
 
 
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return tracked over peak motion (frequency,), its deviation over media, and its change with the beam's area.
+    """Return tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
 
-    They are those of the declared medium, else statistics over the ensemble of media. Deviation and change have
-    relative amplitude as real part and phase (rad) as imaginary part.
+    The steepness is the size of the relative change per unit of the logarithm of the tracking beam's area. Deviation
+    and steepness have relative amplitude as real part and phase (rad) as imaginary part. All are those of the declared
+    medium, without deviation, else statistics over the ensemble of media.
     """
+    # Only a medium that the scene declares: the medium set in the twin is not known on a real bench.
     medium = medium_of(scene, frequency_hz, simulated=False)
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
-    tracked, peak, slope = tracked_motion(medium, beams)
-    steepness = slope / tracked
-    magnitudes = np.abs(steepness.real) + 1j * np.abs(steepness.imag)
-    return tracked / peak, np.zeros_like(tracked), magnitudes
+    tracked, peak, by_log_area = tracked_motion(medium, beams)
+    relative_change = by_log_area / tracked
+    steepness = np.abs(relative_change.real) + 1j * np.abs(relative_change.imag)
+    return tracked / peak, np.zeros_like(tracked), steepness
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return tracked over peak motion (frequency,), its deviation, and its change with the beam's area, over all media.
+    """Return tracked over peak motion (frequency,), its deviation and its steepness, over the media of the prior.
 
-    The media are those of the medium prior. Mean and standard deviation are those of the logarithm of the ratio, real
-    and imaginary part; the change is a root mean square.
+    Mean and standard deviation are those of the logarithm of the ratio, whose real part is relative amplitude and whose
+    imaginary part is phase. The steepness, the relative change per unit of the logarithm of the tracking beam's area,
+    is a root mean square.
     """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
     # Motion of every medium at the wanted frequencies, (member, frequency).
     to_wanted = ensemble.interpolation(frequency_hz).T
-    tracked, peak, slope = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
+    tracked, peak, by_log_area = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
     # All media are driven to the same rms motion; a medium that hardly moves at a frequency has little weight there.
     burst_rate_hz = scene.excitation.burst_rate_hz
     harmonics = round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz)
     spectrum = ensemble.driven_spectrum(harmonics, burst_rate_hz, scene.excitation.burst_length_s[0])
     driven = ensemble.tracked @ spectrum.T
     power = np.abs(tracked) ** 2 / np.sum(np.abs(driven) ** 2, axis=1, keepdims=True)
-    log_ratio, steepness = np.log(tracked / peak), bounded_steepness(slope / tracked, power / power.mean(axis=0))
+    steepness = bounded_steepness(by_log_area / tracked, power / power.mean(axis=0))
+    log_ratio = np.log(tracked / peak)
 
     def rms(values: FloatArray) -> FloatArray:
         """Return the root mean square over members, axis 0."""
@@ -169,7 +175,7 @@ def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArr
 def _times(averaging: Averaging, correction: complex, **errors: float) -> Averaging:
     """Return ``averaging`` with ratio and rule multiplied by the complex ``correction``, and with ``errors`` set.
 
-    ``errors``: values of fields of ``Averaging`` by name.
+    ``errors``: uncertainties of the correction, fields of ``Averaging`` by name.
     """
     size, angle = abs(correction), cmath.phase(correction)
     rule = replace(

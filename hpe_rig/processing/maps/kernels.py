@@ -35,22 +35,22 @@ def squared_distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
     return np.asarray(np.einsum("ij,ij->i", fitted, fitted))
 
 
-def estimates(
+def write_amplitude_and_phase(
     state: SingleArray,
     noise_m2: SingleArray,
     metres_per_radian: SingleArray,
-    relative: SingleArray,
-    quadratures: SingleArray,
+    relative_variance: SingleArray,
+    unit_covariance: SingleArray,
     results: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
     """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
 
-    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``relative`` (pixel,): relative variance
-    of ``metres_per_radian``. ``quadratures`` (3, frequency), for unit noise: mean of the variances of in-phase and
-    quadrature, half their difference, their covariance.
+    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``noise_m2`` (pixel,): noise variance of a
+    pulse. ``relative_variance`` (pixel,): of ``metres_per_radian``. ``unit_covariance`` (3, frequency): of in-phase and
+    quadrature for a noise variance of 1: mean of their variances, half the difference of these, their covariance.
     """
     amplitude, amplitude_u, phase, phase_u = results
-    mean, half_difference, covariance = quadratures
+    mean, half_difference, covariance = unit_covariance
     scaled = state[:, : 2 * mean.size] * metres_per_radian[:, None]
     in_phase, quadrature = scaled[:, ::2], scaled[:, 1::2]
     squared = in_phase**2 + quadrature**2
@@ -60,6 +60,6 @@ def estimates(
         # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
         difference = half_difference * (in_phase**2 - quadrature**2)
         anisotropy = (difference + 2 * covariance * in_phase * quadrature) / squared
-        np.sqrt(noise_m2[:, None] * (mean + anisotropy) + relative[:, None] * squared, out=amplitude_u)
+        np.sqrt(noise_m2[:, None] * (mean + anisotropy) + relative_variance[:, None] * squared, out=amplitude_u)
         np.sqrt(noise_m2[:, None] * (mean - anisotropy) / squared, out=phase_u)
     np.minimum(phase_u, UNKNOWN_PHASE_RAD, out=phase_u)

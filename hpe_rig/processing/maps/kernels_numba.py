@@ -97,29 +97,29 @@ def squared_distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
 
 
 @_compile
-def estimates(
+def write_amplitude_and_phase(
     state: SingleArray,
     noise_m2: SingleArray,
     metres_per_radian: SingleArray,
-    relative: SingleArray,
-    quadratures: SingleArray,
+    relative_variance: SingleArray,
+    unit_covariance: SingleArray,
     results: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
     """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
 
-    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``relative`` (pixel,): relative variance
-    of ``metres_per_radian``. ``quadratures`` (3, frequency), for unit noise: mean of the variances of in-phase and
-    quadrature, half their difference, their covariance.
+    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``noise_m2`` (pixel,): noise variance of a
+    pulse. ``relative_variance`` (pixel,): of ``metres_per_radian``. ``unit_covariance`` (3, frequency): of in-phase and
+    quadrature for a noise variance of 1: mean of their variances, half the difference of these, their covariance.
     """
     amplitude, amplitude_u, phase, phase_u = results
     for i in range(len(state)):
         for j in range(amplitude.shape[1]):
-            mean, half_difference, covariance = quadratures[0, j], quadratures[1, j], quadratures[2, j]
+            mean, half_difference, covariance = unit_covariance[0, j], unit_covariance[1, j], unit_covariance[2, j]
             x, y = state[i, 2 * j] * metres_per_radian[i], state[i, 2 * j + 1] * metres_per_radian[i]
             squared = x * x + y * y
             # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
             anisotropy = (half_difference * (x * x - y * y) + 2 * covariance * x * y) / squared
             amplitude[i, j], phase[i, j] = np.sqrt(squared), _angle(y, x)
-            amplitude_u[i, j] = np.sqrt(noise_m2[i] * (mean + anisotropy) + relative[i] * squared)
+            amplitude_u[i, j] = np.sqrt(noise_m2[i] * (mean + anisotropy) + relative_variance[i] * squared)
             unlimited_u = np.sqrt(noise_m2[i] * (mean - anisotropy) / squared)
             phase_u[i, j] = UNKNOWN_PHASE_RAD if unlimited_u > UNKNOWN_PHASE_RAD else unlimited_u

@@ -213,8 +213,9 @@ class _Pixels:
         spectrum = rfft(np.asarray(samples[..., :length], np.float32), axis=-1)
         bins = length // self.decimation
         carrier = round(self.settings.carrier_hz * length / self.settings.sample_rate_hz)
+        # Half the width of the band, in bins.
         half = min(round((BAND[1] - 1) * carrier), (bins - 1) // 2)
-        # Window over the bins carrier - half to carrier + half.
+        # Window over the bins carrier - half to carrier + half, with a ramp of ``fade`` bins at each end.
         window = np.ones(2 * half + 1, np.float32)
         fade = max(1, round(BAND_FADE * half))
         ramp = np.sin(np.pi / 2 * (np.arange(fade) + 0.5) / fade).astype(np.float32) ** 2
@@ -242,11 +243,11 @@ class _Pixels:
             phase: SingleArray = self.kernels.unwrapped(z[:, :, 0])
             return phase
         # Phase of each step, from the products of consecutive echoes summed over the gate.
-        product = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
+        with_next = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
         for sample in range(z.shape[2]):
-            product += z[:, :, sample, :-1].conj() * z[:, :, sample, 1:]
+            with_next += z[:, :, sample, :-1].conj() * z[:, :, sample, 1:]
         accumulated = np.zeros((*z.shape[:2], z.shape[-1]), np.float32)
-        np.cumsum(np.angle(product), axis=-1, out=accumulated[..., 1:])
+        np.cumsum(np.angle(with_next), axis=-1, out=accumulated[..., 1:])
         phasor = np.empty(accumulated.shape, np.complex64)
         np.cos(accumulated, out=phasor.real)
         np.sin(accumulated, out=phasor.imag)
@@ -289,7 +290,8 @@ class _Pixels:
         ``power`` and ``frequency_hz`` (line, gate): of the echo. ``not_finite`` (line, gate): gates with samples that
         are not finite. The model has the vibration frequencies, a constant and a slope, the mean velocity.
         """
-        shape, (pulses, states) = phase.shape[:-1], self.model.matrix.shape
+        pixel_shape = phase.shape[:-1]
+        pulses, states = self.model.matrix.shape
         # From phases to states: (R^-1 R^-1' H')', for all pixels in one product.
         columns = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         solver = (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
@@ -299,13 +301,14 @@ class _Pixels:
         variance = residual / np.float32(pulses - states)
         with np.errstate(invalid="ignore", divide="ignore"):
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
-            # Relative variance of that factor: echo frequency, in proportion to the phase variance, and sound speed.
+            # Relative variance of that factor: of the echo frequency, in proportion to the phase variance and averaged
+            # over the pulses that it is estimated from, and of the sound speed.
             phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
             frequency_noise = np.float32(2 * STRIDE / self.time_s.size / phase_per_sample**2)
-            relative = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
+            relative_variance = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
         # All results of a pixel, in the order of RESULTS; bad pixels are marked and set to NaN.
         noise_m2 = variance * metres_per_radian**2
-        results = [*self._estimates(state, noise_m2, metres_per_radian, relative), np.sqrt(noise_m2), power]
+        results = [*self._estimates(state, noise_m2, metres_per_radian, relative_variance), np.sqrt(noise_m2), power]
         bad = np.zeros(len(data), np.uint8)
         bad[~(variance < MAX_RESIDUAL_RAD**2) | ~(metres_per_radian < 0)] = BadPixel.NOISE
         bad[~(power >= MIN_POWER)] = BadPixel.NO_ECHO
@@ -314,30 +317,38 @@ class _Pixels:
         if bad.any():
             for values in results[:-1]:
                 values[bad > 0] = np.nan
-        return [values.reshape(*shape, *values.shape[1:]) for values in results], bad.reshape(shape)
+        return [values.reshape(*pixel_shape, *values.shape[1:]) for values in results], bad.reshape(pixel_shape)
 
     def _estimates(
-        self, state: SingleArray, noise_m2: SingleArray, metres_per_radian: SingleArray, relative: SingleArray
+        self, state: SingleArray, noise_m2: SingleArray, metres_per_radian: SingleArray, relative_variance: SingleArray
     ) -> list[SingleArray]:
         """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each followed by its standard uncertainty.
 
-        ``state`` (pixel, state): fitted states of the phase, rad. ``relative`` (pixel,): relative variance of
-        ``metres_per_radian``.
+        ``state`` (pixel, state): fitted states of the phase, rad. ``metres_per_radian`` (pixel,) converts them; it has
+        the ``relative_variance`` (pixel,). ``noise_m2`` (pixel,): displacement variance of one pulse.
         """
+        # Covariance of the states for a noise variance of 1, to be multiplied by ``noise_m2``.
         covariance = (self.model.root @ self.model.root.T).astype(np.float32)
         # The states are in-phase and quadrature of each frequency, then constant and slope.
         slope = covariance.shape[0] - 1
         in_phase = np.arange(0, slope - 1, 2)
-        variances = covariance[in_phase, in_phase], covariance[in_phase + 1, in_phase + 1]
-        mean, half_difference = (variances[0] + variances[1]) / 2, (variances[0] - variances[1]) / 2
-        quadratures = np.stack([mean, half_difference, covariance[in_phase, in_phase + 1]])
+        quadrature = in_phase + 1
+        in_phase_variance, quadrature_variance = covariance[in_phase, in_phase], covariance[quadrature, quadrature]
+        # Mean and half difference give the variances along and across a phasor of any phase.
+        mean = (in_phase_variance + quadrature_variance) / 2
+        half_difference = (in_phase_variance - quadrature_variance) / 2
+        unit_covariance = np.stack([mean, half_difference, covariance[in_phase, quadrature]])
+        # Amplitude, its uncertainty, phase, its uncertainty.
         results = tuple(np.empty((len(state), in_phase.size), np.float32) for _ in range(4))
-        self.kernels.estimates(state, noise_m2, metres_per_radian, relative, quadratures, results)
+        self.kernels.write_amplitude_and_phase(
+            state, noise_m2, metres_per_radian, relative_variance, unit_covariance, results
+        )
         # The column of the slope runs from -1 to 1 over the train.
         per_second = np.float32(2 / (self.time_s[-1] - self.time_s[0]))
         velocity = state[:, slope] * metres_per_radian * per_second
         slope_variance = covariance[slope, slope] * per_second**2
-        velocity_u = np.sqrt(noise_m2 * slope_variance + relative * velocity**2)
+        # Errors of the fit and of the conversion factor, which are independent.
+        velocity_u = np.sqrt(noise_m2 * slope_variance + relative_variance * velocity**2)
         return [*results, velocity, velocity_u]
 
 

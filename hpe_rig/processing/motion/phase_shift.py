@@ -349,7 +349,7 @@ def compare_with_others(
     total_energy = real_inner_product(gated_sum, total)
     reference_pulses, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
     # Only noise along the echo changes its phase. It is estimated from the misfit, the noise orthogonal to the echo.
-    along = band.noise_along(gated_sum, total_energy)[..., None]
+    noise_along = band.noise_along(gated_sum, total_energy)[..., None]
     energy_sum = np.zeros(spectrum.shape[:-2])
     product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
     # In chunks, so that a long train needs two arrays of its length, not ten.
@@ -362,9 +362,13 @@ def compare_with_others(
             echo_energy = energy[..., chunk]
         # A pulse's own noise in its reference would bias its phase to zero: the reference is the sum of the others.
         product[..., chunk] = with_others = with_total - echo_energy
-        reference = np.maximum(total_energy[..., None] - 2 * with_total.real + echo_energy, tiny)
-        misfit = np.maximum(echo_energy - np.abs(with_others) ** 2 / reference, 0.0)
-        variance[..., chunk] = misfit * along / (band.noise_energy - along) / (2 * reference) * reference_pulses**2
+        reference_energy = np.maximum(total_energy[..., None] - 2 * with_total.real + echo_energy, tiny)
+        misfit = np.maximum(echo_energy - np.abs(with_others) ** 2 / reference_energy, 0.0)
+        # Variance of the phase: half the noise along the echo over the energy of a mean echo. The reference is a sum of
+        # ``reference_pulses`` echoes, so its energy is the square of their number times that of their mean.
+        variance[..., chunk] = (
+            misfit * noise_along / (band.noise_energy - noise_along) / (2 * reference_energy) * reference_pulses**2
+        )
         energy_sum += echo_energy.sum(axis=-1)
     # Energy and moment of the common part: those of the sum minus those of single echoes. The latter's moment, before
     # alignment, differs from that of aligned echoes in second order only.

@@ -57,26 +57,30 @@ def _pulse_steps(
     neighbours have in common, NaN if their mean correlation is below ``threshold``, and the energy-weighted sum of
     frequencies. Compiled form of `phase_shift.pulse_steps`.
     """
-    magnitude, common, correlation, moments = 0.0, 0.0, 0.0, 0.0
+    # Sums over pairs of consecutive echoes: magnitude of their product, the same times mean frequency, correlation.
+    magnitude, common_moment, correlation = 0.0, 0.0, 0.0
+    # Sum over echoes of energy times mean frequency.
+    echo_moment = 0.0
     for k in range(len(echoes)):
         square, moment = _product(echoes[k], gated[k], hz)
-        energy[k], moments = square.real, moments + moment.real
+        energy[k] = square.real
+        echo_moment += moment.real
         if k == 0:
             phase[0] = 0.0
             continue
         # The product weighted by frequency is that of one gated and one whole echo, averaged over both choices.
-        step, before = _product(echoes[k - 1], gated[k], hz)
-        after = _product(gated[k - 1], echoes[k], hz)[1]
+        step, weighted_by_one = _product(echoes[k - 1], gated[k], hz)
+        _, weighted_by_other = _product(gated[k - 1], echoes[k], hz)
         length = np.sqrt(step.real**2 + step.imag**2)
         magnitude += length
         correlation += length / np.sqrt(energy[k - 1] * energy[k])
         # Mean frequency of the part in common, times the length of the inner product.
         if length > 0:
-            common += (step.conjugate() * (before + after)).real / (2 * length)
+            common_moment += (step.conjugate() * (weighted_by_one + weighted_by_other)).real / (2 * length)
         phase[k] = phase[k - 1] + np.arctan2(step.imag, step.real)
     if not correlation > threshold * (len(echoes) - 1):
-        return np.nan, moments
-    return _mean_hz(common, magnitude, hz), moments
+        return np.nan, echo_moment
+    return _mean_hz(common_moment, magnitude, hz), echo_moment
 
 
 @_compile
@@ -113,8 +117,10 @@ def coherent_phase(
 ) -> None:
     """Write phase and variance (train, pulse) of each echo against the sum of the others, and mean frequency (train,).
 
-    Compiled form of `phase_shift.coherent_phase` for spectra (train, pulse, bin); NaN without an echo. ``margin_root``,
-    ``noise`` and ``noise_energy`` are those of the band; ``threshold`` is the smallest mean correlation of an echo.
+    Compiled form of `phase_shift.coherent_phase` for spectra (train, pulse, bin); NaN without an echo. Of the band:
+    ``margin_root`` B (the part of an echo in the margins of the gate is B B' echo), ``noise`` the covariance of white
+    noise (bin, bin), and ``noise_energy`` its energy in the gate. ``threshold`` is the smallest mean correlation of an
+    echo.
     """
     trains, pulses, bins = spectrum.shape
     tiny = np.finfo(np.float64).tiny
@@ -124,27 +130,35 @@ def coherent_phase(
         echoes = spectrum[train]
         for k in range(pulses):
             _gate(echoes[k], margin_root, gated[k])
-        mean, moments = _pulse_steps(echoes, gated, hz, threshold, phase[train], echo_energy)
+        train_hz, echo_moment = _pulse_steps(echoes, gated, hz, threshold, phase[train], echo_energy)
         # Two passes: aligned by the accumulated steps, then by the phases of the first pass.
         for second in range(2):
-            _align(echoes, -phase[train] / (2 * np.pi * mean), hz, aligned, total)
+            _align(echoes, -phase[train] / (2 * np.pi * train_hz), hz, aligned, total)
             _gate(total, margin_root, gated_sum)
-            energy, moment = _product(gated_sum, total, hz)
-            # Noise along the echo, which changes its phase; only the second pass needs it.
-            along = 0.0
-            for m in range(bins * second):
-                for n in range(bins):
-                    along += (gated_sum[m].conjugate() * noise[m, n] * gated_sum[n]).real
-            along /= max(energy.real, tiny)
+            total_energy, total_moment = _product(gated_sum, total, hz)
+            # Energy of white noise along the echo, which changes its phase; only the second pass needs it.
+            noise_along = 0.0
+            if second:
+                for m in range(bins):
+                    for n in range(bins):
+                        noise_along += (gated_sum[m].conjugate() * noise[m, n] * gated_sum[n]).real
+            noise_along /= max(total_energy.real, tiny)
             for k in range(pulses):
                 if second:
                     _gate(aligned[k], margin_root, gated[k])
                     echo_energy[k] = _product(aligned[k], gated[k], hz)[0].real
                 with_total = _product(gated_sum, aligned[k], hz)[0]
                 with_others = with_total - echo_energy[k]
-                reference = max(energy.real - 2 * with_total.real + echo_energy[k], tiny)
-                misfit = max(echo_energy[k] - (with_others.real**2 + with_others.imag**2) / reference, 0.0)
-                variance[train, k] = misfit * along / (noise_energy - along) / (2 * reference) * (pulses - 1) ** 2
+                reference_energy = max(total_energy.real - 2 * with_total.real + echo_energy[k], tiny)
+                # Energy of echo k that the reference does not explain: noise orthogonal to the echo.
+                misfit = max(echo_energy[k] - (with_others.real**2 + with_others.imag**2) / reference_energy, 0.0)
+                # The misfit times the ratio of white noise along and orthogonal to the echo is the noise along it. Half
+                # of it, over the energy of a mean echo, is the variance of the phase. The reference is the sum of
+                # pulses - 1 echoes, with (pulses - 1)² times the energy of their mean.
+                variance[train, k] = (
+                    misfit * noise_along / (noise_energy - noise_along) / (2 * reference_energy) * (pulses - 1) ** 2
+                )
                 phase[train, k] += np.arctan2(with_others.imag, with_others.real)
-            mean = _mean_hz(moment.real - moments, energy.real - echo_energy.sum(), hz)
-        mean_hz[train] = mean
+            # Mean frequency of the part that all echoes have in common: their sum without the sum of single echoes.
+            train_hz = _mean_hz(total_moment.real - echo_moment, total_energy.real - echo_energy.sum(), hz)
+        mean_hz[train] = train_hz
