@@ -98,6 +98,10 @@ def test_the_monitor_channel_of_an_old_run_file_is_read() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_old_run_file_gives_the_numbers_that_its_version_gave(copied: Path, name: str) -> None:
+    """Fits once left out a sine without its cosine, so that numbers of ``specimen`` depended on time zero, by 0.1 u.
+
+    Those in its table are of the fit that does not.
+    """
     result = process(copied / f"{name}.h5", CHAIN).as_dict()
     expected = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))
     for key in ("title", "status", "simulated", "estimator"):

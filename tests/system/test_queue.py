@@ -136,7 +136,7 @@ def test_a_queue_outlives_a_failing_bench_and_an_interrupt(tmp_path: Path) -> No
     assert ended[2].run_file == "03-scene-2-2.h5"
     # What was done in two goes says nothing of how long the others take.
     assert [run.took_s > 0 for run in ended] == [True, False, False, True]
-    assert "Connection refused" in ended[1].why
+    assert "the host refuses the connection" in ended[1].why
     nothing_is_lost(tmp_path, ended[2:3])
 
 
