@@ -105,8 +105,8 @@ class GeneratorConnection:
 def _generator(clock: SimulatedClock, instruments: Instruments, model: str, role: str) -> Generator33250A:
     """Return the twin's generator of ``role``, of ``model``.
 
-    With ``instruments.serial_numbers`` generators can be told apart: by their serial numbers, or, as a 33250A reports
-    none, by the name of stored state 4.
+    With ``instruments.serial_numbers`` each generator is unique: by its serial number, or, as a 33250A reports none, by
+    the name of its stored state 4.
     """
     number = 1 + GENERATORS.index(role)
     serial = f"MY4400000{number}" if instruments.serial_numbers else "0"

@@ -360,7 +360,7 @@ def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
         _law_modulus("voigt", s, modulus, low_viscosity),
         _law_modulus("maxwell", s, modulus, maxwell_viscosity),
     )
-    # The members take the material laws in turn.
+    # Material laws alternate over the members.
     return np.asarray(np.choose((np.arange(members) % len(FAMILIES))[:, None], families))
 
 

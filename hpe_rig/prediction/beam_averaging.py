@@ -118,7 +118,7 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
     """Return tracked over peak motion (frequency,), its deviation and its steepness, over the media of the prior.
 
-    Mean and standard deviation are those of the logarithm of the ratio, whose real part is relative amplitude and whose
+    Mean and standard deviation are those of the logarithm of the ratio: its real part is relative amplitude, its
     imaginary part is phase. The steepness, the relative change per unit of the logarithm of the tracking beam's area,
     is a root mean square.
     """

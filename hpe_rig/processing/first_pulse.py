@@ -185,7 +185,7 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
 def _forward_backward(log_likelihood: FloatArray, changes: BoolArray) -> tuple[FloatArray, float]:
     """Return the posterior (record, state) of a chain that rarely changes its state, and the data's log likelihood.
 
-    Here a state is a shift. ``log_likelihood`` (record, state): of each record by itself. The state can change at
+    Here a state is a shift. ``log_likelihood`` (record, state): of each single record. The state can change at
     records with ``changes`` (record,). Computed by the forward-backward algorithm of hidden Markov models.
     """
     records, states = log_likelihood.shape

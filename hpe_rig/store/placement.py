@@ -65,8 +65,8 @@ class Placement:
 
     def shifted(self, shift: Int64Array) -> Placement:
         """Return the placement with the pulse of each record moved by ``shift`` (record,); outside the train: none."""
-        moved = np.where(self.pulse >= 0, self.pulse + shift, -1)
-        return replace(self, pulse=np.where(moved < self.pulse.size, moved, -1))
+        pulse = np.where(self.pulse >= 0, self.pulse + shift, -1)
+        return replace(self, pulse=np.where(pulse < self.pulse.size, pulse, -1))
 
 
 def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> Placement:
@@ -128,8 +128,8 @@ def _placement(train: _Train, delivered: BoolArray) -> Placement:
     loose[untimed[after < untimed]] = True
     pulse[untimed[unknown]] = -1
     # The first record that has a pulse gets pulse 0.
-    known = np.setdiff1d(np.concatenate([placed, untimed[~unknown]]), stray)
-    pulse[known] -= pulse[known].min()
+    assigned = np.setdiff1d(np.concatenate([placed, untimed[~unknown]]), stray)
+    pulse[assigned] -= pulse[assigned].min()
     pulse[pulse >= pulses] = -1
     unlocated = pulses - 1 - int(pulse.max())
     return Placement(pulse, delivered, loose, unlocated, tuple(stray.tolist()))
@@ -231,8 +231,8 @@ class _Train:
         # A break: no whole number of periods, or fewer than the untimed records in between need.
         step = np.diff(self.period)
         untimed = np.diff(self.record) - 1
-        whole = np.round(step)
-        breaks = np.flatnonzero((whole < untimed + 1) | (np.abs(step - whole) >= TOLERANCE)) + 1
+        periods = np.round(step)
+        breaks = np.flatnonzero((periods < untimed + 1) | (np.abs(step - periods) >= TOLERANCE)) + 1
         cuts = {*breaks.tolist(), *self.resets, *(cut for stray in self.stray for cut in (stray, stray + 1))}
         for start, stop in pairwise(sorted({0, self.record.size, *cuts})):
             if start not in self.stray:

@@ -102,7 +102,7 @@ class StoredShot:
         if self.record is None:
             codes = self._block(pulses)
         else:
-            # One block that contains the records of all these pulses, from which each is selected.
+            # One block contains the records of all these pulses; each is selected from it.
             record = self.record[pulses]
             has_record = record >= 0
             stop = int(record.max(initial=-1)) + 1

@@ -108,16 +108,16 @@ class Reception:
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:
-    """Return the longer and finer capture that chain and clock need, and the slice of its samples that is wanted.
+    """Return the longer and finer capture that chain and clock need, and the slice of its samples to return.
 
-    Finer by the oversampling of the receive chain. Longer at both ends, by the samples from which a sample's slope is
-    computed (clock errors) and by those over which the chain's filters ring. Slice and capture count fine samples.
+    Finer by the oversampling of the receive chain. Longer at both ends: clock errors need the slope of a sample, hence
+    its neighbours, and the filters of the chain ring. Slice and capture count fine samples.
     """
     chain = settings.receive_chain
-    fine = 1 if chain is None else chain.oversampling
-    period_ps = capture.sample_period_ps // fine
-    wanted = capture.samples * fine
-    # Numbers of additional samples before and after the wanted ones.
+    oversampling = 1 if chain is None else chain.oversampling
+    period_ps = capture.sample_period_ps // oversampling
+    fine_samples = capture.samples * oversampling
+    # Numbers of additional samples before and after those of ``capture``.
     before = after = SLOPE_MARGIN if has_clock_error(settings.instruments) else 0
     if chain is not None:
         from sim_backend.receiver.chain import TRAILING_SAMPLES, fast_fft_length, settling_s
@@ -127,11 +127,11 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
             before += settling
             after += TRAILING_SAMPLES
         # Padded in front to a length with a fast Fourier transform.
-        before = fast_fft_length(before + wanted + after) - wanted - after
+        before = fast_fft_length(before + fine_samples + after) - fine_samples - after
     first_ps = capture.first_sample_ps - before * period_ps
-    samples = before + wanted + after
+    samples = before + fine_samples + after
     wide = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=samples)
-    return wide, slice(before, before + wanted, fine)
+    return wide, slice(before, before + fine_samples, oversampling)
 
 
 def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:

@@ -174,10 +174,10 @@ def step_covariance(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the white-noise variance (...) of one pulse, and the covariance (..., row, row) of the fitted states.
 
-    The states are ``weights`` (..., row, pulse) @ displacement. The displacement has white noise and a random walk,
-    whose steps have ``step_noise_ratio`` (...) times the white variance. That variance is estimated from the residual
-    (..., pulse): the energy (sum of squares) of its pulse-to-pulse differences over ``expected_energy`` (...), the
-    energy expected for a white variance of 1 (``difference_noise_moments``).
+    The states are ``weights`` (..., row, pulse) @ displacement. The displacement has white noise and a random walk; the
+    variance of a step is ``step_noise_ratio`` (...) times the white variance. The white variance is estimated from the
+    ``residual`` (..., pulse): the energy (sum of squares) of its pulse-to-pulse differences, over ``expected_energy``
+    (...), the energy expected for a white variance of 1 (``difference_noise_moments``).
     """
     differences = np.diff(residual, axis=-1)
     variance = np.einsum("...i,...i->...", differences, differences) / expected_energy
@@ -201,8 +201,8 @@ def fit_from_state(
     ``state`` (..., state): A cos(phase) and A sin(phase) of each frequency; further entries may follow.
     ``state_covariance`` (..., state, state). ``aliasing_m2``: the part of it that is aliasing.
     """
-    wanted = 2 * frequency_hz.size
-    in_phase, quadrature = state[..., 0:wanted:2], state[..., 1:wanted:2]
+    states = 2 * frequency_hz.size
+    in_phase, quadrature = state[..., 0:states:2], state[..., 1:states:2]
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
     total = _along_phasor(state_covariance, phase)
@@ -247,11 +247,11 @@ def with_aliasing(
     fit of the same motion has a prior of media for all harmonics; it is in error only where the prior is.
     ``medium``: posterior of the medium, attached to the result.
     """
-    wanted = slice(2 * fit.frequency_hz.size)
+    wanted_states = slice(2 * fit.frequency_hz.size)
     total_m2 = fit.state_covariance.copy()
-    total_m2[..., wanted, wanted] += aliasing_m2
+    total_m2[..., wanted_states, wanted_states] += aliasing_m2
     total, aliasing = (_along_phasor(covariance, fit.phase_rad) for covariance in (total_m2, aliasing_m2))
-    # Only noise can look like a motion where there is none. What the prior leaves uncertain grows with the motion.
+    # Only noise can look like a motion where there is none. The uncertainty from the prior grows with the motion.
     prior_uncertainty_m2 = 0.0 if prior_fit.aliasing is None else prior_fit.aliasing[..., 0, 0]
     phase_variance = phase_variance_at_rad2(
         prior_fit.amplitude_m,

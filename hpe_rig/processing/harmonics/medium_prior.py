@@ -75,7 +75,7 @@ class MediumPrior:
         return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
 
     def sampled_motions(self, time_s: FloatArray, harmonic_indices: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return two linear models of the displacement at ``time_s``, as matrices whose rows are pulses.
+        """Return two linear models of the displacement at ``time_s``, as matrices with a row for each pulse.
 
         The first (pulse, direction) times the directions of a medium (real parts of its response at the nodes, then
         imaginary parts) is the medium's displacement. The second (pulse, state), sin and cos of every harmonic in
@@ -89,7 +89,7 @@ class MediumPrior:
         # Im(weights), its imaginary part Re(weights).
         weights = phasors @ self.spectrum
         displacement = np.hstack([weights.imag, weights.real])
-        # sin and cos of each harmonic in turn: j conj(exp(jwt)) = sin + j cos.
+        # sin and cos of the first harmonic, then of the next: j conj(exp(jwt)) = sin + j cos.
         sin_cos = 1j * np.conj(phasors[:, list(harmonic_indices)])
         harmonic_displacement = np.stack([sin_cos.real, sin_cos.imag], axis=-1).reshape(len(sin_cos), -1)
         return displacement[repeats], harmonic_displacement[repeats]
