@@ -130,14 +130,14 @@ def estimate(
     """Return amplitude and phase of the motion in gated echoes of any program.
 
     ``rf`` (..., pulse, sample), real: the samples of the gate in volts or codes, with pulses ``1 / pulse_rate_hz``
-    apart. Integers of up to 16 bits count as codes of a digitizer: their rounding is part of u, and full scale is
-    reported. ``margin``: number of samples before and after the gate; six carrier periods on either side avoid edge
-    effects. A pulse with a sample that is not finite is missing, and one with a deviating energy is omitted. Budget and
-    warnings are those of the same echoes after ``import_records``. Each entry of the leading axes becomes a shot of the
-    result, in C order. Phases are those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive
-    away from the transducer. An entry without an estimate is left out, with a warning that states the reason. Raises
-    ``TypeError`` if ``rf`` is not real, ``SettingsError`` for an unknown estimator, and ``ValueError`` for invalid
-    settings and if no entry has an estimate.
+    apart. Whole numbers count as codes of a digitizer: their rounding is part of u, and full scale of integers of up to
+    16 bits is reported. ``margin``: number of samples before and after the gate; six carrier periods on either side
+    avoid edge effects. A pulse with a sample that is not finite is missing, and one with a deviating energy is omitted.
+    Budget and warnings are those of the same echoes after ``import_records``. Each entry of the leading axes becomes a
+    shot of the result, in C order. Phases are those of sin(2 pi f t + phase) with t from the first pulse; displacement
+    is positive away from the transducer. An entry without an estimate is left out, with a warning that states the
+    reason. Raises ``TypeError`` if ``rf`` is not real, ``SettingsError`` for an unknown estimator, and ``ValueError``
+    for invalid settings and if no entry has an estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])

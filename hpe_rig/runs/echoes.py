@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hpe_rig.processing import Estimates
 
 STEPS = 1 << 22
-"""Steps between zero and the largest value of samples that are no codes: as fine as float32 resolves."""
+"""Steps from zero to the largest value of samples that are no codes."""
 Samples = NDArray[np.integer[Any] | np.floating[Any]]
 
 
@@ -75,14 +75,18 @@ def _records(train: Samples, margin: tuple[int, int]) -> ShotRecords:
     if are_codes(train):
         return ShotRecords(signed_codes(train), unknown_times_s, UNSTATED_SCALE_V, 0.0, limits, margin)
     valid = np.isfinite(train).all(axis=-1)
-    volts = train.astype(np.float64)
-    volts -= volts[valid].mean() if valid.any() else 0.0
-    largest_v = float(np.abs(volts[valid]).max(initial=0.0)) or 1.0
+    values = train[valid].astype(np.float64)
+    are_whole = np.array_equal(values, np.rint(values))
+    offset = values.mean() if values.size else 0.0
+    values -= np.rint(offset) if are_whole else offset
+    largest = float(np.abs(values).max(initial=0.0))
+    # Whole numbers are codes; other values get steps as fine as float32 resolves, so that any unit will do.
+    step = 1.0 if are_whole and largest <= STEPS else max(largest / STEPS, float(np.finfo(np.float64).tiny))
     # Half a step is added, so that no sample equals the code of a missing record; the offset is subtracted later.
     codes = np.full(train.shape, MISSING, np.float32)
-    codes[valid] = np.rint(volts[valid] * (STEPS / largest_v)) + 0.5
+    codes[valid] = np.rint(values / step) + 0.5
     fine: Any = codes
-    return ShotRecords(fine, unknown_times_s, largest_v / STEPS, 0.0, (-2 * STEPS, 2 * STEPS), margin)
+    return ShotRecords(fine, unknown_times_s, 1 / STEPS, 0.0, (-2 * STEPS, 2 * STEPS), margin)
 
 
 def _scene(settings: EchoSettings, pulses: int, samples: int, estimator: Estimator) -> Scene:

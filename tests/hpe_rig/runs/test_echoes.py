@@ -117,6 +117,35 @@ def test_identical_echoes_have_the_amplitude_of_a_motion_that_changes_no_code_an
         assert 1.8 < estimate.headline.phase_uncertainty_rad < math.inf
 
 
+def test_an_estimate_depends_neither_on_the_unit_of_the_samples_nor_on_the_type_of_codes() -> None:
+    settings: dict[str, Any] = RATES | {"frequencies_hz": [MOVED_HZ]}
+    echoes = codes(sine_m(500e-9), noise=0.0, codes_rms=12.0)
+    (of_codes,) = hpe.estimate(echoes, **settings).shots
+    rounding = {part.source: part for part in of_codes.estimates[0].budget}["quantisation"]
+    assert rounding.amplitude_m > 0
+    for typed in (echoes.astype(np.int32), echoes.astype(np.float64), (echoes.astype(int) + 32768).astype(np.uint16)):
+        (shot,) = hpe.estimate(typed, **settings).shots
+        assert shot.estimates[0].amplitude_m == pytest.approx(of_codes.estimates[0].amplitude_m, rel=1e-5)
+        budget = {part.source: part for part in shot.estimates[0].budget}
+        assert budget["quantisation"].amplitude_m == pytest.approx(rounding.amplitude_m, rel=1e-3)
+    for unit in (1.37e-30, 1.37e-3, 1.37e30):
+        (shot,) = hpe.estimate(echoes * unit, **settings).shots
+        assert shot.estimates[0].amplitude_m == pytest.approx(of_codes.estimates[0].amplitude_m, rel=1e-5)
+
+
+def test_a_spike_is_left_out_and_a_pulse_that_is_not_finite_is_missing() -> None:
+    echoes = codes(sine_m(500e-9)).astype(float)
+    (undisturbed,) = hpe.estimate(echoes, **RATES, frequencies_hz=[MOVED_HZ]).shots
+    echoes[30] *= 1000.0
+    echoes[50, 7] = np.inf
+    (shot,) = hpe.estimate(echoes, **RATES, frequencies_hz=[MOVED_HZ]).shots
+    assert (shot.pulses_used, shot.pulses_missing) == (PULSES - 2, 1)
+    assert any("1 of 80 records are missing" in warning for warning in shot.warnings)
+    assert any("1 of 80 pulses are omitted" in warning for warning in shot.warnings)
+    u_m = undisturbed.estimates[0].amplitude_uncertainty_m
+    assert abs(shot.estimates[0].amplitude_m - undisturbed.estimates[0].amplitude_m) < u_m
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fraction", [0.02, 0.3, 1.0])
 def test_a_motion_no_larger_than_one_that_changes_no_code_is_within_its_interval(fraction: float) -> None:
