@@ -8,6 +8,7 @@
     estimators.py      estimators by name: echoes -> displacement -> harmonics
     budget.py          uncertainty of each estimate, source by source
     first_pulse.py     the tracking pulse of each record
+    tracking_rate.py   rate of the pulses by the digitizer's clock
     shot_tracking.py   echoes and displacement of a stored shot
     shot_fitting.py    harmonic fit of a shot: options, prior, beam averaging
     motion_model.py    fitted displacement of each pulse

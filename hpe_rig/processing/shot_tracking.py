@@ -24,6 +24,7 @@ from hpe_rig.processing.first_pulse import PulseAssignment, assign_pulses
 from hpe_rig.processing.motion.displacement import Motion, relative_to
 from hpe_rig.processing.motion.gate_tracking import add_gate_motion, track_gate
 from hpe_rig.processing.motion.phase_shift import coherent
+from hpe_rig.processing.tracking_rate import TrackingRate, measured_rate
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
@@ -36,12 +37,16 @@ DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-r
 
 @dataclass(frozen=True, slots=True)
 class ShotRecords:
-    """Records of one shot: in the gate, with ``statistics`` of their codes, and in the reference gate, if any."""
+    """Records of one shot: in the gate, with ``statistics`` of their codes, and in the reference gate, if any.
+
+    ``tracking_rate``: the train's rate from the trigger times, None if it was not measured.
+    """
 
     gate: GatedRecords
     statistics: GateStatistics
     reference: GatedRecords | None
     assignment: PulseAssignment
+    tracking_rate: TrackingRate | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +102,12 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
         if gate is None
         else stored.records.shot_blocks(shot.index, gate, margin=margin, placement=placement),
         assignment=assignment,
+        tracking_rate=measured_rate(
+            stored.records.trigger_time_s(shot.index),
+            placement,
+            shot.tracking_train.rate_hz,
+            shot.capture.sample_rate_hz,
+        ),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from hpe_rig.processing.harmonics.fit_checks import Line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_tracking import DAMAGED
-from hpe_rig.result import DETECTED
+from hpe_rig.processing.tracking_rate import TrackingRate
+from hpe_rig.result import DETECTED, Estimate
 from hpe_rig.scene import Scene
 
 LARGE_STEP = 0.8
@@ -138,6 +140,33 @@ def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: floa
             f"{pulse_rate_hz - line.frequency_hz:.5g} Hz; more of it may alias onto the wanted frequencies: "
             "compare another tracking.pulse_rate_hz, or fit it too (processing.frequencies_hz)"
         )
+
+
+def clock_warnings(rate: TrackingRate | None, estimates: Sequence[Estimate], pulse_time_s: FloatArray) -> Iterator[str]:
+    """Yield a warning if the measured pulse rate is off by so much that a phase may be wrong by more than its u.
+
+    The fit takes the nominal times of the pulses, ``pulse_time_s`` (pulse,).
+    """
+    if rate is None or not rate.is_significant:
+        return
+    # Times that are wrong by e t shift a phase by 2 pi f e t, on average that of the mean time.
+    per_hz = 2 * np.pi * abs(rate.error * float(pulse_time_s.mean()))
+    worst = max(estimates, key=lambda item: item.frequency_hz / max(item.headline.phase_uncertainty_rad, 1e-300))
+    error_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
+    if error_rad > u_rad:
+        yield (
+            f"by the digitizer's clock the tracking train is {_ppm(abs(rate.error), rate.uncertainty)} "
+            f"{'fast' if rate.error > 0 else 'slow'}, which the results do not correct: if the train's clock is the "
+            f"wrong one, the phase at {worst.frequency_hz:g} Hz is off by "
+            f"{np.degrees(error_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg); connect a common 10 MHz reference, or "
+            "shorten processing.window_length_s"
+        )
+
+
+def _ppm(error: float, u: float) -> str:
+    """Return a relative error with two digits of its standard uncertainty, in ppm."""
+    decimals = max(0, 1 - math.floor(math.log10(u * 1e6)))
+    return f"{error * 1e6:.{decimals}f} +- {u * 1e6:.{decimals}f} ppm"
 
 
 def drift_warnings(fit: HarmonicFit, drift: tuple[FloatArray, BoolArray] | None) -> Iterator[str]:

@@ -31,6 +31,7 @@ from hpe_rig.processing.shot_fitting import (
 )
 from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot, window_motion
 from hpe_rig.processing.shot_warnings import (
+    clock_warnings,
     drift_warnings,
     first_pulse_warnings,
     fit_warnings,
@@ -208,7 +209,10 @@ def _estimate_window(
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
             *drift_warnings(fit, drift),
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm),
+            *clock_warnings(records.tracking_rate, estimates, motion.echoes.pulse_time_s),
         ),
+        pulse_rate_error=rate.error if (rate := records.tracking_rate) else None,
+        pulse_rate_uncertainty=rate.uncertainty if rate else None,
         complete=complete,
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )

@@ -190,7 +190,11 @@ def _settings_texts(shot: ShotResult) -> list[str]:
     texts = [] if shot.force_fraction is None else [f"F = {shot.force_fraction:g} F_0"]
     texts += [] if shot.burst_length_s is None else [f"T_b = {shot.burst_length_s * 1e6:g} us"]
     texts += [f"{name} = {value:g}" for name, value in shot.swept.items()]
-    return [*texts, f"{shot.pulses_used} pulses, {shot.pulses_missing} missing"]
+    texts.append(f"{shot.pulses_used} pulses, {shot.pulses_missing} missing")
+    if shot.pulse_rate_error is not None and shot.pulse_rate_uncertainty is not None:
+        error, u = shot.pulse_rate_error * 1e6, shot.pulse_rate_uncertainty * 1e6
+        texts.append(f"pulse rate {error:+.2f} ppm from nominal by the digitizer's clock (u {u:.2g} ppm)")
+    return texts
 
 
 def strongest(shot: ShotResult) -> Estimate:

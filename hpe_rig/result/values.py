@@ -239,7 +239,8 @@ class ShotResult:
     ``complete`` is False if the run stopped during the shot. ``untrusted`` states why the records are not to be
     trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by
     name, read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse,
-    None if not stored.
+    None if not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its
+    standard uncertainty; None without trigger times.
     """
 
     shot: int
@@ -259,6 +260,8 @@ class ShotResult:
     untrusted: str = ""
     swept: Mapping[str, float] = field(default_factory=dict)
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    pulse_rate_error: float | None = None
+    pulse_rate_uncertainty: float | None = None
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
 
 

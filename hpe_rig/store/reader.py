@@ -196,6 +196,11 @@ class StoredRecords(Sequence[ShotRecords]):
         with open_checked(self.path) as checked:
             return _placement(checked, self.shape, _within(shot, self.shape[0]))
 
+    def trigger_time_s(self, shot: int) -> FloatArray:
+        """Return the trigger time of each record of ``shot``, s (record,); NaN for missing records and times."""
+        with open_checked(self.path) as checked:
+            return _arrival(checked, self.shape, _within(shot, self.shape[0])).trigger_time_s
+
     def gated(
         self, shot: int, gate: slice, name: str = "echo", margin: int = 0, placement: Placement | None = None
     ) -> ShotRecords:
