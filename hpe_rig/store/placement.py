@@ -191,22 +191,26 @@ class _Train:
     def segments(self) -> list[_Segment]:
         """Return the parts of the train between steps of the digitizer's counter; the first one's pulses start at 0.
 
-        Records that fit into no part come from stray triggers and are omitted.
+        Records that fit into no segment come from stray triggers and are omitted.
         """
-        pieces, parts = list(self._pieces()), list[list[_Segment]]()
+        pieces = list(self._pieces())
+        # Of each segment the pieces that it is joined from.
+        segments = list[list[_Segment]]()
         # Without a regular series, the first record is assumed to be part of the train.
         irregular = all(stop - start < MIN_SEGMENT for start, stop in pieces)
         for start, stop in pieces:
             pulse = np.round(self.period[start:stop] - self.period[start]).astype(np.int64)
-            piece, last = _Segment(np.arange(start, stop), pulse), parts[-1][-1] if parts else None
-            # Join whole periods to the segment before. Others are a new segment, after the fewest pulses possible.
-            periods = None if last is None else self._periods_after(last, start)
-            if last is not None and periods is not None:
-                parts[-1].append(replace(piece, pulse=last.pulse[-1] + periods + pulse))
-            elif stop - start >= MIN_SEGMENT or (irregular and last is None) or self._precedes_reset(start):
-                advance = 0 if last is None else last.pulse[-1] + self._min_periods(last, start)
-                parts.append([replace(piece, pulse=pulse + advance)])
-        return [_joined(part) for part in parts]
+            piece = _Segment(np.arange(start, stop), pulse)
+            previous = segments[-1][-1] if segments else None
+            # Whole periods after the previous piece: joined to its segment. Otherwise a new segment, after the fewest
+            # pulses possible.
+            periods = None if previous is None else self._periods_after(previous, start)
+            if previous is not None and periods is not None:
+                segments[-1].append(replace(piece, pulse=previous.pulse[-1] + periods + pulse))
+            elif stop - start >= MIN_SEGMENT or (irregular and previous is None) or self._precedes_reset(start):
+                advance = 0 if previous is None else previous.pulse[-1] + self._min_periods(previous, start)
+                segments.append([replace(piece, pulse=pulse + advance)])
+        return [_joined(segment_pieces) for segment_pieces in segments]
 
     def _precedes_reset(self, start: int) -> bool:
         """Return whether ``start`` is the first record and the next one has an earlier trigger time."""

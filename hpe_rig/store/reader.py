@@ -353,8 +353,7 @@ class StoredGroundTruth:
         name = "truth/displacement_m"
         with open_checked(self.path) as checked:
             shot = _within(shot, self.shape[0])
-            row_m: FloatArray
-            row_m, _ = _row(checked, name, _rows(checked, name, self.shape), shot)
+            row_m: FloatArray = _row_or_blank(checked, name, _rows(checked, name, self.shape), shot)
             record = _placement(checked, self.shape, shot).record
             return np.where(record >= 0, row_m[np.maximum(record, 0)], np.nan)
 
@@ -363,7 +362,7 @@ class StoredGroundTruth:
         shape, shot = (self.shape[0], None), _within(shot, self.shape[0])
         with open_checked(self.path) as checked:
             names = [f"true_harmonics/{name}" for name in TRUE_HARMONICS]
-            rows = [_row(checked, name, checked.dataset(name, "<f8", shape), shot)[0] for name in names]
+            rows = [_row_or_blank(checked, name, checked.dataset(name, "<f8", shape), shot) for name in names]
             if rows[0].size < frequencies:
                 raise InvalidContentError(f"/true_harmonics has {rows[0].size} frequencies, its scene {frequencies}")
             return np.stack(rows, axis=-1)[:frequencies]
@@ -446,7 +445,7 @@ class StoredRun:
         with open_checked(self.path) as checked:
             arrival = _arrival(checked, shape, shot)
             tables = {
-                name: _row(checked, name, dataset, shot)[0]
+                name: _row_or_blank(checked, name, dataset, shot)
                 for name, dataset in _datasets_by_shot(checked, shape)
                 if not name.endswith("shot_complete")
             }
@@ -497,7 +496,7 @@ def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...
     """
     with open_checked(path) as checked:
         dataset = checked.dataset("snapshot", f"S{SNAPSHOT_BYTES}", (None,))
-        texts = [_row(checked, "snapshot", dataset, shot)[0].item() for shot in range(dataset.shape[0])]
+        texts = [_row_or_blank(checked, "snapshot", dataset, shot).item() for shot in range(dataset.shape[0])]
         return tuple(_settings(text) for text in texts if text)
 
 
@@ -595,7 +594,8 @@ def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
     if not checked.has("records/force_set"):
         # Early releases did not read the generator's setting back.
         return np.full(shots, np.nan)
-    return _all_rows(checked, "records/force_set", checked.dataset("records/force_set", "<f8", (shots,)))[0]
+    force, _ = _all_rows(checked, "records/force_set", checked.dataset("records/force_set", "<f8", (shots,)))
+    return force
 
 
 def _texts_by_shot(checked: CheckedFile, shape: Shape, name: str) -> dict[int, str]:
@@ -707,6 +707,12 @@ def _row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None
     return (values if expected and intact else blank(dataset.dtype, values.shape)), intact
 
 
+def _row_or_blank(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int) -> Any:
+    """Return row ``row`` of a dataset, blank if it was never written or is damaged. ``name``: path of the dataset."""
+    values, _ = _row(checked, name, dataset, row)
+    return values
+
+
 def _all_rows(checked: CheckedFile, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], BoolArray]:
     """Return every row of a dataset, and which rows match their checksums, (row,).
 
@@ -762,7 +768,7 @@ def _placement(checked: CheckedFile, shape: Shape, shot: int) -> Placement:
     """
     arrival = _arrival(checked, shape, shot)
     name = "records/pulse_onset_s"
-    onset_s, _ = _row(checked, name, _rows(checked, name, shape), shot)
+    onset_s = _row_or_blank(checked, name, _rows(checked, name, shape), shot)
     with np.errstate(divide="ignore", invalid="ignore"):
         rate_hz = float((shape[1] - 1) / (onset_s[-1] - onset_s[0]))
     return place_records(arrival.recorded | arrival.damaged, arrival.trigger_time_s, rate_hz)

@@ -63,8 +63,8 @@ _LATERAL_DEGREES = 16
 _LATERAL_DEGREES_PER_WIDTH = 3.8
 _AXIAL_DEGREES = 10
 _ASYMMETRIC_AXIAL_DEGREES = 20  # in the depth itself, for a force that differs before and behind the focal plane
-# From this time on errors are relative to how far a medium has crept: shear waves have then left the force.
-_CREEP_S = 1e-3
+# Shear waves have left the force by then: from this time on errors are relative to how far a medium has crept.
+_START_OF_CREEP_S = 1e-3
 
 Force = Triple | GaussianSum
 """Shape of the body force: the widths of a Gaussian, or a sum of Gaussians."""
@@ -133,7 +133,7 @@ def focus_field(
     lateral widths.
     """
     gaussians = _gaussians(force)
-    width_m = _length_scales_m(gaussians)[0]
+    width_m, _ = _length_scales_m(gaussians)
     lateral_count = max(
         _LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_PER_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m)
     )
@@ -211,7 +211,7 @@ def _error_scale(specimen: Specimen, panels: Panels) -> FloatArray:
     # The sum of its coefficients (degree, panel, point) bounds a Chebyshev series; the largest over points so far.
     bound_so_far = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
     # Shear waves are still in the force before this time: the scale does not fall below the displacement then.
-    smallest = bound_so_far[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
+    smallest = bound_so_far[np.searchsorted(panels.begins_s, _START_OF_CREEP_S) - 1]
     return np.asarray(np.maximum(bound_so_far, smallest) / smallest)
 
 
@@ -333,13 +333,16 @@ class _Spectrum:
         response = np.empty((len(pole), self._k2_weighted.shape[1]), np.complex128)
         order = np.argsort(np.abs(pole))
         size, k2_size, power = np.abs(pole)[order], np.abs(self._k2), np.arange(_SERIES_TERMS)
-        # Poles of similar size share their wave numbers. Near ones need the fraction of both. If one of the two
-        # dominates, the fraction is a power series in their ratio, with sums over wave numbers that serve all poles.
+        # Poles of similar size (within a factor of 16) are evaluated together. Wave numbers near them need the fraction
+        # itself. If one of the two dominates, the fraction is a power series in their ratio: its sums over wave numbers
+        # are then the same for all these poles.
         for poles in np.split(order, np.flatnonzero(np.diff(np.floor(np.log2(size) / 4))) + 1):
             p, smallest, largest = pole[poles], abs(pole[poles[0]]), abs(pole[poles[-1]])
             # The wave numbers ascend along the ray: long waves, near the pole, short waves.
             low, high = np.searchsorted(k2_size, [smallest / _DOMINANCE_RATIO, largest * _DOMINANCE_RATIO])
             short, near, long = self._k2[high:], self._k2[low:high], self._k2[:low]
+            # 1 / (k² + p) is the sum of (-p)^n / k²^(n + 1) for short waves and of (-k²)^n / p^(n + 1) for long ones,
+            # with powers scaled by the largest and the smallest pole.
             short_sums = (largest / short) ** power[:, None] / short @ self._k2_weighted[high:]
             long_sums = (long / smallest) ** power[:, None] @ self._k2_weighted[:low]
             response[poles] = (
