@@ -48,7 +48,11 @@ SERIAL_PRODUCTS: Final = 200_000
 MIN_POWER: Final = 1e-41
 """Power of a pixel, in units of the samples squared, that single precision (steps of 1e-45) resolves to 1e-4."""
 MAX_RESIDUAL_RAD: Final = 0.5
-"""Root-mean-square residual phase above which a pixel is noise, or moves more than its steps can follow."""
+"""Root-mean-square residual phase above which a pixel is noise, or moves more than its steps can follow.
+
+Intervals of 2 u cover 92 to 96 % up to it in white noise of the echoes, 75 to 89 % above 0.8. If the echoes decorrelate
+within the train, those of the velocity cover 10 to 30 % at any residual: a higher limit would add pixels whose u fails.
+"""
 STRIDE: Final = 12
 """One pulse in so many contributes to echo frequency and power, which are nearly equal in all pulses."""
 BAND_FADE: Final = 0.2
