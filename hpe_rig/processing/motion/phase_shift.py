@@ -86,8 +86,18 @@ def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, Flo
     trains = np.ascontiguousarray(spectrum, dtype=np.complex128).reshape(-1, pulses, bins)
     phase, variance, mean_hz = np.empty((len(trains), pulses)), np.empty((len(trains), pulses)), np.empty(len(trains))
     threshold = min_correlation(pulses - 1, band.independent)
-    band_values = band.margin_root, band.noise, band.noise_energy, band.frequency_hz
-    compiled_loop(trains, *band_values, threshold, phase, variance, mean_hz)
+    # Writes the last three arrays.
+    compiled_loop(
+        trains,
+        band.margin_root,
+        band.noise,
+        band.noise_energy,
+        band.frequency_hz,
+        threshold,
+        phase,
+        variance,
+        mean_hz,
+    )
     shape = spectrum.shape[:-1]
     return phase.reshape(shape), variance.reshape(shape), mean_hz.reshape(shape[:-1])
 
@@ -116,8 +126,8 @@ def loupas(echoes: EchoGate) -> Motion:
     lag_one = _depth_correlation(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
     centre_hz = np.angle(lag_one[..., :-1] + lag_one[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
     steps = pulse_steps(spectrum, band)
-    noise = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
-    return motion_of_steps(echoes, np.angle(steps.product), centre_hz, *noise)
+    variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    return motion_of_steps(echoes, np.angle(steps.product), centre_hz, variance, step_noise_ratio)
 
 
 def _motion_of_phase(
@@ -207,13 +217,15 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     for first in range(0, pulses, STEP_CHUNK):
         chunk = slice(first, first + STEP_CHUNK)
         # The last pulse of the chunk before is included, for the step to the first pulse of this one.
-        echo = np.ascontiguousarray(by_bin[..., max(first - 1, 0) : chunk.stop], dtype=np.complex128)
-        margins = np.split(real_matmul(margin_rows, echo), 2, axis=-2)
-        product = _products_with_next(echo, weights, *margins)
-        intervals = slice(max(first - 1, 0), chunk.stop - 1)
+        start = max(first - 1, 0)
+        echo = np.ascontiguousarray(by_bin[..., start : chunk.stop], dtype=np.complex128)
+        margin, weighted_margin = np.split(real_matmul(margin_rows, echo), 2, axis=-2)
+        product = _products_with_next(echo, weights, margin, weighted_margin)
+        intervals = slice(start, chunk.stop - 1)
         cross[..., intervals], cross_moment[..., intervals] = product[..., 0, :], product[..., 1, :]
-        new = slice(min(first, 1), None)
-        with_margins, gated = (sums[..., new] for sums in _energies(echo, weights, *margins))
+        # Energies of the pulses of this chunk alone.
+        chunk_pulses = slice(first - start, None)
+        with_margins, gated = (sums[..., chunk_pulses] for sums in _energies(echo, weights, margin, weighted_margin))
         energy_with_margins[..., chunk], energy[..., chunk] = with_margins[..., 0, :], gated[..., 0, :]
         moment += gated[..., 1, :].sum(axis=-1)
         if chunk.stop % ALIGNED_CHUNK == 0:
