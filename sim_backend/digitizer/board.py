@@ -91,7 +91,8 @@ class BoardSettings:
 class Arming:
     """One capture: armed at ``start_ps`` with ``settings``, ended at ``stop_ps``; ``forced_ps``: software triggers.
 
-    ``clock_error`` is the relative error of the board's clock rate. Its clock shows the true time at ``start_ps``.
+    ``clock_error`` is the relative error of the board's clock rate. A clock with an error starts at zero with the
+    capture, so that equal captures have equal ticks at any time of the world.
     """
 
     index: int
@@ -103,7 +104,11 @@ class Arming:
 
     def by_clock(self, time_ps: Int64Array) -> Int64Array:
         """Convert true times to times by the board's clock."""
-        return self.start_ps + measured_ps(time_ps - self.start_ps, self.clock_error)
+        return measured_ps(time_ps - self.start_ps, self.clock_error) if self.clock_error else time_ps
+
+    def true_ps(self, clock_ps: Int64Array) -> Int64Array:
+        """Convert times by the board's clock to true times."""
+        return self.start_ps + elapsed_ps(clock_ps, self.clock_error) if self.clock_error else clock_ps
 
     def elapsed_ps(self, interval_ps: int) -> int:
         """Return the true duration of an interval of the board's clock."""
@@ -150,8 +155,10 @@ def accepted_triggers(
     # All times are those of the board's clock, up to the accepted triggers.
     edge_ps = arming.by_clock(_trigger_edges(settings, arriving))
     forced_ps = arming.by_clock(np.array(arming.forced_ps, np.int64))
-    stop_ps, horizon_ps = arming.by_clock(np.array([arming.stop_ps, min(until_ps, arming.stop_ps)])).tolist()
-    ready_ps = arming.start_ps + settings.pre_samples * period_ps
+    start_ps, stop_ps, horizon_ps = arming.by_clock(
+        np.array([arming.start_ps, arming.stop_ps, min(until_ps, arming.stop_ps)])
+    ).tolist()
+    ready_ps = start_ps + settings.pre_samples * period_ps
     edge_ps = _with_faults(edge_ps[(edge_ps >= ready_ps) & (edge_ps < stop_ps)], faults)
     edge_ps = np.sort(np.concatenate([edge_ps[edge_ps >= ready_ps], forced_ps]))
     # Edges count while the board is armed and has its pre-trigger samples. The sample clock registers one at its next
@@ -171,7 +178,7 @@ def accepted_triggers(
     ignored = during_ps.size - int(np.count_nonzero(cause != codes.TRIGGERED_BY_TIMEOUT))
     if ignored:
         _LOG.info("digitizer: %d of %d triggers came while it was busy, and are ignored", ignored, during_ps.size)
-    true_ps = arming.start_ps + elapsed_ps(accepted_ps - arming.start_ps, arming.clock_error)
+    true_ps = arming.true_ps(accepted_ps)
     # Sample 0 and the end follow every trigger by equal intervals, so that rounding shifts no record against its pulse.
     to_first_ps = latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
     first_ps, end_ps = (true_ps + arming.elapsed_ps(interval_ps) for interval_ps in (to_first_ps, to_end_ps))

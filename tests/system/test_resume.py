@@ -35,6 +35,14 @@ SWEEP = (
     ("window_start_s = 50e-3", ""),
     ("[acquisition]", "[acquisition]\nrepeats = 2"),
 )
+CLOCK_ERRORS = {
+    "master": 2e-5,
+    "burst_train": -1e-5,
+    "toneburst": 3e-5,
+    "tracking_train": 4e-5,
+    "tracking_pulser": -3e-5,
+    "digitizer": -2e-5,
+}
 
 
 def table(path: Path) -> dict[str, Any]:
@@ -89,6 +97,14 @@ def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prep
         ("[acquisition]", "[acquisition]\nshot_period_s = 0.1234567"),
         ("delay_s = 130e-6", 'delay_s = 130e-6\ndisturbed = "keep"'),
     )
+    expected = table(record_run(setup, tmp_path / "whole.h5"))
+    assert resumed_table(stopped_after(setup, tmp_path / "run.h5", 2)) == expected
+
+
+def test_resuming_gives_the_same_table_when_every_clock_is_off(prepared: Prepare, tmp_path: Path) -> None:
+    errors = "\n".join(f"{role} = {error}" for role, error in CLOCK_ERRORS.items())
+    clocks = f"[simulation.instruments.clock_error]\n{errors}\n\n[simulation.receiver]"
+    setup = prepared("bovine-muscle-synchronous", *SWEEP, ("[simulation.receiver]", clocks))
     expected = table(record_run(setup, tmp_path / "whole.h5"))
     assert resumed_table(stopped_after(setup, tmp_path / "run.h5", 2)) == expected
 
