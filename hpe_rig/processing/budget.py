@@ -47,6 +47,11 @@ class ErrorSources:
     carrier_relative: float = 0.0
 
     @property
+    def rounding_m(self) -> float:
+        """Largest standard uncertainty of a harmonic from rounding to codes; 0 if noise dithers the codes."""
+        return max((deviation_m for pair in self.quantisation_m for deviation_m in pair), default=0.0)
+
+    @property
     def jitter_m(self) -> float:
         """Displacement noise of one pulse from trigger jitter, c t / 2."""
         return 0.0 if self.subtracts_jitter else self.sound_speed_m_per_s * self.trigger_jitter_s / 2

@@ -131,9 +131,14 @@ def setting_warnings(scene: Scene, pulse_time_s: FloatArray, reference: Motion |
         )
 
 
-def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: float) -> Iterator[str]:
-    """Yield a warning of a spectral line in the residual that white noise has with less than ``max_probability``."""
-    if line is not None and line.probability < max_probability:
+def line_warnings(
+    line: Line | None, pulse_rate_hz: float, max_probability: float, rounding_m: float = 0.0
+) -> Iterator[str]:
+    """Yield a warning of a spectral line in the residual that white noise has with less than ``max_probability``.
+
+    A line below ``rounding_m``, the uncertainty from rounding to codes, is none of motion.
+    """
+    if line is not None and line.probability < max_probability and line.amplitude_m > rounding_m:
         yield (
             f"the residual has a line of {line.amplitude_m * 1e9:.3g} nm at {line.frequency_hz:.4g} Hz: motion that is "
             "not fitted, at this frequency or at one that aliases onto it, such as "

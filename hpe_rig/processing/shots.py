@@ -208,7 +208,7 @@ def _estimate_window(
             *medium_warnings(fit, settings.false_alarm),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
             *drift_warnings(fit, drift),
-            *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm),
+            *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),
             *clock_warnings(records.tracking_rate, estimates, motion.echoes.pulse_time_s),
         ),
         pulse_rate_error=rate.error if (rate := records.tracking_rate) else None,

@@ -109,6 +109,7 @@ def test_identical_echoes_have_the_amplitude_of_a_motion_that_changes_no_code_an
     # White noise has a slope of pi / sqrt(3) times its rms and the sampling rate.
     slope_per_m = 200 * math.pi / math.sqrt(3) * RATES["sample_rate_hz"] * 2 / SPEED
     expected_m = 1 / (math.sqrt(2) * SAMPLES * math.sqrt(2 / math.pi) * slope_per_m)
+    assert all("not significant" in warning for warning in shot.warnings)
     for estimate in shot.estimates:
         rounding = {part.source: part for part in estimate.budget}["quantisation"]
         if rounded:
