@@ -42,6 +42,11 @@ def identify(path: Path | None) -> int:
         if "digitizer" in present:
             serials["digitizer"] = lasting_serial(present["digitizer"])
     write(path, serials)
+    return EXIT_INSTRUMENT if _print_outcome(path, bench, serials, shown_as) or failures else 0
+
+
+def _print_outcome(path: Path, bench: BenchFile, serials: Mapping[str, str], shown_as: Mapping[str, str]) -> bool:
+    """Print the serial numbers and what is wrong; return whether a generator is exchanged or not identified."""
     for role, serial in serials.items():
         typer.echo(f"{role}: serial {serial}")
     typer.echo(f"{path} states {len(serials)} serial numbers; displays cleared, outputs off, verified")
@@ -53,7 +58,7 @@ def identify(path: Path | None) -> int:
     unknown = [role for role in bench.generators.by_role if role not in shown_as]
     if unknown:
         typer.echo(f"not identified: {', '.join(unknown)}")
-    return EXIT_INSTRUMENT if exchanged or unknown or failures else 0
+    return bool(exchanged or unknown)
 
 
 def ask_roles(bench: BenchFile, shown: list[str], answer: Callable[[str], str]) -> dict[str, str]:

@@ -197,17 +197,15 @@ class Problem:
         """
         push, count, vibrations = self.push, self.free_count - 1, [self.vibrations[i] for i in group]
         # Vibrations of a group share frequencies, depth, averaging along the beam and travel time.
-        frequency_hz, axial_m, travel_s = vibrations[0].frequency_hz, vibrations[0].axial_m, vibrations[0].travel_s
+        frequency_hz, travel_s = (first := vibrations[0]).frequency_hz, vibrations[0].travel_s
 
         def of_group(kind: str) -> list[float]:
             """Return the nuisances of one kind for the vibrations of the group."""
             return [deviations.get((kind, i), 0.0) for i in group]
 
         # Force and tracked region with their deviations. A logarithmic deviation keeps the area positive.
-        width_factor, length_factor = (
-            float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along")
-        )
-        force = push.force.changed({kind: value for (kind, _), value in deviations.items()})
+        factors = (float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along"))
+        force = push.force.changed({kind: value for (kind, _), value in deviations.items()}).scaled(*factors)
         mean_area_m2 = np.array([vibration.tracking_m2[0] for vibration in vibrations])
         area_m2 = mean_area_m2 * np.exp(of_group("area"))
         stage_m = (deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group)
@@ -218,8 +216,8 @@ class Problem:
         modulus_pa, by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
         field = shear_motion(
             HarmonicMedium(frequency_hz, modulus_pa, push.density_kg_per_m3),
-            force.scaled(width_factor, length_factor),
-            TrackedRegion(lateral_m, axial_m, across_m2=area_m2, along_m2=vibrations[0].tracking_m2[1]),
+            force,
+            TrackedRegion(lateral_m, first.axial_m, across_m2=area_m2, along_m2=first.tracking_m2[1]),
             self.quick,
         )
         # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gains and phases.
@@ -229,8 +227,7 @@ class Problem:
         # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
         lead_s = travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
         prefactor = (push.spectrum(frequency_hz) * onset * np.exp(1j * omega * lead_s))[:, None] * scale
-        # Speckle changes the area of the tracked region ("area") and, at the same area, its shape ("shape"): weight
-        # moves from in-between to the centre and the edge.
+        # Speckle changes the tracked region: its area, and its shape by weight that moves to the centre and the edge.
         by_shape = prefactor * field.by_across_twice * mean_area_m2**2 / 2
         by_depth = np.array(of_group("axial")) * field.by_axial
         value = prefactor * (field.value + by_depth) + np.array(of_group("shape")) * by_shape

@@ -156,12 +156,7 @@ def _estimate_shot(scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSe
 
 
 def _estimate_window(
-    scene: Scene,
-    shot: Shot,
-    records: ShotRecords,
-    settings: _RunSettings,
-    true_m: FloatArray | None,
-    complete: bool,
+    scene: Scene, shot: Shot, records: ShotRecords, settings: _RunSettings, true_m: FloatArray | None, complete: bool
 ) -> ShotResult:
     """Return amplitude and phase of every wanted frequency, with uncertainty budget and warnings, in one window.
 
