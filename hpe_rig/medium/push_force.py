@@ -59,15 +59,15 @@ RANK_TOLERANCE = 1e-6
 class PushForce:
     """Round body force along z, 1 at the focus, as a sum of Gaussians with the sigmas ``across_m`` and ``along_m``.
 
-    ``centre_m`` (station,) counts from the focus; ``weights`` is (station, width). ``unsure`` names the uncertain
-    properties of the shape, each with the change of ``weights`` by one standard uncertainty.
+    ``centre_m`` (station,) counts from the focus; ``weights`` is (station, width). ``weight_changes`` names the
+    uncertain properties of the shape, each with the change of ``weights`` by one standard uncertainty.
     """
 
     across_m: tuple[float, ...]
     along_m: float
     centre_m: tuple[float, ...] = (0.0,)
     weights: Weights = ((1.0,),)
-    unsure: tuple[tuple[str, Weights], ...] = ()
+    weight_changes: tuple[tuple[str, Weights], ...] = ()
 
     @classmethod
     def gaussian(cls, width_m: tuple[float, float, float]) -> PushForce:
@@ -91,7 +91,7 @@ class PushForce:
     def changed(self, deviations: Mapping[str, float]) -> PushForce:
         """Return the force with its uncertain properties changed by ``deviations`` (name: standard uncertainties)."""
         weights = np.array(self.weights)
-        for name, change in self.unsure:
+        for name, change in self.weight_changes:
             weights = weights + deviations.get(name, 0.0) * np.array(change)
         return replace(self, weights=_rows(weights))
 
@@ -205,13 +205,13 @@ def _fitted_force(
     # attenuated by exp(-2 alpha z) relative to the focus; its change is of first order in the error of alpha.
     change_by_reach = (ending_at(REACH + REACH_UNCERTAINTY) - ending_at(REACH - REACH_UNCERTAINTY)) / 2
     change_by_loss = -2 * loss_uncertainty_np_per_m * centre_m[:, None] * ending_at(REACH)
-    unsure = ("reach", _rows(change_by_reach)), ("loss", _rows(change_by_loss))
+    weight_changes = ("reach", _rows(change_by_reach)), ("loss", _rows(change_by_loss))
     return PushForce(
         across_m=tuple(across_m.tolist()),
         along_m=step_m,
         centre_m=tuple(centre_m.tolist()),
         weights=_rows(ending_at(REACH)),
-        unsure=unsure,
+        weight_changes=weight_changes,
     )
 
 

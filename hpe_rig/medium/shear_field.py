@@ -65,7 +65,7 @@ class ShearMotion:
     ``value`` is in m per N/m^3. The derivatives are by: the complex modulus; the variance across over which the
     tracking beam averages (first and second derivative); the lateral and the axial distance; the logarithms of the
     force's widths across and along, at constant peak force; and one standard uncertainty of each property in
-    ``PushForce.unsure``.
+    ``PushForce.weight_changes``.
     """
 
     value: ComplexArray
@@ -76,7 +76,7 @@ class ShearMotion:
     by_axial: ComplexArray
     by_width: ComplexArray
     by_length: ComplexArray
-    by_unsure: dict[str, ComplexArray]
+    by_weight_change: dict[str, ComplexArray]
 
 
 def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion, quick: bool = False) -> ShearMotion:
@@ -92,7 +92,7 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
     prefactor = force.along_m / path.denominator
     sums = _sum_over_stations(path, force, narrowest_m2, along_m2, region.axial_m)
     kernels = [prefactor[:, None] * total for total in sums]
-    value, by_kappa2, by_axial, by_length, by_width, *by_unsure = kernels
+    value, by_kappa2, by_axial, by_length, by_width, *by_weight_change = kernels
     k2 = path.k[:, None] ** 2
     # Each product with the waves is the integral over k. By the modulus: kappa^2 = k^2 - q^2 and q^2 = rho w^2 / G.
     # By the squared width across, A: the waves contain exp(-A k^2 / 2).
@@ -105,7 +105,9 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
         by_axial=by_axial @ path.waves,
         by_width=by_width @ path.waves,
         by_length=by_length @ path.waves,
-        by_unsure={name: kernel @ path.waves for (name, _), kernel in zip(force.unsure, by_unsure, strict=True)},
+        by_weight_change={
+            name: kernel @ path.waves for (name, _), kernel in zip(force.weight_changes, by_weight_change, strict=True)
+        },
     )
 
 
@@ -178,43 +180,51 @@ class _Waves:
 
 
 def _sum_over_stations(
-    path: _Waves, force: PushForce, narrowest_m2: float, along_m2: float, axial_m: float
+    path: _Waves, force: PushForce, narrowest_m2: float, averaged_along_m2: float, axial_m: float
 ) -> ComplexArray:
-    """Return the integrals along the axis of all Gaussians of ``force`` times their spectra, (kind, frequency, k).
+    """Return the axial integrals V of all Gaussians of ``force``, times their spectra across, (kind, frequency, k).
 
-    Each is V(kappa) - V(k), dynamic minus static. Kinds: value; derivatives by kappa^2, by z, by the logarithms of
-    length and of width; one for each uncertain property of the force. ``axial_m``: distance from the focal plane.
+    The displacement is an integral over wave numbers k across the axis, of V(kappa) - V(k) among other factors. V is
+    the integral over wave numbers along the axis, in closed form; kappa^2 = k^2 - q^2, with q the shear wave number.
+    Kinds: the sum itself; its derivatives by kappa^2, by ``axial_m`` (distance from the focal plane), by the logarithms
+    of the force's length and width; its changes by ``force.weight_changes``. ``narrowest_m2``: squared width of the
+    narrowest Gaussian. ``averaged_along_m2``: squared length of a Gaussian plus the variance of beam averaging.
     """
-    # Widths a_i across (width, 1) and stations along the axis (station,).
-    k2, area_m2, centre_m = path.k**2, np.square(force.across_m)[:, None], np.array(force.centre_m)
-    # Spectra across of each station (station, k). The waves of the path already hold the narrowest Gaussian.
-    across = area_m2 * np.exp(-k2 * (area_m2 - narrowest_m2) / 2)
-    spectra, widened = (np.array(force.weights) @ rows for rows in (across, (2 - k2 * area_m2) * across))
+    # Squared widths across (width, 1), and stations: the centres of the Gaussians along the axis (station,).
+    k2, width_m2, centre_m = path.k**2, np.square(force.across_m)[:, None], np.array(force.centre_m)
+    # Spectra across (width, k), relative to the narrowest Gaussian, which the waves of the path contain already.
+    across = width_m2 * np.exp(-k2 * (width_m2 - narrowest_m2) / 2)
+    # Spectrum of each station (station, k), and its derivative by the logarithm of the widths.
+    weights = np.array(force.weights)
+    spectra, spectra_by_width = weights @ across, weights @ ((2 - k2 * width_m2) * across)
     # Stations at the same distance before and behind the point share V; its slope has opposite signs.
     offset_m = axial_m - centre_m
     distance_m, index = np.unique(np.round(np.abs(offset_m), 12), return_inverse=True)
-    fold = np.zeros((distance_m.size, offset_m.size))
-    fold[index, np.arange(offset_m.size)] = 1.0
-    signed = fold * np.sign(offset_m)
-    # Sums over the stations at each distance: even for the value, odd for the slope along the axis.
-    even, widened = fold @ spectra, fold @ widened
-    odd, odd_shifted = signed @ spectra, signed @ (centre_m[:, None] * spectra)
-    uncertain = [fold @ (np.array(change) @ across) for _, change in force.unsure]
-    kappa, half_m2 = path.kappa, along_m2 / 2
-    sums = np.zeros((5 + len(uncertain), *kappa.shape), np.complex128)
+    # 1 where a station is at a distance, (distance, station).
+    is_at = np.zeros((distance_m.size, offset_m.size))
+    is_at[index, np.arange(offset_m.size)] = 1.0
+    sign_at = is_at * np.sign(offset_m)
+    # Spectra summed over the stations at each distance (distance, k), with their signs for the slope of V.
+    summed, summed_by_width = is_at @ spectra, is_at @ spectra_by_width
+    signed, signed_centres = sign_at @ spectra, sign_at @ (centre_m[:, None] * spectra)
+    summed_changes = [is_at @ (np.array(weight_change) @ across) for _, weight_change in force.weight_changes]
+    kappa, half_m2 = path.kappa, averaged_along_m2 / 2
+    sums = np.zeros((5 + len(summed_changes), *kappa.shape), np.complex128)
     for i, distance in enumerate(distance_m):
+        # V(kappa) is the dynamic part, V(k) the static one.
         dynamic, static = (_axial_integral(decay, half_m2, distance) for decay in (kappa, path.k[None]))
-        value, by_axial = dynamic.value - static.value, dynamic.by_axial - static.by_axial
-        sums[0] += value * even[i]
-        # The static part does not depend on the modulus: dq^2/dG = -q^2/G, dkappa^2/dq^2 = -1.
-        sums[1] += dynamic.by_kappa2 * even[i]
-        sums[2] += by_axial * odd[i]
-        # A longer force also has its stations farther away.
-        by_half = force.along_m**2 * (dynamic.by_half - static.by_half)
-        sums[3] += (value + by_half) * even[i] - by_axial * odd_shifted[i]
-        sums[4] += value * widened[i]
-        for kind, rows in enumerate(uncertain):
-            sums[5 + kind] += value * rows[i]
+        difference, by_axial = dynamic.value - static.value, dynamic.by_axial - static.by_axial
+        sums[0] += difference * summed[i]
+        # The static part does not depend on kappa.
+        sums[1] += dynamic.by_kappa2 * summed[i]
+        sums[2] += by_axial * signed[i]
+        # By the logarithm of length: the caller multiplies by the length, which gives ``difference``. A longer force
+        # also has longer Gaussians, and stations that are farther from the focus.
+        by_log_length = force.along_m**2 * (dynamic.by_half - static.by_half)
+        sums[3] += (difference + by_log_length) * summed[i] - by_axial * signed_centres[i]
+        sums[4] += difference * summed_by_width[i]
+        for kind, summed_change in enumerate(summed_changes, start=5):
+            sums[kind] += difference * summed_change[i]
     return sums
 
 

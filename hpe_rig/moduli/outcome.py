@@ -105,7 +105,16 @@ class ModuliResult:
 
 
 def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
-    """Return the fit of one law as a dictionary for JSON, with the keys of ``moduli_schema``."""
+    """Return the fit of one law as a dictionary for JSON, with the keys of ``moduli_schema``.
+
+    ``probability`` of the law among the fitted ones. ``freedom``: degrees of freedom of ``chi_square``. ``adjusted``:
+    nuisance parameters, in units of their uncertainty. ``second``: another minimum that is nearly as good, with its
+    chi-square above the best, or None. ``at_limit``: parameters at the end of their range.
+    """
+    second_minimum = None
+    if fit.second is not None:
+        second_values, chi_square_excess = fit.second
+        second_minimum = {"values": second_values, "chi_square": chi_square_excess}
     names = "law", "values", "uncertainty", "chi_square", "freedom", "significance"
     return {
         **{name: getattr(fit, name) for name in names},
@@ -113,7 +122,7 @@ def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
         "excluded": fit.excluded,
         "covariance": fit.covariance.tolist(),
         "adjusted": fit.adjusted,
-        "second": fit.second and {"values": fit.second[0], "chi_square": fit.second[1]},
+        "second": second_minimum,
         "at_limit": fit.at_limit,
         "beyond_tested": beyond_tested(fit),
         "by_place": [asdict(contribution) for contribution in fit.by_place],

@@ -238,7 +238,7 @@ class Problem:
             "onset": -1j * omega[:, None] * value,
             "across": prefactor * field.by_width,
             "along": prefactor * field.by_length,
-            **{kind: prefactor * slopes for kind, slopes in field.by_unsure.items()},
+            **{kind: prefactor * slopes for kind, slopes in field.by_weight_change.items()},
             "travel": -1j * omega[:, None] * travel_s * value,
             "axial": prefactor * field.by_axial,
             "lateral": prefactor * field.by_lateral,
@@ -286,7 +286,7 @@ def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, .
         Nuisance("across", COMMON, across),
         Nuisance("along", COMMON, along),
         Nuisance("onset", COMMON, push.onset_uncertainty_s),
-        *(Nuisance(name, COMMON, 1.0) for name, _ in push.force.unsure),
+        *(Nuisance(name, COMMON, 1.0) for name, _ in push.force.weight_changes),
     ]
     if any(vibration.travel_s for vibration in vibrations):
         nuisances.append(Nuisance("travel", COMMON, TRAVEL_FRACTION_UNCERTAINTY))

@@ -39,7 +39,7 @@ class Push:
     @property
     def shape_relative(self) -> float:
         """Model error of each amplitude (relative) and of its phase (rad) from the force's shape."""
-        return APERTURE_SHAPE if self.force.unsure else 0.0
+        return APERTURE_SHAPE if self.force.weight_changes else 0.0
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return A exp(j phase) (frequency,) of the tonebursts' force, 1 during each burst and 0 between bursts.

@@ -268,44 +268,47 @@ class Journal:
             )
 
 
-def run_with_timeout(
+def make_or_undo(
     make: Callable[[threading.Event], Product],
     undo: Callable[[Product], object],
     cancelled: threading.Event | None = None,
 ) -> Product:
-    """Run ``make`` in a thread and return its result; signals interrupt the wait.
+    """Return the product of ``make``, which runs in a thread, so that a disk that does not answer cannot block.
 
-    After an interrupt or ``STEP_TIMEOUT_S`` (``OSError``), the event passed to ``make`` is set; if ``make`` still
-    returns a result, ``undo`` is called with it. Another thread may set ``cancelled``, which ends the wait too.
+    The wait ends with an exception at a signal, after ``STEP_TIMEOUT_S`` (``OSError``), or when another thread sets
+    ``cancelled``. Then ``cancelled`` is set in any case: ``make`` gets this event and should stop. If it still returns
+    a product, ``undo`` is called with it.
     """
     cancelled = cancelled or threading.Event()
-    tasks = SimpleQueue[tuple[Callable[[], None], Future[None]] | None]()
-    results: list[Product] = []
+    products: list[Product] = []
     done: Future[None] = Future()
-    stuck = False
+    timed_out = False
 
-    def undo_results(_: Future[None]) -> None:
-        """Undo the result of a task that was no longer waited for."""
-        for result in results:
-            undo(result)
+    def undo_product(_: Future[None]) -> None:
+        """Undo the product, if ``make`` returned one."""
+        for product in products:
+            undo(product)
 
-    tasks.put((lambda: results.append(make(cancelled)), done))
-    tasks.put(None)
-    threading.Thread(target=_run_tasks, args=(tasks,), daemon=True, name="new file").start()
+    def make_product() -> None:
+        products.append(make(cancelled))
+
+    threading.Thread(target=_run_task, args=(make_product, done), daemon=True, name="new file").start()
     try:
         with interruptible():
-            stuck = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)
-        if stuck:
+            timed_out = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)
+        if timed_out:
             raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {STEP_TIMEOUT_S:g} s")
+        # Raises the error of ``make``, if any.
         done.result()
-        return results[0]
+        return products[0]
     except BaseException:
         cancelled.set()
         # Wait for a disk that responds: the process may end before the thread calls ``undo``.
-        if stuck or not _finishes_within(done, lambda: UNDO_TIMEOUT_S):
-            done.add_done_callback(undo_results)
+        still_running = timed_out or not _finishes_within(done, lambda: UNDO_TIMEOUT_S)
+        if still_running:
+            done.add_done_callback(undo_product)
         else:
-            undo_results(done)
+            undo_product(done)
         raise
 
 
@@ -332,17 +335,19 @@ def _lost_file_error(path: Path, what: str) -> StoreError:
 
 
 def _run_tasks(tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None]) -> None:
-    """Run the tasks of a queue one after another until it yields None; the body of a thread.
-
-    Each task comes with a future: when the task ends, the future is done, with the task's error if it raised one.
-    """
+    """Run the tasks of a queue, each with its future, one after another until it yields None; the body of a thread."""
     while (item := tasks.get()) is not None:
         task, done = item
-        try:
-            task()
-            done.set_result(None)
-        except BaseException as error:
-            done.set_exception(error)
+        _run_task(task, done)
+
+
+def _run_task(task: Callable[[], None], done: Future[None]) -> None:
+    """Run ``task``; when it ends, the future is ``done``, with the task's error if it raised one."""
+    try:
+        task()
+        done.set_result(None)
+    except BaseException as error:
+        done.set_exception(error)
 
 
 def _unmarked(superblock: bytes) -> bytes:

@@ -260,6 +260,7 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
     # Planned values and flags of each shot.
     group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
+    # Filled in when the settings of a shot are read back from the generator.
     group["force_set"] = np.full(len(shots), math.nan)
     group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
     group["repeat"] = [shot.repeat for shot in shots]

@@ -17,7 +17,7 @@ from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal, seal_heap
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
-from hpe_rig.store.journal import run_with_timeout
+from hpe_rig.store.journal import make_or_undo
 from hpe_rig.store.layout import LIBVER, name_axes
 
 
@@ -38,7 +38,7 @@ def write_result(path: Path, result: Result) -> None:
             _write(file, result)
             seal(file)
             seal_heap(file, memory)
-        run_with_timeout(partial(_replace, path, memory.getbuffer()), lambda _: None)
+        make_or_undo(partial(_replace, path, memory.getbuffer()), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "

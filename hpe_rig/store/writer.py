@@ -36,7 +36,7 @@ from hpe_rig.scene import SceneText
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, digest, stored_bytes
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, UNTRUSTED_BYTES, StoreError, reason
-from hpe_rig.store.journal import Journal, Write, run_with_timeout
+from hpe_rig.store.journal import Journal, Write, make_or_undo
 from hpe_rig.store.layout import LIBVER, TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store.lock import is_locked
 from hpe_rig.store.reader import StoredRun, read_run
@@ -179,16 +179,20 @@ class RunWriter:
                 self._tables["records/force_set"].put(shot.index, shot.force_fraction_at(amplitude_vpp))
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
-        """Write the records of ``block`` in the order of arrival; full chunks go to disk."""
+        """Add the records of ``block``, in the order of arrival, to the chunks of the run file.
+
+        Full chunks go to disk; the records of the last chunk stay in memory until a later call or ``finish`` writes it.
+        """
         if not block.codes.size:
             return
-        self._refuse_other_volts(block)
-        # The disk writes these records while the next ones arrive; ``finish`` waits for them.
-        with self._committing(always=False, wait=False):
+        self._refuse_unplanned_volts_per_code(block)
+        # The disk writes full chunks while the next records arrive; ``finish`` waits for it.
+        with self._committing(only_if_written=True, wait_for_disk=False):
             arrivals = self._arrivals_of(shot)
             index = block.first_record + np.arange(block.codes.shape[0])
             codes = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
-            self._put(arrivals, index, codes, block.trigger_time_s)
+            # Writes each chunk that these records fill, then the checksums of those chunks.
+            self._add_records(arrivals, index, codes, block.trigger_time_s)
             self._write_checksums()
 
     def write_clipped(self, shot: Shot, clipped: bool) -> None:
@@ -276,7 +280,7 @@ class RunWriter:
             self._shot_arrivals = _ShotArrivals(shot)
         return self._shot_arrivals
 
-    def _put(
+    def _add_records(
         self,
         arrivals: _ShotArrivals,
         index: Int64Array,
@@ -397,7 +401,7 @@ class RunWriter:
                 self._journal.overwrite(self._endings["failed"])
         return failure
 
-    def _refuse_other_volts(self, block: RecordBlock) -> None:
+    def _refuse_unplanned_volts_per_code(self, block: RecordBlock) -> None:
         """Raise ``StoreError`` if the digitizer's conversion of codes to volts is not that of the planned range."""
         if not np.allclose((block.volts_per_code, block.volts_offset), self._volts, rtol=1e-9, atol=0):
             raise StoreError(
@@ -406,18 +410,24 @@ class RunWriter:
             )
 
     @contextlib.contextmanager
-    def _committing(self, always: bool = True, sync: bool = False, wait: bool = True) -> Iterator[None]:
-        """Commit the writes of the block to the disk when it ends; unless ``always`` only if it wrote anything."""
+    def _committing(
+        self, only_if_written: bool = False, sync: bool = False, wait_for_disk: bool = True
+    ) -> Iterator[None]:
+        """Commit the writes of the ``with`` block to the disk when it ends.
+
+        An empty commit checks that the file is in place; with ``only_if_written`` it is left out. ``sync`` flushes the
+        disk too. Without ``wait_for_disk`` the commit is only started.
+        """
         with self._writing():
             yield
-        if always or self._journal.pending:
-            self._commit(sync, wait)
+        if self._journal.pending or not only_if_written:
+            self._commit(sync, wait_for_disk)
 
-    def _commit(self, sync: bool = False, wait: bool = True) -> None:
+    def _commit(self, sync: bool = False, wait_for_disk: bool = True) -> None:
         """Commit the changes to the file; raise ``StoreError`` and refuse further writes if that fails."""
         # Signals may interrupt this: a disk that does not respond must not keep the outputs on.
         try:
-            self._journal.commit(sync, wait)
+            self._journal.commit(sync, wait_for_disk)
         except (OSError, MemoryError) as error:
             self._broken = True
             raise self._cannot_be_written(error) from error
@@ -673,7 +683,7 @@ def _new_file(
                 path.unlink()
 
     try:
-        return run_with_timeout(make, undo, cancelled)
+        return make_or_undo(make, undo, cancelled)
     except FileExistsError:
         raise StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.") from None
     except OSError as error:

@@ -18,6 +18,8 @@ from sim_backend.settings import TriggerFaults
 from sim_backend.wiring import to_ps
 
 RESOLUTION_CODES = {8: 0, 12: 1, 14: 2, 16: 3}
+SYSTEM_NUMBER, BOARD_NUMBER = 1, 1
+"""Numbers of the only simulated board and its system, from 1."""
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
 SIMULATED_FLAGS = codes.ADMA_EXTERNAL_STARTCAPTURE | codes.ADMA_RECORD_HEADERS | codes.ADMA_NPT
 
@@ -170,14 +172,14 @@ def packed(
     return data
 
 
-def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: slice, count: Int64Array) -> ByteArray:
+def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: slice, stamps: Int64Array) -> ByteArray:
     """Return the headers of ``records`` as uint8 (record, 16): four little-endian words of bit fields.
 
-    See docs/explanation/instruments.md, 2.6. Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits,
-    format 0 for unsigned, "this channel" on channel A only.
+    ``stamps`` (record,): time stamps. See docs/explanation/instruments.md, 2.6. Assumed: records count from 0,
+    resolution codes 0 to 3 for 8 to 16 bits, format 0 for unsigned, "this channel" on channel A only.
     """
     settings = arming.settings
-    number = np.arange(records.start, records.stop)
+    record_number = np.arange(records.start, records.stop)
     cause = triggers.cause[records]
     external, timed_out = (
         (cause == code).astype(np.int64) for code in (codes.TRIGGERED_BY_EXTERNAL, codes.TRIGGERED_BY_TIMEOUT)
@@ -187,18 +189,19 @@ def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: s
     )
     channel_input = settings.inputs[channel]
     range_id = next(key for key, mv in MILLIVOLTS_BY_ID.items() if mv / 1000 == channel_input.range_v)
-    # Bit fields from the lowest bit up. Word 0: serial number 18, system 4, channel 1, board 4, resolution 3, format 2.
-    # Word 1: record 24, board type 8. Word 2: low part of the time stamp. Word 3: its high part 8, clock source 2,
-    # edge 1, rate 7, range 5, coupling 2, impedance 2, triggered by external, B, A, time-out 1 each, this channel 1.
-    quad = np.empty((count.size, 4), np.int64)
-    resolution = RESOLUTION_CODES[settings.board.bits]
-    quad[:, 0] = (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | resolution << 27
-    quad[:, 0] |= int(settings.signed) << 30
-    quad[:, 1] = (number & 0xFFFFFF) | settings.board.kind << 24
-    quad[:, 2] = count & 0xFFFFFFFF
-    quad[:, 3] = count >> 32 | 1 << 8 | rate_id << 11 | range_id << 18 | 2 << 23 | channel_input.impedance << 25
-    quad[:, 3] |= external << 27 | timed_out << 30 | (1 - channel) << 31
-    return quad.astype("<u4").view(np.uint8)
+    # Each field is shifted to its lowest bit. Fields that are not set here are 0: rising edge, triggered by B, by A.
+    words32 = np.empty((stamps.size, 4), np.int64)
+    serial_number, resolution = codes.SERIAL_NUMBER & 0x3FFFF, RESOLUTION_CODES[settings.board.bits]
+    words32[:, 0] = serial_number | SYSTEM_NUMBER << 18 | channel << 22 | BOARD_NUMBER << 23 | resolution << 27
+    words32[:, 0] |= int(settings.signed) << 30
+    words32[:, 1] = (record_number & 0xFFFFFF) | settings.board.kind << 24
+    # Low and high part of the time stamp.
+    words32[:, 2] = stamps & 0xFFFFFFFF
+    words32[:, 3] = stamps >> 32 | codes.INTERNAL_CLOCK << 8 | rate_id << 11 | range_id << 18
+    words32[:, 3] |= codes.COUPLING_DC << 23 | channel_input.impedance << 25 | external << 27 | timed_out << 30
+    on_channel_a = 1 - channel
+    words32[:, 3] |= on_channel_a << 31
+    return words32.astype("<u4").view(np.uint8)
 
 
 def timestamps(

@@ -8,7 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_backend.generator.scpi_text import ScpiError, none_of, not_simulated, number, one, real_reply, unquoted
+from sim_backend.generator.scpi_text import (
+    ScpiError,
+    not_simulated,
+    number,
+    one,
+    real_reply,
+    refuse_arguments,
+    unquoted,
+)
 
 BUILT_IN = ("EXP_RISE", "EXP_FALL", "NEG_RAMP", "SINC", "CARDIAC")
 VOLATILE = "VOLATILE"
@@ -81,7 +89,7 @@ class WaveformMemory:
     def copy(self, arguments: tuple[str, ...]) -> None:
         """Copy the volatile waveform to another name, if there is room."""
         name = waveform_name(arguments[0] if arguments else one(arguments))
-        none_of(arguments[2:])
+        refuse_arguments(arguments[2:])
         if name in BUILT_IN:
             raise ScpiError(782, "Cannot overwrite a built-in waveform")
         self._existing(VOLATILE)

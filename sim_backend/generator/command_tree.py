@@ -17,7 +17,15 @@ from sim_backend.generator.inactive import with_inactive
 from sim_backend.generator.kinds import SettingCommand
 from sim_backend.generator.machine import Machine
 from sim_backend.generator.models import MODELS, Model
-from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, none_of, not_simulated, one, whole_number
+from sim_backend.generator.scpi_text import (
+    ScpiError,
+    boolean,
+    keyword,
+    not_simulated,
+    one,
+    refuse_arguments,
+    whole_number,
+)
 from sim_backend.generator.stored_states import LOCATIONS, location_of
 
 Execute = Callable[[Machine, tuple[str, ...]], None]
@@ -31,7 +39,7 @@ SCPI_VERSION = "1999.0"
 class Action:
     """A header that is no setting of a channel, as a command and as a query; None if there is no such form.
 
-    ``accepts`` and ``query_accepts`` describe the arguments of the two forms; empty for none.
+    ``accepts`` and ``query_accepts`` describe the arguments of the two forms in words; empty if there are none.
     """
 
     command: Execute | None = None
@@ -40,9 +48,14 @@ class Action:
     query_accepts: str = ""
 
     def execute(self, instrument: Machine, query: bool, arguments: tuple[str, ...]) -> str | None:
-        """Execute the command, or return the reply to the query; raise ``ScpiError`` -113 if there is no such form."""
-        if not (self.query_accepts if query else self.accepts):
-            none_of(arguments)
+        """Execute the command and return None, or return the reply to the query.
+
+        Raises ``ScpiError`` -108 for arguments of a form that takes none, and -113 if there is no such form.
+        """
+        # Descriptions of the arguments of each form, empty if it takes none.
+        description = self.query_accepts if query else self.accepts
+        if not description:
+            refuse_arguments(arguments)
         if query and self.query is not None:
             return self.query(instrument, arguments)
         if query or self.command is None:

@@ -22,7 +22,7 @@ from sim_backend.generator.kinds import (
 from sim_backend.generator.levels import load_divider
 from sim_backend.generator.models import Model
 from sim_backend.generator.registers import Coerced, Registers
-from sim_backend.generator.scpi_text import boolean, none_of, number, one, unquoted
+from sim_backend.generator.scpi_text import boolean, number, one, refuse_arguments, unquoted
 
 
 def _amplitude() -> SettingCommand:
@@ -176,7 +176,7 @@ def _without_argument(**settings: object) -> SettingCommand:
     """Return a command without argument that stores ``settings``, such as the display's CLEar."""
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        none_of(arguments)
+        refuse_arguments(arguments)
         return Coerced(replace(state, **settings))  # type: ignore[arg-type]
 
     return SettingCommand(write, None)

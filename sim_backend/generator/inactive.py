@@ -63,22 +63,32 @@ def _ends_hz(state: Registers) -> tuple[float, float]:
     return float(state.inactive.get("start_frequency", 100.0)), float(state.inactive.get("stop_frequency", 1e3))
 
 
-def _sweep_end(
-    quantity: str, of: Callable[[float, float], float], ends: Callable[[float, float, float], tuple[float, float]]
+def _centre_limits_hz(state: Registers) -> tuple[float, float]:
+    """Return the limits of the sweep's centre that keep start and stop, at the present span, within the function's."""
+    low_hz, high_hz = frequency_limits_hz(state)
+    start_hz, stop_hz = _ends_hz(state)
+    half_span_hz = abs(stop_hz - start_hz) / 2
+    return low_hz + half_span_hz, high_hz - half_span_hz
+
+
+def _span_limits_hz(state: Registers) -> tuple[float, float]:
+    """Return the limits of the sweep's span that keep start and stop, at the present centre, within the function's."""
+    low_hz, high_hz = frequency_limits_hz(state)
+    start_hz, stop_hz = _ends_hz(state)
+    centre_hz = (start_hz + stop_hz) / 2
+    return 0.0, 2 * min(high_hz - centre_hz, centre_hz - low_hz)
+
+
+def _sweep_setting(
+    quantity: str,
+    limits: LimitsOf,
+    of_ends: Callable[[float, float], float],
+    ends: Callable[[float, float, float], tuple[float, float]],
 ) -> SettingCommand:
-    """Return centre or span of the sweep.
+    """Return the setting of ``quantity``, the centre or span of the sweep; only start and stop are stored.
 
-    ``of`` computes it from start and stop frequency, ``ends`` the new start and stop from its new value.
+    ``of_ends`` computes it from start and stop frequency, ``ends`` the new start and stop from its new value.
     """
-
-    def limits(state: Registers) -> tuple[float, float]:
-        """Return the limits of centre or span that keep both ends within the generator's frequencies."""
-        low, high = frequency_limits_hz(state)
-        start_hz, stop_hz = _ends_hz(state)
-        half_span_hz, centre_hz = abs(stop_hz - start_hz) / 2, (start_hz + stop_hz) / 2
-        if quantity == "centre frequency":
-            return low + half_span_hz, high - half_span_hz
-        return 0.0, 2 * min(high - centre_hz, centre_hz - low)
 
     def put(state: Registers, value: float) -> Coerced:
         """Store the start and stop frequencies that follow from the value."""
@@ -86,7 +96,7 @@ def _sweep_end(
         start_hz, stop_hz = ends(value, *_ends_hz(state))
         return Coerced(with_inactive(state, start_frequency=start_hz, stop_frequency=stop_hz), errors)
 
-    return numeric("HZ", limits, lambda state: of(*_ends_hz(state)), put)
+    return numeric("HZ", limits, lambda state: of_ends(*_ends_hz(state)), put)
 
 
 def _modulation(name: str, function: str, rate_hz: float) -> dict[str, SettingCommand]:
@@ -126,8 +136,12 @@ INACTIVE: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]SWEep:TIME": _number("sweep_time", 1.0, _fixed_limits(1e-3, 500.0), "S"),
     "[SOURce<n>:]FREQuency:STARt": _number("start_frequency", 100.0, frequency_limits_hz, "HZ"),
     "[SOURce<n>:]FREQuency:STOP": _number("stop_frequency", 1e3, frequency_limits_hz, "HZ"),
-    "[SOURce<n>:]FREQuency:CENTer": _sweep_end("centre frequency", lambda a, b: (a + b) / 2, _centred),
-    "[SOURce<n>:]FREQuency:SPAN": _sweep_end("frequency span", lambda a, b: abs(b - a), _spanning),
+    "[SOURce<n>:]FREQuency:CENTer": _sweep_setting(
+        "centre frequency", _centre_limits_hz, lambda start_hz, stop_hz: (start_hz + stop_hz) / 2, _centred
+    ),
+    "[SOURce<n>:]FREQuency:SPAN": _sweep_setting(
+        "frequency span", _span_limits_hz, lambda start_hz, stop_hz: abs(stop_hz - start_hz), _spanning
+    ),
     "[SOURce<n>:]MARKer[:STATe]": off("the frequency marker"),
     "[SOURce<n>:]MARKer:FREQuency": _number("marker_frequency", 500.0, frequency_limits_hz, "HZ"),
 }

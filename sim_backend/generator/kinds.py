@@ -8,7 +8,16 @@ from operator import attrgetter
 from typing import Any
 
 from sim_backend.generator.registers import Coerced, Registers, clipped, power_on
-from sim_backend.generator.scpi_text import INFINITE, ScpiError, boolean, keyword, none_of, number, one, real_reply
+from sim_backend.generator.scpi_text import (
+    INFINITE,
+    ScpiError,
+    boolean,
+    keyword,
+    number,
+    one,
+    real_reply,
+    refuse_arguments,
+)
 
 Write = Callable[[Registers, tuple[str, ...]], Coerced]
 Read = Callable[[Registers, tuple[str, ...]], str]
@@ -162,7 +171,7 @@ def _without_arguments(show: Callable[[Registers], str]) -> Read:
 
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
         """Return the reply to the query."""
-        none_of(arguments)
+        refuse_arguments(arguments)
         return show(state)
 
     return read

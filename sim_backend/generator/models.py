@@ -15,7 +15,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """One instrument type; ``narrowest_s`` holds (period above which it applies, smallest pulse width)."""
+    """One instrument type; ``min_width_by_period_s``: (period above which it applies, smallest width)."""
 
     name: str
     identity: str
@@ -26,7 +26,7 @@ class Model:
     edge_limits_s: Range
     burst_period_limits_s: Range
     delay_limits_s: Range
-    narrowest_s: tuple[Range, ...] = ()
+    min_width_by_period_s: tuple[Range, ...] = ()
     channels: int = 0
     """Channels that a header may number; 0 if headers carry no number."""
     functions: str = "SINusoid SQUare RAMP PULSe NOISe DC USER"
@@ -61,7 +61,7 @@ AGILENT_33250A = Model(
     finite_burst_ceiling_hz=25e6, max_cycles=1_000_000, burst_period_limits_s=(1e-6, 500.0),
     width_limits_s=(8e-9, 2000.0), edge_limits_s=(5e-9, 1e-3), delay_limits_s=(0.0, 85.0),
     # Known: the narrowest pulse grows with the period. Assumed: the numbers.
-    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
+    min_width_by_period_s=((200.0, 2e-6), (20.0, 200e-9)),
     duty_steps=((50e6, 50.0, 50.0), (25e6, 40.0, 60.0), (0.0, 20.0, 80.0)), short_period_error=-222,
     # 1 uHz or 9 digits, 0.1 mV or 4 digits (manual).
     frequency_digits=9, amplitude_decimals=4,
@@ -71,7 +71,7 @@ AGILENT_33220A = Model(
     frequency_limits_hz=_frequencies(20e6, 200e3, (500e-6, 5e6), 6e6),
     finite_burst_ceiling_hz=6e6, max_cycles=50_000, burst_period_limits_s=(1e-6, 500.0),
     width_limits_s=(20e-9, 2000.0), edge_limits_s=(5e-9, 100e-9), delay_limits_s=(0.0, 85.0),
-    narrowest_s=((100.0, 2e-6), (10.0, 200e-9)), duty_steps=((10e6, 40.0, 60.0), (0.0, 20.0, 80.0)),
+    min_width_by_period_s=((100.0, 2e-6), (10.0, 200e-9)), duty_steps=((10e6, 40.0, 60.0), (0.0, 20.0, 80.0)),
 )
 AGILENT_33500B = Model(
     name="33522B", identity="Agilent Technologies,33522B,MY52000001,3.03-1.19-2.00-52-00",

@@ -125,12 +125,12 @@ def one(arguments: tuple[str, ...]) -> str:
     """Return the only argument; raise ``ScpiError`` -109 if there is none, -108 if there are more."""
     if not arguments:
         raise ScpiError(-109, "Missing parameter")
-    none_of(arguments[1:])
+    refuse_arguments(arguments[1:])
     return arguments[0]
 
 
-def none_of(arguments: tuple[str, ...]) -> None:
-    """Raise ``ScpiError`` -108 if there is an argument."""
+def refuse_arguments(arguments: tuple[str, ...]) -> None:
+    """Raise ``ScpiError`` -108 if there are any ``arguments``."""
     if arguments:
         raise ScpiError(-108, "Parameter not allowed")
 

@@ -28,11 +28,15 @@ NOT_SIMULATED = {
 
 def width_limits_s(registers: Registers) -> tuple[float, float]:
     """Return the narrowest and the widest pulse that fit into the present period, s."""
-    narrowest_s, widest_s = registers.model.width_limits_s
-    period_s = 1 / registers.frequency_hz
-    # The narrowest pulse depends on the period; the widest one leaves room for both edges.
-    lowest = next((width for longest, width in registers.model.narrowest_s if period_s > longest), narrowest_s)
-    return lowest, max(lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s))
+    model, period_s = registers.model, 1 / registers.frequency_hz
+    shortest_width_s, longest_width_s = model.width_limits_s
+    # Long periods have a larger minimum: that of the first table row with a period below the present one.
+    min_width_s = next(
+        (width_s for above_s, width_s in model.min_width_by_period_s if period_s > above_s), shortest_width_s
+    )
+    # The widest pulse leaves space for both edges in the period.
+    max_width_s = min(longest_width_s, period_s - EDGES_IN_PERIOD * registers.edge_s)
+    return min_width_s, max(min_width_s, max_width_s)
 
 
 def edge_limits_s(registers: Registers) -> tuple[float, float]:

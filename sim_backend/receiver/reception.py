@@ -22,8 +22,9 @@ from sim_backend.wiring import PS_PER_S, Bursts, Capture, joined_bursts, no_burs
 # Numbers of the streams of random numbers, above those of the acoustics; every stream comes from the scene's seed.
 _CHAIN_NOISE_STREAM = 100
 _CLOCK_STREAM = 101
-# Added to four times the seed, so that the jitters of pulser and tonebursts are independent.
-_PULSER_SALT, _TONEBURST_SALT = 1, 2
+# Every scene's seed has four streams of trigger jitter, two of them in use: pulser and tonebursts are independent.
+_JITTER_STREAMS = 4
+_PULSER_STREAM, _TONEBURST_STREAM = 1, 2
 
 
 class Physics(Protocol):
@@ -95,16 +96,26 @@ class Reception:
         return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
 
     def _jittered_tonebursts(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
-        """Return ``tonebursts`` with the trigger jitter of their generators."""
+        """Return ``tonebursts`` with the trigger jitter of their generators, each burst shifted by a random time.
+
+        Equal onsets after the master trigger's edge ``origin_ps``, in a capture of equal number ``index``, have equal
+        jitter.
+        """
         # The generators of the burst train and of the toneburst are in series, each with independent jitter.
         rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(2)
-        return jittered(tonebursts, rms_s, self._settings.seed * 4 + _TONEBURST_SALT, origin_ps, index)
+        stream_seed = self._settings.seed * _JITTER_STREAMS + _TONEBURST_STREAM
+        return jittered(tonebursts, rms_s=rms_s, seed=stream_seed, origin_ps=origin_ps, index=index)
 
     def _jittered_pulses(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
-        """Return the tracking ``pulses`` with the trigger jitter of the pulser."""
-        # Jitter of the tracking train moves trigger and pulse together, so only the pulser's jitter counts.
+        """Return the tracking ``pulses`` with the trigger jitter of the pulser, each pulse shifted by a random time.
+
+        Equal onsets after the master trigger's edge ``origin_ps``, in a capture of equal number ``index``, have equal
+        jitter.
+        """
+        # Jitter of the tracking train delays pulse and record alike. Only the pulser's jitter moves echoes in a record.
         rms_s = self._settings.instruments.trigger_jitter_s
-        return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT, origin_ps, index)
+        stream_seed = self._settings.seed * _JITTER_STREAMS + _PULSER_STREAM
+        return jittered(pulses, rms_s=rms_s, seed=stream_seed, origin_ps=origin_ps, index=index)
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:

@@ -53,7 +53,7 @@ MAX_RESIDUAL_RAD: Final = 0.5
 Intervals of 2 u cover 92 to 96 % up to it in white noise of the echoes, 75 to 89 % above 0.8. If the echoes decorrelate
 within the train, those of the velocity cover 10 to 30 % at any residual: a higher limit would add pixels whose u fails.
 """
-STRIDE: Final = 12
+ECHO_PULSE_STEP: Final = 12
 """One pulse in so many contributes to echo frequency and power, which are nearly equal in all pulses."""
 BAND_FADE: Final = 0.2
 """Fraction of the band tapered at each end, so that the impulse response of the filter decays within few periods."""
@@ -266,14 +266,14 @@ class _Pixels:
     def _frequency_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> SingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
-        Im sum conj(z) dz/dt / (2 pi sum |z|²) over the gate and every ``STRIDE``-th pulse, with the derivative taken
-        along the whole line. ``power`` (line, gate): mean power of those pulses.
+        Im sum conj(z) dz/dt / (2 pi sum |z|²) over the gate and one pulse in ``ECHO_PULSE_STEP``, with the derivative
+        taken along the whole line. ``power`` (line, gate): mean power of those pulses.
         """
         from scipy.fft import fft, ifft
 
         lines, gates, length, _ = z.shape
         # Whole lines, (line, pulse, gate and sample), and their derivative over depth divided by 2 pi j.
-        echo = np.ascontiguousarray(z[..., ::STRIDE].transpose(0, 3, 1, 2)).reshape(lines, -1, gates * length)
+        echo = np.ascontiguousarray(z[..., ::ECHO_PULSE_STEP].transpose(0, 3, 1, 2)).reshape(lines, -1, gates * length)
         frequency_hz = np.fft.fftfreq(gates * length, self.decimation / self.settings.sample_rate_hz).astype(np.float32)
         spectrum = fft(echo, axis=-1)
         spectrum *= frequency_hz
@@ -289,38 +289,44 @@ class _Pixels:
     def _fit(
         self, phase: SingleArray, power: SingleArray, frequency_hz: SingleArray, not_finite: BoolArray | None
     ) -> tuple[list[SingleArray], ByteArray]:
-        """Return the results of every pixel, fitted to its phases (line, gate, pulse), and marks of bad pixels.
+        """Return the results of every pixel, in the order of ``RESULTS``, and marks of bad pixels (line, gate).
 
-        ``power`` and ``frequency_hz`` (line, gate): of the echo. ``not_finite`` (line, gate): gates with samples that
-        are not finite. The model has the vibration frequencies, a constant and a slope, the mean velocity.
+        ``phase`` (line, gate, pulse), rad, is fitted by vibrations of known frequency, a constant and a slope, the mean
+        velocity. ``power`` and ``frequency_hz`` (line, gate): of the echo. ``not_finite`` (line, gate): gates with
+        samples that are not finite.
         """
         pixel_shape = phase.shape[:-1]
         pulses, states = self.model.matrix.shape
-        # From phases to states: (R^-1 R^-1' H')', for all pixels in one product.
+        # Least-squares states (amplitudes, constant, slope) are phases @ solver. ``root`` is R^-1 of the triangular R
+        # with H'H = R'R, H the model's ``matrix`` (pulse, state).
         columns = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         solver = (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
         data, power = phase.reshape(-1, pulses), power.reshape(-1)
+        # BLAS must not start threads here, since batches of lines run in parallel on every core.
         state = _serial_matmul(data, solver)
         residual = self.kernels.squared_distance(_serial_matmul(state, columns), data)
         variance = residual / np.float32(pulses - states)
         with np.errstate(invalid="ignore", divide="ignore"):
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
-            # Relative variance of that factor: of the echo frequency, in proportion to the phase variance and averaged
-            # over the pulses that it is estimated from, and of the sound speed.
+            # Relative variance of that factor: of the echo frequency plus of the sound speed. The frequency follows
+            # from the phase step between samples, which has twice the variance of a phase and is averaged over one
+            # pulse in ``ECHO_PULSE_STEP``. The step is nearly that of the mixing frequency.
             phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
-            frequency_noise = np.float32(2 * STRIDE / self.time_s.size / phase_per_sample**2)
+            frequency_noise = np.float32(2 * ECHO_PULSE_STEP / self.time_s.size / phase_per_sample**2)
             relative_variance = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
-        # All results of a pixel, in the order of RESULTS; bad pixels are marked and set to NaN.
         noise_m2 = variance * metres_per_radian**2
-        results = [*self._estimates(state, noise_m2, metres_per_radian, relative_variance), np.sqrt(noise_m2), power]
+        fitted = [*self._estimates(state, noise_m2, metres_per_radian, relative_variance), np.sqrt(noise_m2)]
+        # Negated comparisons are also true for NaN. ``metres_per_radian`` is negative for every positive frequency.
         bad = np.zeros(len(data), np.uint8)
         bad[~(variance < MAX_RESIDUAL_RAD**2) | ~(metres_per_radian < 0)] = BadPixel.NOISE
         bad[~(power >= MIN_POWER)] = BadPixel.NO_ECHO
         if not_finite is not None:
             bad[not_finite.reshape(-1)] = BadPixel.NOT_FINITE
+        # Bad pixels have a power, but no fitted results.
         if bad.any():
-            for values in results[:-1]:
+            for values in fitted:
                 values[bad > 0] = np.nan
+        results = [*fitted, power]
         return [values.reshape(*pixel_shape, *values.shape[1:]) for values in results], bad.reshape(pixel_shape)
 
     def _estimates(
@@ -357,8 +363,8 @@ class _Pixels:
 
 
 def _mean_power(z: ComplexSingleArray) -> SingleArray:
-    """Return the mean power (line, gate) of every ``STRIDE``-th pulse of the baseband (line, gate, sample, pulse)."""
-    subset = np.ascontiguousarray(z[..., ::STRIDE])
+    """Return the mean power (line, gate) of one pulse in ``ECHO_PULSE_STEP`` of ``z`` (line, gate, sample, pulse)."""
+    subset = np.ascontiguousarray(z[..., ::ECHO_PULSE_STEP])
     real_and_imag = subset.view(np.float32)
     # Sum of squares over samples and pulses.
     energy = np.einsum("lgsp,lgsp->lg", real_and_imag, real_and_imag)

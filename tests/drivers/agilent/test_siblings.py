@@ -111,7 +111,7 @@ def test_the_drivers_limits_are_within_the_twins(model: GeneratorModel) -> None:
     assert model.delay_s == instrument.delay_limits_s
     assert model.width_s == instrument.width_limits_s
     assert model.edge_s == instrument.edge_limits_s[0]
-    assert model.narrowest_s == instrument.narrowest_s
+    assert model.narrowest_s == instrument.min_width_by_period_s
     assert model.burst_carrier_hz == (1e-6, instrument.finite_burst_ceiling_hz)
     for limits, function in ((model.sine_hz, "SIN"), (model.pulse_rate_hz, "PULS")):
         lowest, highest = instrument.frequency_limits_hz[function]

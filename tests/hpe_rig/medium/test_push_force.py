@@ -86,7 +86,7 @@ def test_motion_equals_the_twins_within_the_uncertainty_of_the_force(force: Push
     # 100 Hz depends on the end of the force, which differs by half a sigma. A Gaussian would be wrong by 10 to 30 %.
     assert error[0].max() < 0.05
     assert error[1:].max() < 0.03
-    assert np.all(error[0] < 3 * np.abs(own.by_unsure["reach"] / own.value)[0])
+    assert np.all(error[0] < 3 * np.abs(own.by_weight_change["reach"] / own.value)[0])
 
 
 def test_a_bowl_wider_than_its_sphere_is_refused() -> None:
@@ -107,7 +107,7 @@ def test_a_scan_of_the_bowl_gives_the_bowls_force_and_motion(force: PushForce) -
     # 100 Hz depends on the end of the force, 4.5 sigmas away; the scan's half-intensity length puts it 4 % nearer.
     assert np.abs(of_scan / of_bowl - 1)[0].max() < 0.02
     assert np.abs(of_scan / of_bowl - 1)[1:].max() < APERTURE_SHAPE
-    assert [name for name, _ in scanned.unsure] == ["reach", "loss"]
+    assert [name for name, _ in scanned.weight_changes] == ["reach", "loss"]
 
 
 def test_a_specimen_attenuates_a_scan() -> None:

@@ -209,8 +209,8 @@ def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vi
 
 def test_slopes_with_gates_over_depth_equal_finite_differences() -> None:
     # a force of several Gaussians of which something is not known, as an aperture's
-    unsure = ("reach", ((0.1, 0.3), (0.0, 0.2))), ("loss", ((0.05, 0.0), (0.0, -0.1)))
-    force = PushForce((0.34e-3, 0.8e-3), 3.6e-3, (-1e-3, 4e-3), ((0.7, 0.2), (0.1, 0.2)), unsure)
+    weight_changes = ("reach", ((0.1, 0.3), (0.0, 0.2))), ("loss", ((0.05, 0.0), (0.0, -0.1)))
+    force = PushForce((0.34e-3, 0.8e-3), 3.6e-3, (-1e-3, 4e-3), ((0.7, 0.2), (0.1, 0.2)), weight_changes)
     motion = at_depths((9e3, 2.0), (-1e-3, 0.0, 2e-3))
     problem = Problem.of(motion, replace(PUSH, force=force), LAWS["voigt"])
     coordinates = [one.to_coordinate(value) for one, value in zip(problem.law.parameters, (9e3, 2.0), strict=True)]

@@ -128,4 +128,4 @@ def test_a_declared_aperture_pushes_with_its_intensity_and_two_transducers_with_
     assert push_of([two]) == gaussian
     assert (gaussian.force.across_m, gaussian.force.along_m) == ((0.34e-3,), 3.6e-3)
     assert (gaussian.shape_relative, aperture.shape_relative) == (0.0, APERTURE_SHAPE)
-    assert [name for name, _ in aperture.force.unsure] == ["reach", "loss"]
+    assert [name for name, _ in aperture.force.weight_changes] == ["reach", "loss"]

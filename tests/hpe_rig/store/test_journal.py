@@ -15,7 +15,7 @@ import pytest
 
 from hpe_rig.bench import uninterrupted
 from hpe_rig.store import StoreError, is_locked, journal as journal_module
-from hpe_rig.store.journal import Journal, lookup3, run_with_timeout
+from hpe_rig.store.journal import Journal, lookup3, make_or_undo
 from hpe_rig.store.writer import open_on
 
 
@@ -79,7 +79,7 @@ def test_what_is_made_while_an_interrupt_comes_is_undone_before_the_program_goes
 
     # as where a run file is made: signals wait until somebody lets them through
     with pytest.raises(KeyboardInterrupt), uninterrupted():
-        run_with_timeout(make, Path.unlink)
+        make_or_undo(make, Path.unlink)
     assert not new.exists()
 
 
