@@ -49,6 +49,11 @@ NO_DEVICE: Final = Failure(
     "it is off or unplugged, or has another address",
     "check power, cable and address, or see what hpe-rig bench finds",
 )
+NO_SERIAL_LINE: Final = Failure(
+    "this device is no serial line",
+    "the path belongs to a device of another kind, such as /dev/null",
+    "the device of the serial line, such as ASRL/dev/ttyUSB0::INSTR",
+)
 NO_LINK: Final = Failure(
     "the host has no such device",
     "the device name or GPIB address is wrong, or the instrument behind the gateway is off",
@@ -84,6 +89,7 @@ SYSTEM_ERRORS: Final = {
     errno.ENOENT: NO_DEVICE,
     errno.ENODEV: NO_DEVICE,
     errno.ENXIO: NO_DEVICE,
+    errno.ENOTTY: NO_SERIAL_LINE,
     errno.EACCES: NO_PERMISSION,
     errno.EPERM: NO_PERMISSION,
     errno.EBUSY: BUSY,
@@ -108,6 +114,7 @@ EXCEPTION_TEXTS: Final = (
     ("error creating link: 3", NO_LINK),
     ("error creating link: 11", BUSY),
     ("could not open port", NO_DEVICE),
+    ("Could not configure port", NO_SERIAL_LINE),
 )
 """Failures by a part of the text of pyvisa-py's and pyserial's exceptions."""
 STATUS_NUMBER: Final = re.compile(r"-10738\d{5}")

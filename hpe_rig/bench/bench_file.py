@@ -84,7 +84,7 @@ BoardName = Annotated[str, *_choice(BOARD_NAMES)]
 GeneratorName = Annotated[str, *_choice(MODEL_NAMES)]
 """Name of a generator or a series of generators that has a driver."""
 
-Serial = Annotated[str, Field(pattern=r"^[ -~]{1,64}$", strict=True)]
+Serial = Annotated[str, Field(pattern=r"^[ -~]{0,64}$", strict=True)]
 """Serial number or label of an instrument, in printable ASCII."""
 NO_SERIAL = "none"
 """Serial of an instrument that keeps neither a serial number nor a label."""

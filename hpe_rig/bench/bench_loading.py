@@ -10,7 +10,8 @@ from importlib import resources
 from pathlib import Path
 
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.bench.resource_name import resource_names, shared_addresses
+from hpe_rig.bench.resource_name import resource_names, shared_addresses, wrong_ports
+from hpe_rig.bench.value_checks import wrong_values
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -35,7 +36,8 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
     """Return the bench in the TOML file ``path``, by default the shipped simulated bench.
 
     Raises ``SettingsError`` with every mistake. A real bench with the title of the simulated one is refused, because
-    reports would show it, and one with two roles at one instrument; ``any_title`` accepts both, to switch off.
+    reports would show it, and so are two roles at one instrument and values that no bench can mean; ``any_title``
+    accepts all three, to switch off.
     """
     if path is None:
         shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
@@ -50,15 +52,22 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
         raise SettingsError(f"bench {path}", [mistake]) from None
     bench_text = parse_bench(path.stem, text)
     bench = bench_text.bench
-    if any_title or bench.simulated:
+    if any_title:
         return bench_text
-    mistakes = list(shared_addresses(bench, resource_names(bench)))
-    if bench.title == read_bench().bench.title:
-        what = "this is the title of the simulated bench, and every report of this real bench would show it"
-        mistakes.append(Mistake("title", what, 'a title such as "HPE bench, room 12"'))
+    mistakes = list(wrong_values(bench))
+    if not bench.simulated:
+        mistakes += _wrong_on_metal(bench)
     if mistakes:
         raise SettingsError(f"bench {path.stem}", mistakes)
     return bench_text
+
+
+def _wrong_on_metal(bench: BenchFile) -> list[Mistake]:
+    mistakes = [*wrong_ports(bench), *shared_addresses(bench, resource_names(bench))]
+    if bench.title == read_bench().bench.title:
+        what = "this is the title of the simulated bench, and every report of this real bench would show it"
+        mistakes.append(Mistake("title", what, 'a title such as "HPE bench, room 12"'))
+    return mistakes
 
 
 def parse_bench(name: str, text: str) -> BenchText:

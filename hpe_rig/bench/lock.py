@@ -75,7 +75,7 @@ def exclusive(bench: BenchFile) -> Iterator[None]:
         return
     names = resolved_names(bench)
     if mistakes := list(shared_addresses(bench, names)):
-        raise SettingsError(f"bench {bench.title}", mistakes)
+        raise SettingsError("the bench file", mistakes)
     with locked(_lock_names(bench, names)):
         yield
 

@@ -141,9 +141,15 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
 
 
 def calibration_expiry(bench: BenchFile, day: date) -> Iterator[CheckResult]:
-    """Yield whether the calibration is valid on ``day``; an expired one is refused on a real bench."""
+    """Yield whether the calibration is valid on ``day``; an expired or later one is refused on a real bench."""
     calibration = bench.calibration
-    if calibration is None or calibration.valid_until is None or bench.recording is not None:
+    if calibration is None or bench.recording is not None:
+        return
+    if calibration.date is not None and calibration.date > day:
+        text = f"calibration.date = {calibration.date} lies in the future, today is {day}"
+        remedy = "the day of the measurement as calibration.date, or the right date of this computer"
+        yield CheckResult("calibration", "warning" if bench.simulated else "refused", text, remedy)
+    if calibration.valid_until is None:
         return
     text = f"calibration.valid_until = {calibration.valid_until}, today is {day}"
     if day <= calibration.valid_until:

@@ -38,6 +38,7 @@ def test_no_status_code_of_visa_is_shown_as_a_number(code: StatusCode) -> None:
         (OSError(errno.EBUSY, "x"), "another program"),
         (ConnectionResetError(errno.ECONNRESET, "x"), "closed the connection"),
         (Exception("error creating link: 3"), "no such device"),
+        (Exception("Could not configure port: (25, 'Inappropriate ioctl for device')"), "no serial line"),
         (ValueError("its own words."), "its own words"),
         (EOFError(), "EOFError"),
     ],

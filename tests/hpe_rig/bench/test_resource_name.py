@@ -53,6 +53,8 @@ INSTRUMENTS = [
         "TCPIP0::localhost::40001::SOCKET",
         "TCPIP0::LOCALHOST.::40001::SOCKET",
         "TCPIP0::[::1]::40001::SOCKET",
+        "TCPIP0::0.0.0.0::40001::SOCKET",
+        "TCPIP0::[::]::40001::SOCKET",
         "TCPIP0::127.0.0.1::hislip0,40001::INSTR",
     ],
     ["TCPIP0::127.0.0.1::40002::SOCKET"],

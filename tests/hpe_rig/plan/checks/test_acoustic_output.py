@@ -195,6 +195,16 @@ def test_an_expired_calibration_is_refused_on_a_real_bench_and_reported_on_the_t
     assert twin.level == "warning"
 
 
+def test_a_calibration_of_a_later_day_is_refused_on_a_real_bench() -> None:
+    bench = read_bench().bench
+    assert bench.calibration is not None
+    calibration = bench.calibration.model_copy(update={"date": date(2026, 3, 5)})
+    for simulated, expected in ((False, "refused"), (True, "warning")):
+        dated = bench.model_copy(update={"calibration": calibration, "simulated": simulated})
+        levels = [[result.level for result in calibration_expiry(dated, date(2026, 3, day))] for day in (4, 5)]
+        assert levels == [[expected], []]
+
+
 def test_a_calibration_is_valid_to_the_end_of_its_last_day() -> None:
     bench = read_bench().bench
     assert bench.calibration is not None
