@@ -6,10 +6,14 @@ A condition that cannot be read is NaN with a reason; no failure of a command or
 from __future__ import annotations
 
 import math
+import os
+import signal
 import subprocess
+import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import IO, Final
@@ -19,8 +23,10 @@ from hpe_rig.extensions import CONDITIONS, installed, load
 from hpe_rig.scene import printable
 
 MAX_OUTPUT_BYTES: Final = 1000
-MAX_WHY: Final = 200
+MAX_WHY: Final = 400
 """Characters of the reason why a condition is not read."""
+MAX_QUOTED: Final = 120
+"""Characters of it that are quoted from a command or plug-in."""
 KILL_S: Final = 1.0
 """Time that the system gets to end a command."""
 
@@ -57,7 +63,7 @@ def _read(condition: Condition) -> Reading:
             _of_command(condition) if condition.plugin is None else _of_plugin(condition.plugin, condition.timeout_s)
         )
         if not math.isfinite(value):
-            raise ValueError(f"{value} is no finite number")
+            raise ValueError(f"{value} is no finite number; check the sensor")
         return Reading(condition, value)
     except Exception as error:
         return Reading(condition, math.nan, printable(str(error).strip() or type(error).__name__)[:MAX_WHY])
@@ -65,33 +71,74 @@ def _read(condition: Condition) -> Reading:
 
 def _of_command(condition: Condition) -> float:
     """Return the number that the command prints; raise if it prints none, fails or takes too long."""
+    name = _quoted(condition.command[0])
     # Files instead of pipes: a process that the command leaves behind cannot hold up the reading.
     with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
-        # The command is the user's own, from the bench file that is named on the command line.
-        process = subprocess.Popen(condition.command, stdin=subprocess.DEVNULL, stdout=output, stderr=errors)  # noqa: S603
+        process = _started(condition.command, output, errors)
         try:
             exit_code = process.wait(condition.timeout_s)
         except subprocess.TimeoutExpired:
-            raise TimeoutError(f"no answer of {condition.command[0]} within {condition.timeout_s:g} s") from None
+            what = f"no answer of {name} within {condition.timeout_s:g} s"
+            raise TimeoutError(f"{what}; check the sensor, or state a longer timeout_s") from None
         finally:
+            # Ctrl-C comes here, too.
             if process.poll() is None:
-                process.kill()
-                process.wait(KILL_S)
+                _end(process)
         text = _text(output)
         if exit_code:
             # Programs state the cause in their last line.
-            cause = "".join(_text(errors).splitlines()[-1:])
-            raise ValueError(f"{condition.command[0]} ended with exit code {exit_code}: {cause}")
+            cause = _quoted("".join(_text(errors).splitlines()[-1:])) or "no message"
+            raise ValueError(f"{name} ended with exit code {exit_code}: {cause}; try the command in a terminal")
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"{condition.command[0]} printed {text!r}, not one number") from None
+        what = f"{name} printed '{_quoted(text)}', not one number"
+        raise ValueError(f"{what}; let it print only a number with a decimal point, such as 20.5") from None
+
+
+def _started(command: Sequence[str], output: IO[bytes], errors: IO[bytes]) -> subprocess.Popen[bytes]:
+    """Return the started command, in a process group that can be ended as a whole."""
+    group = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+    try:
+        # The command is the user's own, from the bench file that is named on the command line.
+        return subprocess.Popen(  # noqa: S603
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=errors,
+            start_new_session=sys.platform != "win32",
+            creationflags=group,
+        )
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        what = f"{_quoted(command[0])} cannot be started ({why})"
+        raise ValueError(f"{what}; check the key command in the bench file, or write the full path") from None
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a command that still runs, with the processes that it has started."""
+    # The system may have ended a process in between.
+    with suppress(OSError, subprocess.TimeoutExpired):
+        if sys.platform == "win32":
+            arguments = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
+            subprocess.run(arguments, capture_output=True, timeout=KILL_S, check=False)  # noqa: S603
+        else:
+            os.killpg(process.pid, signal.SIGKILL)
+    with suppress(OSError, subprocess.TimeoutExpired):
+        process.kill()
+        process.wait(KILL_S)
 
 
 def _text(file: IO[bytes]) -> str:
-    """Return the text in a temporary file, without space around it."""
+    """Return the text in a temporary file, without space around it; bytes that are no text are escaped."""
     file.seek(0)
-    return file.read(MAX_OUTPUT_BYTES).decode("utf-8", "replace").strip()
+    return file.read(MAX_OUTPUT_BYTES).decode("utf-8", "backslashreplace").strip()
+
+
+def _quoted(text: str) -> str:
+    """Return the begin of ``text`` on one line, with characters that no terminal may execute escaped."""
+    line = printable(text).replace("\n", "\\n")
+    return line if len(line) <= MAX_QUOTED else f"{line[:MAX_QUOTED]}..."
 
 
 _BUSY: Final[dict[str, threading.Thread]] = {}
@@ -101,9 +148,9 @@ _BUSY: Final[dict[str, threading.Thread]] = {}
 def _of_plugin(name: str, timeout_s: float) -> float:
     """Return the number of the plug-in ``name``; raise if it is not installed, fails or takes too long."""
     if name not in installed(CONDITIONS):
-        raise ValueError(f"no installed package has the entry point {name} in the group {CONDITIONS}")
+        raise ValueError(f"no installed package has the entry point {name} in the group {CONDITIONS}; install it")
     if name in _BUSY and _BUSY[name].is_alive():
-        raise TimeoutError(f"the plug-in {name} has not returned since an earlier reading")
+        raise TimeoutError(f"the plug-in {name} has not returned since an earlier reading; check the sensor")
     outcome = SimpleQueue[Outcome]()
     # A plug-in cannot be ended from outside. Its thread does not keep the program alive.
     _BUSY[name] = threading.Thread(target=_call, args=(lambda: load(CONDITIONS, name)(), outcome), daemon=True)
@@ -111,9 +158,11 @@ def _of_plugin(name: str, timeout_s: float) -> float:
     try:
         result = outcome.get(timeout=timeout_s)
     except Empty:
-        raise TimeoutError(f"no answer of the plug-in {name} within {timeout_s:g} s") from None
+        what = f"no answer of the plug-in {name} within {timeout_s:g} s"
+        raise TimeoutError(f"{what}; check the sensor, or state a longer timeout_s") from None
     if isinstance(result, Exception):
-        raise result
+        what = f"the plug-in {name} failed ({type(result).__name__}: {_quoted(str(result))})"
+        raise ValueError(f"{what}; check the sensor and the plug-in")
     return result
 
 

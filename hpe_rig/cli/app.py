@@ -33,7 +33,7 @@ def main() -> None:
         # The matrices are small: threads of the algebra library would only wait for each other.
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     streams = queue_streams()
-    exit_code = finish_streams(streams, _run())
+    exit_code = finish_streams(streams, _run(), sys.argv[1:])
     # All messages are printed and every output is off: a signal must not change the exit code.
     ignore_interrupts()
     sys.exit(exit_code)

@@ -112,10 +112,19 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
         console.print("every instrument that answered is safe: outputs off, digitizer idle, verified")
 
 
-def print_conditions(path: Path | None) -> None:
-    """Read the conditions of a bench file once and print each, or why it cannot be read."""
-    for reading in read_conditions(read_bench(path, any_title=True).bench.conditions):
+def print_conditions(path: Path | None) -> bool:
+    """Read and print the conditions of a bench file; return whether a run could begin without a wait for them."""
+    readings = read_conditions(read_bench(path, any_title=True).bench.conditions)
+    for reading in readings:
         wide_console().print(f"{reading}", style="" if reading.accepted else "bold")
+    waiting = [reading.condition for reading in readings if not reading.accepted]
+    if waiting:
+        names = " and ".join(condition.name for condition in waiting)
+        longest_s = min(condition.max_wait_s for condition in waiting)
+        what = f"a run would wait before its first shot for {names}, and end after {longest_s:g} s"
+        remedy = "bring the values within their limits, or correct the command or the limits in the bench file"
+        wide_console().print(f"{what}. Try: {remedy}.", style="bold")
+    return not waiting
 
 
 def _row(instrument: InstrumentReport) -> tuple[str, ...]:

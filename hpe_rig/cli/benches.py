@@ -9,6 +9,7 @@ import typer
 
 from hpe_rig.cli.console import EXIT_INSTRUMENT, guarded
 from hpe_rig.cli.options import BenchPath, SceneName
+from hpe_rig.cli.streams import results_accepted
 
 benches = typer.Typer()
 
@@ -60,12 +61,13 @@ def bench_command(
         what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
     state = bench_state(bench, self_test)
+    ready = True
     if state.report is not None:
         print_report(state.report, wide)
-        print_conditions(state.path)
+        ready = print_conditions(state.path) and state.report.complete
     if compare is not None:
         typer.echo(compare_with(compare, state))
-    if state.report is not None and not state.report.complete:
+    if not ready:
         raise typer.Exit(EXIT_INSTRUMENT)
 
 
@@ -94,4 +96,11 @@ def emulate(
     from hpe_rig.measurement import prepare
 
     setup = prepare(scene, bench, refuse=False)
-    serve(setup.scene.scene, setup.bench, transport, typer.echo)
+
+    def announce_addresses(text: str) -> None:
+        typer.echo(text)
+        # Nobody could use a bench whose addresses were not printed. The end of the program states the cause.
+        if not results_accepted():
+            raise typer.Exit(EXIT_INSTRUMENT)
+
+    serve(setup.scene.scene, setup.bench, transport, announce_addresses)

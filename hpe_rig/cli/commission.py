@@ -36,7 +36,8 @@ def commission_bench(path: Path | None) -> int:
     if faulty:
         announce(f"{len(faulty)} of {len(results)} cables are not proven, so that nothing is recorded")
         return EXIT_INSTRUMENT
-    announce(f"all {len(results)} cables are proven" + (f" and recorded in {path}" if path is not None else ""))
+    where = f" and recorded in {path}" if path is not None else "; no bench file is named, so that none is written"
+    announce(f"all {len(results)} cables are proven{where}")
     return 0
 
 

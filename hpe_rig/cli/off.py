@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hpe_rig.bench import WITHOUT_OUTPUT, OffState, read_bench, switch_off
 from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
+from hpe_rig.cli.streams import results_accepted
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
 
@@ -21,10 +22,16 @@ def switch_all_off(path: Path | None) -> int:
         for item in instruments
     ]
     console.print(rich_table(("role", "address", "output", "evidence"), rows, words=4))
+    if not results_accepted():
+        for role, address, output, evidence in rows:
+            announce(f"{role} at {address}, output: {output}{f' ({evidence})' if evidence else ''}")
     unproven = [item.role for item in instruments if not item.proven]
     outputs = [role for role in unproven if role not in WITHOUT_OUTPUT]
     if outputs:
-        console.print(f"NOT PROVEN OFF: {', '.join(outputs)}: switch them off by hand, now", style="bold")
+        text = f"NOT PROVEN OFF: {', '.join(outputs)}: switch them off by hand, now"
+        console.print(text, style="bold")
+        if not results_accepted():
+            announce(text)
         return EXIT_UNSAFE
     return EXIT_INSTRUMENT if unproven else 0
 

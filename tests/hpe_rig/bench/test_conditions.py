@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import subprocess
 import sys
 import threading
 import time
@@ -10,8 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from hpe_rig.bench import Condition, conditions, parse_bench, read_bench, read_conditions
+from hpe_rig.cli import commands
 from hpe_rig.scene import SettingsError
 
 
@@ -41,7 +45,10 @@ def test_a_command_and_a_plugin_give_their_number(plugin: Callable[[Callable[[],
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("import sys; print(1); sys.exit('no sensor')", "exit code 1: no sensor"),
+        ("import sys; print(1); sys.exit('no sensor')", "exit code 1: no sensor; try the command in a terminal"),
+        ("import sys; sys.exit(1)", "exit code 1: no message; try"),
+        ("print('20,5')", "printed '20,5', not one number; let it print only a number with a decimal point"),
+        ("import sys; sys.stdout.buffer.write(b'\\x1b[31m\\xff')", r"printed '\x1b[31m\xff', not one number"),
         ("print('21 degC')", "printed '21 degC', not one number"),
         ("print('1\\n2')", "not one number"),
         ("print('nan')", "nan is no finite number"),
@@ -57,7 +64,8 @@ def test_a_command_without_a_number_is_not_read(text: str, why: str) -> None:
 def test_a_program_that_does_not_exist_is_not_read() -> None:
     (reading,) = read_conditions([Condition(name="level", command=("no-such-program-here",))])
     assert math.isnan(reading.value)
-    assert "no-such-program-here" in reading.why
+    assert "no-such-program-here cannot be started (" in reading.why
+    assert "check the key command in the bench file" in reading.why
 
 
 def test_a_command_that_hangs_is_given_up_at_its_time_out_whatever_it_has_started() -> None:
@@ -66,6 +74,24 @@ def test_a_command_that_hangs_is_given_up_at_its_time_out_whatever_it_has_starte
     (reading,) = read_conditions([of_program(child, timeout_s=0.5)])
     assert time.monotonic() - start_s < 4.0
     assert "within 0.5 s" in reading.why
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell starts the processes")
+def test_a_command_that_hangs_is_ended_with_the_processes_that_it_has_started(tmp_path: Path) -> None:
+    line = "sleep 30 & echo $! > child; sleep 30"
+    command = ("sh", "-c", f"cd '{tmp_path}'; {line}")
+    read_conditions([Condition(name="level", command=command, timeout_s=0.5)])
+    child = int((tmp_path / "child").read_text())
+    end_s = time.monotonic() + 5.0
+    while is_running(child) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    assert not is_running(child)
+
+
+def is_running(pid: int) -> bool:
+    """Return whether a process is neither ended nor waits for its parent to ask for its exit code."""
+    done = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False)
+    return done.stdout.strip()[:1] not in ("", "Z")
 
 
 def test_a_plugin_that_hangs_is_not_called_again_until_it_returns(
@@ -124,3 +150,14 @@ def test_mistakes_of_conditions_are_reported_together() -> None:
 
 def test_a_bench_file_of_an_earlier_version_has_no_conditions(tmp_path: Path) -> None:
     assert read_bench().bench.conditions == ()
+
+
+def test_a_bench_report_with_a_condition_that_would_stop_every_run_ends_with_exit_code_1(tmp_path: Path) -> None:
+    path, limits = tmp_path / "bench.toml", "max = 22.0\nmax_wait_s = 90.0\n"
+    for text, exit_code in (("import sys; sys.exit(1)", 1), ("print(30)", 1), ("print(20)", 0)):
+        condition = of_program(text)
+        lines = f'\n[[conditions]]\nname = "level"\ncommand = {json.dumps(condition.command)}\n{limits}'
+        path.write_text(read_bench().text + lines, encoding="utf-8")
+        done = CliRunner().invoke(commands, ["bench", str(path)])
+        assert done.exit_code == exit_code, done.output
+        assert ("a run would wait before its first shot for level, and end after 90 s" in done.output) == exit_code

@@ -69,6 +69,22 @@ def test_results_that_cannot_be_printed_are_reported_with_exit_code_1_and_the_ru
     assert read_run(tmp_path / "run.h5").status == "complete"
 
 
+def with_full_output(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    with Path("/dev/full").open("wb") as full:
+        command = [*PROGRAM, *arguments]
+        return subprocess.run(command, stdout=full, stderr=subprocess.PIPE, cwd=cwd, text=True, check=False, timeout=60)
+
+
+def test_the_switched_off_outputs_and_a_lost_bench_file_are_reported_without_standard_output(tmp_path: Path) -> None:
+    off = with_full_output("bench", "--off", cwd=tmp_path)
+    assert off.returncode == 1
+    assert "burst_train at in process, output: off (read back as off)" in off.stderr
+    assert "hpe-rig process" not in off.stderr
+    emulation = with_full_output("emulate", cwd=tmp_path)
+    assert emulation.returncode == 1
+    assert "standard output cannot be written" in emulation.stderr
+
+
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-", "2>/dev/full"])
 def test_streams_that_are_missing_or_full_end_no_command(tmp_path: Path, closed: str) -> None:
     command = f"exec '{sys.executable}' -m hpe_rig {LIST} {closed}"
