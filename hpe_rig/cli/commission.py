@@ -34,7 +34,8 @@ def commission_bench(path: Path | None) -> int:
         record_commissioning(path, text, results, date.today())
     faulty = [result for result in results if result.fault]
     if faulty:
-        announce(f"{len(faulty)} of {len(results)} cables are not proven, so that nothing is recorded")
+        where = f"; {path} holds no commissioning now" if path is not None else ""
+        announce(f"{len(faulty)} of {len(results)} cables are not proven, so that nothing is recorded{where}")
         return EXIT_INSTRUMENT
     where = f" and recorded in {path}" if path is not None else "; no bench file is named, so that none is written"
     announce(f"all {len(results)} cables are proven{where}")
