@@ -30,6 +30,8 @@ MIN_RATIO: Final = 7.0
 """Logarithm of the likelihood ratio above which the less likely of two shifts is excluded."""
 CHANGE: Final = -14.0
 """Logarithm of the probability of a lost or stray trigger at any one record."""
+JUMP_CHANGE: Final = 0.05
+"""Probability of a lost trigger at any of the jumps of the trigger times: what disturbs one often disturbs both."""
 MAX_STRAY: Final = 3
 """Number of stray triggers that are considered if there are no trigger times."""
 MAX_ALTERNATIVES: Final = 6
@@ -149,20 +151,27 @@ def _by_tonebursts(
     shifted_kinds = padded[placement.pulse[records][:, None] + shifts + shifts.size]
     # The shift may change where the number of pulses since the record before is assumed, not measured.
     changes = placement.loose[records] & (np.arange(records.size) > 0)
-    posterior, evidence = _posterior(shifted_kinds, disturbed[records], changes)
+    log_change = CHANGE if timeless else np.log(JUMP_CHANGE / max(1, np.count_nonzero(changes)))
+    log_changes = np.where(changes, log_change, -np.inf)
+    posterior, evidence = _posterior(shifted_kinds, disturbed[records], log_changes)
+    # A jump of the trigger times by whole periods can hide a lost trigger: then the tonebursts contradict the times.
+    anywhere = _posterior(shifted_kinds, disturbed[records], np.maximum(log_changes, CHANGE))
+    is_hidden = anywhere[1] > evidence + MIN_RATIO
+    if is_hidden:
+        posterior, evidence = anywhere
     if evidence < MIN_EVIDENCE:
         return None
-    if not changes.any():
+    if not (changes.any() or is_hidden):
         return _with_common_shift(assignment, shifts, posterior[0])
     return _with_shifts(assignment, records, shifts, posterior)
 
 
-def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> tuple[FloatArray, float]:
+def _posterior(kinds: Int64Array, disturbed: BoolArray, log_changes: FloatArray) -> tuple[FloatArray, float]:
     """Return the probability of each shift at each record, (record, shift), and the evidence for any of them.
 
     ``kinds`` (record, shift): kind of the pulse that the record would have, -1 outside the train. ``disturbed``
-    (record,). The shift can change at records with ``changes`` (record,). Evidence is the logarithm of the likelihood
-    ratio to disturbances by chance.
+    (record,). ``log_changes`` (record,): log probability that the shift changes at the record. Evidence is the
+    logarithm of the likelihood ratio to disturbances by chance.
     """
     # ``rates``: fraction of disturbed records by kind of pulse. It and the shifts are estimated three times.
     rates = np.array(START_RATES)
@@ -170,7 +179,7 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
         # Log probability of an undisturbed and of a disturbed record, by kind of its pulse.
         log_rates = np.log(np.stack([1 - rates, rates]))
         log_likelihood = np.where(kinds < 0, -np.inf, log_rates[disturbed.astype(np.int64)[:, None], kinds])
-        posterior, total = _forward_backward(log_likelihood, changes)
+        posterior, total = _forward_backward(log_likelihood, log_changes)
         # Probability that a record is of each kind, (record,).
         of_kind = [np.where(kinds == kind, posterior, 0.0).sum(axis=1) for kind in (CLEAN, NEAR, INSIDE)]
         # Half a disturbed and half an undisturbed record are added, so that no rate becomes 0 or 1.
@@ -182,23 +191,24 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, changes: BoolArray) -> t
     return posterior, float(total - chance)
 
 
-def _forward_backward(log_likelihood: FloatArray, changes: BoolArray) -> tuple[FloatArray, float]:
+def _forward_backward(log_likelihood: FloatArray, log_changes: FloatArray) -> tuple[FloatArray, float]:
     """Return the posterior (record, state) of a chain that rarely changes its state, and the data's log likelihood.
 
-    Here a state is a shift. ``log_likelihood`` (record, state): of each single record. The state can change at
-    records with ``changes`` (record,). Computed by the forward-backward algorithm of hidden Markov models.
+    Here a state is a shift. ``log_likelihood`` (record, state): of each single record. ``log_changes`` (record,): log
+    probability of a change at each. Computed by the forward-backward algorithm of hidden Markov models.
     """
     records, states = log_likelihood.shape
     # Records without a change in between share one state: they are one block, with the sum of their log likelihoods.
-    start = np.flatnonzero(np.concatenate([[True], changes[1:]]))
+    start = np.flatnonzero(np.concatenate([[True], np.isfinite(log_changes[1:])]))
     block = np.add.reduceat(log_likelihood, start, axis=0)
     # Log probabilities of the records up to each block (forward) and after it (backward), for each state.
     forward, backward = np.empty_like(block), np.zeros_like(block)
     forward[0] = block[0] - np.log(states)
     for index in range(1, start.size):
-        forward[index] = _after_possible_change(forward[index - 1]) + block[index]
+        forward[index] = _after_possible_change(forward[index - 1], log_changes[start[index]]) + block[index]
     for index in range(start.size - 2, -1, -1):
-        backward[index] = _after_possible_change(backward[index + 1] + block[index + 1])
+        later = backward[index + 1] + block[index + 1]
+        backward[index] = _after_possible_change(later, log_changes[start[index + 1]])
     joint = forward + backward
     total = float(np.logaddexp.reduce(forward[-1]))
     posterior = np.exp(joint - np.logaddexp.reduce(joint, axis=1, keepdims=True))
@@ -206,9 +216,9 @@ def _forward_backward(log_likelihood: FloatArray, changes: BoolArray) -> tuple[F
     return by_record, total
 
 
-def _after_possible_change(log_probability: FloatArray) -> FloatArray:
-    """Return log probabilities (state,) after a possible change of state, which has the probability exp(``CHANGE``)."""
-    others = np.logaddexp.reduce(log_probability) + CHANGE - np.log(log_probability.size)
+def _after_possible_change(log_probability: FloatArray, log_change: float) -> FloatArray:
+    """Return log probabilities (state,) after a possible change of state, of probability exp(``log_change``)."""
+    others = np.logaddexp.reduce(log_probability) + log_change - np.log(log_probability.size)
     return np.asarray(np.logaddexp(log_probability, others))
 
 
@@ -245,6 +255,9 @@ def _with_shifts(
     repeated = np.isin(pulse, np.flatnonzero(np.bincount(pulse[pulse >= 0]) > 1))
     pulse_of_record = placement.pulse.copy()
     pulse_of_record[records] = np.where(repeated, -1, pulse)
+    # The times do not tell the number of pulses where the shift changes.
+    loose = placement.loose.copy()
+    loose[records[certain][1:][np.diff(shifts[best[certain]]) != 0]] = True
     # A sentence for each change of the shift between certain records, and for one that the records start with.
     certain_shifts, certain_records = shifts[best[certain]], records[certain]
     remarks = assignment.remarks
@@ -257,14 +270,23 @@ def _with_shifts(
             "these are left out",
         )
     if (first_shift := int(certain_shifts[0])) > 0:
-        remarks += (_lost_first(first_shift),)
-    return replace(assignment, placement=replace(placement, pulse=pulse_of_record), remarks=remarks)
+        first = int(certain_records[0])
+        remarks += (_lost_first(first_shift) if first == records[0] else _lost_before(first_shift, first + 1),)
+    return replace(assignment, placement=replace(placement, pulse=pulse_of_record, loose=loose), remarks=remarks)
 
 
 def _lost_first(count: int) -> str:
     """Return the remark that the first ``count`` triggers of a shot were lost."""
     triggers = "trigger was" if count == 1 else f"{count} triggers were"
     return f"the first {triggers} lost: the tonebursts in the records show it"
+
+
+def _lost_before(count: int, record: int) -> str:
+    """Return the remark that ``count`` triggers were lost at unknown places before ``record``, counted from 1."""
+    return (
+        f"{_triggers(count)} lost before record {record}: the tonebursts in the records from it on show it, "
+        "and the records before it are left out"
+    )
 
 
 def _triggers(count: int) -> str:

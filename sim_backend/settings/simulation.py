@@ -433,6 +433,15 @@ class TriggerFaults(Section):
     stamp_bits: Annotated[int, Field(ge=8, le=40, strict=True)] = 40
     """Width of the counter of trigger times, which wraps to zero (manual: 40)."""
 
+    @model_validator(mode="after")
+    def _check_frozen_stamps(self) -> TriggerFaults:
+        first, last = self.frozen_stamps or (0, 1)
+        if not 0 <= first < last:
+            raise ValueError(
+                f"frozen_stamps = [{first}, {last}]: the first record must be at least 0 and before the last"
+            )
+        return self
+
 
 class ClockErrors(Section):
     """Relative error of each instrument's clock rate, positive if it is fast; by default none.

@@ -278,6 +278,12 @@ def test_faults_of_the_twins_triggers_reach_the_records(dual: bool, faults: Trig
     np.testing.assert_allclose(relative_s, (np.array(periods) - periods[0]) / RATE_HZ, rtol=0, atol=41e-9)
 
 
+@pytest.mark.parametrize("records", [(200, 100), (100, 100), (-1, 5)])
+def test_a_freeze_of_the_twins_counter_that_does_nothing_is_refused(records: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="the first record must be at least 0 and before the last"):
+        TriggerFaults(frozen_stamps=records)
+
+
 def test_the_twins_counter_wraps_at_its_width() -> None:
     rig = Rig(dual=True, trigger_faults=TriggerFaults(stamp_bits=16))
     times_s = rig.shot(CAPTURE)[1]

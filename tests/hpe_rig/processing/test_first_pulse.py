@@ -177,6 +177,29 @@ def test_drawn_faults_are_corrected_or_stated(muscle: Shot, draws: int, timed: b
     assert not visible or corrected > draws / 3
 
 
+@pytest.mark.parametrize(
+    ("lost", "jump_periods", "remark"),
+    [
+        (50, 0.9999, "a trigger was lost before record 51"),
+        (400, 0.9999, "a trigger was lost between record 400 and 401"),
+        (400, -1.0, "a trigger was lost between record"),
+    ],
+)
+def test_a_trigger_lost_at_a_jump_of_the_times_shifts_no_record(
+    muscle: Shot, lost: int, jump_periods: float, remark: str
+) -> None:
+    pulse = np.delete(np.arange(muscle.capture.record_count), lost)
+    time_s = 0.2 + (pulse + np.where(pulse > lost, jump_periods, 0.0)) / 3990.0
+    stored = Stored(Records(muscle, pulse, time_s, pulse_kinds(muscle)[pulse] == INSIDE, 1))
+    assignment = assign_pulses(muscle, stored)  # type: ignore[arg-type]
+    assigned = assignment.placement.pulse[: pulse.size]
+    placed = assigned >= 0
+    np.testing.assert_array_equal(assigned[placed], pulse[placed])
+    assert np.count_nonzero(placed) > 0.6 * pulse.size
+    assert assignment.shifts == (0,)
+    assert assignment.remarks[-1].startswith(remark)
+
+
 def test_an_aborted_shot_has_lost_no_trigger(muscle: Shot) -> None:
     pulse = np.arange(300)
     stored = Stored(Records(muscle, pulse, 0.2 + pulse / 3990.0, np.zeros(300, bool), 1))
