@@ -151,7 +151,7 @@ def _by_tonebursts(
     shifted_kinds = padded[placement.pulse[records][:, None] + shifts + shifts.size]
     # The shift may change where the number of pulses since the record before is assumed, not measured.
     changes = placement.loose[records] & (np.arange(records.size) > 0)
-    log_change = CHANGE if timeless else np.log(JUMP_CHANGE / max(1, np.count_nonzero(changes)))
+    log_change = CHANGE if timeless else float(np.log(JUMP_CHANGE / max(1, int(changes.sum()))))
     log_changes = np.where(changes, log_change, -np.inf)
     posterior, evidence = _posterior(shifted_kinds, disturbed[records], log_changes)
     # A jump of the trigger times by whole periods can hide a lost trigger: then the tonebursts contradict the times.
