@@ -51,7 +51,7 @@ from .inventory import (
 )
 from .lock import BenchInUseError as BenchInUseError, hold as hold, resources as resources
 from .opening import open_bench as open_bench, silent_world as silent_world
-from .output_limits import Drive as Drive, drive_mistakes as drive_mistakes
+from .output_limits import TRANSDUCERS as TRANSDUCERS, Drive as Drive, drive_mistakes as drive_mistakes
 from .push_scan import scanned_push as scanned_push
 from .twin import (
     TwinDeclaration as TwinDeclaration,

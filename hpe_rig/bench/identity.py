@@ -47,6 +47,13 @@ def serial_mistakes(bench: BenchFile, serials: Mapping[str, str]) -> dict[str, s
     return mistakes
 
 
+def serial_problems(bench: BenchFile, serials: Mapping[str, str]) -> dict[str, str]:
+    """Return `serial_mistakes`; each of an exchanged pair comes with its remedy."""
+    remedies = {role: text for pair, text in _swapped(bench, serials).items() for role in pair}
+    mistakes = serial_mistakes(bench, serials)
+    return {role: f"{text}. Try: {remedies[role]}" if role in remedies else text for role, text in mistakes.items()}
+
+
 def shared_serials(serials: Mapping[str, str]) -> dict[str, str]:
     """Return by role, in words, each generator whose serial number another role reported too."""
     roles: dict[str, str] = {}
@@ -60,13 +67,18 @@ def shared_serials(serials: Mapping[str, str]) -> dict[str, str]:
 
 def _remedy(bench: BenchFile, serials: Mapping[str, str]) -> str:
     """Return in words how addresses or serial numbers of the bench file are corrected."""
-    stated = bench.serials
-    swapped = [
-        f"{first} and {second} are swapped: exchange their addresses in the bench file"
-        for first, second in _pairs(list(serials))
-        if serials[first] == stated[second] and serials[second] == stated[first]
-    ]
+    swapped = _swapped(bench, serials).values()
     return "; ".join(swapped) or "correct the addresses, or after an exchange run hpe-rig bench BENCH --identify"
+
+
+def _swapped(bench: BenchFile, serials: Mapping[str, str]) -> dict[tuple[str, str], str]:
+    """Return by pair of roles, in words, the remedy for two instruments that answer for each other."""
+    stated = bench.serials
+    return {
+        (first, second): f"{first} and {second} are swapped: exchange their addresses in the bench file"
+        for first, second in _pairs([role for role in serials if role in stated])
+        if serials[first] == stated[second] and serials[second] == stated[first]
+    }
 
 
 def _pairs(roles: Sequence[str]) -> list[tuple[str, str]]:

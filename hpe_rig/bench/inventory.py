@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Final
 
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
 from hpe_rig.bench.bench_file import BenchFile, DigitizerBoard
-from hpe_rig.bench.identity import reported_serials, serial_mistakes, shared_serials
+from hpe_rig.bench.identity import reported_serials, serial_problems, shared_serials
 from hpe_rig.bench.instruments import DigitizerNotIdleError, UnsafeBenchError, make_safe
 from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
@@ -86,7 +87,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
             proven = make_safe(identified)
             # An exchanged instrument is switched off all the same, so this comes last.
             serials = reported_serials(bench, identified)
-            mistakes = serial_mistakes(bench, {role: item for role, item in serials.items() if isinstance(item, str)})
+            mistakes = serial_problems(bench, {role: item for role, item in serials.items() if isinstance(item, str)})
             for role, text in mistakes.items():
                 announce(f"{role}: {text}")
     except (UnsafeBenchError, DigitizerNotIdleError) as error:
@@ -118,7 +119,7 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
         if self_test:
             reports = tuple(_with_self_test(report, instruments[report.role]) for report in reports)
     serials = {report.role: report.identity.serial for report in reports if report.identity is not None}
-    mistakes = shared_serials(serials) | serial_mistakes(bench, serials)
+    mistakes = shared_serials(serials) | serial_problems(bench, serials)
     reports = tuple(_with_problem(report, mistakes.get(report.role)) for report in reports)
     return BenchReport(bench.title, bench.simulated, reports, addresses)
 
@@ -184,13 +185,20 @@ def _timed_identity(instrument: Instrument, clock_s: Callable[[], float]) -> tup
 def _address_suggestion(role: str, address: str, bench: BenchFile, addresses: Sequence[str]) -> Iterator[str]:
     if role == "digitizer" or bench.simulated:
         return
-    close = difflib.get_close_matches(address, addresses, n=3, cutoff=0.5)
+    # Addresses of serial lines are similar by their prefix; only another number is likely to be meant.
+    candidates = [item for item in addresses if not item.upper().startswith("ASRL") or _unnumbered(item, address)]
+    close = difflib.get_close_matches(address, candidates, n=3, cutoff=0.5)
     if address in addresses:
         yield f"an instrument answers at {address}, but it is no generator that can play this role"
     elif close:
         yield f"generators.{role}.address: did you mean {' or '.join(close)}?"
     elif addresses:
-        yield f"generators.{role}.address: the addresses in use are {', '.join(addresses)}"
+        yield f"generators.{role}.address: the addresses found are {', '.join(addresses)}"
+
+
+def _unnumbered(first: str, second: str) -> bool:
+    """Return whether two addresses are equal up to their numbers, as those of /dev/ttyUSB0 and /dev/ttyUSB1 are."""
+    return re.sub(r"\d+", "0", first).lower() == re.sub(r"\d+", "0", second).lower()
 
 
 def _digitizer_problems(board: DigitizerBoard, settings: Settings) -> Iterator[str]:

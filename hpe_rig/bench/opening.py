@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.bench.identity import require_serials
+from hpe_rig.bench.identity import reported_serials, require_serials, serial_problems
 from hpe_rig.bench.instruments import (
     SAFE_ORDER,
     Bench,
@@ -81,6 +81,8 @@ def open_bench(
                 yield instruments
         except BaseException as error:
             _make_safe_after(error, answers.identified, roles, bench)
+            if error in answers.by_role.values():
+                _add_exchanges(error, answers.identified, bench)
             raise
         make_safe(answers.identified)
 
@@ -126,6 +128,13 @@ def _make_safe_after(
     # An unidentified real instrument may be on, and the operator must look.
     if identified or not bench.simulated:
         error.add_note(proven_off(roles, proofs))
+
+
+def _add_exchanges(error: BaseException, identified: Sequence[Instrument], bench: BenchFile) -> None:
+    """Add to ``error``, an instrument that is missing, the exchanged ones among those that answered."""
+    serials = {role: item for role, item in reported_serials(bench, identified).items() if isinstance(item, str)}
+    for role, text in serial_problems(bench, serials).items():
+        error.add_note(f"{role}: {text}")
 
 
 def _open_all(

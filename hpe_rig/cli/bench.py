@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 from hpe_rig.bench import (
+    WITHOUT_OUTPUT,
     BenchReport,
     InstrumentReport,
     Settings,
@@ -20,6 +22,7 @@ from hpe_rig.bench import (
 )
 from hpe_rig.cli.tables import Printer, wide_console
 from hpe_rig.measurement import prepare_text, program_shot
+from hpe_rig.plan import calibration_expiry
 from hpe_rig.result import rich_table
 from hpe_rig.runs import open_run
 from hpe_rig.scene import parse_toml
@@ -109,7 +112,24 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
             f"VISA addresses found: {', '.join(report.addresses) or 'none (LAN instruments may not be listed)'}"
         )
     if report.settings:
-        console.print("every instrument that answered is safe: outputs off, digitizer idle, verified")
+        console.print(_safe_text(list(report.settings)))
+
+
+def _safe_text(roles: Sequence[str]) -> str:
+    """Return in words what is verified of ``roles``, the instruments that answered."""
+    states = {
+        "outputs off": any(role not in WITHOUT_OUTPUT for role in roles),
+        "digitizer idle": "digitizer" in roles,
+    }
+    return f"every instrument that answered is safe: {', '.join(name for name in states if states[name])}, verified"
+
+
+def print_calibration(path: Path | None) -> None:
+    """Print that the calibration of a real bench has expired or lies in the future."""
+    bench = read_bench(path, any_title=True).bench
+    for finding in () if bench.simulated else calibration_expiry(bench, date.today()):
+        if finding.level != "passed":
+            wide_console().print(f"{finding}", style="bold")
 
 
 def print_conditions(path: Path | None) -> bool:

@@ -55,7 +55,7 @@ def bench_command(
             mistake = Mistake("", "it only writes serial numbers into a bench file", "hpe-rig bench BENCH --identify")
             raise SettingsError("--identify", [mistake])
         raise typer.Exit(identify_instruments(bench))
-    from hpe_rig.cli.bench import bench_state, compare_with, print_conditions, print_report
+    from hpe_rig.cli.bench import bench_state, compare_with, print_calibration, print_conditions, print_report
 
     if bench is not None and is_run_file and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
@@ -65,6 +65,7 @@ def bench_command(
     if state.report is not None:
         print_report(state.report, wide)
         ready = print_conditions(state.path) and state.report.complete
+        print_calibration(state.path)
     if compare is not None:
         typer.echo(compare_with(compare, state))
     if not ready:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from drivers.agilent import mistakes, model_named
-from hpe_rig.bench import GENERATOR_ROLES, BenchFile, Drive, drive_mistakes
+from hpe_rig.bench import GENERATOR_ROLES, TRANSDUCERS, BenchFile, Drive, drive_mistakes
 from hpe_rig.plan.checks.check_result import CheckResult, pass_or_refuse
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
@@ -70,6 +70,11 @@ def transducer_limits(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Ch
     remedy = "fewer cycles, a lower rate, or a carrier in the band"
     refused = [CheckResult("transducer limits", "refused", text, remedy) for text in sorted(texts)]
     yield from refused or [CheckResult("transducer limits", "passed", "carriers and tracking pulses are within them")]
+    driving = {cable.source.removesuffix(".output") for cable in bench.wiring if cable.target in TRANSDUCERS}
+    for role, generator in bench.generators.by_role.items():
+        if generator.carrier_band_hz is not None and role not in driving:
+            text = f"generators.{role}.carrier_band_hz has no effect: no cable leads from {role}.output to a transducer"
+            yield CheckResult("transducer limits", "warning", text, "the key at the generator that drives it")
 
 
 _LIMITS = {

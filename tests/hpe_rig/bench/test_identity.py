@@ -15,6 +15,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare
 from hpe_rig.measurement.run import record_run
 from hpe_rig.scene import SettingsError
+from sim_backend.world import World
 
 BOXES = {role: f"SIM_BOX_{number}" for number, role in enumerate(GENERATOR_ROLES, 1)}
 """Labels of the simulated 33250As, which report no serial number."""
@@ -57,6 +58,7 @@ def test_swapped_generators_are_refused_by_every_opening(tmp_path: Path) -> None
     code, output = run("bench", str(bench))
     assert code == 1
     assert "toneburst: serial number SIM_BOX_3, which is that of tracking_pulser, answers at" in output
+    assert f"Try: {swapped}" in " ".join(output.split())
 
 
 def test_swapped_generators_are_switched_off_all_the_same(tmp_path: Path) -> None:
@@ -64,6 +66,23 @@ def test_swapped_generators_are_switched_off_all_the_same(tmp_path: Path) -> Non
     assert code == 0
     assert "tracking_pulser: serial number SIM_BOX_5, which is that of toneburst" in output
     assert output.count("read back as off") == 5
+    assert "Try: toneburst and tracking_pulser are swapped: exchange their addresses" in output
+
+
+def test_an_exchange_is_reported_also_where_another_instrument_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(world: World) -> None:
+        raise InstrumentError("digitizer", "the library is not installed", "it is absent", "install it")
+
+    monkeypatch.setattr(World, "alazar_library", missing)
+    bench = bench_with(SWAPPED, tmp_path)
+    with pytest.raises(InstrumentError, match="the library is not installed") as refused:
+        record_run(prepare("bovine-muscle", bench), tmp_path / "run.h5")
+    assert "toneburst and tracking_pulser are swapped: exchange" in "".join(refused.value.__notes__)
+    code, output = run("bench", str(bench))
+    assert code == 1
+    assert "is safe: outputs off, verified" in output
 
 
 def test_another_instrument_is_named_with_role_address_and_both_numbers(tmp_path: Path) -> None:

@@ -58,6 +58,14 @@ def test_a_carrier_outside_the_band_of_its_transducer_is_refused_by_plan_and_rea
     assert any(item.text == words for item in prepare("bovine-muscle", path, refuse=False).findings)
 
 
+def test_a_band_at_a_generator_that_drives_no_transducer_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "bench.toml"
+    table = "[generators.master]"
+    path.write_text(read_bench().text.replace(table, f"{table}\ncarrier_band_hz = [2e6, 4e6]"), encoding="utf-8")
+    texts = [item.text for item in prepare("bovine-muscle", path).findings if item.level == "warning"]
+    assert any("generators.master.carrier_band_hz has no effect" in text for text in texts)
+
+
 def test_an_excess_is_refused_before_any_output_is_enabled() -> None:
     setup = prepare("bovine-muscle")
     limits = BENCH.limits.model_copy(update={"max_duty": 0.005})

@@ -17,6 +17,7 @@ from hpe_rig.bench import BenchInUseError, inventory, opening, parse_bench, read
 from hpe_rig.bench.lock import holder_of, locked
 from hpe_rig.bench.opening import visa_addresses
 from hpe_rig.cli.app import app
+from hpe_rig.cli.bench import print_calibration
 from hpe_rig.measurement import prepare
 from hpe_rig.plan import PlanError
 from hpe_rig.scene import SettingsError
@@ -188,3 +189,21 @@ def test_a_value_that_no_bench_can_mean_is_a_mistake_of_the_file(
         read_bench(path)
     # Outputs are switched off with such a file too.
     read_bench(path, any_title=True)
+
+
+def test_an_address_is_suggested_where_only_its_number_may_be_wrong() -> None:
+    bench = read_bench().bench.model_copy(update={"simulated": False})
+    found = ("ASRL/dev/ttyS0::INSTR", "ASRL/dev/ttyUSB1::INSTR")
+    (suggestion,) = inventory._address_suggestion("master", "ASRL/dev/ttyUSB0::INSTR", bench, found)
+    assert suggestion.endswith("did you mean ASRL/dev/ttyUSB1::INSTR?")
+    (suggestion,) = inventory._address_suggestion("master", "ASRL/dev/null::INSTR", bench, found[:1])
+    assert suggestion == "generators.master.address: the addresses found are ASRL/dev/ttyS0::INSTR"
+
+
+def test_the_state_of_a_real_bench_reports_an_expired_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = 'source = "assumed: no hydrophone has seen it"'
+    path = real(tmp_path / "metal.toml", (TITLE, "Room 12"), (source, f"{source}\nvalid_until = 2026-03-05"))
+    print_calibration(path)
+    assert "calibration: expired: calibration.valid_until = 2026-03-05" in capsys.readouterr().out
