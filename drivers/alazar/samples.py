@@ -58,6 +58,8 @@ def unpacked(
 ) -> tuple[Words, NDArray[np.float64]]:
     """Return words (channel, record, sample) and trigger counts (record,) of one AutoDMA buffer; NPT counts are NaN.
 
+    The upper half of the counter's range is read as negative, so that a step back is one.
+
     The order in the buffer is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
     if npt:
@@ -65,7 +67,9 @@ def unpacked(
         return words, np.full(words.shape[1], np.nan)
     records = data.view(header_record_dtype(record_samples, model)).reshape(-1, channels)
     words = native(np.ascontiguousarray(records["words"].swapaxes(0, 1)))
-    return words, timestamp_counts(records["header"][:, 0]).astype(np.float64)
+    # A counter that stepped back below zero reads near the end of its range.
+    counts = timestamp_counts(records["header"][:, 0])
+    return words, np.where(counts >> 39, counts - (1 << 40), counts).astype(np.float64)
 
 
 def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:

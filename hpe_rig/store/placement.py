@@ -23,8 +23,8 @@ smaller; the clock error of the digitizer is removed before."""
 MIN_SEGMENT: Final = 2
 """Minimum number of consecutive records, whole periods apart, that belong to the train although a step of the counter
 separates them from the records before. A single such record comes from a stray trigger."""
-
-
+MIN_WRAPS: Final = 3
+"""Number of equal jumps back of the trigger times from which they are wraps of the counter."""
 MAX_CLOSED_GAPS: Final = 20
 """Number of steps of the counter by whole periods that are recognised in one shot; records after more have no pulse."""
 
@@ -139,12 +139,22 @@ def _jump_remarks(train: _Train, period_s: float) -> Iterator[str]:
     """Yield a sentence for each jump of the trigger times, where the digitizer's counter stepped between two segments.
 
     Trigger times in ``train`` are in pulse periods of ``period_s``. The jump is the difference of the trigger times
-    minus the periods between the pulses of the two records.
+    minus the periods between the pulses of the two records. Equal jumps back are one sentence: the counter wraps.
     """
+    jumps = list[tuple[int, float]]()
     for before, after in pairwise(train.segments()):
         last, first = before.index[-1], after.index[0]
         jump_s = float(train.period[first] - train.period[last] - after.pulse[0] + before.pulse[-1]) * period_s
-        yield f"the trigger times jump by {jump_s:.3g} s at record {train.record[first] + 1}"
+        jumps.append((int(train.record[first]) + 1, jump_s))
+    sizes_s = [jump_s for _, jump_s in jumps]
+    if len(jumps) >= MIN_WRAPS and max(sizes_s) < 0 and max(sizes_s) - min(sizes_s) < TOLERANCE * period_s:
+        yield (
+            f"the trigger times jump by {sizes_s[0]:.3g} s {len(jumps)} times, first at record {jumps[0][0]}, as their "
+            "counter wraps"
+        )
+        return
+    for record, jump_s in jumps:
+        yield f"the trigger times jump by {jump_s:.3g} s at record {record}"
 
 
 def _freeze_remarks(frozen: Int64Array) -> Iterator[str]:

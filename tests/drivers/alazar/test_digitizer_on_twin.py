@@ -284,6 +284,12 @@ def test_a_freeze_of_the_twins_counter_that_does_nothing_is_refused(records: tup
         TriggerFaults(frozen_stamps=records)
 
 
+def test_a_step_back_of_the_counter_below_zero_keeps_its_sign() -> None:
+    rig = Rig(dual=True, trigger_faults=TriggerFaults(stamp_jumps=(StampJump(record=20, jump_s=-100.0),)))
+    times_s = rig.shot(CAPTURE)[1]
+    assert times_s[20] - times_s[19] == pytest.approx(1 / RATE_HZ - 100.0, abs=41e-9)
+
+
 def test_the_twins_counter_wraps_at_its_width() -> None:
     rig = Rig(dual=True, trigger_faults=TriggerFaults(stamp_bits=16))
     times_s = rig.shot(CAPTURE)[1]
