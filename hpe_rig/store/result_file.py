@@ -38,7 +38,7 @@ def write_result(path: Path, result: Result) -> None:
             _write(file, result)
             seal(file)
             seal_heap(file, memory)
-        make_or_undo(partial(_replace, path, memory.getbuffer()), lambda _: None)
+        make_or_undo(partial(_replace, path, memory.getvalue()), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "
@@ -46,7 +46,7 @@ def write_result(path: Path, result: Result) -> None:
         ) from error
 
 
-def _replace(path: Path, image: memoryview, cancelled: threading.Event) -> None:
+def _replace(path: Path, image: bytes, cancelled: threading.Event) -> None:
     """Write the bytes ``image`` to ``path`` atomically, unless ``cancelled`` says that the program no longer waits."""
     _refuse_foreign(path)
     with atomic_file(path) as draft:
