@@ -43,7 +43,7 @@ def run(
     """Measure a scene, from the plan to the printed result. SCENE may be a run file: its scene is measured again."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.cli.watch import supervise
+        from hpe_rig.cli.watch import after_complete_run, supervise
         from hpe_rig.measurement import prepare, provenance_now, record_run
         from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
         from hpe_rig.runs import chosen_estimator, process
@@ -59,13 +59,14 @@ def run(
     with supervise(setup, path, run_id, watch, announce) as (watched, move):
         with progress(setup, quiet) as observer:
             record_run(setup, path, watched(observer), stages, options, move=move)
-        show(process(path, result.estimator, stages), result)
-        if report:
-            from hpe_rig.report import write_report
+        with after_complete_run(path):
+            show(process(path, result.estimator, stages), result)
+            if report:
+                from hpe_rig.report import write_report
 
-            announce(f"{write_report(path, result.estimator)}: open it in any browser")
-        elif not quiet:
-            announce(f"figures: hpe-rig report {path}")
+                announce(f"{write_report(path, result.estimator)}: open it in any browser")
+            elif not quiet:
+                announce(f"figures: hpe-rig report {path}")
 
 
 @measuring.command()
@@ -84,7 +85,7 @@ def resume(
     """Continue a stopped run. Its complete shots are copied to a new file, and the other shots are measured."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.cli.watch import supervise
+        from hpe_rig.cli.watch import after_complete_run, supervise
         from hpe_rig.measurement import prepare_resumption, provenance_now, resume as resume_run
         from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
         from hpe_rig.runs import chosen_estimator, process
@@ -100,7 +101,8 @@ def resume(
     with supervise(setup, path, run_id, watch, announce) as (watched, move):
         with progress(setup, quiet=result.json or result.csv) as observer:
             resume_run(resumption, path, watched(observer), stages, options, move=move)
-        show(process(path, result.estimator, stages), result)
+        with after_complete_run(path):
+            show(process(path, result.estimator, stages), result)
 
 
 @measuring.command()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from hpe_rig.bench import INTERRUPTS
 from hpe_rig.cli.keys import ReadKeys, keyboard
 from hpe_rig.cli.options import WatchOptions
 from hpe_rig.measurement import (
@@ -155,3 +156,13 @@ def _pause_poller(path: Path, run_id: str, read_keys: ReadKeys, announce: Callab
         return paused
 
     return is_paused
+
+
+@contextmanager
+def after_complete_run(path: Path) -> Iterator[None]:
+    """Add to an interrupt in the block that the run in ``path`` is complete: its result is only not printed yet."""
+    try:
+        yield
+    except INTERRUPTS as interrupt:
+        interrupt.add_note(f"{path} is complete: hpe-rig process {path} prints its result")
+        raise

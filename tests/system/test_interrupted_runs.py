@@ -255,9 +255,9 @@ def judged(rig: Rig, said: str, code: int) -> list[str]:
         wrong.append(f"killed by {-code} in the middle of {said!r}")
     if code not in (0, 3) and code > 0:
         wrong += [] if code in {130, 143, 129} else [f"exit code {code}: {said}"]
-        known = re.search(r"every output is off, verified|nothing was measured|holds (no|the) records", said)
-        # The signal may come after the result: the run is complete then, with its outputs off.
-        known = known or "figures: hpe-rig report" in said
+        known = re.search(
+            r"every output is off, verified|nothing was measured|holds (no|the) records|is complete", said
+        )
         # A bench that was never commissioned has its warning before anything is opened.
         outcome = re.sub(r"^WARNING commissioning.*\n", "", said, flags=re.MULTILINE).strip()
         wrong += [] if known or outcome in QUIET else [f"does not say what is known: {said!r}"]
@@ -266,7 +266,7 @@ def judged(rig: Rig, said: str, code: int) -> list[str]:
     return wrong
 
 
-# Before an instrument was opened, or when the run was over and the result was worked out, there is nothing to say.
+# Before an instrument was opened there is nothing to say.
 QUIET = {"", "hpe-rig: interrupted", "hpe-rig: ended by SIGTERM", "hpe-rig: ended by SIGHUP"}
 
 
