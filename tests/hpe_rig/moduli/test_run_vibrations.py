@@ -71,7 +71,7 @@ def test_the_heavy_tail_of_speckle_keeps_the_coverage_of_intervals(run: hpe.Run,
             stage_m = scene.tracking.offset_uncertainty_m * own[:, index]
             own[:, index] = (rng.choice(middle_m - middle_m.mean(), len(own)) + stage_m) / sigma_m
     noise = rng.standard_normal((len(own), problem.data_count))
-    ratio = (own @ data[:, problem.free :].T + noise) @ inverse[:, : problem.data_count].T / stated
+    ratio = (own @ data[:, problem.free_count :].T + noise) @ inverse[:, : problem.data_count].T / stated
     assert np.all(np.abs(ratio.std(axis=0) - 1) < 0.1)
     assert np.all(np.abs(np.mean(np.abs(ratio) < 1, axis=0) - 0.683) < 0.03)
     assert np.all(np.abs(np.mean(np.abs(ratio) < 1.96, axis=0) - 0.95) < 0.015)
