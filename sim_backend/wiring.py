@@ -124,10 +124,19 @@ class Cable:
     delay_ps: int
     inverted: bool = False
 
+    @property
+    def source_role(self) -> str:
+        """Role of the instrument that feeds the cable."""
+        return _role(self.source)
+
+    @property
+    def sign(self) -> int:
+        """Sign of the voltage at the end over that at the source."""
+        return -1 if self.inverted else 1
+
     def carried(self, steps: Steps) -> Steps:
         """Return the voltage steps at the end of the cable."""
-        sign = -1.0 if self.inverted else 1.0
-        return Steps(steps.time_ps + self.delay_ps, sign * steps.before_v, sign * steps.after_v)
+        return Steps(steps.time_ps + self.delay_ps, self.sign * steps.before_v, self.sign * steps.after_v)
 
 
 Plug = tuple[str, str, float] | tuple[str, str, float, bool]
@@ -229,7 +238,7 @@ def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, .
     graph: dict[str, set[str]] = {role: set() for role in roles}
     for cable in cables:
         if cable.target.endswith(".trigger"):
-            graph[_role(cable.target)].add(_role(cable.source))
+            graph[_role(cable.target)].add(cable.source_role)
     try:
         return tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
@@ -243,15 +252,15 @@ def propagate(
 ) -> dict[str, Emission]:
     """Return the signals that every instrument emits, evaluated along the cables from trigger source to target.
 
-    ``respond`` (by role): emission of an instrument for voltage steps at its trigger input; an open input has none.
+    ``respond`` (by role): emission of an instrument for voltage steps at its trigger input; an open input has none. An
+    output of 50 ohm that also feeds one of ``inputs_of_50_ohm`` has half its voltage steps.
     """
     emissions: dict[str, Emission] = {}
-    loaded = {_role(cable.source) for cable in cables if cable.target in inputs_of_50_ohm}
+    loaded = {cable.source_role for cable in cables if cable.target in inputs_of_50_ohm}
     for role in trigger_order(cables, tuple(respond)):
-        arriving = []
-        for cable in cables:
-            if cable.target == f"{role}.trigger":
-                arriving.append(cable.carried(emissions[_role(cable.source)].steps))
+        arriving = [
+            cable.carried(emissions[cable.source_role].steps) for cable in cables if cable.target == f"{role}.trigger"
+        ]
         emissions[role] = respond[role](joined_steps(arriving))
         if role in loaded:
             steps = emissions[role].steps
@@ -273,10 +282,10 @@ def driven(
     divider = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
     arriving = []
     for cable in cables:
-        if cable.target in targets and _role(cable.source) in roles:
-            bursts = emissions[_role(cable.source)].bursts
+        if cable.target in targets and cable.source_role in roles:
+            bursts = emissions[cable.source_role].bursts
             onset_ps, end_ps = bursts.onset_ps + cable.delay_ps, bursts.end_ps + cable.delay_ps
-            amplitude_vpp = bursts.amplitude_vpp * (-divider if cable.inverted else divider)
+            amplitude_vpp = bursts.amplitude_vpp * (cable.sign * divider)
             arriving.append(replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=amplitude_vpp))
     return joined_bursts(arriving)
 

@@ -78,7 +78,7 @@ class GeneratorConnection:
     def __init__(
         self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float, over_serial: bool = False
     ) -> None:
-        """Connect to ``generator``; every message takes ``message_time_s`` of simulated time."""
+        """Connect to ``generator``, with the local mode of a serial line if ``over_serial``."""
         self._over_serial = over_serial
         self._generator = generator
         self._clock = clock
@@ -156,11 +156,7 @@ class World:
         board: str = "ATS460",
         boxes: Mapping[str, str] | None = None,
     ) -> None:
-        """Build the simulated bench: clock, generators, digitizer and the cables of ``wiring``.
-
-        ``models``: model of each generator by role. ``first_capture``: number of the first capture, for the random
-        numbers. ``acoustics``: another simulation of the echoes.
-        """
+        """Build the simulated bench: clock, generators, digitizer and the cables of ``wiring``."""
         instruments = settings.instruments
         self._settings = settings
         self._boxes = boxes or {}
@@ -178,8 +174,14 @@ class World:
         latencies = latencies_of(
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
-        self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
-        self.board.faults, self.board.clock_error = instruments.trigger_faults, instruments.digitizer_clock_error
+        self.board = Board(
+            latencies,
+            BOARDS[board],
+            BoardSettings(BOARDS[board]),
+            count=first_capture,
+            faults=instruments.trigger_faults,
+            clock_error=instruments.digitizer_clock_error,
+        )
         # The last evaluation, and the instruments' counters of changes for which it is valid.
         self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None
         # Records of the last capture.

@@ -158,11 +158,11 @@ def accepted_triggers(
     start_ps, stop_ps, horizon_ps = arming.by_clock(
         np.array([arming.start_ps, arming.stop_ps, min(until_ps, arming.stop_ps)])
     ).tolist()
+    # Edges count while the board is armed and has its pre-trigger samples.
     ready_ps = start_ps + settings.pre_samples * period_ps
-    edge_ps = _with_faults(edge_ps[(edge_ps >= ready_ps) & (edge_ps < stop_ps)], faults)
-    edge_ps = np.sort(np.concatenate([edge_ps[edge_ps >= ready_ps], forced_ps]))
-    # Edges count while the board is armed and has its pre-trigger samples. The sample clock registers one at its next
-    # tick.
+    edge_ps = _with_faults(edge_ps[edge_ps >= ready_ps], faults)
+    edge_ps = np.sort(np.concatenate([edge_ps[(edge_ps >= ready_ps) & (edge_ps < stop_ps)], forced_ps]))
+    # The sample clock registers an edge at its next tick.
     tick_ps = -(-edge_ps // period_ps) * period_ps
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
     busy_ps = to_end_ps + settings.pre_samples * period_ps
@@ -182,7 +182,9 @@ def accepted_triggers(
     # Sample 0 and the end follow every trigger by equal intervals, so that rounding shifts no record against its pulse.
     to_first_ps = latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
     first_ps, end_ps = (true_ps + arming.elapsed_ps(interval_ps) for interval_ps in (to_first_ps, to_end_ps))
-    return AcceptedTriggers(true_ps, first_ps, end_ps, cause, ignored, accepted_ps)
+    return AcceptedTriggers(
+        tick_ps=true_ps, first_sample_ps=first_ps, end_ps=end_ps, cause=cause, ignored=ignored, clock_ps=accepted_ps
+    )
 
 
 def aux_steps(arming: Arming, triggers: AcceptedTriggers, latencies: Latencies) -> Steps:

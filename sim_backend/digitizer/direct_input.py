@@ -26,9 +26,9 @@ def direct_volts(
     sample_ps = capture.first_sample_ps[records, None] + since_first_ps
     volts = np.zeros(sample_ps.shape)
     for cable in cables:
-        emission = emissions[cable.source.partition(".")[0]]
+        emission = emissions[cable.source_role]
         volts += _stepped(cable, emission, sample_ps)
-        volts += (-1 if cable.inverted else 1) * _oscillating(emission.bursts, sample_ps - cable.delay_ps)
+        volts += cable.sign * _oscillating(emission.bursts, sample_ps - cable.delay_ps)
     return volts
 
 
@@ -43,12 +43,14 @@ def _stepped(cable: Cable, emission: Emission, sample_ps: Int64Array) -> FloatAr
 
 
 def _oscillating(bursts: Bursts, time_ps: Int64Array) -> FloatArray:
-    """Return the voltage of ``bursts`` at ``time_ps``, any shape: sines from their onset to their end."""
+    """Return the voltage of a generator's ``bursts`` at ``time_ps``, any shape: sines from their onset to their end."""
     volts = np.zeros(time_ps.shape)
-    reaching = (bursts.end_ps > time_ps.min(initial=0)) & (bursts.onset_ps <= time_ps.max(initial=0))
-    for index in np.flatnonzero(reaching):
-        since_ps = time_ps - bursts.onset_ps[index]
-        inside = (since_ps >= 0) & (time_ps < bursts.end_ps[index])
-        phase = 2 * np.pi * bursts.carrier_hz[index] * since_ps[inside] / PS_PER_S
-        volts[inside] += BURST_DIVIDER * bursts.amplitude_vpp[index] / 2 * np.sin(phase)
+    if not bursts.onset_ps.size:
+        return volts
+    # The bursts ascend in time and do not overlap, so only the last one to begin can be on.
+    last = np.searchsorted(bursts.onset_ps, time_ps, side="right") - 1
+    inside = (last >= 0) & (time_ps < bursts.end_ps[last])
+    burst = last[inside]
+    phase = 2 * np.pi * bursts.carrier_hz[burst] * (time_ps[inside] - bursts.onset_ps[burst]) / PS_PER_S
+    volts[inside] = BURST_DIVIDER * bursts.amplitude_vpp[burst] / 2 * np.sin(phase)
     return volts

@@ -241,8 +241,7 @@ class AlazarState:
         records = self._queue.next_records
         volts = [self._recorder.volts(deadline_ps, records, channel) for channel in self._queue.transfer.channels]
         self._clock.advance_to(full_ps)
-        stamps = self._stamps(triggers, self._queue.next_records)
-        self._queue.deliver(self._arming, triggers, volts, stamps)
+        self._queue.deliver(self._arming, triggers, volts, self._stamps(triggers, records))
         return Code.SUCCESS
 
     def end_transfer(self) -> None:

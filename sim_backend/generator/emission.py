@@ -51,7 +51,7 @@ def changes_output(before: Registers, after: Registers) -> bool:
 
 
 def with_clock_error(registers: Registers, clock_error: float) -> Registers:
-    """Return registers whose frequency and times include a relative error of the rate of the instrument's clock."""
+    """Return ``registers`` with the true frequency and times for a clock with a relative rate error."""
     if not clock_error:
         return registers
     rate = 1 + clock_error

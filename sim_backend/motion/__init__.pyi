@@ -1,6 +1,5 @@
 from .acoustic_dose import Dose as Dose, dose as dose
 from .field import (
-    Force as Force,
     MediumMotion as MediumMotion,
     field_transfer as field_transfer,
     focus_response as focus_response,

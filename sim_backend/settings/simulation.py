@@ -587,7 +587,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _check_sphere(self) -> SimulationSettings:
-        """Refuse what a rigid sphere excludes: scatterers around it, a field, propagation or an aperture."""
+        """Refuse settings that a rigid sphere excludes: scatterers around it, a field, propagation or an aperture."""
         if self.specimen is None or self.specimen.sphere is None:
             return self
         mistakes = []

@@ -16,7 +16,6 @@ from .push import (
     water_output as water_output,
 )
 from .radiation import (
-    NEPER_PER_DB as NEPER_PER_DB,
     apodisation as apodisation,
     bowl_pressure as bowl_pressure,
     wave_number as wave_number,

@@ -60,10 +60,7 @@ class SerialServer:
     """
 
     def __init__(self, port: Port, buffer_bytes: int = MAX_BYTES, busy_s: float = 0.0) -> None:
-        """Open a pseudo terminal, and serve the instrument at ``port`` over it in a thread.
-
-        The instrument takes ``busy_s`` for each line; bytes beyond ``buffer_bytes`` that arrive meanwhile are lost.
-        """
+        """Open a pseudo terminal, and serve the instrument at ``port`` over it in a thread."""
         import tty
 
         self._port = port
