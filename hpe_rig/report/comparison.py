@@ -23,6 +23,7 @@ from hpe_rig.plan import phase_reference_of
 from hpe_rig.result import (
     PALETTE,
     RECTIFIED,
+    REPEAT_SETTINGS,
     Headline,
     RepeatMean,
     Result,
@@ -198,15 +199,7 @@ def _points(result: Result) -> Points:
 
 
 def _setting(result: ShotResult | RepeatMean) -> Setting:
-    names = (
-        "burst_length_s",
-        "force_fraction",
-        "pulse_rate_hz",
-        "window_length_s",
-        "lateral_offset_m",
-        "axial_offset_m",
-    )
-    return *((name, getattr(result, name)) for name in names), *result.swept.items()
+    return *((name, getattr(result, name)) for name in REPEAT_SETTINGS), *result.swept.items()
 
 
 def _pairs(

@@ -18,7 +18,7 @@ from .phase import (
 )
 from .print_symbols import symbols as symbols
 from .provenance import Provenance as Provenance, Stages as Stages
-from .repeats import RepeatMean as RepeatMean
+from .repeats import REPEAT_SETTINGS as REPEAT_SETTINGS, RepeatMean as RepeatMean
 from .result import Result as Result
 from .result_data import json_values as json_values, shot_warnings as shot_warnings
 from .rows import result_csv as result_csv

@@ -31,7 +31,7 @@ DETECTED_AMPLITUDE = 4.0
 SIGNIFICANCE = 0.01
 """Probability of the chi-square below which the repeats disagree with their uncertainties."""
 
-SETTINGS = (
+REPEAT_SETTINGS = (
     "burst_length_s",
     "force_fraction",
     "pulse_rate_hz",
@@ -105,7 +105,7 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
 
 
 def _setting(shot: ShotResult) -> tuple[float | None, ...]:
-    return *(getattr(shot, name) for name in SETTINGS), *shot.swept.values()
+    return *(getattr(shot, name) for name in REPEAT_SETTINGS), *shot.swept.values()
 
 
 def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
@@ -123,7 +123,7 @@ def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     agrees = probability >= SIGNIFICANCE
     sources = _sources_of_mean(estimates, independent, None if agrees else deviations, abs(phasor))
     truth = _mean_truth(estimates)
-    settings: dict[str, Any] = {name: getattr(shots[0], name) for name in SETTINGS}
+    settings: dict[str, Any] = {name: getattr(shots[0], name) for name in REPEAT_SETTINGS}
     return RepeatMean(
         **settings,
         swept=shots[0].swept,

@@ -32,15 +32,7 @@ from hpe_rig.runs.conditions import condition_summaries, condition_warnings, con
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
 from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import Axis, Estimator, Mistake, Processing, Scene, SettingsError, mistakes_of
-from hpe_rig.store import (
-    StoredRecords,
-    StoredRun,
-    StoreError,
-    read_run,
-    result_path,
-    versions,
-    write_result,
-)
+from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, result_path, versions, write_result
 
 if TYPE_CHECKING:
     from hpe_rig.processing import EchoGate

@@ -21,11 +21,7 @@ from .listing import (
     matching_runs as matching_runs,
 )
 from .lock import is_locked as is_locked
-from .marks import (
-    MARKED_BAD as MARKED_BAD,
-    identity_of as identity_of,
-    write_marks as write_marks,
-)
+from .marks import MARKED_BAD as MARKED_BAD, identity_of as identity_of, write_marks as write_marks
 from .placement import Placement as Placement, place_records as place_records
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,

@@ -147,7 +147,7 @@ def datasets(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
     """Yield path and dataset of every dataset in ``file``, sorted by path."""
     by_path: dict[str, h5py.Dataset] = {}
 
-    # ``visititems`` calls this for every group and dataset; it goes on as long as None is returned.
+    # ``visititems`` visits every object once and follows no link to another file; returning None continues it.
     def collect(path: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset):
             by_path[path] = item

@@ -63,18 +63,8 @@ class RunEntry:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the entry of a run in ``hpe-rig list --json``, as JSON values."""
-        names = (
-            "title",
-            "status",
-            "shots_complete",
-            "shots",
-            "simulated",
-            "imported",
-            "user",
-            "host",
-            "shots_marked_bad",
-        )
-        fields = {name: getattr(self, name) for name in names}
+        names = ("title", "status", "shots_complete", "shots", "simulated", "imported", "user", "host")
+        fields = {name: getattr(self, name) for name in (*names, "shots_marked_bad")}
         lead = self.lead and {name: _finite(value) for name, value in asdict(self.lead).items()}
         notes = {name: note if isinstance(note, str | int | float) else str(note) for name, note in self.notes.items()}
         conditions = {name: _finite(value) for name, value in self.conditions.items()}
@@ -131,7 +121,7 @@ def matching_runs(
 
 def _entry(stored: StoredRun) -> RunEntry:
     """Return the entry of a run in the list of runs, with the strongest harmonic of its latest result."""
-    scene = _scene_tables(stored)
+    scene, bench = _parsed(stored.scene_toml, stored.scene_name), _parsed(stored.bench_toml, stored.bench_name)
     notes = scene.get("notes")
     return RunEntry(
         path=stored.path,
@@ -141,20 +131,20 @@ def _entry(stored: StoredRun) -> RunEntry:
         shots_complete=int(stored.shot_complete.sum()),
         shots=stored.shot_complete.size,
         simulated=stored.simulated,
-        imported=_source(stored),
+        imported=_source(bench),
         user=stored.provenance.user,
         host=stored.provenance.host,
         notes=notes if isinstance(notes, dict) else {},
         # Strongest harmonic of the latest result.
         lead=_lead(stored.path, stored.marks),
         shots_marked_bad=len(stored.marks),
-        conditions=_mean_conditions(stored),
+        conditions=_mean_conditions(stored, bench),
     )
 
 
-def _mean_conditions(stored: StoredRun) -> dict[str, float]:
-    """Return the mean of each condition that was read, by its name with the unit."""
-    entries = _parsed(stored.bench_toml, stored.bench_name).get("conditions")
+def _mean_conditions(stored: StoredRun, bench: Mapping[str, Any]) -> dict[str, float]:
+    """Return the mean of each condition that was read, by its name with the unit in the tables of the bench file."""
+    entries = bench.get("conditions")
     tables = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
     units = {entry.get("name"): entry.get("unit", "") for entry in tables}
     finite = {name: values[np.isfinite(values)] for name, values in stored.conditions.items()}
@@ -167,13 +157,9 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _scene_tables(stored: StoredRun) -> Mapping[str, Any]:
-    return _parsed(stored.scene_toml, stored.scene_name)
-
-
-def _source(stored: StoredRun) -> str:
-    """Return the name of the imported recording, "" for a measured or simulated run."""
-    recording = _parsed(stored.bench_toml, stored.bench_name).get("recording")
+def _source(bench: Mapping[str, Any]) -> str:
+    """Return the name of the imported recording in the tables of a bench file, "" for a measured or simulated run."""
+    recording = bench.get("recording")
     return str(recording.get("source", "")) if isinstance(recording, dict) else ""
 
 

@@ -1,4 +1,4 @@
-"""Verdicts on the shots of a run, given after the run, in ``RUN.marks.json`` beside the untouched run file.
+"""Verdicts on the shots of a run, given after the run, in ``RUN.marks.json``; the run file stays unchanged.
 
 The file holds the identity of its run, so that marks never apply to another run of that name.
 """

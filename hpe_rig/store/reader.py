@@ -194,7 +194,8 @@ class StoredRecords(Sequence[ShotRecords]):
     def placement(self, shot: int) -> Placement:
         """Return the pulse of each record of ``shot`` by the trigger times."""
         with open_checked(self.path) as checked:
-            return _placement(checked, self.shape, _within(shot, self.shape[0]))
+            shot = _within(shot, self.shape[0])
+            return _placement(checked, self.shape, shot, _arrival(checked, self.shape, shot))
 
     def trigger_time_s(self, shot: int) -> FloatArray:
         """Return the trigger time of each record of ``shot``, s (record,); NaN for missing records and times."""
@@ -215,14 +216,14 @@ class StoredRecords(Sequence[ShotRecords]):
                 echo = _echo(checked, self.shape, name)
                 codes, damaged = _codes(checked, echo, f"records/{name}", stored.shot, arrival, stored.samples)
                 running = checked.attribute("status", str) == STATUSES[0]
-                by_times = _placement(checked, self.shape, stored.shot)
+                record_placement = placement or _placement(checked, self.shape, stored.shot, arrival)
             if not (damaged.any() and running) or attempt == READ_ATTEMPTS - 1:
                 break
             time.sleep(READ_PAUSE_S)
         time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
         scale, limits = stored.volts_per_code, stored.code_limits
         records = ShotRecords(codes, time_s, scale, offset_v, limits, stored.margin, damaged)
-        return records.placed(by_times if placement is None else placement)
+        return records.placed(record_placement)
 
     def shot_blocks(
         self,
@@ -242,8 +243,8 @@ class StoredRecords(Sequence[ShotRecords]):
         if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= max_samples:
             return self.gated(shot, gate, margin=margin, placement=placement)
         with open_checked(self.path) as checked:
-            stored, _, _ = self._of_shot(checked, shot, gate, "echo", margin)
-            placement = placement or _placement(checked, self.shape, stored.shot)
+            stored, _, arrival = self._of_shot(checked, shot, gate, "echo", margin)
+            placement = placement or _placement(checked, self.shape, stored.shot, arrival)
         records_are_pulses = placement.is_identity
         pulses, samples = stored.shape
         gate_samples = slice(stored.margin[0], samples - stored.margin[1])
@@ -354,7 +355,7 @@ class StoredGroundTruth:
         with open_checked(self.path) as checked:
             shot = _within(shot, self.shape[0])
             row_m: FloatArray = _row_or_blank(checked, name, _rows(checked, name, self.shape), shot)
-            record = _placement(checked, self.shape, shot).record
+            record = _placement(checked, self.shape, shot, _arrival(checked, self.shape, shot)).record
             return np.where(record >= 0, row_m[np.maximum(record, 0)], np.nan)
 
     def harmonics_m(self, shot: int, frequencies: int) -> FloatArray:
@@ -761,12 +762,11 @@ def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
     return _Arrival(recorded, np.where(recorded, time_s, np.nan), damaged)
 
 
-def _placement(checked: CheckedFile, shape: Shape, shot: int) -> Placement:
+def _placement(checked: CheckedFile, shape: Shape, shot: int, arrival: _Arrival) -> Placement:
     """Return the pulse of each record of ``shot`` by the trigger times; damaged records count as arrived.
 
     The pulse rate is that of the planned onsets; without them, or for one pulse, it is not finite.
     """
-    arrival = _arrival(checked, shape, shot)
     name = "records/pulse_onset_s"
     onset_s = _row_or_blank(checked, name, _rows(checked, name, shape), shot)
     with np.errstate(divide="ignore", invalid="ignore"):

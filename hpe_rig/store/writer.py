@@ -28,7 +28,7 @@ from h5py import h5f, h5fd, h5p, h5s
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
+from hpe_rig.arrays import BoolArray, FloatArray, Int16Array
 from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.result import Provenance
@@ -189,10 +189,8 @@ class RunWriter:
         # The disk writes full chunks while the next records arrive; ``finish`` waits for it.
         with self._committing(only_if_written=True, wait_for_disk=False):
             arrivals = self._arrivals_of(shot)
-            index = block.first_record + np.arange(block.codes.shape[0])
-            codes = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
             # Writes each chunk that these records fill, then the checksums of those chunks.
-            self._add_records(arrivals, index, codes, block.trigger_time_s)
+            self._add_records(arrivals, block)
             self._write_checksums()
 
     def write_clipped(self, shot: Shot, clipped: bool) -> None:
@@ -280,48 +278,26 @@ class RunWriter:
             self._shot_arrivals = _ShotArrivals(shot)
         return self._shot_arrivals
 
-    def _add_records(
-        self,
-        arrivals: _ShotArrivals,
-        index: Int64Array,
-        codes: tuple[Int16Array, ...],
-        time_s: FloatArray,
-    ) -> None:
-        """Add records of one shot to the chunks that hold them, and to its ``arrivals``; full chunks go to the file.
-
-        ``index`` and ``time_s`` (record,): number and trigger time. ``codes`` (record, sample) of each input.
-        """
-        # The records of a block can span several chunks, and a delayed record can belong to an earlier chunk.
-        for number, selection in self._by_chunk(index):
+    def _add_records(self, arrivals: _ShotArrivals, block: RecordBlock) -> None:
+        """Add the records of ``block`` to their chunks and to ``arrivals``; full chunks go to the file."""
+        codes = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
+        rows, first = self._chunk.rows, block.first_record
+        last = first + block.codes.shape[0]
+        # A block can span several chunks, and a delayed one can belong to an earlier chunk.
+        for number in range(first // rows, -(-last // rows)):
             if (arrivals.shot, number) != self._chunk.shot_and_number:
                 self._write_chunk()
                 for chunk in self._chunks:
                     chunk.start(arrivals.shot, number)
-                    chunk.reload(arrivals.recorded[number * chunk.rows : (number + 1) * chunk.rows])
-            records = index[selection]
+                    chunk.reload(arrivals.recorded[number * rows : (number + 1) * rows])
+            start, stop = max(first, number * rows), min(last, (number + 1) * rows)
+            selection = slice(start - first, stop - first)
             for chunk, input_codes in zip(self._chunks, codes, strict=True):
-                chunk.put(records - number * chunk.rows, input_codes[selection])
-            arrivals.recorded[records] = True
-            arrivals.trigger_time_s[records] = time_s[selection]
-            # The last record of a chunk: it is full.
-            if records[-1] % self._chunk.rows == self._chunk.rows - 1:
+                chunk.put(start - number * rows, input_codes[selection])
+            arrivals.recorded[start:stop] = True
+            arrivals.trigger_time_s[start:stop] = block.trigger_time_s[selection]
+            if stop == (number + 1) * rows:
                 self._write_chunk()
-
-    def _by_chunk(self, index: Int64Array) -> Iterator[tuple[int, slice | BoolArray]]:
-        """Yield the number of each chunk that holds records of ``index`` (record,), and which of ``index`` it holds.
-
-        A chunk is the piece of the dataset that HDF5 stores at once: consecutive records.
-        """
-        records_per_chunk = self._chunk.rows
-        if index.size and bool(np.all(np.diff(index) == 1)):
-            # Consecutive, the usual case: slices copy nothing.
-            first, last = int(index[0]), int(index[-1])
-            for number in range(first // records_per_chunk, last // records_per_chunk + 1):
-                start = number * records_per_chunk
-                yield number, slice(max(0, start - first), start + records_per_chunk - first)
-            return
-        for number in np.unique(index // records_per_chunk).tolist():
-            yield number, index // records_per_chunk == number
 
     def _write_chunk(self) -> None:
         """Write the current chunk of records to the file; do nothing if no record was added since the last time."""
@@ -581,18 +557,17 @@ class _Chunk:
         self._codes[: recorded.size] = self._echo[shot, first : first + recorded.size]
         self._filled[: recorded.size] = recorded
 
-    def put(self, rows: Int64Array, codes: Int16Array) -> None:
-        """Put ``codes`` (record, sample) into the rows ``rows`` (record,) of the current chunk, in memory."""
-        # A slice, the usual case, takes half the time.
-        selection = slice(rows[0], rows[-1] + 1) if bool(np.all(np.diff(rows) == 1)) else rows
-        self._codes[selection] = codes
-        self._filled[selection] = True
+    def put(self, first: int, codes: Int16Array) -> None:
+        """Put ``codes`` (record, sample) into the rows of the current chunk from ``first`` on, in memory."""
+        rows = slice(first, first + codes.shape[0])
+        self._codes[rows] = codes
+        self._filled[rows] = True
         self.has_unwritten = True
 
     def write(self, shot: int, first: int, codes: Int16Array) -> None:
         """Write ``codes`` (pulse, sample), a whole chunk that starts at pulse ``first``, to the file."""
         self.start(shot, first // self.rows)
-        self.put(np.arange(codes.shape[0]), codes)
+        self.put(0, codes)
         self.flush()
 
     def flush(self) -> None:
