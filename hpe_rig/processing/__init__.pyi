@@ -19,7 +19,7 @@ from .estimators import (
     motion_of as motion_of,
     spec_of as spec_of,
 )
-from .first_pulse import PulseAssignment as PulseAssignment, assign_pulses as assign_pulses
+from .first_pulse import assign_pulses as assign_pulses
 from .ground_truth import true_harmonics_m as true_harmonics_m
 from .harmonics.harmonic_fit import HarmonicFit as HarmonicFit, least_squares as least_squares
 from .harmonics.kalman_filter import kalman as kalman

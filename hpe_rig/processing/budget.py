@@ -49,7 +49,7 @@ class ErrorSources:
     @property
     def rounding_m(self) -> float:
         """Largest standard uncertainty of a harmonic from rounding to codes; 0 if noise dithers the codes."""
-        return max((deviation_m for pair in self.quantisation_m for deviation_m in pair), default=0.0)
+        return float(np.max(self.quantisation_m, initial=0.0))
 
     @property
     def jitter_m(self) -> float:
@@ -163,17 +163,16 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
 
 
 def with_first_pulse(
-    estimates: Sequence[Estimate], alternatives: Sequence[Sequence[Estimate]], late_part_s: float = 0.0
+    estimates: Sequence[Estimate], alternatives: Sequence[Sequence[Estimate]], late_part_s: float
 ) -> tuple[Estimate, ...]:
     """Return ``estimates`` with the uncertainty of an unknown first pulse.
 
     ``alternatives``: the estimates for every other possible first pulse; all are equally likely. ``late_part_s``:
-    largest time by which a later part of the pulses alone may come later than assumed.
+    largest delay, beyond the assumed times, of a later part of the pulses alone.
     """
-    by_frequency = zip(estimates, zip(*alternatives, strict=True), strict=True)
     return tuple(
-        replace(estimate, components=(*estimate.budget, _first_pulse(estimate, others, late_part_s)))
-        for estimate, others in by_frequency
+        replace(estimate, components=(*estimate.budget, _first_pulse(estimate, of_frequency, late_part_s)))
+        for estimate, *of_frequency in zip(estimates, *alternatives, strict=True)
     )
 
 
@@ -183,12 +182,12 @@ def _first_pulse(estimate: Estimate, alternatives: Sequence[Estimate], late_part
     Root mean square deviations of the ``alternatives``, the estimate itself included. If only a later part of the
     pulses comes ``late_part_s`` later, the parts of the motion differ in phase and partly cancel.
     """
-    best, others = estimate.headline, [item.headline for item in alternatives]
-    count = len(others) + 1
-    change_m = math.hypot(*(other.amplitude_m - best.amplitude_m for other in others)) / math.sqrt(count)
+    best, headlines = estimate.headline, [alternative.headline for alternative in alternatives]
+    root_count = math.sqrt(len(headlines) + 1)
+    change_m = math.hypot(*(headline.amplitude_m - best.amplitude_m for headline in headlines)) / root_count
     # Differences of phase beyond half a turn count as the smaller angle on the other side.
-    changes_rad = (math.remainder(other.phase_rad - best.phase_rad, 2 * math.pi) for other in others)
-    change_rad = math.hypot(*changes_rad) / math.sqrt(count)
+    changes_rad = (math.remainder(headline.phase_rad - best.phase_rad, 2 * math.pi) for headline in headlines)
+    change_rad = math.hypot(*changes_rad) / root_count
     # Two parts of equal length, apart by an angle, have a sum shorter by the cosine of half the angle.
     apart_rad = min(2 * math.pi * estimate.frequency_hz * late_part_s, math.pi)
     loss_m = best.amplitude_m * (1 - math.cos(apart_rad / 2))

@@ -4,7 +4,7 @@ Records of pulses near a toneburst are disturbed: the toneburst leaks into them,
 pulses these are, so the disturbed records of a shot show by how many pulses its records are shifted. The second input
 is preferred to the echoes: on a T piece at the output of the toneburst generator it records the toneburst itself.
 
-A *shift* is the number of pulses by which a record comes later than its placement by trigger times says. It is 2, for
+The *shift* of a record is the number of its pulse minus the number that the trigger times give it. It is 2, for
 example, if the first two triggers of a train were lost, so that record 1 is that of pulse 3.
 """
 
@@ -18,12 +18,13 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, FloatArray, Int64Array
 from hpe_rig.plan import CLEAN, INSIDE, NEAR, Shot, pulse_kinds
 from hpe_rig.processing.echo.conditioning import code_statistics, concatenate_statistics, deviating_levels
+from hpe_rig.processing.echo.gate import BLOCK_SAMPLES
 
 if TYPE_CHECKING:
     from hpe_rig.store import Placement, StoredRun
 
 START_RATES: Final = (0.005, 0.5, 0.95)
-"""Assumed fraction of records with deviating energy by kind of pulse; replaced by the observed fractions."""
+"""Assumed fraction of disturbed records by kind of pulse (clean, near, inside); replaced by the observed fractions."""
 MIN_EVIDENCE: Final = 12.0
 """Logarithm of the likelihood ratio above which disturbed records follow the tonebursts, and not chance."""
 MIN_RATIO: Final = 7.0
@@ -31,7 +32,7 @@ MIN_RATIO: Final = 7.0
 CHANGE: Final = -14.0
 """Logarithm of the probability of a lost or stray trigger at any one record."""
 JUMP_CHANGE: Final = 0.05
-"""Probability of a lost trigger at any of the jumps of the trigger times: what disturbs one often disturbs both."""
+"""Probability that a trigger was lost at a jump of the trigger times: one disturbance often causes both."""
 MAX_STRAY: Final = 3
 """Number of stray triggers that are considered if there are no trigger times."""
 MAX_ALTERNATIVES: Final = 6
@@ -46,9 +47,9 @@ MAX_DOUBT: Final = 1e-3
 class PulseAssignment:
     """The pulses of the records of a shot, and what remains unknown about them.
 
-    ``placement``: the assigned pulse of each record. ``shifts``: numbers of pulses by which all records may come later
-    than assigned, equally likely; (0,) if none does. ``within_shot``: the shift may begin at any record.
-    ``remarks``: sentences on lost and stray triggers.
+    ``placement``: the assigned pulse of each record. ``shifts``: possible shifts of all records relative to it, equally
+    likely; (0,) if the assignment is certain. ``within_shot``: the shift may begin at any record. ``remarks``:
+    sentences on lost and stray triggers.
     """
 
     placement: Placement
@@ -57,7 +58,7 @@ class PulseAssignment:
     remarks: tuple[str, ...] = ()
 
     def alternatives_s(self, shot: Shot) -> list[float]:
-        """Return by how much the records may come later than assigned; of many possibilities an even selection."""
+        """Return the possible delays of all records relative to ``placement``, s; an even selection of too many."""
         shifts = np.array(self.shifts[1:])
         selected = np.unique(np.linspace(0, shifts.size - 1, MAX_ALTERNATIVES).round().astype(np.int64))
         return [float(shift) / shot.tracking_train.rate_hz for shift in shifts[selected]]
@@ -84,7 +85,7 @@ def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
     # Records disturbed by tonebursts: at the second input, or else in the echoes.
     kinds = pulse_kinds(shot)
     for name in ("monitor", "echo") if kinds.any() else ():
-        disturbed = _disturbed_records(shot, stored, name)
+        disturbed = _disturbed_records(shot, stored, name, placement.delivered)
         corrected = None if disturbed is None else _by_tonebursts(assignment, kinds, disturbed, timeless)
         if corrected is not None:
             return corrected
@@ -106,8 +107,8 @@ def _time_remarks(placement: Placement) -> list[str]:
     return remarks
 
 
-def _disturbed_records(shot: Shot, stored: StoredRun, name: str) -> BoolArray | None:
-    """Return which records (record,) of an input have an energy unlike that of the others.
+def _disturbed_records(shot: Shot, stored: StoredRun, name: str, delivered: BoolArray) -> BoolArray | None:
+    """Return which of the ``delivered`` records (record,) of an input have an energy unlike that of the others.
 
     ``name``: the input, "echo" or "monitor". None if it was not recorded or is damaged.
     """
@@ -115,17 +116,15 @@ def _disturbed_records(shot: Shot, stored: StoredRun, name: str) -> BoolArray | 
 
     if name == "monitor" and shot.capture.monitor_range_v is None:
         return None
-    records, samples = stored.records.shape[1:]
-    step = max(1, (1 << 21) // samples)
+    step = max(1, BLOCK_SAMPLES // stored.records.shape[2])
     try:
         blocks = stored.records.chunks(shot.index, step, name)
         statistics = concatenate_statistics([code_statistics(codes) for _, codes in blocks])
     except StoreError:
         return None
-    delivered = stored.records.placement(shot.index).delivered
     # Rounding has a variance of 1/12 code²; without it, constant codes would have an infinite level.
     variance = np.maximum(statistics.mean_square - statistics.mean**2, 0.0) + 1 / 12
-    disturbed = np.zeros(records, bool)
+    disturbed = np.zeros_like(delivered)
     disturbed[delivered] = deviating_levels(np.log(variance[delivered]))
     return disturbed
 
@@ -218,8 +217,8 @@ def _forward_backward(log_likelihood: FloatArray, log_changes: FloatArray) -> tu
 
 def _after_possible_change(log_probability: FloatArray, log_change: float) -> FloatArray:
     """Return log probabilities (state,) after a possible change of state, of probability exp(``log_change``)."""
-    others = np.logaddexp.reduce(log_probability) + log_change - np.log(log_probability.size)
-    return np.asarray(np.logaddexp(log_probability, others))
+    changed = np.logaddexp.reduce(log_probability) + log_change - np.log(log_probability.size)
+    return np.asarray(np.logaddexp(log_probability, changed))
 
 
 def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterior: FloatArray) -> PulseAssignment:
@@ -227,7 +226,7 @@ def _with_common_shift(assignment: PulseAssignment, shifts: Int64Array, posterio
 
     The first of the shifts that are not excluded is used; the others remain as possible further shifts.
     """
-    possible = shifts[np.log(np.maximum(posterior, 1e-300)) > np.log(posterior.max()) - MIN_RATIO]
+    possible = shifts[posterior > posterior.max() * np.exp(-MIN_RATIO)]
     used = int(possible[0])
     placement = assignment.placement.shifted(np.full(assignment.placement.pulse.size, used))
     remarks = assignment.remarks
@@ -255,7 +254,7 @@ def _with_shifts(
     repeated = np.isin(pulse, np.flatnonzero(np.bincount(pulse[pulse >= 0]) > 1))
     pulse_of_record = placement.pulse.copy()
     pulse_of_record[records] = np.where(repeated, -1, pulse)
-    # The times do not tell the number of pulses where the shift changes.
+    # Where the shift changes, the number of pulses since the record before is not measured.
     loose = placement.loose.copy()
     loose[records[certain][1:][np.diff(shifts[best[certain]]) != 0]] = True
     # A sentence for each change of the shift between certain records, and for one that the records start with.
@@ -263,7 +262,7 @@ def _with_shifts(
     remarks = assignment.remarks
     for index in np.flatnonzero(np.diff(certain_shifts)):
         before, after = certain_shifts[index : index + 2]
-        what = f"{_triggers(after - before)} lost" if after > before else f"{_triggers(before - after)} too many"
+        what = f"{triggers(after - before)} lost" if after > before else f"{triggers(before - after)} too many"
         first, last = certain_records[index : index + 2] + 1
         remarks += (
             f"{what} between record {first} and {last}: the tonebursts in the records show it, and the records between "
@@ -284,11 +283,11 @@ def _lost_first(count: int) -> str:
 def _lost_before(count: int, record: int) -> str:
     """Return the remark that ``count`` triggers were lost at unknown places before ``record``, counted from 1."""
     return (
-        f"{_triggers(count)} lost before record {record}: the tonebursts in the records from it on show it, "
+        f"{triggers(count)} lost before record {record}: the tonebursts in the records from it on show it, "
         "and the records before it are left out"
     )
 
 
-def _triggers(count: int) -> str:
+def triggers(count: int) -> str:
     """Return the subject of a remark about ``count`` triggers."""
     return "a trigger was" if count == 1 else f"{count} triggers were"

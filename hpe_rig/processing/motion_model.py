@@ -67,9 +67,8 @@ def stored_motion(
             model_m[valid], _ = fitted_motion(motion, estimates, reference, selection.driven_hz, background_order)
             residual_m2 = float(np.mean((motion.displacement_m[valid] - model_m[valid]) ** 2))
             residual_m2 = max(residual_m2, residual_m**2)
-            # The variance of a pulse contains only the noise of its echo. Trigger jitter and motion within the gate
-            # are in the residual.
-            # Identical echoes have no variance.
+            # The variance of a pulse contains only the noise of its echo, 0 for identical echoes. Trigger jitter and
+            # motion within the gate are in the residual.
             mean_m2 = max(float(np.mean(variance_m2[valid])), float(np.finfo(np.float64).tiny))
             variance_m2 *= max(1.0, residual_m2 / mean_m2)
     return ShotMotion(

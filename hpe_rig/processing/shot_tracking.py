@@ -67,12 +67,10 @@ class WindowMotion:
 
     def delayed(self, delay_s: float) -> WindowMotion:
         """Return the motion with ``tracked`` and ``coherent`` later by ``delay_s``."""
-        coherent_motion = self.coherent
-        if coherent_motion is not None:
-            coherent_motion = replace(coherent_motion, time_s=coherent_motion.time_s + delay_s)
-        return replace(
-            self, tracked=replace(self.tracked, time_s=self.tracked.time_s + delay_s), coherent=coherent_motion
-        )
+        tracked = replace(self.tracked, time_s=self.tracked.time_s + delay_s)
+        # Both have the times of the same pulses.
+        delayed_coherent = None if self.coherent is None else replace(self.coherent, time_s=tracked.time_s)
+        return replace(self, tracked=tracked, coherent=delayed_coherent)
 
 
 def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
@@ -125,22 +123,17 @@ def window_motion(
         reference = coherent(shot_echoes(scene, shot, records.reference, selection))
     measured = shot_motion(scene, shot, echoes, motion)
     measured_coherent = measured if motion is coherent else _coherent_or_none(scene, shot, echoes)
-    if reference is None:
-        return WindowMotion(
-            echoes=echoes,
-            measured=measured,
-            reference=None,
-            measured_coherent=measured_coherent,
-            tracked=measured,
-            coherent=measured_coherent,
-        )
+    tracked, tracked_coherent = measured, measured_coherent
+    if reference is not None:
+        tracked = relative_to(measured, reference)
+        tracked_coherent = None if measured_coherent is None else relative_to(measured_coherent, reference)
     return WindowMotion(
         echoes=echoes,
         measured=measured,
         reference=reference,
         measured_coherent=measured_coherent,
-        tracked=relative_to(measured, reference),
-        coherent=None if measured_coherent is None else relative_to(measured_coherent, reference),
+        tracked=tracked,
+        coherent=tracked_coherent,
     )
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray
-from hpe_rig.processing.first_pulse import PulseAssignment
+from hpe_rig.processing.first_pulse import PulseAssignment, triggers
 from hpe_rig.processing.harmonics.fit_checks import Line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_tracking import DAMAGED
 from hpe_rig.processing.tracking_rate import TrackingRate
-from hpe_rig.result import DETECTED, Estimate
+from hpe_rig.result import DETECTED, Estimate, with_u
 from hpe_rig.scene import Scene
 
 LARGE_STEP = 0.8
@@ -40,14 +39,13 @@ def missing_record_warnings(recorded: BoolArray, damaged: BoolArray) -> Iterator
 
 def first_pulse_warnings(assignment: PulseAssignment) -> Iterator[str]:
     """Yield a warning if it is unknown which pulse a shot's records start with."""
-    last, missing = max(assignment.shifts), assignment.placement.unlocated
-    if last:
-        lost = "a trigger was" if missing == 1 else f"{missing} triggers were"
-        later = "one pulse" if last == 1 else f"up to {last} pulses"
+    max_shift, missing = max(assignment.shifts), assignment.placement.unlocated
+    if max_shift:
+        later = "one pulse" if max_shift == 1 else f"up to {max_shift} pulses"
         yield (
-            f"{lost} lost, and it is unknown which: the records may come {later} later than assumed, which the "
-            "uncertainty of the phase includes; record the toneburst at the second input (digitizer.monitor_range_v), "
-            "or check the trigger cable and digitizer.trigger_level_v"
+            f"{triggers(missing)} lost, and it is unknown which: the records may come {later} later than assumed, "
+            "which the uncertainty of the phase includes; record the toneburst at the second input "
+            "(digitizer.monitor_range_v), or check the trigger cable and digitizer.trigger_level_v"
         )
 
 
@@ -131,12 +129,10 @@ def setting_warnings(scene: Scene, pulse_time_s: FloatArray, reference: Motion |
         )
 
 
-def line_warnings(
-    line: Line | None, pulse_rate_hz: float, max_probability: float, rounding_m: float = 0.0
-) -> Iterator[str]:
+def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: float, rounding_m: float) -> Iterator[str]:
     """Yield a warning of a spectral line in the residual that white noise has with less than ``max_probability``.
 
-    A line below ``rounding_m``, the uncertainty from rounding to codes, is none of motion.
+    A line below ``rounding_m``, the uncertainty from rounding to codes, is not motion.
     """
     if line is not None and line.probability < max_probability and line.amplitude_m > rounding_m:
         yield (
@@ -160,18 +156,12 @@ def clock_warnings(rate: TrackingRate | None, estimates: Sequence[Estimate], pul
     error_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
     if error_rad > u_rad:
         yield (
-            f"by the digitizer's clock the tracking train is {_ppm(abs(rate.error), rate.uncertainty)} "
-            f"{'fast' if rate.error > 0 else 'slow'}, which the results do not correct: if the train's clock is the "
-            f"wrong one, the phase at {worst.frequency_hz:g} Hz is off by "
+            f"by the digitizer's clock the tracking train is {with_u(abs(rate.error) * 1e6, rate.uncertainty * 1e6)} "
+            f"ppm {'fast' if rate.error > 0 else 'slow'}, which the results do not correct: if the train's clock is "
+            f"the wrong one, the phase at {worst.frequency_hz:g} Hz is off by "
             f"{np.degrees(error_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg); connect a common 10 MHz reference, or "
             "shorten processing.window_length_s"
         )
-
-
-def _ppm(error: float, u: float) -> str:
-    """Return a relative error with two digits of its standard uncertainty, in ppm."""
-    decimals = max(0, 1 - math.floor(math.log10(u * 1e6)))
-    return f"{error * 1e6:.{decimals}f} +- {u * 1e6:.{decimals}f} ppm"
 
 
 def drift_warnings(fit: HarmonicFit, drift: tuple[FloatArray, BoolArray] | None) -> Iterator[str]:

@@ -116,9 +116,7 @@ def estimate_run(
     return Estimates(tuple(results), failures)
 
 
-def estimate_records(
-    scene: Scene, shot: Shot, records: GatedRecords, estimator: str, shot_count: int = 1
-) -> ShotResult:
+def estimate_records(scene: Scene, shot: Shot, records: GatedRecords, estimator: str, shot_count: int) -> ShotResult:
     """Return the result of one shot from its ``records`` in memory, in the gate, without beams.
 
     Estimate, budget and warnings are those of the same records in a run file with ``shot_count`` shots. Raises

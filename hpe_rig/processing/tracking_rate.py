@@ -27,7 +27,7 @@ MIN_TIMES: Final = 10
 MAX_STEP_SAMPLES: Final = 16
 """Largest step of the counter of trigger times, in samples (assumed: boards count 1 to 16)."""
 SIGNIFICANT: Final = 3.0
-"""Error of the rate in standard uncertainties from which it is significant."""
+"""Smallest significant error of the rate, in standard uncertainties."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,8 @@ def measured_rate(
     timed = (placement.pulse >= 0) & np.isfinite(trigger_time_s)
     if timed.sum() < MIN_TIMES or placement.remarks or placement.loose[timed].any():
         return None
-    time_s, pulse = trigger_time_s[timed] - trigger_time_s[timed][0], placement.pulse[timed]
+    time_s, pulse = trigger_time_s[timed], placement.pulse[timed]
+    time_s = time_s - time_s[0]
     # Least squares of time against pulse number.
     centred_s, centred_pulse = time_s - time_s.mean(), pulse - pulse.mean()
     energy = float(centred_pulse @ centred_pulse)
@@ -63,6 +64,6 @@ def measured_rate(
     noise_s = math.sqrt(float(residual_s @ residual_s) / (time_s.size - 2) / energy)
     # Rounding to the counter's step q may drift through a train of length T: at most 1.5 q/T of the slope, uniform.
     counts = np.rint(time_s * sample_rate_hz).astype(np.int64)
-    step = min(max(1, int(np.gcd.reduce(counts))), MAX_STEP_SAMPLES)
+    step = min(int(np.gcd.reduce(counts)), MAX_STEP_SAMPLES)
     rounding = 1.5 / math.sqrt(3) * step / sample_rate_hz / float(time_s[-1])
     return TrackingRate(1 / (period_s * rate_hz) - 1, math.hypot(noise_s / period_s, rounding))

@@ -27,6 +27,7 @@ from .sentence import (
     headline_sentence as headline_sentence,
     lead_frequency_hz as lead_frequency_hz,
     scale_of as scale_of,
+    with_u as with_u,
 )
 from .spectra import main_shot as main_shot, spectrum_pictures as spectrum_pictures
 from .svg import (

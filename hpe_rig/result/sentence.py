@@ -38,7 +38,7 @@ def headline_sentence(result: ResultData) -> str:
     smallest, largest = min(values, key=by_amplitude), max(values, key=by_amplitude)
     scale, unit = scale_of(largest.amplitude_m)
     span = " to ".join(
-        _with_u(item.amplitude_m / scale, item.amplitude_uncertainty_m / scale) for item in (smallest, largest)
+        with_u(item.amplitude_m / scale, item.amplitude_uncertainty_m / scale) for item in (smallest, largest)
     )
     return f"{span} {unit} at {frequency_hz:g} Hz ({quantity}) over {len(values)} settings{source}"
 
@@ -51,9 +51,9 @@ def _single_sentence(value: Headline, frequency_hz: float, quantity: str) -> str
     low, high = (plain(limit_m / scale, u_m / scale) for limit_m in limits_m)
     # The unit suits the larger of amplitude and uncertainty.
     scale, unit = scale_of(max(amplitude_m, u_m))
-    phase = _with_u(math.degrees(value.phase_rad), math.degrees(value.phase_uncertainty_rad))
+    phase = with_u(math.degrees(value.phase_rad), math.degrees(value.phase_uncertainty_rad))
     return (
-        f"{_with_u(amplitude_m / scale, u_m / scale)} {unit} at {frequency_hz:g} Hz ({quantity}, "
+        f"{with_u(amplitude_m / scale, u_m / scale)} {unit} at {frequency_hz:g} Hz ({quantity}, "
         f"95 %: {low} to {high}), phase {phase} deg"
     )
 
@@ -69,7 +69,8 @@ def estimate_at(shot: ShotResult, frequency_hz: float) -> Estimate:
     return min(shot.estimates, key=lambda estimate: abs(estimate.frequency_hz - frequency_hz))
 
 
-def _with_u(value: float, uncertainty: float) -> str:
+def with_u(value: float, uncertainty: float) -> str:
+    """Return ``value`` +- ``uncertainty``, both with the decimals of two digits of the uncertainty."""
     return f"{plain(value, uncertainty)} +- {plain(uncertainty, uncertainty)}"
 
 

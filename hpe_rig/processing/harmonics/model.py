@@ -164,8 +164,8 @@ def _model(
         groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
         numbers = [states, *(states + np.cumsum([group.shape[1] for group in groups], dtype=np.int64)).tolist()]
         numbers = [number for number in numbers if number <= states + (pulses - states) // 2]
-        wanted = [*np.hsplit(every_pulse[:, :harmonic_states], frequency_hz.size), every_pulse[:, harmonic_states:]]
-        scaled = np.hstack([_scaled(group[valid]) for group in (*wanted, *groups)])
+        pairs = np.hsplit(every_pulse[:, :harmonic_states], frequency_hz.size)
+        scaled = np.hstack([_scaled(group[valid]) for group in (*pairs, every_pulse[:, harmonic_states:], *groups)])
         resolved = _resolved_columns(scaled, numbers, largest_condition)
         every_pulse = np.hstack([every_pulse, *groups])[:, :resolved]
         matrix = every_pulse if valid.all() else every_pulse[valid]

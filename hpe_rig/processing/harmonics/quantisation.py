@@ -60,15 +60,13 @@ def quantisation_m(
     slope_energy = per_m**2 * float(np.mean(echoes.energy[used]))
     # The noise estimated from the echoes includes that of rounding, code_v² / 12 if it is random.
     scatter_v2 = float(np.mean(motion.variance_m2[used])) * slope_energy
-    if not code_v > 0:
+    if not code_v > 0 or scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
         return ()
     slope = _slopes(echoes)
     samples = echoes.gate_samples / slope.size
     hidden_m = max(code_v / (samples * float(np.sum(slope))), PHASE_RESOLUTION_RAD / per_m)
     if np.ptp(motion.displacement_m[used]) < hidden_m:
         return ((hidden_m / math.sqrt(2),) * 2,) * fit.frequency_hz.size
-    if scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
-        return ()
     # The mean rounding error is a sawtooth of the voltage: harmonic n of it at each slope of the echo and each pulse.
     angle = 2 * np.pi / code_v * np.outer(slope, motion.displacement_m[used])
     weights, basis = _phasor_weights(motion, fit)
