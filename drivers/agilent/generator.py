@@ -22,7 +22,6 @@ from drivers.interfaces import Connection, ContinuousSine, GeneratorTask, Identi
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
-REOPENED: Final = "the same instrument answers, and all settings are programmed from the reset state"
 _LOG: Final = logging.getLogger("drivers")
 # The self-test takes some seconds (assumed: up to half a minute), a time-out 1.5 s.
 SELF_TEST_TIMEOUTS: Final = 20
@@ -32,7 +31,7 @@ LABEL: Final = "MEM:STAT:NAME"
 """Name of a stored state. It is kept without power and through ``*RST``, whether or not a state is stored."""
 LABEL_LOCATION: Final = 4
 UNLABELLED: Final = ("", f"STATE_{LABEL_LOCATION}")
-"""Names of a location that nobody has named: none, or the manual's default."""
+"""Names of a location without a label: none, or the manual's default."""
 
 
 @final
@@ -164,7 +163,9 @@ class Agilent33250A:
                 raise
             self._from_reset(groups)
             _LOG.warning(
-                "%s: the connection was lost while its output was off. It is open again: %s", self.role, REOPENED
+                "%s: the connection was lost while its output was off. It is open again: the same instrument answers, "
+                "and all settings are programmed from the reset state",
+                self.role,
             )
         self._programmed = registers
 

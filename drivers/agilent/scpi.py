@@ -129,12 +129,7 @@ class ScpiSession:
         with self._lock:
             if self._dirty:
                 self._resynchronise()
-            # An interrupt before the reply would leave it to the next query.
-            self._dirty = True
-            self._send(command)
-            reply = self._receive(command, timeouts)
-            self._dirty = False
-            return reply
+            return self._ask(command, timeouts)
 
     def identify(self) -> str:
         """Return the reply to ``*IDN?``, asked twice before it counts as missing; nothing else is sent.
@@ -145,12 +140,8 @@ class ScpiSession:
         with self._lock:
             if self._dirty:
                 self._discard_late_replies()
-            self._dirty = True
             try:
-                self._send(IDENTITY_QUERY)
-                reply = self._receive(IDENTITY_QUERY)
-                self._dirty = False
-                return reply
+                return self._ask(IDENTITY_QUERY)
             except DroppedError:
                 raise
             except InstrumentError as error:
@@ -247,6 +238,14 @@ class ScpiSession:
                 "the address belongs to another kind of instrument, or two programs share the connection",
                 "compare the address in the bench file with the instrument's, end the other program",
             ) from None
+
+    def _ask(self, command: str, timeouts: int = 1) -> str:
+        # An interrupt before the reply would leave it to the next query.
+        self._dirty = True
+        self._send(command)
+        reply = self._receive(command, timeouts)
+        self._dirty = False
+        return reply
 
     def _send(self, message: str) -> None:
         _LOG.debug("%s <- %s", self.role, message)

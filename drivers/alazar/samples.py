@@ -67,7 +67,6 @@ def unpacked(
         return words, np.full(words.shape[1], np.nan)
     records = data.view(header_record_dtype(record_samples, model)).reshape(-1, channels)
     words = native(np.ascontiguousarray(records["words"].swapaxes(0, 1)))
-    # A counter that stepped back below zero reads near the end of its range.
     counts = timestamp_counts(records["header"][:, 0])
     return words, np.where(counts >> 39, counts - (1 << 40), counts).astype(np.float64)
 

@@ -8,7 +8,8 @@
     failures     reasons why a connection fails, in words
     bounded      calls of libraries, limited in time
 
-Other packages use ``VisaConnection``, ``PrologixAdapter``, ``SerialSettings``, ``NoVisaError`` and ``OpenError``.
+Other packages use ``VisaConnection``, ``PrologixAdapter``, ``SerialSettings``, ``NoVisaError``, ``OpenError`` and
+``within``.
 """
 
 import lazy_loader

@@ -1,3 +1,4 @@
+from .bounded import within as within
 from .connection import VisaConnection as VisaConnection
 from .failures import OpenError as OpenError
 from .prologix import PrologixAdapter as PrologixAdapter

@@ -22,7 +22,9 @@ def open_within(timeout_s: float, open_line: Callable[[], TextLine]) -> TextLine
     return within(timeout_s, open_line, lambda line: line.close())
 
 
-def within(timeout_s: float, call: Callable[[], Outcome], discard: Callable[[Outcome], object]) -> Outcome:
+def within(
+    timeout_s: float, call: Callable[[], Outcome], discard: Callable[[Outcome], object] = lambda outcome: None
+) -> Outcome:
     """Return ``call()``, or raise its exception; raise ``TimeoutError`` if it lasts longer than ``timeout_s``."""
     future: Future[Outcome] = Future()
     try:

@@ -134,7 +134,7 @@ class VisaLine:
     def close(self) -> None:
         """Close the resource; a lost or closed one is no error."""
         with suppress(Exception):
-            within(CLOSE_TIMEOUT_S, self._resource.close, lambda _: None)
+            within(CLOSE_TIMEOUT_S, self._resource.close)
 
     def _lock(self) -> None:
         """Lock the resource exclusively; raise ``OSError`` if another program holds the lock."""
@@ -145,9 +145,7 @@ class VisaLine:
         except pyvisa.VisaIOError as error:
             if error.error_code == pyvisa.constants.StatusCode.error_resource_locked:
                 raise OSError("another program holds its lock") from error
-        except (NotImplementedError, AttributeError):
-            # pyvisa-py has no locks on this transport.
-            return
+            # pyvisa-py reports that it has no locks on most transports.
 
 
 def _message_resource(address: str, backend: str) -> MessageBasedResource:
@@ -190,7 +188,7 @@ def open_failure(address: str, error: BaseException) -> Failure:
         return failure
     port = match["port"] or match["hislip_port"] or (HISLIP_PORT if match["hislip"] else PORTMAPPER_PORT)
     try:
-        within(PROBE_TIMEOUT_S, lambda: _connect_once(match["host"], int(port)), lambda _: None)
+        within(PROBE_TIMEOUT_S, lambda: _connect_once(match["host"], int(port)))
     except OSError as refusal:
         return failure_of(refusal)
     return MUTE if failure in (UNREACHABLE, NO_DEVICE) else failure

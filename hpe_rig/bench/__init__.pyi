@@ -32,7 +32,6 @@ from .identification import (
 from .instruments import (
     WITHOUT_OUTPUT as WITHOUT_OUTPUT,
     Bench as Bench,
-    DigitizerNotIdleError as DigitizerNotIdleError,
     UnsafeBenchError as UnsafeBenchError,
 )
 from .interrupts import (

@@ -13,7 +13,7 @@ INSTRUMENT_KEYS = {"model", "address", "interface", "serial", "system_id", "boar
 def commissioned_digest(bench: BenchFile) -> str:
     """Return the digest of instruments and wiring, 16 hexadecimal digits."""
     instruments = {**bench.generators.by_role, "digitizer": bench.digitizer}
-    parts = {
+    proven = {
         "simulated": bench.simulated,
         "instruments": {
             role: item.model_dump(mode="json", include=INSTRUMENT_KEYS, exclude_none=True)
@@ -21,4 +21,4 @@ def commissioned_digest(bench: BenchFile) -> str:
         },
         "wiring": sorted([cable.source, cable.target, f"{cable.delay_s:.12g}"] for cable in bench.wiring),
     }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(proven, sort_keys=True).encode()).hexdigest()[:16]

@@ -11,13 +11,12 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
 from typing import IO, Final
 
+from drivers.visa import within
 from hpe_rig.bench.bench_file import Condition
 from hpe_rig.extensions import CONDITIONS, installed, load
 from hpe_rig.scene import printable
@@ -29,8 +28,6 @@ MAX_QUOTED: Final = 120
 """Characters of it that are quoted from a command or plug-in."""
 KILL_S: Final = 1.0
 """Time that the system gets to end a command."""
-
-Outcome = float | Exception
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,33 +138,33 @@ def _quoted(text: str) -> str:
     return line if len(line) <= MAX_QUOTED else f"{line[:MAX_QUOTED]}..."
 
 
-_BUSY: Final[dict[str, threading.Thread]] = {}
-"""Latest thread of each plug-in; one that has not returned is not called again."""
+_BUSY: Final[set[str]] = set()
+"""Plug-ins that have not returned; these are not called again."""
 
 
 def _of_plugin(name: str, timeout_s: float) -> float:
     """Return the number of the plug-in ``name``; raise if it is not installed, fails or takes too long."""
     if name not in installed(CONDITIONS):
         raise ValueError(f"no installed package has the entry point {name} in the group {CONDITIONS}; install it")
-    if name in _BUSY and _BUSY[name].is_alive():
+    if name in _BUSY:
         raise TimeoutError(f"the plug-in {name} has not returned since an earlier reading; check the sensor")
-    outcome = SimpleQueue[Outcome]()
-    # A plug-in cannot be ended from outside. Its thread does not keep the program alive.
-    _BUSY[name] = threading.Thread(target=_call, args=(lambda: load(CONDITIONS, name)(), outcome), daemon=True)
-    _BUSY[name].start()
+    _BUSY.add(name)
     try:
-        result = outcome.get(timeout=timeout_s)
-    except Empty:
+        outcome = within(timeout_s, lambda: _outcome_of_plugin(name))
+    except TimeoutError:
         what = f"no answer of the plug-in {name} within {timeout_s:g} s"
         raise TimeoutError(f"{what}; check the sensor, or state a longer timeout_s") from None
-    if isinstance(result, Exception):
-        what = f"the plug-in {name} failed ({type(result).__name__}: {_quoted(str(result))})"
+    if isinstance(outcome, Exception):
+        what = f"the plug-in {name} failed ({type(outcome).__name__}: {_quoted(str(outcome))})"
         raise ValueError(f"{what}; check the sensor and the plug-in")
-    return result
+    return outcome
 
 
-def _call(read: Callable[[], float], outcome: SimpleQueue[Outcome]) -> None:
+def _outcome_of_plugin(name: str) -> float | Exception:
+    # An exception is returned, because a plug-in's own TimeoutError is another failure than no answer in time.
     try:
-        outcome.put(float(read()))
+        return float(load(CONDITIONS, name)())
     except Exception as error:
-        outcome.put(error)
+        return error
+    finally:
+        _BUSY.discard(name)

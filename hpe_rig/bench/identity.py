@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 from drivers.interfaces import Instrument, InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
@@ -26,7 +27,8 @@ def require_serials(bench: BenchFile, instruments: Sequence[Instrument]) -> None
     mistakes = serial_mistakes(bench, serials)
     if mistakes:
         why = "instruments or their addresses were exchanged; outputs are off, and nothing was programmed"
-        remedy = _remedy(bench, serials)
+        other_remedy = "correct the addresses, or after an exchange run hpe-rig bench BENCH --identify"
+        remedy = "; ".join(_swapped(bench, serials).values()) or other_remedy
         raise InstrumentError("bench", "; ".join(f"{role}: {text}" for role, text in mistakes.items()), why, remedy)
 
 
@@ -55,7 +57,7 @@ def serial_problems(bench: BenchFile, serials: Mapping[str, str]) -> dict[str, s
 
 
 def shared_serials(serials: Mapping[str, str]) -> dict[str, str]:
-    """Return by role, in words, each generator whose serial number another role reported too."""
+    """Return by role, in words, each generator with a serial number that another role reported too."""
     roles: dict[str, str] = {}
     generators = {role: serial for role, serial in serials.items() if serial and role != "digitizer"}
     return {
@@ -65,21 +67,11 @@ def shared_serials(serials: Mapping[str, str]) -> dict[str, str]:
     }
 
 
-def _remedy(bench: BenchFile, serials: Mapping[str, str]) -> str:
-    """Return in words how addresses or serial numbers of the bench file are corrected."""
-    swapped = _swapped(bench, serials).values()
-    return "; ".join(swapped) or "correct the addresses, or after an exchange run hpe-rig bench BENCH --identify"
-
-
 def _swapped(bench: BenchFile, serials: Mapping[str, str]) -> dict[tuple[str, str], str]:
     """Return by pair of roles, in words, the remedy for two instruments that answer for each other."""
     stated = bench.serials
     return {
         (first, second): f"{first} and {second} are swapped: exchange their addresses in the bench file"
-        for first, second in _pairs([role for role in serials if role in stated])
+        for first, second in combinations([role for role in serials if role in stated], 2)
         if serials[first] == stated[second] and serials[second] == stated[first]
     }
-
-
-def _pairs(roles: Sequence[str]) -> list[tuple[str, str]]:
-    return [(first, second) for index, first in enumerate(roles) for second in roles[index + 1 :]]

@@ -118,7 +118,7 @@ class Bench:
         Raises ``InstrumentError`` if one differs from the programmed value, or drives a transducer beyond a limit of
         the bench file.
         """
-        answers = _ask_buses(self.instruments, lambda items: [_answer(item.role, item.verify) for item in items])
+        answers = ask_each(self.instruments, lambda item: item.verify())
         settings = {}
         for role, answer in answers.items():
             if isinstance(answer, Exception):
@@ -130,7 +130,7 @@ class Bench:
 
     def recheck(self) -> tuple[str, ...]:
         """Return in words the outputs or settings that changed since ``verify``, or cannot be read back any more."""
-        answers = _ask_buses(self.generators, lambda items: [_answer(item.role, item.recheck) for item in items])
+        answers = ask_each(self.generators, lambda item: item.recheck())
         return tuple(str(answer) for answer in answers.values() if answer is not None)
 
     def changed_since(self, settings: BenchSettings) -> tuple[str, ...]:
@@ -139,9 +139,7 @@ class Bench:
         Settings that are not programmed are included, and errors that are queued. An instrument that cannot be read
         back is named too.
         """
-        answers = _ask_buses(
-            self.instruments, lambda items: [_answer(item.role, item.snapshot_and_errors) for item in items]
-        )
+        answers = ask_each(self.instruments, lambda item: item.snapshot_and_errors())
         read = {role: answer for role, answer in answers.items() if not isinstance(answer, Exception)}
         differences = settings_differences(
             {role: settings[role] for role in read}, {role: answer[0] for role, answer in read.items()}
@@ -185,7 +183,9 @@ def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
     return proven
 
 
-def ask_each(instruments: Sequence[Instrument], ask: Callable[[Instrument], Answer]) -> dict[str, Answer | Exception]:
+def ask_each(
+    instruments: Sequence[AnInstrument], ask: Callable[[AnInstrument], Answer]
+) -> dict[str, Answer | Exception]:
     """Return by role the answer of each instrument, or its ``InstrumentError``; all buses at the same time."""
     return _ask_buses(instruments, lambda items: [_answer(item.role, partial(ask, item)) for item in items])
 

@@ -6,7 +6,6 @@ Only this module connects the drivers: to VISA and the vendor's library, or to t
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -15,6 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
+from drivers.visa import within
 from hpe_rig.bench.bench_file import BenchFile
 from hpe_rig.bench.identity import reported_serials, require_serials, serial_problems
 from hpe_rig.bench.instruments import (
@@ -242,18 +242,10 @@ def visa_addresses() -> tuple[str, ...]:
 
     The search sends messages to instruments, so the bench must be locked. It takes at most ``SEARCH_TIMEOUT_S``.
     """
-    addresses: list[str] = []
-
-    def search_quietly() -> None:
-        # pyvisa-py reports failures of a bus by exceptions of any kind.
-        with suppress(Exception):
-            addresses.extend(_search_addresses())
-
-    # A search cannot be interrupted; a thread that is still searching ends with the program.
-    search = threading.Thread(target=search_quietly, daemon=True)
-    search.start()
-    search.join(SEARCH_TIMEOUT_S)
-    return tuple(addresses)
+    # pyvisa-py reports failures of a bus by exceptions of any kind.
+    with suppress(Exception):
+        return within(SEARCH_TIMEOUT_S, _search_addresses)
+    return ()
 
 
 def _search_addresses() -> tuple[str, ...]:

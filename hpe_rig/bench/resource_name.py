@@ -165,7 +165,7 @@ def shared_addresses(bench: BenchFile, names: Mapping[str, str]) -> Iterator[Mis
         first = roles.setdefault(name, role)
         if first == role:
             continue
-        addresses = [getattr(bench.generators, item).address for item in (first, role)]
+        addresses = [bench.generators.by_role[item].address for item in (first, role)]
         spelled = repr(addresses[1]) if addresses[0] == addresses[1] else f"{addresses[1]!r} and {addresses[0]!r}"
         what = f"{first} and {role} have the same instrument, {spelled}"
         yield Mistake(f"generators.{role}.address", what, "the address of another instrument")
@@ -177,11 +177,8 @@ def wrong_ports(bench: BenchFile) -> Iterator[Mistake]:
         for key, address in (("address", generator.address), ("interface", generator.interface)):
             for port in _ports(address or ""):
                 if port > LAST_PORT:
-                    what, remedy = (
-                        f"{port} is no port",
-                        f"a port from 1 to {LAST_PORT}, such as 5025 in {SOCKET_EXAMPLE}",
-                    )
-                    yield Mistake(f"generators.{role}.{key}", what, remedy)
+                    remedy = f"a port from 1 to {LAST_PORT}, such as 5025 in {SOCKET_EXAMPLE}"
+                    yield Mistake(f"generators.{role}.{key}", f"{port} is no port", remedy)
 
 
 def _ports(address: str) -> list[int]:

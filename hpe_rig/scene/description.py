@@ -2,7 +2,8 @@
 
 ``described`` is the source of the reference in the documentation, ``annotated`` of the file with every key that
 ``hpe-rig new --full`` writes. The schema is also the one that validates settings, so that the three always agree.
-The descriptions of keys are the docstrings below them, read from the source code when a schema is asked for.
+The descriptions of keys are the docstrings below them, read from the source code when a schema is asked for. Pydantic's
+option for this, ``use_attribute_docstrings``, would read them at every start of the program.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def plugin(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], object]], 
     def install(function: Callable[[], object]) -> Condition:
         monkeypatch.setattr(conditions, "installed", lambda group: ("thermometer",))
         monkeypatch.setattr(conditions, "load", lambda group, name: function)
-        monkeypatch.setattr(conditions, "_BUSY", {})
+        monkeypatch.setattr(conditions, "_BUSY", set())
         return Condition(name="temperature", plugin="thermometer", timeout_s=0.2)
 
     return install
