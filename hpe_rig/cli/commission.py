@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 from hpe_rig.bench import Bench, BenchFile, read_bench
 from hpe_rig.cli.console import EXIT_INSTRUMENT, announce
 from hpe_rig.cli.tables import wide_console
+from hpe_rig.cli.terminal import answer, has_terminal
 from hpe_rig.measurement import CableResult, Operator, Tap, commission, record_commissioning, taps, twin_operator
 from hpe_rig.result import rich_table
 from hpe_rig.scene import Mistake, SettingsError
@@ -50,14 +50,9 @@ def _confirm_amplifier_off(bench: BenchFile) -> None:
         what = "a person must confirm that the amplifier is off and move a T piece, and there is no terminal"
         raise SettingsError("commission", [Mistake("", what, "the same command in a terminal at the bench")])
     announce("This drives every cable of the bench, among them those to the power amplifier.")
-    if _answer("Is the power amplifier switched off? yes/no: ") not in ("y", "yes"):
+    if answer("Is the power amplifier switched off? yes/no: ") not in ("y", "yes"):
         what = "the power amplifier must be off: an exchanged cable would bring 5 V pulses to its input"
         raise SettingsError("commission", [Mistake("", what, "switch it off, run the command again")])
-
-
-def has_terminal() -> bool:
-    """Return whether a person can answer."""
-    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def _operator(bench: BenchFile) -> Operator:
@@ -73,18 +68,9 @@ def _operator(bench: BenchFile) -> Operator:
             announce(text)
             move(instruments, tap)
         else:
-            _answer(f"{text}. All outputs are off. Enter when done: ")
+            answer(f"{text}. All outputs are off. Enter when done: ")
 
     return ask
-
-
-def _answer(question: str) -> str:
-    print(question, end="", file=sys.stderr, flush=True)
-    try:
-        return input().strip().lower()
-    except EOFError:
-        # Ctrl-D at the terminal ends the commissioning, like Ctrl-C.
-        raise KeyboardInterrupt from None
 
 
 def _print(bench: BenchFile, results: Sequence[CableResult]) -> None:

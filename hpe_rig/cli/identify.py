@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import select
-import shutil
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
 
 import typer
 
 from hpe_rig.bench import BenchFile, displayed_roles, lasting_serial, read_bench, with_serials
 from hpe_rig.cli.console import EXIT_INSTRUMENT, announce
+from hpe_rig.cli.terminal import answer, has_terminal
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import atomic_file
-
-POLL_S: Final = 0.2
-"""Time until a signal is noticed while the person has not answered."""
+from hpe_rig.store import refuse_unwritable, replace_text
 
 
 def identify(path: Path | None) -> int:
@@ -28,20 +22,21 @@ def identify(path: Path | None) -> int:
     if path is None or path.suffix == ".h5":
         remedy = "hpe-rig new my-bench --like bench, then hpe-rig bench my-bench.toml --identify"
         raise SettingsError("--identify", [Mistake("", "it writes into a bench file, and none is named", remedy)])
-    if not _at_terminal():
+    if not has_terminal():
         what = "somebody must look at the instruments and answer, and this is no terminal"
         raise SettingsError("--identify", [Mistake("", what, "the same command in a terminal at the bench")])
     bench = read_bench(path, any_title=True).bench
+    refuse_unwritable(path)
     with displayed_roles(bench) as instruments:
         failures = {role: item for role, item in instruments.items() if isinstance(item, Exception)}
         for error in failures.values():
             announce(str(error))
         present = {role: item for role, item in instruments.items() if not isinstance(item, Exception)}
-        shown_as = ask_roles(bench, [role for role in present if role != "digitizer"], _answer)
+        shown_as = _ask_roles(bench, [role for role in present if role != "digitizer"])
         serials = {role: lasting_serial(present[shown]) for role, shown in shown_as.items()}
         if "digitizer" in present:
             serials["digitizer"] = lasting_serial(present["digitizer"])
-    write(path, serials)
+    replace_text(path, with_serials(path, serials))
     return EXIT_INSTRUMENT if _print_outcome(path, bench, serials, shown_as) or failures else 0
 
 
@@ -61,18 +56,15 @@ def _print_outcome(path: Path, bench: BenchFile, serials: Mapping[str, str], sho
     return bool(exchanged or unknown)
 
 
-def ask_roles(bench: BenchFile, shown: list[str], answer: Callable[[str], str]) -> dict[str, str]:
-    """Return by role the role that its instrument shows; ``answer`` returns a person's answer to a question.
-
-    An instrument that has none of the roles is left out.
-    """
+def _ask_roles(bench: BenchFile, shown: list[str]) -> dict[str, str]:
+    """Return by role the role that its instrument shows; an instrument that has none of the roles is left out."""
     roles = list(bench.generators.by_role)
     shown_as: dict[str, str] = {}
     for role in shown:
         text = role.replace("_", " ").upper()
         question = f"One display shows {text}. Is that the instrument {_cables_text(bench, role)}?"
         while True:
-            reply = answer(f"{question} [y, n, or the name of its role]: ").strip().lower().replace(" ", "_")
+            reply = answer(f"{question} [y, n, or the name of its role]: ").replace(" ", "_")
             actual = role if reply in ("y", "yes") else reply
             if actual in ("n", "no"):
                 break
@@ -83,35 +75,9 @@ def ask_roles(bench: BenchFile, shown: list[str], answer: Callable[[str], str]) 
     return shown_as
 
 
-def write(path: Path, serials: Mapping[str, str]) -> None:
-    """Write ``serials`` into the bench file ``path`` atomically; its access rights stay."""
-    target = path.resolve()
-    text = with_serials(target, serials)
-    with atomic_file(target) as draft:
-        draft.write_bytes(text.encode("utf-8"))
-        shutil.copymode(target, draft)
-
-
 def _cables_text(bench: BenchFile, role: str) -> str:
     """Return in words the cables at the instrument of ``role``."""
     triggers = [cable.source for cable in bench.wiring if cable.target == f"{role}.trigger"]
     targets = [cable.target for cable in bench.wiring if cable.source == f"{role}.output"]
     cables = [f"with {' and '.join(triggers)} at its trigger input"] if triggers else ["without a trigger cable"]
     return ", ".join([*cables, f"its output to {' and '.join(targets)}"] if targets else cables)
-
-
-def _at_terminal() -> bool:
-    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout))
-
-
-def _answer(question: str) -> str:
-    typer.echo(question, nl=False)
-    if sys.platform != "win32":
-        # In short pieces: a signal just before a blocking read would be noticed only after the next line.
-        while not select.select([sys.stdin], [], [], POLL_S)[0]:
-            pass
-    line = sys.stdin.readline()
-    if not line:
-        # Ctrl-D ends the dialogue like Ctrl-C; the bench file is unchanged.
-        raise KeyboardInterrupt
-    return line

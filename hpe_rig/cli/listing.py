@@ -50,12 +50,11 @@ def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
     state = entry.status if entry.shots_complete == entry.shots else f"{entry.shots_complete} of {entry.shots} shots"
     state = f"imported, {state}" if entry.imported else state
     state += f", {entry.shots_marked_bad} marked bad" if entry.shots_marked_bad else ""
-    notes = ", ".join(f"{name}: {_short(note)}" for name, note in entry.notes.items())
+    notes = [f"{name}: {_short(note)}" for name, note in entry.notes.items()]
     quantities = ((*name.partition(" "), value) for name, value in entry.conditions.items())
-    conditions = [f"{name}: {value:.4g} {unit}".strip() for name, _, unit, value in quantities]
-    notes = ", ".join([*([notes] if notes else []), *conditions])
+    notes += [f"{name}: {value:.4g} {unit}".strip() for name, _, unit, value in quantities]
     date = f"{entry.date:%Y-%m-%d %H:%M}"
-    texts = (date, str(entry.path.relative_to(folder)), entry.title, state, _result(entry), notes)
+    texts = (date, str(entry.path.relative_to(folder)), entry.title, state, _result(entry), ", ".join(notes))
     return tuple(printable(text) for text in texts)
 
 
@@ -78,13 +77,9 @@ def _csv_row(entry: RunEntry) -> dict[str, Any]:
     # A cell holds one value: nested tables become further columns.
     row = entry.as_dict()
     lead, notes, conditions = row.pop("lead") or {}, row.pop("notes"), row.pop("conditions")
-    more = {f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}
-    return {
-        **row,
-        **lead,
-        **more,
-        **{f"condition_{name.replace(' ', '_')}": value for name, value in conditions.items()},
-    }
+    columns = {"note": notes, "condition": conditions}
+    more = {f"{kind}_{key.replace(' ', '_')}": value for kind, texts in columns.items() for key, value in texts.items()}
+    return {**row, **lead, **more}
 
 
 def _time(text: str | None, option: str, end: bool = False) -> datetime | None:
@@ -110,8 +105,12 @@ def extension_lines() -> tuple[list[str], bool]:
     from hpe_rig.processing import spec_of
     from hpe_rig.recordings import foreign_importer
 
-    checks: dict[str, Callable[[str], object]] = {ESTIMATORS: spec_of, MEDIA: law_of, IMPORTERS: foreign_importer}
-    checks[CONDITIONS] = partial(load, CONDITIONS)
+    checks: dict[str, Callable[[str], object]] = {
+        ESTIMATORS: spec_of,
+        MEDIA: law_of,
+        IMPORTERS: foreign_importer,
+        CONDITIONS: partial(load, CONDITIONS),
+    }
     lines, all_load = list[str](), True
     for group, check in checks.items():
         for name in installed(group):

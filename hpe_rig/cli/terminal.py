@@ -1,10 +1,11 @@
-"""Terminal: width, wrapped text, progress as a bar or as lines, and the level of logging."""
+"""Terminal: width, wrapped text, questions, progress as a bar or as lines, and the level of logging."""
 
 from __future__ import annotations
 
 import logging
 import os
 import re
+import select
 import shutil
 import sys
 import textwrap
@@ -16,6 +17,8 @@ from enum import StrEnum
 MIN_COLUMNS = 40
 MAX_INDENT = 18
 """Largest indentation of the further lines of a paragraph."""
+POLL_S = 0.2
+"""Time until a signal is noticed while a person has not answered."""
 REPORT_INTERVAL_S = 10.0
 """Interval of progress reports without a terminal."""
 
@@ -23,6 +26,24 @@ LOGGERS = ("hpe_rig", "drivers", "sim_backend")
 """Loggers of the steps of a run, of messages to instruments, and of commands that the twin ignores."""
 Report = Callable[[int, int, str], None]
 """Reports progress: number done, total, and the present step."""
+
+
+def has_terminal() -> bool:
+    """Return whether a person can read a question on standard error and answer it."""
+    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
+
+
+def answer(question: str) -> str:
+    """Return what a person at the terminal answers, in lower case; Ctrl-D is ``KeyboardInterrupt``, like Ctrl-C."""
+    print(question, end="", file=sys.stderr, flush=True)
+    if sys.platform != "win32":
+        # In short pieces: a signal just before a blocking read would be noticed only after the next line.
+        while not select.select([sys.stdin], [], [], POLL_S)[0]:
+            pass
+    line = sys.stdin.readline()
+    if not line:
+        raise KeyboardInterrupt
+    return line.strip().lower()
 
 
 def terminal_columns() -> int | None:

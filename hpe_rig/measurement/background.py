@@ -126,17 +126,19 @@ def detached(observer: Observer) -> Iterator[Observer]:
     While a call lasts, further progress within the same step of the shot is left out. In the other steps the observer
     is called directly: outputs are off, so that it may wait, as for the end of a pause.
     """
-    tasks, latest = BackgroundTasks("observer"), list[tuple[int, Step]]()
+    tasks = BackgroundTasks("observer")
+    latest: tuple[int, Step] | None = None
 
     def observe(progress: Progress) -> None:
+        nonlocal latest
         if progress.step not in DRIVING_STEPS:
             tasks.drain()
             observer(progress)
             return
         tasks.check()
-        step = [(progress.shot.index, progress.step)]
+        step = (progress.shot.index, progress.step)
         if step != latest or not tasks.unfinished:
-            latest[:] = step
+            latest = step
             tasks.submit(partial(observer, progress))
 
     try:

@@ -10,8 +10,8 @@ from typing import Any
 
 from hpe_rig.bench import BenchText, commissioned_digest, parse_bench
 from hpe_rig.measurement.commissioning import CableResult
-from hpe_rig.scene import Mistake, SettingsError, read_settings_text
-from hpe_rig.store import atomic_file
+from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.store import replace_text
 
 
 def with_commissioning(text: str, name: str, results: Sequence[CableResult], day: date) -> str:
@@ -44,9 +44,9 @@ def record_commissioning(path: Path, before: BenchText, results: Sequence[CableR
 
     Raises ``SettingsError`` if its instruments or cables were changed during the commissioning.
     """
-    text = read_settings_text(path)
+    # Line ends stay as they are, so the text is not read with universal newlines.
+    text = path.read_bytes().decode("utf-8-sig")
     if commissioned_digest(parse_bench(path.stem, text).bench) != commissioned_digest(before.bench):
         what = "its instruments or cables were changed during the commissioning, which is not recorded"
         raise SettingsError(f"bench {path.stem}", [Mistake("", what, "commission again")])
-    with atomic_file(path) as draft:
-        draft.write_text(with_commissioning(text, path.stem, results, day), encoding="utf-8")
+    replace_text(path, with_commissioning(text, path.stem, results, day))

@@ -41,12 +41,9 @@ def run_log(setup: Setup, run_file: Path) -> Iterator[Callable[[Observer], Obser
         ) from None
     thread = WritingThread()
     queue = QueuedFile(disk, thread, lambda lines: f"{lines} lines are missing: the disk was too slow\n")
-    file = queued_text(queue, "utf-8")
+    # Each line is queued at once.
+    write = queued_text(queue, "utf-8").write
     start_s = time.monotonic()
-
-    def write(text: str) -> None:
-        file.write(text)
-        file.flush()
 
     def write_line(text: str) -> None:
         write(f"{time.monotonic() - start_s:10.4f} s  {text}\n")

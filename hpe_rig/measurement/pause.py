@@ -113,6 +113,7 @@ def clearing_requests(run_file: Path, run_id: str) -> Iterator[None]:
         tasks.submit(partial(clear_stop, run_file, run_id))
         # An error about a request that cannot be removed must not hide how the run ended.
         tasks.wait(CLEAR_S)
+        tasks.end()
 
 
 def with_requests(

@@ -1,6 +1,7 @@
 from .atomic import (
     atomic_file as atomic_file,
     refuse_unwritable as refuse_unwritable,
+    replace_text as replace_text,
     unwritable as unwritable,
     write_text_file as write_text_file,
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -48,6 +49,14 @@ def write_text_file(path: Path, text: str) -> None:
     except OSError as error:
         mistake = Mistake(str(path), f"cannot be written ({error.strerror})", "another folder, by --output")
         raise SettingsError("command line", [mistake]) from None
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Replace the text of the file ``path`` completely or not at all; a link to it and its access rights stay."""
+    target = path.resolve()
+    with atomic_file(target) as draft:
+        draft.write_text(text, encoding="utf-8", newline="")
+        shutil.copymode(target, draft)
 
 
 def refuse_unwritable(path: Path) -> None:

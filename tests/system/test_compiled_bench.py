@@ -209,7 +209,7 @@ def test_ctrl_c_at_a_question_leaves_outputs_off_and_the_bench_file_as_it_was(
         return "yes"
 
     monkeypatch.setattr(command, "has_terminal", lambda: True)
-    monkeypatch.setattr(command, "_answer", answer)
+    monkeypatch.setattr(command, "answer", answer)
     with metal(tmp_path, library_path, "table-1") as path:
         before = path.read_text(encoding="utf-8")
         done = CliRunner().invoke(commands, ["commission", str(path)])

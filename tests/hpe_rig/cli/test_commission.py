@@ -67,7 +67,7 @@ def test_a_real_bench_needs_a_terminal_and_an_amplifier_that_is_off(
     path.write_text(text, encoding="utf-8")
     done = CliRunner().invoke(commands, ["commission", str(path)])
     assert (done.exit_code, "there is no terminal" in done.output) == (2, True)
-    monkeypatch.setattr(command, "_answer", lambda question: "no")
+    monkeypatch.setattr(command, "answer", lambda question: "no")
     monkeypatch.setattr(command, "has_terminal", lambda: True)
     done = CliRunner().invoke(commands, ["commission", str(path)])
     assert (done.exit_code, "the power amplifier must be off" in done.output) == (2, True)

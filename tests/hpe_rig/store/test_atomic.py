@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
-from hpe_rig.store.atomic import atomic_file
+from hpe_rig.store.atomic import atomic_file, replace_text
 
 
 def test_what_fails_halfway_leaves_the_file_as_it_was(tmp_path: Path) -> None:
@@ -72,3 +73,14 @@ def test_a_file_that_stays_open_elsewhere_is_an_error_that_says_so_and_leaves_it
         draft.write_text("after", encoding="utf-8")
     assert path.read_text(encoding="utf-8") == "before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and access rights of POSIX")
+def test_a_file_with_another_text_keeps_its_link_rights_and_line_ends(tmp_path: Path) -> None:
+    path, link = tmp_path / "bench.toml", tmp_path / "link.toml"
+    path.write_text("old")
+    path.chmod(0o640)
+    link.symlink_to(path)
+    replace_text(link, "new\r\n")
+    assert link.is_symlink()
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"new\r\n", 0o640)
