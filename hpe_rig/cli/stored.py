@@ -136,9 +136,7 @@ def _value(value: Any) -> str:
 def print_moduli(result: ModuliResult, figure: Path | None, json: bool) -> None:
     """Print ``result`` and write its ``figure``; raise ``StoreError`` if it cannot be written."""
     if figure is not None:
-        from hpe_rig.moduli import moduli_figure
-
-        _save(moduli_figure(result), figure, "measured and fitted vibrations")
+        _save(result.figure(), figure, "measured and fitted vibrations")
     if json:
         print_json(result.as_dict())
     else:

@@ -1,4 +1,3 @@
-from .figure import moduli_figure as moduli_figure
 from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
 from .inversion import Moduli as Moduli, bound as bound, fit_medium as fit_medium
 from .outcome import (

@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hpe_rig.moduli.inversion import Moduli
+from hpe_rig.arrays import ComplexArray
 from hpe_rig.moduli.vibration_model import Vibration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class FittedVibrations(Protocol):
-    """The part of a result that the figure shows: vibrations, the most likely medium, and a title."""
-
-    @property
-    def vibrations(self) -> Sequence[Vibration]: ...
-    @property
-    def best(self) -> Moduli: ...
-    @property
-    def headline(self) -> str: ...
-
-
-def moduli_figure(result: FittedVibrations) -> Figure:
+def moduli_figure(vibrations: Sequence[Vibration], modelled_m: Sequence[ComplexArray], title: str) -> Figure:
     """Return a figure of amplitude and phase over frequency, one colour for each lateral offset.
 
-    Measured points have bars of two standard uncertainties; lines are those of the most likely medium.
+    Measured points have bars of two standard uncertainties; lines are ``modelled_m``, the phasors of a fitted medium.
     """
     from matplotlib.figure import Figure
 
@@ -36,7 +25,7 @@ def moduli_figure(result: FittedVibrations) -> Figure:
 
     figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     amplitude, phase = figure.subplots(1, 2)
-    for index, (vibration, modelled) in enumerate(zip(result.vibrations, result.best.modelled_m, strict=True)):
+    for index, (vibration, modelled) in enumerate(zip(vibrations, modelled_m, strict=True)):
         marker, colour = mark(index)
         # Mean variance of the two quadratures of each harmonic.
         variance = np.diag(vibration.covariance_m2).reshape(-1, 2).mean(axis=1)
@@ -57,5 +46,5 @@ def moduli_figure(result: FittedVibrations) -> Figure:
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(result.headline, fontsize="medium")
+    figure.suptitle(title, fontsize="medium")
     return figure

@@ -33,23 +33,23 @@ from hpe_rig.scene import Scene, SettingsError
 class ModuliForecast:
     """Assumed Voigt ``values`` (mu1 Pa, mu2 Pa s) and expected ``uncertainty`` (2,).
 
-    From ``places`` lateral offsets with ``gates`` in total; ``medium_source`` names the source of the medium.
+    From ``lateral_offsets`` offsets with ``gates`` in total; ``medium_source`` names the source of the medium.
     """
 
     values: tuple[float, float]
     uncertainty: tuple[float, float]
-    places: int
+    lateral_offsets: int
     medium_source: str
     gates: int = 0
 
     def __str__(self) -> str:
         """Return the line that ``hpe-rig check`` prints: expected uncertainties of mu1 and mu2, assumed medium."""
         mu1, mu2 = (100 * u / value for u, value in zip(self.uncertainty, self.values, strict=True))
-        gates = f", {self.gates} gates" if self.gates > self.places else ""
+        gates = f", {self.gates} gates" if self.gates > self.lateral_offsets else ""
         return (
-            f"moduli: mu1 +- {mu1:.2g} %, mu2 +- {mu2:.2g} % from {self.places} lateral offset"
-            f"{'s' * (self.places > 1)}{gates}, in {self.medium_source} of {self.values[0] * 1e-3:.4g} kPa and "
-            f"{self.values[1]:.3g} Pa s (Cramer-Rao bound)"
+            f"moduli: mu1 +- {mu1:.2g} %, mu2 +- {mu2:.2g} % from {self.lateral_offsets} lateral offset"
+            f"{'s' * (self.lateral_offsets > 1)}{gates}, in {self.medium_source} of "
+            f"{self.values[0] * 1e-3:.4g} kPa and {self.values[1]:.3g} Pa s (Cramer-Rao bound)"
         )
 
 
@@ -84,7 +84,7 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
     return ModuliForecast(
         values=values,
         uncertainty=(u1, u2),
-        places=len({vibration.position for vibration in vibrations}),
+        lateral_offsets=len({vibration.position for vibration in vibrations}),
         medium_source=medium_source,
         gates=len(vibrations),
     )

@@ -65,10 +65,10 @@ class ModuliResult:
         return f"{law_of(best.law).title}: {', '.join(values)}"
 
     def figure(self) -> Figure:
-        """Return the figure of ``moduli_figure``."""
+        """Return a figure of measured amplitude and phase over frequency, with lines of the most likely medium."""
         from hpe_rig.moduli.figure import moduli_figure
 
-        return moduli_figure(self)
+        return moduli_figure(self.vibrations, self.best.modelled_m, self.headline)
 
     def __str__(self) -> str:
         """Return the moduli with their uncertainties, the other laws, and the omitted data."""
@@ -217,13 +217,11 @@ def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> 
     ]
     # The noise across the phasor is nearly that of A cos(phase); it only weights the phases.
     sigma = [np.sqrt(np.diag(vibration.covariance_m2)[::2]) / np.abs(vibration.phasor_m) for vibration in at_common]
+    offset_m = [abs(vibration.lateral_m) for vibration in at_common]
+    phase_rad = np.array([np.angle(vibration.phasor_m) for vibration in at_common])
+    frequency_hz = at_common[0].frequency_hz
     try:
-        frequency_hz = at_common[0].frequency_hz
-        offset_m, phase_rad = (
-            [abs(vibration.lateral_m) for vibration in at_common],
-            [np.angle(vibration.phasor_m) for vibration in at_common],
-        )
-        speed = shear_speed(offset_m, frequency_hz, np.array(phase_rad), np.array(sigma))
+        speed = shear_speed(offset_m, frequency_hz, phase_rad, np.array(sigma))
         return fit_voigt(frequency_hz, *speed, density_kg_per_m3), ""
     except ValueError as error:
         return None, str(error)

@@ -197,7 +197,7 @@ class Problem:
         """
         push, count, vibrations = self.push, self.free_count - 1, [self.vibrations[i] for i in group]
         # Vibrations of a group share frequencies, depth, averaging along the beam and travel time.
-        frequency_hz, travel_s = (first := vibrations[0]).frequency_hz, vibrations[0].travel_s
+        first, frequency_hz = vibrations[0], vibrations[0].frequency_hz
 
         def of_group(kind: str) -> list[float]:
             """Return the nuisances of one kind for the vibrations of the group."""
@@ -225,7 +225,7 @@ class Problem:
         scale = self.unit_m / (0.5 * push.force.across_m[0] ** 2 / 10e3) * np.exp(unknown[count] + gain)
         onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
         # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
-        lead_s = travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
+        lead_s = first.travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
         prefactor = (push.spectrum(frequency_hz) * onset * np.exp(1j * omega * lead_s))[:, None] * scale
         # Speckle changes the tracked region: its area, and its shape by weight that moves to the centre and the edge.
         by_shape = prefactor * field.by_across_twice * mean_area_m2**2 / 2
@@ -239,7 +239,7 @@ class Problem:
             "across": prefactor * field.by_width,
             "along": prefactor * field.by_length,
             **{kind: prefactor * slopes for kind, slopes in field.by_weight_change.items()},
-            "travel": -1j * omega[:, None] * travel_s * value,
+            "travel": -1j * omega[:, None] * first.travel_s * value,
             "axial": prefactor * field.by_axial,
             "lateral": prefactor * field.by_lateral,
             "stage": prefactor * field.by_lateral,

@@ -125,8 +125,8 @@ def _unusable(shot: Shot, stored: StoredRun, plan: Plan) -> str:
     if not has_strongest_push(shot, plan):
         return "of a weaker force or another burst length"
     # The covariance of a fit does not contain a common shift of all its phases.
-    known = max(assign_pulses(shot, stored).shifts) == 0
-    return "" if known else "triggers were lost, and it is unknown which pulse came first"
+    is_unknown = max(assign_pulses(shot, stored).shifts) > 0
+    return "triggers were lost, and it is unknown which pulse came first" if is_unknown else ""
 
 
 def _mean_vibration(gate: GateAtDepth, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:

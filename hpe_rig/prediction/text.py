@@ -36,7 +36,7 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
 def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[str]:
     """Yield the largest change of the wanted harmonics by unresolved ones, which alias onto them.
 
-    Nothing is printed if no medium is known.
+    Yields nothing if no medium is known.
     """
     ratio = fitted_over_true(scene, shot, simulated)
     if ratio is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from matplotlib import rc_context
 
-from hpe_rig.moduli import moduli_figure
 from hpe_rig.result import STYLE, Picture, picture
 from hpe_rig.runs import Run, fit_moduli
 from hpe_rig.scene import SettingsError
@@ -23,6 +22,6 @@ def moduli_summary(run: Run, estimator: str | None = None) -> tuple[str, Picture
     except (StoreError, SettingsError) as error:
         return str(error), None
     with rc_context(STYLE):
-        figure = moduli_figure(result)
+        figure = result.figure()
     alt = f"Amplitude and phase over frequency at {len(result.vibrations)} places and depths. {result.headline}."
     return str(result), picture(figure, "moduli", "Measured and fitted vibrations", alt)
