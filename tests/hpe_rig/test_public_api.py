@@ -6,8 +6,8 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from doctest import DocTestParser
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -307,19 +307,17 @@ def test_the_first_scene_of_the_readme_runs_on_the_default_muscle_and_states_it(
     assert re.search(f"simulated specimen.*{DEFAULT_SPECIMEN}", render(Path("first.h5")), flags=re.DOTALL)
 
 
-def test_only_a_simulated_bench_without_a_specimen_gets_the_default_one(run: hpe.Run, tmp_path: Path) -> None:
+def test_only_a_simulated_bench_without_a_specimen_gets_the_default_one(
+    run: hpe.Run, tmp_path: Path, real_bench: Callable[..., Path]
+) -> None:
     assert "simulated_specimen" not in run.estimate().as_dict()
     scene = hpe.load_scene("table-1")
     assert with_default_specimen(scene) == scene
     plain = tmp_path / "plain.toml"
     plain.write_text(first_scene(), encoding="utf-8")
-    bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
-    metal = bench.replace("simulated = true", "simulated = false").replace("Simulated bench, wired", "Bench, wired")
-    number = count(10)
-    metal = re.sub(r'(?<=model = "33250A"\n)', lambda _: f'address = "GPIB0::{next(number)}::INSTR"\n', metal)
-    (tmp_path / "metal.toml").write_text(metal, encoding="utf-8")
-    assert prepare(plain, tmp_path / "metal.toml", refuse=False).scene.scene.simulation is None
-    assert DEFAULT_SPECIMEN not in hpe.check(plain, tmp_path / "metal.toml").text
+    metal = real_bench()
+    assert prepare(plain, metal, refuse=False).scene.scene.simulation is None
+    assert DEFAULT_SPECIMEN not in hpe.check(plain, metal).text
 
 
 def test_a_scene_with_the_written_default_specimen_has_its_own_specimen() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.bench import BenchFile, file_differences, inventory as bench_report, read_bench, settings_differences
+from hpe_rig.bench import file_differences, inventory as bench_report, read_bench, settings_differences
 from hpe_rig.bench.inventory import survey
 from hpe_rig.cli.app import app
 from hpe_rig.cli.bench import bench_state, compare_with
@@ -35,21 +34,10 @@ def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:
     return path
 
 
-def real_bench(tmp_path: Path) -> BenchFile:
-    """Return a bench file with addresses where nobody listens."""
-    path = edited(
-        tmp_path,
-        ("simulated = true", "simulated = false"),
-        ("Simulated bench, wired as Fig. 2 of the paper", "Bench where nobody answers"),
-    )
-    port = count(1)
-    addressed = re.sub(
-        r"(?m)^(\[generators\.\w+\]\n)",
-        lambda match: f'{match[1]}address = "TCPIP::127.0.0.1::{next(port)}::SOCKET"\n',
-        path.read_text(encoding="utf-8"),
-    )
-    path.write_text(addressed, encoding="utf-8")
-    return read_bench(path).bench
+@pytest.fixture
+def absent_bench(real_bench: Callable[..., Path]) -> Path:
+    """Return the file of a bench at addresses that refuse connections."""
+    return real_bench(address="TCPIP::127.0.0.1::{}::SOCKET")
 
 
 def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,9 +151,9 @@ def test_a_board_other_than_the_bench_file_says_is_told_with_the_key_to_change(t
 
 
 def test_a_bench_where_nobody_answers_is_a_table_of_errors_with_suggestions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    absent_bench: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = real_bench(tmp_path)
+    bench = read_bench(absent_bench).bench
     address = bench.generators.master.address
     assert address is not None
     near = address.replace("127.0.0.1", "127.0.0.2")
@@ -178,8 +166,8 @@ def test_a_bench_where_nobody_answers_is_a_table_of_errors_with_suggestions(
     assert "install the AlazarTech driver" in report.instruments[-1].problems[0]
 
 
-def test_an_address_that_is_none_is_an_error_of_that_role(tmp_path: Path) -> None:
-    bench = real_bench(tmp_path)
+def test_an_address_that_is_none_is_an_error_of_that_role(absent_bench: Path) -> None:
+    bench = read_bench(absent_bench).bench
     wrong = bench.generators.master.model_copy(update={"address": "not an address"})
     bench = bench.model_copy(update={"generators": bench.generators.model_copy(update={"master": wrong})})
     first = survey(bench).instruments[0]
@@ -189,14 +177,13 @@ def test_an_address_that_is_none_is_an_error_of_that_role(tmp_path: Path) -> Non
 
 
 def test_the_command_prints_the_table_and_exits_by_what_it_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, absent_bench: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "hpe_rig", "bench", *arguments]
         return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
 
-    real_bench(tmp_path)
-    bad = rig("edited.toml")
+    bad = rig(str(absent_bench))
     assert bad.returncode == 1
     assert bad.stdout.count(" problem") == 6
     assert "Traceback" not in bad.stderr

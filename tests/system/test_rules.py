@@ -5,9 +5,8 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
-from itertools import count
 from pathlib import Path
 
 import pytest
@@ -47,23 +46,10 @@ def test_the_light_core_imports_no_figures_no_signal_processing_and_no_visa() ->
     assert not loaded.intersection({"matplotlib", "scipy.signal", "xarray", "starlette", "pyvisa", "sim_backend"})
 
 
-def test_checking_a_scene_for_a_real_bench_loads_neither_twin_nor_visa(tmp_path: Path) -> None:
-    bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
-    for simulated, real in (
-        ("simulated = true", "simulated = false"),
-        ("Simulated bench, wired as Fig. 2 of the paper", "Bench on metal"),
-        ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
-    ):
-        bench = bench.replace(simulated, real)
-    number = count(10)
-    bench = re.sub(
-        r'(?<=model = "33250A"\n)', lambda _: f'address = "GPIB0::{next(number)}::INSTR"\nserial = "none"\n', bench
-    )
-    path = tmp_path / "metal.toml"
-    path.write_text(bench, encoding="utf-8")
+def test_checking_a_scene_for_a_real_bench_loads_neither_twin_nor_visa(real_bench: Callable[..., Path]) -> None:
     statement = (
         "from pathlib import Path\nfrom hpe_rig.measurement import prepare\n"
-        f"prepare('bovine-muscle', Path({str(path)!r}))"
+        f"prepare('bovine-muscle', Path({str(real_bench())!r}))"
     )
     assert not modules_after(statement).intersection({"sim_backend", "pyvisa"})
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from itertools import count
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from typer.testing import CliRunner
 
 from drivers.interfaces import InstrumentError
 from drivers.visa import NoVisaError, VisaConnection
-from hpe_rig.bench import opening, read_bench
+from hpe_rig.bench import opening
 from hpe_rig.cli.app import app
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare
@@ -20,24 +19,9 @@ from hpe_rig.store import WriteOptions, read_run
 
 
 @pytest.fixture
-def metal(tmp_path: Path) -> Path:
-    text = read_bench().text
-    for simulated, real in (
-        ("simulated = true", "simulated = false"),
-        ("Simulated bench, wired as Fig. 2 of the paper", "Bench at the wrong address"),
-        ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
-    ):
-        assert simulated in text
-        text = text.replace(simulated, real)
-    port = count(1)
-    text = re.sub(
-        r'(?<=model = "33250A"\n)',
-        lambda _: f'address = "TCPIP0::127.0.0.1::{next(port)}::SOCKET"\nserial = "none"\n',
-        text,
-    )
-    path = tmp_path / "metal.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+def metal(real_bench: Callable[..., Path]) -> Path:
+    """Return the file of a bench at addresses that refuse connections."""
+    return real_bench(address="TCPIP0::127.0.0.1::{}::SOCKET")
 
 
 def rig(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> Result:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,17 +55,13 @@ def test_a_run_on_an_unproven_bench_warns_before_an_output_is_enabled(tmp_path: 
 
 
 def test_a_real_bench_needs_a_terminal_and_an_amplifier_that_is_off(
-    path: Path, monkeypatch: pytest.MonkeyPatch
+    real_bench: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("the bench was opened")
 
     monkeypatch.setattr(command, "commission", refuse)
-    text = path.read_text(encoding="utf-8").replace("simulated = true", "simulated = false")
-    text = text.replace("Simulated bench, wired", "Bench in room 12, wired")
-    for number in range(11, 16):
-        text = text.replace('model = "33250A"\n', f"model = '33250A'\naddress = \"GPIB0::{number}::INSTR\"\n", 1)
-    path.write_text(text, encoding="utf-8")
+    path = real_bench()
     done = CliRunner().invoke(commands, ["commission", str(path)])
     assert (done.exit_code, "there is no terminal" in done.output) == (2, True)
     monkeypatch.setattr(command, "answer", lambda question: "no")

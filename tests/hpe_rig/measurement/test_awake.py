@@ -7,12 +7,12 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import read_bench
 from hpe_rig.measurement import awake, prepare, record_run
 from hpe_rig.scene import load_scene
 
@@ -74,17 +74,13 @@ def test_a_system_without_the_command_is_noted_in_the_log_alone(
     assert not [record for record in caplog.records if record.levelno > logging.INFO]
 
 
-def test_only_a_run_of_a_real_bench_keeps_the_computer_awake(request_file: Path, tmp_path: Path) -> None:
+def test_only_a_run_of_a_real_bench_keeps_the_computer_awake(
+    request_file: Path, tmp_path: Path, real_bench: Callable[..., Path]
+) -> None:
     scene = load_scene("bovine-muscle-synchronous").with_({"excitation.burst_count": 2, "processing.window_start_s": 0})
     record_run(prepare(scene), tmp_path / "simulated.h5")
     assert not request_file.exists()
-    text = read_bench().text.replace("simulated = true", "simulated = false").replace("Simulated", "Real")
-    text = text.replace('source = "assumed: no hydrophone has seen it"', 'source = "hydrophone"')
-    for port, role in enumerate(("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"), 1):
-        address = f'[generators.{role}]\naddress = "TCPIP::127.0.0.1::{port}::SOCKET"\nserial = "none"'
-        text = text.replace(f"[generators.{role}]", address)
-    bench = tmp_path / "real.toml"
-    bench.write_text(text, encoding="utf-8")
+    bench = real_bench(address="TCPIP::127.0.0.1::{}::SOCKET")
     with pytest.raises(InstrumentError):
         record_run(prepare(scene, bench), tmp_path / "real.h5")
     wait_for(request_file, "free")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import date, timedelta
 from pathlib import Path
@@ -171,25 +172,17 @@ def test_the_drivers_themselves_refuse_a_drive_beyond_the_benchs_limit() -> None
                 drive_generator.configure(replace(burst, amplitude_vpp=2.1))
 
 
-def real(tmp_path: Path, calibration: str) -> Path:
-    """Return the path of a real bench file with more keys in its calibration."""
-    text = read_bench().text.replace("simulated = true", "simulated = false").replace("Simulated bench", "Real bench")
-    text = text.replace('source = "assumed: no hydrophone has seen it"', f'source = "hydrophone"\n{calibration}')
-    for number, role in enumerate(("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")):
-        text = text.replace(
-            f"[generators.{role}]", f'[generators.{role}]\nserial = "none"\naddress = "GPIB0::{10 + number}::INSTR"'
-        )
-    path = tmp_path / "real.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+def test_an_expired_calibration_is_refused_on_a_real_bench_and_reported_on_the_twin(
+    tmp_path: Path, real_bench: Callable[..., Path]
+) -> None:
+    def real(keys: str) -> Path:
+        return real_bench(("focus_depth_m", f"{keys}\nfocus_depth_m"))
 
-
-def test_an_expired_calibration_is_refused_on_a_real_bench_and_reported_on_the_twin(tmp_path: Path) -> None:
     yesterday = date.today() - timedelta(days=1)
     with pytest.raises(PlanError, match=rf"expired: calibration.valid_until = {yesterday}.*valid_until"):
-        prepare("bovine-muscle", real(tmp_path, f"date = 2020-01-31\nvalid_until = {yesterday}"))
-    assert not of("calibration", prepare("bovine-muscle", real(tmp_path, "date = 2020-01-31")).findings)
-    (today,) = of("calibration", prepare("bovine-muscle", real(tmp_path, f"valid_until = {date.today()}")).findings)
+        prepare("bovine-muscle", real(f"date = 2020-01-31\nvalid_until = {yesterday}"))
+    assert not of("calibration", prepare("bovine-muscle", real("date = 2020-01-31")).findings)
+    (today,) = of("calibration", prepare("bovine-muscle", real(f"valid_until = {date.today()}")).findings)
     assert today.level == "passed"
     (twin,) = of("calibration", checked(tmp_path, ("focus_depth_m", f"valid_until = {yesterday}\nfocus_depth_m")))
     assert twin.level == "warning"
