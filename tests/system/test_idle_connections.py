@@ -29,6 +29,8 @@ from sim_backend.world import GeneratorConnection
 
 BURST = Toneburst(carrier_hz=3e6, cycles=300, amplitude_vpp=0.2, delay_s=0.0, load_ohm=50.0)
 SHOTS = 2
+FEW = [pytest.param(name, marks=[] if name in ("socket", "prologix") else pytest.mark.slow) for name in TRANSPORTS]
+"""Without and with an adapter; the other transports are marked slow."""
 
 # pyvisa-py leaves the socket of a lost connection to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
@@ -94,6 +96,7 @@ def test_a_connection_lost_while_idle_is_opened_again_and_everything_programmed(
     assert [record.message for record in caplog.records if "toneburst: the connection was lost" in record.message]
 
 
+@pytest.mark.parametrize("remote", FEW, indirect=True)
 def test_a_connection_lost_while_the_output_is_on_is_an_error(
     remote: tuple[Generator33250A, Agilent33250A], peers: list[socket.socket]
 ) -> None:
@@ -107,6 +110,7 @@ def test_a_connection_lost_while_the_output_is_on_is_an_error(
     assert not instrument.registers.output
 
 
+@pytest.mark.parametrize("remote", FEW, indirect=True)
 def test_another_instrument_behind_the_connection_is_an_error(
     remote: tuple[Generator33250A, Agilent33250A], peers: list[socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,12 +125,7 @@ def test_another_instrument_behind_the_connection_is_an_error(
     assert not instrument.registers.output
 
 
-FAST = {"socket", "prologix"}
-
-
-@pytest.mark.parametrize(
-    "transport", [pytest.param(name, marks=[] if name in FAST else pytest.mark.slow) for name in TRANSPORTS]
-)
+@pytest.mark.parametrize("transport", FEW)
 def test_a_run_goes_on_after_every_connection_was_lost_between_two_shots(
     tmp_path: Path, transport: str, peers: list[socket.socket]
 ) -> None:

@@ -484,7 +484,7 @@ def measured(folder: Path, scene: str, bench: str) -> str:
     return "result"
 
 
-@pytest.mark.parametrize("cases", [12, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [6, pytest.param(1500, marks=pytest.mark.slow)])
 def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(7)
     found = {"message": 0, "refused": 0, "result": 0}

@@ -101,6 +101,7 @@ def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prep
     assert resumed_table(stopped_after(setup, tmp_path / "run.h5", 2)) == expected
 
 
+@pytest.mark.slow
 def test_resuming_gives_the_same_table_when_every_clock_is_off(prepared: Prepare, tmp_path: Path) -> None:
     errors = "\n".join(f"{role} = {error}" for role, error in CLOCK_ERRORS.items())
     clocks = f"[simulation.instruments.clock_error]\n{errors}\n\n[simulation.receiver]"

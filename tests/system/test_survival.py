@@ -222,7 +222,7 @@ def measure_on_a_full_disk(setup: Setup, path: Path, size: int) -> None:
         assert bench.world.digitizer_idle()
 
 
-@pytest.mark.parametrize("sizes", [3, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sizes", [2, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that_resumes(
     prepared: Prepare, left_alone: Callable[[Setup], Path], tmp_path: Path, sizes: int
 ) -> None:
@@ -250,7 +250,7 @@ def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that
 
 
 def test_live_reading_while_writing_never_fails_and_never_sees_half_a_record(prepared: Prepare, tmp_path: Path) -> None:
-    reads_while_writing(prepared, tmp_path, reads=12)
+    reads_while_writing(prepared, tmp_path, reads=6)
 
 
 @pytest.mark.slow

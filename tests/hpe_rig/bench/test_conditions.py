@@ -148,7 +148,7 @@ def test_mistakes_of_conditions_are_reported_together() -> None:
         parse_bench("bench", read_bench().text + '\n[[conditions]]\nname = "water level"\ncommand = ["x"]\n')
 
 
-def test_a_bench_file_of_an_earlier_version_has_no_conditions(tmp_path: Path) -> None:
+def test_a_bench_file_without_the_table_has_no_conditions() -> None:
     assert read_bench().bench.conditions == ()
 
 

@@ -85,7 +85,14 @@ def test_the_switched_off_outputs_and_a_lost_bench_file_are_reported_without_sta
     assert "standard output cannot be written" in emulation.stderr
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+@pytest.mark.parametrize(
+    "closed",
+    [
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("<&-", ">&-", "2>&-")),
+        "<&- >&- 2>&-",
+        "2>/dev/full",
+    ],
+)
 def test_streams_that_are_missing_or_full_end_no_command(tmp_path: Path, closed: str) -> None:
     command = f"exec '{sys.executable}' -m hpe_rig {LIST} {closed}"
     done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -103,7 +110,7 @@ def test_a_reader_that_has_read_enough_is_no_mistake(tmp_path: Path) -> None:
 def test_results_wait_for_a_slow_reader_and_arrive_completely(tmp_path: Path) -> None:
     with unread([sys.executable, "-c", MANY_LINES], "stdout", tmp_path) as (process, file):
         with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(4.0)
+            process.wait(3.0)
         assert file.read().count(b"a line of a long table\n") == 20_000
         assert process.wait(20) == 0
 

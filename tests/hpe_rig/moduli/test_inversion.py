@@ -95,7 +95,11 @@ def test_spectra_by_an_independent_quadrature_give_the_moduli_to_1e_6(medium: di
 @pytest.mark.parametrize(
     ("law", "settings"),
     [
-        ("zener", {"shear_modulus_pa": 5e3, "shear_viscosity_pa_s": 3.0, "branch_modulus_pa": 12e3}),
+        pytest.param(
+            "zener",
+            {"shear_modulus_pa": 5e3, "shear_viscosity_pa_s": 3.0, "branch_modulus_pa": 12e3},
+            marks=pytest.mark.slow,
+        ),
         ("power_law", {"shear_modulus_pa": 8e3, "power": 0.25}),
         pytest.param("maxwell", {"shear_modulus_pa": 9e3, "shear_viscosity_pa_s": 8.0}, marks=pytest.mark.slow),
     ],

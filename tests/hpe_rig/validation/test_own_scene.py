@@ -15,6 +15,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.scene import Scene, load_scene
 from hpe_rig.study import one_shot
+from hpe_rig.validation.accuracy import own_scene
 from hpe_rig.validation.accuracy.own_scene import (
     UNCHANGED,
     SceneRow,
@@ -134,7 +135,11 @@ def test_one_shot_of_a_long_scene_is_measured() -> None:
     assert len(one_shot(load_scene("muscle-force")).excitation.force_fraction) == 1  # type: ignore[union-attr]
 
 
-def test_the_command_writes_the_table_and_reports_its_progress(tmp_path: Path) -> None:
+def test_the_command_writes_the_table_and_reports_its_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def two_kinds(scene: Scene) -> list[Variant]:
+        return [variant for variant in variants(scene) if variant.varied in (UNCHANGED, "gate")]
+
+    monkeypatch.setattr(own_scene, "variants", two_kinds)
     table, scene = tmp_path / "mine.csv", tmp_path / "mine.toml"
     from hpe_rig.scene import scene_text as text_of
 

@@ -397,7 +397,14 @@ def test_a_hislip_lock_makes_the_messages_of_others_wait() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
-@pytest.mark.parametrize("transport", ["vxi11", pytest.param("serial", marks=[needs_pty, pytest.mark.slow]), "socket"])
+@pytest.mark.parametrize(
+    "transport",
+    [
+        pytest.param("vxi11", marks=pytest.mark.slow),
+        pytest.param("serial", marks=[needs_pty, pytest.mark.slow]),
+        "socket",
+    ],
+)
 def test_ctrl_c_ends_an_emulator_that_is_under_attack(transport: str) -> None:
     command = [sys.executable, "-m", "hpe_rig", "emulate", "--transport", transport]
     root = Path(__file__).parents[3]

@@ -118,10 +118,7 @@ def test_the_gates_edges_do_not_bias_kasai_divided_by_the_mean_frequency(wide: T
     ("margin", "estimator"),
     [
         *((0, name) for name in ESTIMATORS),
-        *(
-            pytest.param(67, name, marks=pytest.mark.slow) if name in OVER_THE_GATE else (67, name)
-            for name in ESTIMATORS
-        ),
+        *(pytest.param(67, name, marks=() if name == "coherent" else pytest.mark.slow) for name in ESTIMATORS),
     ],
 )
 def test_white_noise_alone_is_not_significant_motion(wide: TableOne, estimator: Estimator, margin: int) -> None:

@@ -355,7 +355,7 @@ def test_a_hundredfold_drive_is_off_by_less_than_a_fifth_of_a_percent() -> None:
         assert degrees < 0.2
 
 
-@pytest.mark.parametrize("noise_m", [0.77e-9, 7.7e-12])
+@pytest.mark.parametrize("noise_m", [0.77e-9, pytest.param(7.7e-12, marks=pytest.mark.slow)])
 def test_what_every_period_repeats_is_no_medium(noise_m: float) -> None:
     # a receiver's error of 0.1 % of the rms motion, the same at an instant in all periods, so that no residual shows it
     generator, over_u, significance = np.random.default_rng(3), [], []
@@ -539,7 +539,7 @@ def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> N
         assert np.abs(ratio / ratio.mean() - 1).max() < 4e-3
 
 
-@pytest.mark.parametrize("modulus", [voigt(9e3, 0.02), maxwell(12e3, 5.0)])
+@pytest.mark.parametrize("modulus", [pytest.param(voigt(9e3, 0.02), marks=pytest.mark.slow), maxwell(12e3, 5.0)])
 def test_an_aperture_in_a_medium_of_the_ensemble_is_no_other_medium(modulus: ComplexArray) -> None:
     beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3))
     force = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5)

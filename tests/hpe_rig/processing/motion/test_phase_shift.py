@@ -214,7 +214,7 @@ def test_spectra_by_fft_equal_those_by_projection(wide: TableOne, monkeypatch: p
     np.testing.assert_allclose(spectra[0], spectra[1], rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("margins", [False, True])
+@pytest.mark.parametrize("margins", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_compiled_phase_equals_that_of_numpy(
     table_one: TableOne, wide: TableOne, speckle_draws: FloatArray, wide_draws: FloatArray, margins: bool
 ) -> None:
