@@ -1,15 +1,8 @@
-from .budget import (
-    ErrorSources as ErrorSources,
-    estimates_of as estimates_of,
-    with_second_order_speckle as with_second_order_speckle,
-)
+from .budget import estimates_of as estimates_of, with_second_order_speckle as with_second_order_speckle
 from .burst_period import burst_period_motion as burst_period_motion, displacement_residual_m as displacement_residual_m
 from .echo.band import Band as Band, band_frequencies_hz as band_frequencies_hz, band_of as band_of
 from .echo.conditioning import hann as hann
-from .echo.gate import (
-    EchoGate as EchoGate,
-    margin_samples as margin_samples,
-)
+from .echo.gate import EchoGate as EchoGate, margin_samples as margin_samples
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
     EstimatorSpec as EstimatorSpec,

@@ -28,7 +28,7 @@ START_RATES: Final = (0.005, 0.5, 0.95)
 MIN_EVIDENCE: Final = 12.0
 """Logarithm of the likelihood ratio above which disturbed records follow the tonebursts, and not chance."""
 MIN_RATIO: Final = 7.0
-"""Logarithm of the likelihood ratio above which the less likely of two shifts is excluded."""
+"""Logarithm of the likelihood ratio above which the less likely of two explanations is excluded."""
 CHANGE: Final = -14.0
 """Logarithm of the probability of a lost or stray trigger at any one record."""
 JUMP_CHANGE: Final = 0.05
