@@ -300,7 +300,7 @@ class World:
         return direct_v + self._recorded(until_ps).volts(records) if channel == 0 else direct_v
 
     def peak_v(self, until_ps: int, count: int) -> float:
-        """Return the largest absolute voltage at channel A in the first ``count`` records."""
+        """Return the largest absolute voltage of the echoes at channel A in the first ``count`` records."""
         return self._recorded(until_ps).peak_v(count)
 
     def _recorded(self, until_ps: int) -> Recording:

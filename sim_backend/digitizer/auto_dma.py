@@ -220,5 +220,5 @@ def timestamps(
 
 
 def clipped_status(arming: Arming, peak_v: float) -> int:
-    """Return the clipped bits of the status: 2 if ``peak_v`` exceeds the range of channel A; B is not connected."""
+    """Return the clipped bits of the status: 2 if ``peak_v`` exceeds the range of channel A, the only one simulated."""
     return 2 if is_clipped(peak_v, arming.settings.inputs[0]) else 0

@@ -1,14 +1,16 @@
 from .installed_media import BUILT_IN_MEDIA as BUILT_IN_MEDIA, creeps as creeps, modulus_of as modulus_of
-from .simulation import (
-    BackgroundMotion as BackgroundMotion,
+from .instruments import Instruments as Instruments, TriggerFaults as TriggerFaults
+from .receiver import (
     BandFilter as BandFilter,
-    Beams as Beams,
-    Instruments as Instruments,
     LogAmplifier as LogAmplifier,
-    MotionComponent as MotionComponent,
-    Propagation as Propagation,
     ReceiveChain as ReceiveChain,
     Receiver as Receiver,
+)
+from .simulation import (
+    BackgroundMotion as BackgroundMotion,
+    Beams as Beams,
+    MotionComponent as MotionComponent,
+    Propagation as Propagation,
     Reflector as Reflector,
     Scatterers as Scatterers,
     SimulationSettings as SimulationSettings,
@@ -16,6 +18,5 @@ from .simulation import (
     Sphere as Sphere,
     Transducer as Transducer,
     Transmitter as Transmitter,
-    TriggerFaults as TriggerFaults,
     scatterer_count as scatterer_count,
 )

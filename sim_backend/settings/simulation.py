@@ -1,25 +1,21 @@
-"""Settings of the twin, the ``[simulation]`` section of a scene: medium, scatterers, receiver, instruments.
-
-Each description states the source of the default: *paper* (Table I or Sec. III of the source paper), *manual*
-(docs/explanation/instruments.md), *assumed* (no source; set it in the scene if it matters).
-"""
+"""Settings of the twin, the ``[simulation]`` section of a scene: specimen, beams, scatterers, and all together."""
 
 from __future__ import annotations
 
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from sim_backend.settings.installed_media import BUILT_IN_MEDIA, check_parameters, known_medium
-from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, with_preset, with_preset_depth
+from sim_backend.settings.instruments import Instruments
+from sim_backend.settings.presets import PRESETS, Preset, with_preset, with_preset_depth
 from sim_backend.settings.quantities import (
     AmplitudeM,
     AttenuationDbPerCmMHz,
     DensityKgPerM3,
     ForceDensityNPerM3,
     FrequencyHz,
-    JitterS,
     LengthM,
     ModulusPa,
     NonNegativeVoltageV,
@@ -29,14 +25,14 @@ from sim_backend.settings.quantities import (
     Seed,
     SpeedMPerS,
     Strength,
-    TimeS,
     VibrationHz,
     ViscosityPaS,
     VoltageV,
 )
+from sim_backend.settings.receiver import ReceiveChain, Receiver
+from sim_backend.settings.section import Section
 
 Widths = tuple[LengthM, LengthM, LengthM]
-ClockError = Annotated[float, Field(gt=-1e-2, lt=1e-2, strict=True)]
 
 
 def _as_pairs(table: Any) -> Any:
@@ -62,12 +58,6 @@ MAX_ECHO_GATES = 1000.0
 """Largest echo length in reference gates; beyond it ``snr_db`` is wrong by 30 dB for a pulse within the gate."""
 MAX_OFFSET_WIDTHS = 8.0
 """Largest distance of the beams' axes in sigmas; the tracking beam then has 1e-14 of its intensity on the push."""
-
-
-class Section(BaseModel):
-    """A frozen table of settings; unknown keys are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Sphere(Section):
@@ -334,182 +324,6 @@ class Scatterers(Section):
     """Allowed relative rms error of the echoes; absent: 1e-8, or 2e-7 with ``specimen.field = "medium"``."""
     attenuation_db_per_cm_mhz: AttenuationDbPerCmMHz = 0.0
     """One-way loss, which attenuates the high frequencies of echoes most (assumed: none; soft tissue 0.5)."""
-
-
-class Receiver(Section):
-    """Receive chain between transducer and digitizer."""
-
-    snr_db: RatioDb | None = None
-    """Echo power at rest in the reference gate over noise power; absent: no noise."""
-    reference_gate_m: LengthM = 1.0e-3
-    """Length of the gate around the focus for which ``snr_db`` and ``echo_rms_v`` are defined."""
-    echo_rms_v: VoltageV = 0.1
-    """Root mean square of the resting echo in the reference gate for a 3-cycle pulse of ``reference_pulse_vpp``."""
-    reference_pulse_vpp: VoltageV = 1.0
-    """Tracking pulse amplitude at the generator for ``echo_rms_v``."""
-    reference_carrier_hz: FrequencyHz = 9.0e6
-    """Carrier of the tracking pulse for ``echo_rms_v`` (paper: 9.0 MHz)."""
-    toneburst_leak_v: NonNegativeVoltageV = 2.0
-    """Amplitude at the digitizer while a toneburst of the specimen's reference drive is transmitted (assumed)."""
-    toneburst_echo_gain: Annotated[Strength, Field(ge=0)] = 1.0
-    """Echo of the toneburst relative to a tracking echo of the same drive, after the 3 MHz notch (assumed)."""
-
-
-class BandFilter(Section):
-    """A Butterworth band-pass or notch."""
-
-    centre_hz: FrequencyHz
-    """Centre frequency."""
-    bandwidth: Annotated[float, Field(ge=1e-3, le=4, strict=True)]
-    """Width between the -3 dB edges over the centre frequency."""
-    order: Annotated[int, Field(ge=1, le=8, strict=True)] = 2
-    """Pole pairs (assumed)."""
-
-
-class LogAmplifier(Section):
-    """A logarithmic amplifier."""
-
-    slope_v_per_decade: VoltageV = 0.25
-    """Output a decade of input (assumed)."""
-    knee_v: VoltageV = 1.0e-4
-    """Input amplitude of the transition from linear to logarithmic (assumed)."""
-    saturation_v: VoltageV | None = 0.75
-    """Largest output (assumed)."""
-
-
-class ReceiveChain(Section):
-    """Elements between transducer and digitizer; an absent element is not simulated.
-
-    With this section the receiver's volts are those at the transducer, and the noise is the preamplifier's.
-    """
-
-    preset: Literal["paper"] | None = None
-    """The paper's chain by name, which sets every omitted element (values that are not from the paper: assumed)."""
-    notch: BandFilter | None = None
-    """Notch for the toneburst's carrier (paper: 3.0 MHz, 50 %)."""
-    recovery_time_s: TimeS | None = None
-    """Time constant of the T/R switch after a transmission; absent: no switch."""
-    noise_v_per_sqrt_hz: Annotated[float, Field(ge=1e-15, le=1.0, strict=True)] | None = None
-    """Noise density of the preamplifier, at its input."""
-    band_pass: BandFilter | None = None
-    """First band-pass (paper: 9.0 MHz, 33 %)."""
-    log_amplifier: LogAmplifier | None = None
-    """Logarithmic amplifier."""
-    second_band_pass: BandFilter | None = None
-    """Second band-pass (paper: 9.0 MHz; its width is assumed to be the first's)."""
-    third_harmonic: Annotated[Strength, Field(ge=0)] = 0.0
-    """Third harmonic of a toneburst over its carrier at the transducer, in addition to the amplifier's saturation."""
-    oversampling: Literal[1, 2, 5, 10] = 1
-    """Computed samples for one sample of the digitizer."""
-    tail_tolerance: Annotated[float, Field(ge=1e-14, lt=1, strict=True)] = 1e-6
-    """Relative decay of the filters before a record begins."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _apply_preset(cls, settings: Any) -> Any:
-        return with_preset(settings, CHAIN_PRESETS)
-
-
-class StampJump(Section):
-    """A step in the trigger times of one capture."""
-
-    record: Annotated[int, Field(ge=0, le=10_000_000, strict=True)]
-    """First record with shifted trigger times, counted from 0."""
-    jump_s: Annotated[float, Field(ge=-1e6, le=1e6, strict=True)]
-    """Time added to it and to all later ones."""
-
-
-class TriggerFaults(Section):
-    """Faults of the digitizer's trigger input and of its trigger times, equal in every capture; by default none."""
-
-    lost: tuple[Annotated[int, Field(ge=0, le=10_000_000, strict=True)], ...] = ()
-    """Triggers that the digitizer misses, counted from 0 among those that arrive after arming."""
-    stray_s: tuple[Annotated[float, Field(ge=-10.0, le=100.0, strict=True)], ...] = ()
-    """Times of triggers that no instrument sent, relative to the first trigger that arrives after arming."""
-    stamp_jumps: tuple[StampJump, ...] = ()
-    """Steps in the trigger times."""
-    frozen_stamps: tuple[int, int] | None = None
-    """First and last record with the trigger time of the first one of them, counted from 0."""
-    stamp_bits: Annotated[int, Field(ge=8, le=40, strict=True)] = 40
-    """Width of the counter of trigger times, which wraps to zero (manual: 40)."""
-
-    @model_validator(mode="after")
-    def _check_frozen_stamps(self) -> TriggerFaults:
-        first, last = self.frozen_stamps or (0, 1)
-        if not 0 <= first < last:
-            raise ValueError(
-                f"frozen_stamps = [{first}, {last}]: the first record must be at least 0 and before the last"
-            )
-        return self
-
-
-class ClockErrors(Section):
-    """Relative error of each instrument's clock rate, positive if it is fast; by default none.
-
-    The frequencies, delays, samples and time stamps of an instrument follow its own clock.
-    """
-
-    master: ClockError = 0.0
-    """Clock of the master trigger."""
-    burst_train: ClockError = 0.0
-    """Clock of the burst train."""
-    toneburst: ClockError = 0.0
-    """Clock of the toneburst's generator, which sets its carrier and length."""
-    tracking_train: ClockError = 0.0
-    """Clock of the tracking train."""
-    tracking_pulser: ClockError = 0.0
-    """Clock of the tracking pulser, which sets the pulses' carrier and length."""
-    digitizer: ClockError = 0.0
-    """Clock of the digitizer, which sets its samples and time stamps; excludes ``sample_clock_offset``."""
-
-
-class Instruments(Section):
-    """Properties of the simulated instruments."""
-
-    dual_port_memory: Annotated[bool, Field(strict=True)] = True
-    """Whether the digitizer has the optional dual-port memory that AutoDMA needs."""
-    samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
-    """On-board memory of the digitizer (assumed)."""
-    fpga_version: Annotated[int, Field(ge=1, le=1000, strict=True)] = 19
-    """FPGA version of the digitizer; 18 and below hold at most 1000 single-port records (manual)."""
-    serial_numbers: Annotated[bool, Field(strict=True)] = True
-    """Whether the generators have different serial numbers, or labels where the model has none; False: neither."""
-    generator_latency_s: TimeS = 100.0e-9
-    """Trigger input to first output edge of a 33250A (manual, from memory: < 100 ns)."""
-    digitizer_latency_s: TimeS = 0.0
-    """Trigger input to sample 0 without trigger delay (assumed)."""
-    aux_latency_s: TimeS = 0.0
-    """Trigger input to rising edge of the AUX trigger output (assumed)."""
-    aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
-    """Whether that edge waits for the digitizer's trigger delay (assumed: no)."""
-    message_time_s: Annotated[TimeS, Field(ge=1e-6)] = 1.0e-3
-    """Duration of one SCPI message (assumed)."""
-    trigger_jitter_s: JitterS = 0.0
-    """Root-mean-square jitter of each 33250A from trigger to output."""
-    sample_clock_jitter_s: JitterS = 0.0
-    """Root-mean-square aperture jitter of the digitizer."""
-    sample_clock_offset: ClockError = 0.0
-    """Relative error of the digitizer's sample period, positive if too long: another form of clock_error.digitizer."""
-    clock_error: ClockErrors = ClockErrors()
-    """Relative error of each instrument's clock rate."""
-    trigger_faults: TriggerFaults = TriggerFaults()
-    """Faults of the digitizer's triggers and of their times."""
-
-    @property
-    def digitizer_clock_error(self) -> float:
-        """Relative error of the digitizer's clock rate, from either of its two keys."""
-        # A period longer by a factor 1 + offset is a rate of 1 / (1 + offset).
-        return self.clock_error.digitizer or -self.sample_clock_offset / (1 + self.sample_clock_offset)
-
-    @model_validator(mode="after")
-    def _check_clock(self) -> Instruments:
-        """Refuse two statements of the digitizer's clock."""
-        if self.sample_clock_offset and self.clock_error.digitizer:
-            raise ValueError(
-                f"sample_clock_offset is {self.sample_clock_offset:g} and clock_error.digitizer "
-                f"{self.clock_error.digitizer:g}: both state the digitizer's clock, remove sample_clock_offset"
-            )
-        return self
 
 
 def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:

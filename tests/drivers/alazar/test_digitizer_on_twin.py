@@ -22,7 +22,8 @@ from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import Capture, DeadlineError, Digitizer, InstrumentError, PulseTrain, TriggerPulse
 from sim_backend.digitizer.boards import IMPEDANCE_50_OHM
-from sim_backend.settings.simulation import Instruments, SimulationSettings, StampJump, TriggerFaults
+from sim_backend.settings import Instruments, SimulationSettings, TriggerFaults
+from sim_backend.settings.instruments import StampJump
 from sim_backend.world import World
 
 WIRING = [

@@ -19,7 +19,7 @@ from drivers.alazar.board import AlazarBoard
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.return_codes import SUCCESS
 from drivers.interfaces import Capture, PulseTrain, TriggerPulse
-from sim_backend.settings.simulation import Instruments, SimulationSettings
+from sim_backend.settings import Instruments, SimulationSettings
 from sim_backend.world import World
 
 WIRING = [("master.output", "tracking_train.trigger", 5e-9), ("tracking_train.output", "digitizer.trigger", 5e-9)]

@@ -9,7 +9,7 @@ from sim_backend.echoes.engine import echoes
 from sim_backend.echoes.pulse import echo_pulse, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.receiver.front_end import echo_gain_v
-from sim_backend.settings.simulation import MotionComponent, Receiver, Scatterers, SimulationSettings, Specimen
+from sim_backend.settings import MotionComponent, Receiver, Scatterers, SimulationSettings, Specimen
 from sim_backend.wiring import Bursts, Capture
 
 FOCUS_S = 70e-3 / 1540.0

@@ -8,7 +8,7 @@ import pytest
 
 from sim_backend.digitizer.board import Board, BoardSettings, Input, Latencies, is_clipped, words
 from sim_backend.digitizer.boards import BOARDS
-from sim_backend.settings.simulation import Instruments, SimulationSettings
+from sim_backend.settings import Instruments, SimulationSettings
 from sim_backend.world import World
 
 WIRING = [("master.output", "tracking_train.trigger", 5e-9), ("tracking_train.output", "digitizer.trigger", 5e-9)]

@@ -14,7 +14,7 @@ from sim_backend.motion.field import _BesselOnRay, field_transfer, focus_field, 
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.specimen import frequency_response, tabulate_step_response, transient_displacement, transients
 from sim_backend.receiver.front_end import echo_gain_v
-from sim_backend.settings.simulation import Receiver, SimulationSettings, Specimen
+from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import Bursts, Capture
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)

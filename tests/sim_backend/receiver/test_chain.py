@@ -8,7 +8,7 @@ from sim_backend.receiver.chain import TRAILING_SAMPLES, fast_fft_length, receiv
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled, switch_gain
 from sim_backend.receiver.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.timing import jittered, sampled_with_clock_error
-from sim_backend.settings.simulation import (
+from sim_backend.settings import (
     BandFilter,
     Instruments,
     LogAmplifier,

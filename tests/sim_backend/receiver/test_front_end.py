@@ -15,7 +15,7 @@ from sim_backend.receiver.front_end import (
     reference_gate_s,
     toneburst_echo_strength,
 )
-from sim_backend.settings.simulation import Receiver, SimulationSettings, Specimen
+from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import Bursts
 
 
