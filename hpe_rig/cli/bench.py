@@ -10,6 +10,7 @@ from typing import Any
 
 from hpe_rig.bench import (
     WITHOUT_OUTPUT,
+    BenchFile,
     BenchReport,
     InstrumentReport,
     Settings,
@@ -31,13 +32,14 @@ from hpe_rig.store import read_snapshots
 
 @dataclass(frozen=True, slots=True)
 class BenchState:
-    """Bench file and settings, read from the bench (``report``, bench file ``path``) or from a run file."""
+    """Bench file and settings, read from the bench (``report``, ``bench`` from file ``path``) or from a run file."""
 
     name: str
     tables: Mapping[str, Any]
     settings: Mapping[str, Settings]
     report: BenchReport | None
     path: Path | None = None
+    bench: BenchFile | None = None
 
 
 def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
@@ -46,7 +48,8 @@ def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
         return _state_of_run(path)
     text = read_bench(path)
     report = survey(text.bench, self_test=self_test)
-    return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report, path)
+    tables = parse_toml(text.text, text.name)
+    return BenchState("the bench now", tables, report.settings, report, path, text.bench)
 
 
 def compare_with(path: Path, state: BenchState) -> str:
@@ -124,17 +127,16 @@ def _safe_text(roles: Sequence[str]) -> str:
     return f"every instrument that answered is safe: {', '.join(name for name in states if states[name])}, verified"
 
 
-def print_calibration(path: Path | None) -> None:
+def print_calibration(bench: BenchFile) -> None:
     """Print that the calibration of a real bench has expired or lies in the future."""
-    bench = read_bench(path, any_title=True).bench
     for finding in () if bench.simulated else calibration_expiry(bench, date.today()):
         if finding.level != "passed":
             wide_console().print(f"{finding}", style="bold")
 
 
-def print_conditions(path: Path | None) -> bool:
-    """Read and print the conditions of a bench file; return whether a run could begin without a wait for them."""
-    readings = read_conditions(read_bench(path, any_title=True).bench.conditions)
+def print_conditions(bench: BenchFile) -> bool:
+    """Read and print the conditions of ``bench``; return whether a run could begin without a wait for them."""
+    readings = read_conditions(bench.conditions)
     for reading in readings:
         wide_console().print(f"{reading}", style="" if reading.accepted else "bold")
     waiting = [reading.condition for reading in readings if not reading.accepted]

@@ -62,10 +62,10 @@ def bench_command(
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
     state = bench_state(bench, self_test)
     ready = True
-    if state.report is not None:
+    if state.report is not None and state.bench is not None:
         print_report(state.report, wide)
-        ready = print_conditions(state.path) and state.report.complete
-        print_calibration(state.path)
+        ready = print_conditions(state.bench) and state.report.complete
+        print_calibration(state.bench)
     if compare is not None:
         typer.echo(compare_with(compare, state))
     if not ready:

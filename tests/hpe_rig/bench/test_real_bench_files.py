@@ -205,5 +205,5 @@ def test_the_state_of_a_real_bench_reports_an_expired_calibration(
 ) -> None:
     source = 'source = "assumed: no hydrophone has seen it"'
     path = real(tmp_path / "metal.toml", (TITLE, "Room 12"), (source, f"{source}\nvalid_until = 2026-03-05"))
-    print_calibration(path)
+    print_calibration(read_bench(path).bench)
     assert "calibration: expired: calibration.valid_until = 2026-03-05" in capsys.readouterr().out
