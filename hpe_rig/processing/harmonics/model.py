@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.arrays import BoolArray, FloatArray, IndexArray
 from hpe_rig.plan import MAX_CONDITION as MAX_CONDITION
 
 MAX_CONDITION_OF_PRODUCTS = 1e4
@@ -155,19 +155,23 @@ def _model(
             f"try at least {states + 1} pulses or fewer frequencies"
         )
     products = matrix.T @ matrix
-    condition = _condition(matrix, products, harmonic_states)
+    sizes = [2] * frequency_hz.size + [1] * (background_order + 1)
+    condition = _condition(matrix, products, _lengths(products, sizes))
     if not condition <= largest_condition:
         raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition, largest_condition))
     if also_hz:
         # At most half of the remaining degrees of freedom go to further frequencies; noise is estimated from the
         # others.
         groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
-        numbers = [states, *(states + np.cumsum([group.shape[1] for group in groups], dtype=np.int64)).tolist()]
-        numbers = [number for number in numbers if number <= states + (pulses - states) // 2]
-        pairs = np.hsplit(every_pulse[:, :harmonic_states], frequency_hz.size)
-        scaled = np.hstack([_scaled(group[valid]) for group in (*pairs, every_pulse[:, harmonic_states:], *groups)])
-        resolved = _resolved_columns(scaled, numbers, largest_condition)
-        every_pulse = np.hstack([every_pulse, *groups])[:, :resolved]
+        sizes += [group.shape[1] for group in groups]
+        every_pulse = np.hstack([every_pulse, *groups])
+        products = every_pulse[valid].T @ every_pulse[valid]
+        numbers = np.cumsum(sizes)
+        numbers = numbers[(numbers >= states) & (numbers <= states + (pulses - states) // 2)]
+        lengths = _lengths(products, sizes)
+        every_pulse = every_pulse[
+            :, : _resolved_columns(products / np.outer(lengths, lengths), numbers, largest_condition)
+        ]
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
     root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
@@ -188,52 +192,48 @@ def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) 
     return np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
 
 
-def _condition(matrix: FloatArray, products: FloatArray, harmonic_states: int) -> float:
-    """Return the condition number of ``matrix`` (pulse, state) with scaled columns; ``products`` is H'H.
+def _lengths(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
+    """Return a length for each column of H from ``products``, H'H: its own, or the rms length of its group.
 
-    1 is best; it grows as the pulses resolve the frequencies less. Columns are scaled to unit length, sin and cos of a
-    frequency to unit rms length as in ``_scaled``.
+    ``sizes``: numbers of columns of the groups, 2 for sin and cos of a frequency. A shift of time zero rotates sin into
+    cos; over a common length it leaves singular values unchanged, so that no choice of columns depends on time zero.
     """
-    square = np.diagonal(products).copy()
-    pairs = square[:harmonic_states].reshape(-1, 2)
-    pairs[:] = pairs.mean(axis=1, keepdims=True)
-    length = np.sqrt(square).clip(min=np.finfo(np.float64).tiny)
+    starts = np.cumsum(sizes) - sizes
+    mean_square = np.add.reduceat(np.diagonal(products), starts) / sizes
+    return np.repeat(np.sqrt(mean_square).clip(min=np.finfo(np.float64).tiny), sizes)
+
+
+def _condition(matrix: FloatArray, products: FloatArray, lengths: FloatArray) -> float:
+    """Return the condition number of ``matrix`` (pulse, state) with columns over ``lengths``; ``products`` is H'H.
+
+    1 is best; it grows as the pulses resolve the frequencies less.
+    """
     # The eigenvalues of H'H are the squared singular values: accurate enough up to a condition of 1e4.
-    smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(length, length)).tolist()
+    smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(lengths, lengths)).tolist()
     if smallest > largest / MAX_CONDITION_OF_PRODUCTS**2:
         return float(np.sqrt(largest / smallest))
-    values = np.linalg.svd(np.linalg.qr(matrix / length, mode="r"), compute_uv=False)
+    values = np.linalg.svd(np.linalg.qr(matrix / lengths, mode="r"), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
-def _scaled(columns: FloatArray) -> FloatArray:
-    """Return ``columns`` (pulse, column), such as sin and cos of one frequency, over their common rms length.
-
-    A shift of time zero rotates sin into cos. With a common scale it leaves singular values unchanged, so that the
-    choice of columns does not depend on time zero.
-    """
-    length = np.sqrt(np.mean(np.sum(columns**2, axis=0))) if columns.size else 1.0
-    return columns / max(length, np.finfo(np.float64).tiny)
-
-
-def _resolved_columns(scaled: FloatArray, numbers: Sequence[int], largest_condition: float) -> int:
-    """Return the largest of ``numbers``, ascending, such that so many first columns of ``scaled`` are resolved.
+def _resolved_columns(products: FloatArray, numbers: IndexArray, largest_condition: float) -> int:
+    """Return the largest of ``numbers``, ascending, such that so many first columns of a matrix H are resolved.
 
     Resolved are columns with a condition number of at most ``largest_condition``; the first number always counts.
+    ``products``: H'H of the scaled columns.
     """
-    gram = scaled.T @ scaled
     # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
     low, high = 0, len(numbers) - 1
     # All columns are tried first: they are often resolved.
     middle = high
     while low < high:
-        smallest, *_, largest = np.linalg.eigvalsh(gram[: numbers[middle], : numbers[middle]])
+        smallest, *_, largest = np.linalg.eigvalsh(products[: numbers[middle], : numbers[middle]])
         if largest <= largest_condition**2 * smallest:
             low = middle
         else:
             high = middle - 1
         middle = (low + high + 1) // 2
-    return numbers[low]
+    return int(numbers[low])
 
 
 def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> list[FloatArray]:
