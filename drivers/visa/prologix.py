@@ -58,7 +58,7 @@ class PrologixAdapter:
         """Send ``message`` to an instrument; a late reply, of whichever instrument, is dropped."""
         self._line.discard_replies()
         text = message.removesuffix(b"\n")
-        # An instrument whose reply is missing may still be waiting to send it.
+        # An instrument may still be waiting to send a missing reply.
         clear = b"++clr\n" if gpib_address in self._silent_addresses else b""
         self._silent_addresses.discard(gpib_address)
         self._line.write(self._selection(gpib_address) + clear + SPECIAL_BYTES.sub(b"\x1b\\1", text) + b"\n")

@@ -68,12 +68,12 @@ class PacedLine:
         self._line.timeout_s = timeout_s
 
     def write(self, message: bytes) -> None:
-        """Send ``message``; raise ``ConnectionError`` if the instrument does not read what was sent before."""
-        for part in self._parts(message):
-            if self._unread_bytes + len(part) > self._limit_bytes:
+        """Send ``message``; raise ``ConnectionError`` if the instrument does not read the bytes before it."""
+        for command in self._messages(message):
+            if self._unread_bytes + len(command) > self._limit_bytes:
                 self._wait_until_read()
-            self._line.write(part)
-            self._unread_bytes += len(part)
+            self._line.write(command)
+            self._unread_bytes += len(command)
 
     def read(self) -> bytes:
         """Return one reply; raise ``TimeoutError`` if there is none."""
@@ -101,7 +101,7 @@ class PacedLine:
     def _limit_bytes(self) -> int:
         return INPUT_BUFFER_BYTES - len(self._probe)
 
-    def _parts(self, message: bytes) -> list[bytes]:
+    def _messages(self, message: bytes) -> list[bytes]:
         """Return ``message``, or its commands as separate messages if they do not fit into the buffer together."""
         if len(message) <= self._limit_bytes or b"?" in message:
             return [message]

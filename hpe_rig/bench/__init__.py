@@ -4,7 +4,7 @@ In the order of the flow:
     bench_file      sections of a bench file: instruments, cables, limits, calibration
     value_checks    values that no bench can mean
     bench_loading   bench files from a path or text, their wiring checked
-    commissioned    digest of what a commissioning proves
+    commissioned    digest of the instruments and cables that a commissioning proves
     twin            the simulation that a scene declares, as one typed value
     push_scan       hydrophone scan of the push
     twin_checks     mistakes in [simulation], and settings that differ from the scene's

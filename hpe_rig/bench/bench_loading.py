@@ -32,12 +32,12 @@ class BenchText:
     bench: BenchFile
 
 
-def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
+def read_bench(path: Path | None = None, lenient: bool = False) -> BenchText:
     """Return the bench in the TOML file ``path``, by default the shipped simulated bench.
 
     Raises ``SettingsError`` with every mistake. A real bench with the title of the simulated one is refused, because
-    reports would show it, and so are two roles at one instrument and values that no bench can mean; ``any_title``
-    accepts all three, to switch off.
+    reports would show it, and so are two roles at one instrument and values that no bench can mean. ``lenient``
+    accepts all three, so that outputs can be switched off.
     """
     if path is None:
         shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
@@ -52,7 +52,7 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
         raise SettingsError(f"bench {path}", [mistake]) from None
     bench_text = parse_bench(path.stem, text)
     bench = bench_text.bench
-    if any_title:
+    if lenient:
         return bench_text
     mistakes = list(wrong_values(bench))
     if not bench.simulated:

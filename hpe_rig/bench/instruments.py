@@ -55,11 +55,7 @@ class UnsafeBenchError(Exception):
         self.roles = tuple(role for role, _ in failures)
         self.reasons = {role: str(error) for role, error in failures}
         self.proven = dict(proven)
-        self._tried = tuple(tried)
-
-    def concerns(self, instruments: Sequence[Instrument]) -> bool:
-        """Return whether switching off was tried on every one of ``instruments``."""
-        return all(any(item is tried for tried in self._tried) for item in instruments)
+        self.tried = tuple(tried)
 
 
 class DigitizerNotIdleError(InstrumentError):
@@ -75,11 +71,14 @@ class DigitizerNotIdleError(InstrumentError):
         )
         self.reasons = {"digitizer": str(self)}
         self.proven = dict(proven)
-        self._tried = tuple(tried)
+        self.tried = tuple(tried)
 
-    def concerns(self, instruments: Sequence[Instrument]) -> bool:
-        """Return whether switching off was tried on every one of ``instruments``."""
-        return all(any(item is tried for tried in self._tried) for item in instruments)
+
+def has_tried(error: BaseException, instruments: Sequence[Instrument]) -> bool:
+    """Return whether ``error`` reports an attempt to make every one of ``instruments`` safe."""
+    if not isinstance(error, UnsafeBenchError | DigitizerNotIdleError):
+        return False
+    return all(any(item is tried for tried in error.tried) for item in instruments)
 
 
 @dataclass(frozen=True, slots=True)

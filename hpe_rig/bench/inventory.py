@@ -85,7 +85,7 @@ def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[OffSt
             errors = {role: str(item) for role, item in instruments.items() if isinstance(item, Exception)}
             identified = [item for item in instruments.values() if not isinstance(item, Exception)]
             proven = make_safe(identified)
-            # An exchanged instrument is switched off all the same, so this comes last.
+            # An exchanged instrument is switched off too, so this comes last.
             serials = reported_serials(bench, identified)
             mistakes = serial_problems(bench, {role: item for role, item in serials.items() if isinstance(item, str)})
             for role, text in mistakes.items():

@@ -21,7 +21,7 @@ from hpe_rig.bench.instruments import (
     SAFE_ORDER,
     Bench,
     DigitizerNotIdleError,
-    UnsafeBenchError,
+    has_tried,
     make_safe,
     proven_off,
 )
@@ -115,9 +115,9 @@ def open_each(
 def _make_safe_after(
     error: BaseException, identified: Sequence[Instrument], roles: Sequence[str], bench: BenchFile
 ) -> None:
-    """Make the ``identified`` instruments safe after ``error``, and add to it what is verified to be off."""
+    """Make the ``identified`` instruments safe after ``error``, and add to it the outputs that are verified off."""
     # Such an error about all of these instruments means that switching them off has just been tried.
-    if isinstance(error, UnsafeBenchError | DigitizerNotIdleError) and error.concerns(identified):
+    if has_tried(error, identified):
         return
     try:
         proofs = make_safe(identified)

@@ -25,7 +25,7 @@ def identify(path: Path | None) -> int:
     if not has_terminal():
         what = "somebody must look at the instruments and answer, and this is no terminal"
         raise SettingsError("--identify", [Mistake("", what, "the same command in a terminal at the bench")])
-    bench = read_bench(path, any_title=True).bench
+    bench = read_bench(path, lenient=True).bench
     refuse_unwritable(path)
     with displayed_roles(bench) as instruments:
         failures = {role: item for role, item in instruments.items() if isinstance(item, Exception)}

@@ -13,7 +13,7 @@ from hpe_rig.result import rich_table
 
 def switch_all_off(path: Path | None) -> int:
     """Switch every output of a bench off, print the verified state of each, and return the exit code."""
-    bench = read_bench(path, any_title=True).bench
+    bench = read_bench(path, lenient=True).bench
     instruments = switch_off(bench, announce)
     console = wide_console()
     console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")

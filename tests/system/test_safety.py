@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.interfaces import InstrumentError, RecordBlock
 from hpe_rig.bench import Condition
-from hpe_rig.bench.instruments import Bench, UnsafeBenchError, proven_off
+from hpe_rig.bench.instruments import Bench, UnsafeBenchError, has_tried, proven_off
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.cli.app import app
@@ -155,9 +155,9 @@ def test_an_error_concerns_the_instruments_that_were_tried_and_no_others(prepare
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
         first, *others = bench.instruments
         error = UnsafeBenchError([(first.role, RuntimeError("no reply"))], {}, [first])
-        assert error.concerns([first])
-        assert not error.concerns(others)
-        assert not error.concerns([first, *others])
+        assert has_tried(error, [first])
+        assert not has_tried(error, others)
+        assert not has_tried(error, [first, *others])
 
 
 def test_a_consumer_that_stops_early_leaves_outputs_off(prepared: Prepare) -> None:

@@ -32,8 +32,8 @@ def identity(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult
     ]
     duty = max((length_s * rate_hz for length_s, rate_hz in rates), default=0.0)
     text = (
-        f"generators without serial: {', '.join(unknown)}; two of them exchanged, tonebursts at the pulse rate would "
-        f"have duty {duty:.3g}, limits.max_duty = {bench.limits.max_duty:g}"
+        f"generators without serial: {', '.join(unknown)}; if two of them were exchanged, tonebursts at the pulse "
+        f"rate would have duty {duty:.3g}, limits.max_duty = {bench.limits.max_duty:g}"
     )
     commissioned = bench.commissioning is not None and bench.commissioning.digest == commissioned_digest(bench)
     remedy = 'hpe-rig bench BENCH --identify, or serial = "none" for an instrument that keeps no label'

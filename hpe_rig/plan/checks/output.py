@@ -91,5 +91,4 @@ def _drives(shot: Shot) -> Iterator[Drive]:
         ("toneburst", shot.toneburst, shot.burst_train),
     ):
         if burst is not None and train is not None:
-            bursts = train.count if role == "toneburst" else 0
-            yield Drive(role, burst.carrier_hz, burst.cycles, burst.amplitude_vpp, train.rate_hz, bursts)
+            yield Drive(role, burst.carrier_hz, burst.cycles, burst.amplitude_vpp, train.rate_hz)

@@ -95,7 +95,7 @@ def test_a_real_bench_by_the_name_of_the_simulated_one_is_refused_and_its_runs_s
         read_bench(path)
     assert parse_bench("metal", path.read_text(encoding="utf-8")).bench.title == TITLE
     # What switches off is kept from it by nothing.
-    assert read_bench(path, any_title=True).bench.title == TITLE
+    assert read_bench(path, lenient=True).bench.title == TITLE
 
 
 def test_an_assumed_calibration_is_refused_on_a_real_bench_with_how_to_measure_one(tmp_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_a_value_that_no_bench_can_mean_is_a_mistake_of_the_file(
     with pytest.raises(SettingsError, match=words):
         read_bench(path)
     # Outputs are switched off with such a file too.
-    read_bench(path, any_title=True)
+    read_bench(path, lenient=True)
 
 
 def test_an_address_is_suggested_where_only_its_number_may_be_wrong() -> None:
