@@ -10,6 +10,7 @@ from hypothesis import example, given, settings, strategies as st
 from sim_backend.digitizer.board import Arming, BoardSettings, Engine, Latencies, accepted_triggers
 from sim_backend.generator.emission import respond
 from sim_backend.generator.registers import Registers
+from sim_backend.settings import TriggerFaults
 from sim_backend.wiring import (
     Bursts,
     Capture,
@@ -115,6 +116,13 @@ def test_records_equal_a_plain_loop(trigger_ps, samples, delay, count, period_ps
             idle_from = tick_ps + 7 + (delay + samples) * period_ps
     triggers = accepted_triggers(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0), FAR_PS)
     assert triggers.first_sample_ps.tolist() == expected
+
+
+def test_a_stray_trigger_after_the_end_of_a_capture_makes_no_record():
+    arming = Arming(0, 0, BoardSettings(engines=(Engine(2, 1, 166), Engine()), record_count=9), stop_ps=2_000_000)
+    faults = TriggerFaults(stray_s=(0.5e-6, 5e-6))
+    triggers = accepted_triggers(arming, ttl([1_000_000]), Latencies(0, 0), FAR_PS, faults)
+    assert triggers.tick_ps.tolist() == [1_000_000, 1_500_000]
 
 
 def test_a_cable_is_a_delay_and_no_cable_is_no_trigger():

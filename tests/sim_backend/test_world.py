@@ -7,7 +7,7 @@ import pytest
 
 from sim_backend.digitizer.boards import BOARDS
 from sim_backend.settings.simulation import SimulationSettings, Specimen
-from sim_backend.world import World
+from sim_backend.world import Silence, World
 
 FIG_2 = [
     ("master.output", "burst_train.trigger", 5e-9),
@@ -39,13 +39,6 @@ class Counting:
 
     def focus_displacement_m(self, tonebursts, time_ps, origin_ps, *, index=0):
         return (time_ps - origin_ps) * 1e-12
-
-
-class Silent(Counting):
-    """No echoes."""
-
-    def record_volts(self, tonebursts, pulses, capture):
-        return np.zeros((capture.first_sample_ps.size, capture.samples))
 
 
 class Bench:
@@ -392,7 +385,7 @@ def test_the_same_messages_give_the_same_bytes_with_the_twins_own_physics():
 
 def monitored(plugs, channel=2, high_v=5, settings=None):
     """Return one record of 256 samples of ``channel``, 128 of them before the trigger, in volts, after one shot."""
-    bench = Bench(world=World(SimulationSettings.model_validate(settings or {}), FIG_2, Silent()))
+    bench = Bench(world=World(SimulationSettings.model_validate(settings or {}), FIG_2, Silence()))
     bench.world.plug(plugs)
     bench.program(pulses=1, delay=0, bursts=1)
     for role in ("master", "burst_train", "tracking_train"):
