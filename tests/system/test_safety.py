@@ -59,7 +59,7 @@ def assert_safe(bench: Bench) -> None:
 @pytest.mark.parametrize(
     "error", [KeyboardInterrupt(), Terminated(), RuntimeError("a bug")], ids=lambda e: type(e).__name__
 )
-@pytest.mark.parametrize("dual_port", [True, False])
+@pytest.mark.parametrize("dual_port", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_an_interruption_at_any_step_leaves_outputs_off_and_the_digitizer_idle(
     prepared: Prepare, step: Step, error: BaseException, dual_port: bool
 ) -> None:

@@ -43,8 +43,8 @@ def rows(tiny: Scene) -> list[SceneRow]:
         Variant("echo tolerance", "coarse", {"simulation.scatterers.echo_tolerance": 0.1}, True),
         Variant("estimator", "none such", {"processing.frequencies_hz": [200.0, 201.0]}),
     ]
-    scene_table = scene_rows(one_shot(tiny), None, variants_of_scene, 3, report_progress=messages.append)
-    assert len(messages) == 3 * len(variants_of_scene)
+    scene_table = scene_rows(one_shot(tiny), None, variants_of_scene, 2, report_progress=messages.append)
+    assert len(messages) == 2 * len(variants_of_scene)
     return scene_table
 
 
@@ -52,14 +52,14 @@ def test_the_errors_of_a_variant_are_those_of_its_runs(rows: list[SceneRow], tin
     from hpe_rig.runs import measure
 
     errors = []
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         run = measure(one_shot(tiny).with_({"simulation.seed": seed}), path=tmp_path / f"{seed}.h5")
         (estimate,) = run.estimate("cross_spectrum").shots[0].estimates
         assert estimate.corrected_amplitude_m is not None
         errors.append(estimate.corrected_amplitude_m / 1000e-9 - 1)
     row = rows[1]
-    assert row.bias == pytest.approx(abs(sum(errors)) / 3, rel=1e-9)
-    assert row.error == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 3), rel=1e-9)
+    assert row.bias == pytest.approx(abs(sum(errors)) / 2, rel=1e-9)
+    assert row.error == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 2), rel=1e-9)
 
 
 def test_every_variant_changes_the_error_and_a_failing_fit_is_reported(rows: list[SceneRow]) -> None:
