@@ -198,7 +198,8 @@ def _lengths(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
     ``sizes``: numbers of columns of the groups, 2 for sin and cos of a frequency. A shift of time zero rotates sin into
     cos; over a common length it leaves singular values unchanged, so that no choice of columns depends on time zero.
     """
-    starts = np.cumsum(sizes) - sizes
+    ends = np.cumsum(np.array(sizes, dtype=np.intp))
+    starts = ends - np.array(sizes, dtype=np.intp)
     mean_square = np.add.reduceat(np.diagonal(products), starts) / sizes
     return np.repeat(np.sqrt(mean_square).clip(min=np.finfo(np.float64).tiny), sizes)
 
