@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.cli.console import EXIT_MISTAKE, announce, guarded, print_json
+from hpe_rig.cli.console import EXIT_MISTAKE, guarded, print_json
 from hpe_rig.cli.options import BenchPath, SceneName
 
 scene_commands = typer.Typer()
@@ -61,6 +61,7 @@ def new(
     """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
     from hpe_rig.bench import read_bench, with_title
     from hpe_rig.measurement import source_text
+    from hpe_rig.store import write_file
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     is_bench = like == "bench"
@@ -69,17 +70,7 @@ def new(
         from hpe_rig.runs import full_text
 
         text = full_text("bench" if is_bench else "scene", text)
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        announce(f"hpe-rig: {path} already exists and is not overwritten. Try: another name.")
-        raise typer.Exit(EXIT_MISTAKE) from None
-    except (OSError, ValueError) as error:
-        # An impossible file name raises ValueError.
-        why = getattr(error, "strerror", None) or error
-        announce(f"hpe-rig: {path} cannot be written ({why}). Try: another folder.")
-        raise typer.Exit(EXIT_MISTAKE) from None
+    write_file(path, text, overwrite=False)
     next_step = f"pass --bench {path}" if is_bench else f"run hpe-rig check {path}"
     typer.echo(f"{path}: edit it, then {next_step}")
 

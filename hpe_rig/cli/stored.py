@@ -13,7 +13,7 @@ from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
-from hpe_rig.store import StoreError, Verification, atomic_file, extra, read_run
+from hpe_rig.store import StoreError, Verification, extra, read_run, write_file, write_map as write_map_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -148,25 +148,18 @@ def write_map(motion_map: MotionMap, output: Path | None, figure: Path | None) -
     if output is not None:
         with extra("frames"):
             dataset = motion_map.to_xarray()
-        try:
-            with atomic_file(output) as draft:
-                dataset.to_netcdf(draft, engine="h5netcdf")
-        except (OSError, ValueError, ModuleNotFoundError) as error:
-            raise StoreError(
-                f"{output} cannot be written ({error}). Try: another folder, h5netcdf installed."
-            ) from error
+        write_map_file(output, dataset)
         announce(f"{output}: axes line, depth and frequency; xarray.open_dataset opens it")
     if figure is not None:
         _save(motion_map.figure(), figure, "amplitude, phase, uncertainty and velocity")
 
 
 def _save(figure: Figure, path: Path, content: str) -> None:
-    from hpe_rig.result import write_figure
+    from hpe_rig.result import figure_bytes
 
     try:
-        write_figure(figure, path)
-    except (OSError, ValueError) as error:
-        raise StoreError(
-            f"{path} cannot be written ({error}). Try: a name that ends in .svg, .png or .pdf, in a folder that exists."
-        ) from error
+        image = figure_bytes(figure, path)
+    except ValueError as error:
+        raise StoreError(f"{path} cannot be written ({error}). Try: a name that ends in .svg, .png or .pdf.") from error
+    write_file(path, image)
     announce(f"{path}: {content}")

@@ -16,7 +16,7 @@ from hpe_rig.design.variables import variables
 from hpe_rig.measurement import prepare
 from hpe_rig.moduli import push_of
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
-from hpe_rig.store import unwritable
+from hpe_rig.store import unwritable, write_file
 
 TIME_MARGIN = 1.01
 """Default time limit relative to the starting scene's time."""
@@ -58,17 +58,8 @@ def write_design(request: Request, show: Callable[[str], None], announce: Callab
         announce("computing the goal over each number")
         show(f"{write_page(design, comparison, request.scene, command)}: open it in any browser")
     if request.output is not None:
-        _write_scene(request.output, f"# {command}\n{edited_text(text, design.best.values)}")
+        write_file(request.output, f"# {command}\n{edited_text(text, design.best.values)}", overwrite=False)
         show(f"{request.output}: hpe-rig check {request.output}")
-
-
-def _write_scene(path: Path, text: str) -> None:
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except OSError as error:
-        mistake = Mistake("--output", f"{path} cannot be written ({error.strerror})", "another path")
-        raise SettingsError("command line", [mistake]) from None
 
 
 def _problem(request: Request) -> tuple[Problem, str]:

@@ -16,7 +16,7 @@ from hpe_rig.design.search import DesignResult
 from hpe_rig.design.variables import Variable
 from hpe_rig.report import PageSection, page_table, render_sections
 from hpe_rig.result import Colour, Picture, label_decades, legend, panel, picture
-from hpe_rig.store import versions, write_text_file
+from hpe_rig.store import versions, write_file
 
 CURVE_POINTS = 33
 """Values of a number for the curve of the goal."""
@@ -48,7 +48,7 @@ CURVES_TEXT = (
 
 
 def write_page(design: DesignResult, comparison: Comparison, scene_name: str, command: str) -> Path:
-    """Write SCENE-design.html into the current folder and return its path; raise ``SettingsError`` if impossible.
+    """Write SCENE-design.html into the current folder and return its path; raise ``StoreError`` if impossible.
 
     ``scene_name`` is the scene's name or file; the page states ``command``.
     """
@@ -58,7 +58,7 @@ def write_page(design: DesignResult, comparison: Comparison, scene_name: str, co
     sections = (_before_and_after(comparison), curves)
     facts = {"command": command, **versions()}
     title = f"A better scene: {scene.title}"
-    write_text_file(path, render_sections(title, _introduction(design, comparison), sections, facts))
+    write_file(path, render_sections(title, _introduction(design, comparison), sections, facts))
     return path
 
 

@@ -30,7 +30,7 @@ from hpe_rig.measurement.stop_request import StopRequested, clear_stop, stop_req
 from hpe_rig.plan import PlanError
 from hpe_rig.result import Result
 from hpe_rig.scene import Mistake, Section, SettingsError, parse_toml, validated
-from hpe_rig.store import StoreError, WriteOptions, atomic_file, new_run_id, read_run, reason, refuse_unwritable
+from hpe_rig.store import StoreError, WriteOptions, new_run_id, read_run, reason, refuse_unwritable, write_file
 
 QUEUE_FILE = "queue.json"
 MAX_RUNS = 1000
@@ -150,8 +150,7 @@ def read_queue(folder: Path) -> tuple[QueueRun, ...]:
 
 def write_queue(folder: Path, queue: Sequence[QueueRun]) -> None:
     """Replace the list of runs with their states in one step."""
-    with atomic_file(folder / QUEUE_FILE) as draft:
-        draft.write_text(json.dumps([asdict(run) for run in queue], indent=1), encoding="utf-8")
+    write_file(folder / QUEUE_FILE, json.dumps([asdict(run) for run in queue], indent=1))
 
 
 def run_queue(

@@ -108,9 +108,8 @@ def with_stop_requests(
 
 def write_request(path: Path, text: str) -> None:
     """Write a request in one step; raise ``OSError`` if it cannot be written."""
-    # The rename into place follows no link.
-    with atomic_file(path) as draft, draft.open("x", encoding="ascii") as request:
-        request.write(text)
+    with atomic_file(path) as request:
+        request.write(text.encode("ascii"))
 
 
 def read_request(path: Path) -> list[str]:

@@ -33,7 +33,7 @@ from hpe_rig.result import (
 )
 from hpe_rig.runs import Run, estimate_points, open_run, points_over
 from hpe_rig.scene import Axis, Scene
-from hpe_rig.store import StoreError, reason, refuse_unwritable
+from hpe_rig.store import StoreError, refuse_unwritable, write_file
 
 MAX_TEXT = 60_000
 """Characters of scene and bench file on the page."""
@@ -69,10 +69,7 @@ def write_report(
     _refuse_other_file(target)
     refuse_unwritable(target)
     page = render(path, estimator, shot, profile_step_m=profile_step_m, axes=axes, together=together)
-    try:
-        target.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{target} cannot be written ({reason(error)}). Try: another --output.") from None
+    write_file(target, page)
     return target
 
 

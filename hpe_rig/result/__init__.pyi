@@ -36,6 +36,7 @@ from .svg import (
     STYLE as STYLE,
     Colour as Colour,
     Picture as Picture,
+    figure_bytes as figure_bytes,
     image as image,
     inline as inline,
     label_decades as label_decades,
@@ -45,7 +46,6 @@ from .svg import (
     panel as panel,
     picture as picture,
     thin as thin,
-    write_figure as write_figure,
 )
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table
 from .values import (

@@ -132,17 +132,17 @@ def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:
     return Picture(key, title, alt, inline(text.getvalue(), key, title, alt))
 
 
-def write_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
-    """Write ``figure`` in the format of the suffix of ``path``; an SVG file adapts to dark screens.
+def figure_bytes(figure: Figure, path: Path, dpi: float = 150.0, adaptive: bool = True) -> bytes:
+    """Return the file of ``figure`` in the format of the suffix of ``path``; an SVG file adapts to dark screens.
 
-    Raises ``OSError`` if it cannot be written, and ``ValueError`` for a suffix that Matplotlib does not support.
+    Not ``adaptive``: the SVG file keeps its light colours. Raises ``ValueError`` for a suffix that Matplotlib does not
+    support.
     """
-    if path.suffix.lower() != ".svg":
-        figure.savefig(path, dpi=dpi)
-        return
-    text = io.StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
-    path.write_text(text.getvalue().replace("<defs>", f"<style>{_dark_rules()}</style>\n <defs>", 1), encoding="utf-8")
+    kind, memory = path.suffix.lower().removeprefix("."), io.BytesIO()
+    figure.savefig(memory, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    if kind != "svg" or not adaptive:
+        return memory.getvalue()
+    return memory.getvalue().replace(b"<defs>", f"<style>{_dark_rules()}</style>\n <defs>".encode(), 1)
 
 
 def _dark_rules() -> str:

@@ -13,6 +13,7 @@
     reader.py        ``read_run``: the run file, shot by shot on demand
     marks.py         verdicts on shots after the run, in a file of their own
     result_file.py   ``write_result``: the result file
+    map_file.py      ``write_map``: a motion map as NetCDF
     listing.py       the runs of a folder, with title, result and notes
     verification.py  ``verify``: compares every checksum of a file
 

@@ -1,9 +1,10 @@
 from .atomic import (
     atomic_file as atomic_file,
+    make_folder as make_folder,
     refuse_unwritable as refuse_unwritable,
     replace_text as replace_text,
     unwritable as unwritable,
-    write_text_file as write_text_file,
+    write_file as write_file,
 )
 from .format import (
     StoreError as StoreError,
@@ -22,6 +23,7 @@ from .listing import (
     matching_runs as matching_runs,
 )
 from .lock import is_locked as is_locked
+from .map_file import write_map as write_map
 from .marks import MARKED_BAD as MARKED_BAD, identity_of as identity_of, write_marks as write_marks
 from .placement import Placement as Placement, place_records as place_records
 from .reader import (

@@ -15,6 +15,7 @@ from uuid import uuid4
 FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 2
 RESULT_FORMAT: Final = "hpe_rig result"
+MAP_FORMAT: Final = "hpe_rig map"
 
 STAGES: Final = (
     "load",

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hpe_rig.scene import printable
-from hpe_rig.store.atomic import atomic_file
+from hpe_rig.store.atomic import write_file
 from hpe_rig.store.format import StoreError, reason
 
 FORMAT: Final = "hpe_rig marks"
@@ -65,11 +65,7 @@ def write_marks(run_file: Path, identity: Mapping[str, str], marks: Mapping[int,
     bad = [{"shot": shot + 1, "why": why} for shot, why in sorted(reasons.items())]
     marked = datetime.now().astimezone().isoformat(timespec="seconds")
     tables = {"format": FORMAT, "run": identity, "marked": marked, "bad": bad}
-    try:
-        with atomic_file(path) as draft:
-            draft.write_text(json.dumps(tables, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written ({reason(error)}). Try: the right to write there.") from None
+    write_file(path, json.dumps(tables, indent=1, ensure_ascii=False) + "\n")
     return path
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import threading
 from functools import partial
 from pathlib import Path
@@ -49,11 +48,8 @@ def write_result(path: Path, result: Result) -> None:
 def _replace(path: Path, image: bytes, cancelled: threading.Event) -> None:
     """Write the bytes ``image`` to ``path`` atomically, unless ``cancelled`` says that the program no longer waits."""
     _refuse_foreign(path)
-    with atomic_file(path) as draft:
-        with draft.open("xb") as disk:
-            disk.write(image)
-            disk.flush()
-            os.fsync(disk.fileno())
+    with atomic_file(path) as file:
+        file.write(image)
         if cancelled.is_set():
             raise InterruptedError
 

@@ -640,11 +640,8 @@ def _new_file(
         _refuse_small_disk(path, len(image) + record_bytes)
         if overwrite and path.exists():
             refuse_to_replace(path)
-        with atomic_file(path, overwrite) as draft:
-            with draft.open("xb") as file:
-                file.write(image)
-                file.flush()
-                os.fsync(file.fileno())
+        with atomic_file(path, overwrite) as file:
+            file.write(image)
             if cancelled.is_set():
                 raise InterruptedError
         return Journal(path)

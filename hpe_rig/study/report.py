@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import spec_of
 from hpe_rig.report import PageSection, page_table, render_sections
-from hpe_rig.result import STYLE, Picture, inline, label_decades, mark, picture
-from hpe_rig.store import versions, write_text_file
+from hpe_rig.result import STYLE, Picture, figure_bytes, inline, label_decades, mark, picture
+from hpe_rig.store import make_folder, versions, write_file
 from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure
 from hpe_rig.study.results import SUMMARY_FILE, StudyResult
@@ -61,7 +61,8 @@ def write_study_report(
     computed_with = sorted({version for result in results for version in result.versions})
     facts = {**versions(), "cases computed with": ", ".join(computed_with)}
     title = results[0].definition.title if len(results) == 1 else f"Parameter studies: {name}"
-    write_text_file(path, render_sections(title, (headline, *INTRODUCTION), sections, facts))
+    make_folder(path.parent)
+    write_file(path, render_sections(title, (headline, *INTRODUCTION), sections, facts))
     return path
 
 
@@ -183,13 +184,15 @@ def run_times(result: StudyResult) -> list[dict[str, Any]]:
 def _picture(result: StudyResult, view: View, folder: Path) -> Picture:
     draw, alt_text = (map_figure, map_alt) if is_map(result) else (curve_figure, curve_alt)
     figure, key = draw(result, view), f"{result.name}-{view.key}"
-    folder.mkdir(parents=True, exist_ok=True)
-    with rc_context(STYLE):
-        figure.savefig(folder / f"{key}.png", dpi=PNG_DPI)
-        figure.savefig(folder / f"{key}.svg", dpi=PNG_DPI, metadata={"Date": None})
-    svg = (folder / f"{key}.svg").read_text(encoding="utf-8")
+    make_folder(folder)
+    contents = dict[str, bytes]()
+    for suffix in (".png", ".svg"):
+        path = folder / f"{key}{suffix}"
+        with rc_context(STYLE):
+            contents[suffix] = figure_bytes(figure, path, PNG_DPI, adaptive=False)
+        write_file(path, contents[suffix])
     alt = alt_text(result, view)
-    return Picture(key, view.title, alt, inline(svg, key, view.title, alt))
+    return Picture(key, view.title, alt, inline(contents[".svg"].decode(), key, view.title, alt))
 
 
 def _precision(result: StudyResult) -> tuple[str, ...]:

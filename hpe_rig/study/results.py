@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.result import csv_text
-from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import unwritable, write_text_file
+from hpe_rig.store import make_folder, refuse_unwritable, write_file
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
@@ -44,19 +43,15 @@ class CaseStore:
         return self._path(key).exists() and self.read(key) is None
 
     def write(self, record: CaseRecord) -> None:
-        """Write a record and its hash atomically; raise ``SettingsError`` if that is impossible."""
-        write_text_file(self._path(record["case"]), json.dumps({"sha256": _digest(record), "record": record}))
+        """Write a record and its hash atomically; raise ``StoreError`` if that is impossible."""
+        path = self._path(record["case"])
+        make_folder(path.parent)
+        write_file(path, json.dumps({"sha256": _digest(record), "record": record}))
 
     def prepare(self) -> None:
-        """Make the folder; raise ``SettingsError``, before any computation, if it is not writable."""
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            reason = unwritable(self.folder / STUDY_FILE)
-        except OSError as error:
-            reason = str(error.strerror)
-        if reason:
-            mistake = Mistake(str(self.folder), f"cannot be written ({reason})", "another folder, by --output")
-            raise SettingsError("command line", [mistake])
+        """Make the folder; raise ``StoreError``, before any computation, if it is not writable."""
+        make_folder(self.folder)
+        refuse_unwritable(self.folder / STUDY_FILE)
 
     def _path(self, key: str) -> Path:
         # 256 subfolders: file managers are slow with 1e5 files in one folder.
@@ -125,5 +120,6 @@ def write_study(result: StudyResult, folder: Path) -> None:
         "seconds": result.seconds,
         "rows": result.rows,
     }
-    write_text_file(folder / STUDY_FILE, json.dumps(tables) + "\n")
-    write_text_file(folder / SUMMARY_FILE, csv_text(result.rows))
+    make_folder(folder)
+    write_file(folder / STUDY_FILE, json.dumps(tables) + "\n")
+    write_file(folder / SUMMARY_FILE, csv_text(result.rows))

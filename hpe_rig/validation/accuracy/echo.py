@@ -19,7 +19,7 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.result import label_decades, mark
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.validation.accuracy.work_precision import MIN_DRAWN_ERROR, file_mistakes, write_rows
+from hpe_rig.validation.accuracy.work_precision import MIN_DRAWN_ERROR, file_mistakes, save_figure, write_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -223,7 +223,7 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
         label_decades(panel.yaxis)
     cores = rows[0].cores if rows else 0
     figure.suptitle(f"Echoes of {_SAMPLES} samples; darker is more echoes; {cores} cores, one used")
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _draw_errors(rows: list[Measurement], panel: Axes) -> None:

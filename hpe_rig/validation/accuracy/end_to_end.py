@@ -27,7 +27,7 @@ from hpe_rig.prediction import force_spectrum
 from hpe_rig.processing import ESTIMATORS, EchoGate, estimate, margin_samples, spec_of
 from hpe_rig.result import MARKS, label_decades, mark
 from hpe_rig.scene import Estimator
-from hpe_rig.validation.accuracy.work_precision import pareto, timed
+from hpe_rig.validation.accuracy.work_precision import pareto, save_figure, timed
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -305,7 +305,7 @@ def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
         label_decades(axes.xaxis)
         label_decades(axes.yaxis)
         axes.grid(alpha=0.3)
-    figure.savefig(path)
+    save_figure(figure, path)
 
 
 def _draw_total(axes: Axes, rows: Sequence[EndToEnd]) -> None:

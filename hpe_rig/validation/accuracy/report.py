@@ -15,7 +15,7 @@ from matplotlib import rc_context
 from hpe_rig.report import PageSection, PageTable, cell_text, page_table, render_sections
 from hpe_rig.result import STYLE, Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import unwritable, versions, write_text_file
+from hpe_rig.store import unwritable, versions, write_file
 from hpe_rig.validation.accuracy import (
     chain as accuracy_chain,
     echo as accuracy_echo,
@@ -130,7 +130,7 @@ def write_accuracy_report(
         # The page is written after every study, so that an interruption loses one study only.
         facts = {**versions(), "seconds by part": ", ".join(f"{key} {value:.0f}" for key, value in times_s.items())}
         introduction = lead(sections[0].tables[0])
-        write_text_file(path, render_sections("Error against run time", introduction, sections, facts))
+        write_file(path, render_sections("Error against run time", introduction, sections, facts))
         announce(f"{name}: {times_s[name]:.1f} s, in {path}")
     announce(f"{path}: open it in any browser")
 

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import csv_text, label_decades, mappings, mark, text_table
+from hpe_rig.result import csv_text, figure_bytes, label_decades, mappings, mark, text_table
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import unwritable
+from hpe_rig.store import unwritable, write_file
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
 
 Row = TypeVar("Row")
 Value = TypeVar("Value")
@@ -129,12 +130,17 @@ def write_rows(
             show(as_text(computed).rstrip("\n"))
         else:
             text = json.dumps(mappings(computed), indent=1) + "\n" if output.suffix == ".json" else csv_text(computed)
-            output.write_text(text, encoding="utf-8")
+            write_file(output, text)
             show(f"{output}: {len(computed)} rows")
     if figure is not None:
         draw(computed, figure)
         show(f"{figure}: error against run time")
     return computed
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write ``figure`` in the format of the suffix of ``path``; raise ``StoreError`` if that is impossible."""
+    write_file(path, figure_bytes(figure, path, figure.dpi, adaptive=False))
 
 
 def draw_points(points: Sequence[Point], path: Path) -> None:
@@ -193,4 +199,4 @@ def draw_panels(
         panel.set_ylabel(y_label)
     lines = [lines_by_method[method] for method in marks]
     figure.legend(lines, list(marks), loc="outside upper center", ncols=names_per_row, frameon=False)
-    figure.savefig(path)
+    save_figure(figure, path)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hpe_rig.result import MotionMap, label_decades, write_figure
+from hpe_rig.result import MotionMap, figure_bytes, label_decades
 from hpe_rig.result.svg import ON_DARK
 
 
@@ -25,7 +25,7 @@ def test_a_logarithmic_axis_has_two_numbers_at_least_and_never_many(span: float,
     assert 2 <= len(numbers) <= most
 
 
-def test_a_map_as_svg_has_no_colour_that_stays_light(tmp_path: Path) -> None:
+def test_a_map_as_svg_has_no_colour_that_stays_light() -> None:
     each, three = np.full((2, 3), 1e-6), np.full((2, 3, 1), 1e-6)
     each[0, 0] = np.nan
     found = MotionMap(
@@ -34,11 +34,9 @@ def test_a_map_as_svg_has_no_colour_that_stays_light(tmp_path: Path) -> None:
         velocity_uncertainty_m_per_s=each, residual_m=each, power=each, bad=np.zeros((2, 3), np.uint8), origin="",
         lines_are_placed=False,
     )  # fmt: skip
-    write_figure(found.figure(), tmp_path / "map.svg")
-    _, _, shapes = (tmp_path / "map.svg").read_text(encoding="utf-8").partition("</style>")
+    _, _, shapes = figure_bytes(found.figure(), Path("map.svg")).decode().partition("</style>")
     assert set(re.findall(r"(?:fill|stroke): (#\w+)", shapes)) - set(ON_DARK) == set()
 
 
-def test_the_ending_of_a_figure_s_path_says_its_format(tmp_path: Path) -> None:
-    write_figure(Figure(), tmp_path / "map.png")
-    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
+def test_the_ending_of_a_figure_s_path_says_its_format() -> None:
+    assert figure_bytes(Figure(), Path("map.png")).startswith(b"\x89PNG")

@@ -15,8 +15,8 @@ def test_what_fails_halfway_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     path.write_text("before", encoding="utf-8")
 
     def half() -> None:
-        with atomic_file(path) as draft:
-            draft.write_text("half", encoding="utf-8")
+        with atomic_file(path) as file:
+            file.write(b"half")
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -30,8 +30,8 @@ def test_a_taken_name_is_replaced_only_where_that_is_wanted(tmp_path: Path, over
     path = tmp_path / "a.txt"
     for text in ("first", "second"):
         try:
-            with atomic_file(path, overwrite) as draft:
-                draft.write_text(text, encoding="utf-8")
+            with atomic_file(path, overwrite) as file:
+                file.write(text.encode())
         except FileExistsError:
             assert not overwrite
     assert path.read_text(encoding="utf-8") == ("second" if overwrite else "first")
@@ -57,8 +57,8 @@ def test_a_file_that_is_open_elsewhere_is_waited_for(tmp_path: Path, monkeypatch
     path = tmp_path / "a.txt"
     path.write_text("before", encoding="utf-8")
     open_elsewhere(monkeypatch, 3)
-    with atomic_file(path) as draft:
-        draft.write_text("after", encoding="utf-8")
+    with atomic_file(path) as file:
+        file.write(b"after")
     assert path.read_text(encoding="utf-8") == "after"
 
 
@@ -69,8 +69,8 @@ def test_a_file_that_stays_open_elsewhere_is_an_error_that_says_so_and_leaves_it
     path.write_text("before", encoding="utf-8")
     open_elsewhere(monkeypatch, 10_000)
     monkeypatch.setattr("hpe_rig.store.atomic.REPLACE_TIMEOUT_S", 0.1)
-    with pytest.raises(PermissionError, match="another program has it open"), atomic_file(path) as draft:
-        draft.write_text("after", encoding="utf-8")
+    with pytest.raises(PermissionError, match="another program has it open"), atomic_file(path) as file:
+        file.write(b"after")
     assert path.read_text(encoding="utf-8") == "before"
     assert list(tmp_path.iterdir()) == [path]
 

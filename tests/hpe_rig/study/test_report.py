@@ -28,8 +28,7 @@ from hpe_rig.report.page_writer import (
     render_sections,
 )
 from hpe_rig.result import Picture
-from hpe_rig.scene import SettingsError
-from hpe_rig.store import write_text_file
+from hpe_rig.store import StoreError, write_file
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure
@@ -266,5 +265,5 @@ def test_a_table_too_long_for_the_page_is_the_file_beside_it() -> None:
 
 def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(SettingsError, match="cannot be written"):
-        write_text_file(tmp_path / "file" / "page.html", "")
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_file(tmp_path / "file" / "page.html", "")

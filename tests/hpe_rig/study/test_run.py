@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 from hpe_rig.scene import SettingsError
+from hpe_rig.store import StoreError
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.executor import (
     MAX_LOSSES,
@@ -242,14 +243,14 @@ def test_the_command_names_its_results_and_a_mistake(study: str, tmp_path: Path)
 
 def test_a_folder_that_cannot_be_written_is_told(study: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(SettingsError, match="cannot be written"):
+    with pytest.raises(StoreError, match="cannot be written"):
         run_study(study, tmp_path / "file" / "out", threads)
 
 
 def test_a_case_whose_file_cannot_be_put_in_place_leaves_nothing(tmp_path: Path) -> None:
     record = dict.fromkeys(FIELDS, 0) | {"case": "abc"}
     (tmp_path / "ab" / "abc.json" / "in the way").mkdir(parents=True)
-    with pytest.raises(SettingsError, match="cannot be written"):
+    with pytest.raises(StoreError, match="cannot be written"):
         CaseStore(tmp_path).write(record)
     assert [path.name for path in (tmp_path / "ab").iterdir()] == ["abc.json"]
 
