@@ -15,7 +15,6 @@ from drivers.alazar import BOARD_NAMES, BoardModel, model_named
 from drivers.visa import Handshake, Termination
 from hpe_rig.scene import (
     Count,
-    DelayS,
     DurationS,
     FrequencyHz,
     IntensityWPerM2,
@@ -24,6 +23,7 @@ from hpe_rig.scene import (
     LengthM,
     Mistake,
     PressurePa,
+    SampleTimeS,
     Section,
     SettingsError,
     Title,
@@ -369,7 +369,7 @@ class ForeignRecording(Section):
     """SHA-256 of its bytes."""
     format: str
     """Format of the file."""
-    first_sample_s: DelayS
+    first_sample_s: SampleTimeS
     """Time of a record's first sample after the onset of its tracking pulse."""
     inferred: tuple[str, ...] = ()
     """Values that were not stated, in words, with their source."""

@@ -4,7 +4,10 @@ In the order of the flow::
 
     settings.py      settings of a recording, from a sidecar file or options
     contents.py      content of a file as an importer reads it: arrays and stated settings; ``Importer``
-    arrays.py        NPY, NPZ, MATLAB, HDF5, CSV and raw samples
+    names.py         names of settings in the files of common programs
+    arrays.py        NPY, NPZ, MATLAB, HDF5 and raw samples
+    coordinates.py   times and indices in a table of echoes
+    text.py          text: tables of numbers, exports of oscilloscopes
     matlab.py        MATLAB's version 5, read in a separate process
     alazar.py        AlazarTech's binary records
     importers.py     the importer of a file, also of other packages

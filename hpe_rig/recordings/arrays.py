@@ -1,4 +1,4 @@
-"""Importers of array files: NPY, NPZ, MATLAB, HDF5, CSV and raw values."""
+"""Importers of array files: NPY, NPZ, MATLAB, HDF5 and raw values."""
 
 from __future__ import annotations
 
@@ -14,22 +14,14 @@ from numpy.typing import NDArray
 
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.matlab import PREFIX, TEMPORARY_REMEDY, matlab_to_npz
+from hpe_rig.recordings.names import key_of, setting_of
 from hpe_rig.recordings.settings import RecordingSettings
 
+MIN_VECTOR = 8
+"""Values of a vector that may be a record."""
 MAX_STATED_ENTRIES = 1_000_000
 """Largest array that may be a stated setting, such as the times of the pulses."""
 
-# Names of settings in common programs, in lower case, by the key of ``RecordingSettings``; same unit as the key.
-NAMES: Mapping[str, tuple[str, ...]] = {
-    "sample_rate_hz": ("fs", "sampling_frequency", "samplingfrequency", "sample_rate", "samplerate"),
-    "pulse_rate_hz": ("prf", "pulse_repetition_frequency", "pulserepetitionfrequency"),
-    "carrier_hz": ("fc", "f0", "center_frequency", "centerfrequency", "centre_frequency", "transmit_frequency"),
-    "demodulation_hz": ("fdemod", "demodulation_frequency", "modulation_frequency", "modulationfrequency"),
-    "sound_speed_m_per_s": ("c", "c0", "sound_speed", "speed_of_sound", "speedofsound"),
-    "first_sample_s": ("t0", "initial_time", "initial_times", "time_to_first_sample"),
-    "pulse_time_s": ("pulse_time", "pulse_times", "t_slow"),
-    "line_position_m": ("line_positions", "xl", "lateral"),
-}
 LIST_KEYS = ("pulse_time_s", "line_position_m")
 
 
@@ -96,48 +88,6 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
     return contents(values)
 
 
-def read_csv(path: Path, settings: RecordingSettings) -> Contents:
-    """Return the numbers of a text file as (row, column), separated by commas, semicolons, tabs or blanks.
-
-    Lines that begin with # and a header line are skipped.
-    """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise ValueError("it is no UTF-8 text: a CSV file of numbers") from None
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
-    lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
-    # The first of these characters in the first line separates the numbers; else blanks do.
-    separator = next((character for character in ";\t," if lines and character in lines[0][1]), None)
-    # A first line without numbers is a header.
-    if lines and _numbers(lines[0][1], separator) is None:
-        del lines[0]
-    if not lines:
-        raise ValueError("it holds no line of numbers: rows of values separated by commas")
-    rows = list[list[complex] | list[float]]()
-    for number, line in lines:
-        values = _numbers(line, separator)
-        if values is None:
-            raise ValueError(f"line {number} has values that are not numbers, {line[:40]!r}: numbers alone")
-        if rows and len(values) != len(rows[0]):
-            raise ValueError(
-                f"line {number} has {len(values)} values, earlier lines {len(rows[0])}: rows of equal length"
-            )
-        rows.append(values)
-    return contents({path.stem: np.array(rows)})
-
-
-def _numbers(line: str, separator: str | None) -> list[complex] | list[float] | None:
-    texts = [text.strip() for text in line.split(separator)]
-    try:
-        return [float(text) for text in texts]
-    except ValueError:
-        try:
-            return [complex(text.replace(" ", "").replace("i", "j")) for text in texts]
-        except ValueError:
-            return None
-
-
 def read_raw(path: Path, settings: RecordingSettings) -> Contents:
     """Return the values of a file of raw values in the stated shape."""
     if settings.dtype is None or settings.shape is None:
@@ -163,22 +113,17 @@ def contents(values: Mapping[str, NDArray[Any]]) -> Contents:
     for name, value in values.items():
         if not _is_numbers(value.dtype):
             continue
-        key = _key(name)
+        key = key_of(name)
         # MATLAB stores numbers and lists as matrices.
         squeezed = value.reshape(-1) if value.ndim and value.size == max(value.shape) else value
         if key in LIST_KEYS and squeezed.ndim == 1 and squeezed.size > 1:
             stated.setdefault(key, (tuple(map(float, np.real(squeezed).tolist())), name))
-        elif key is not None and key not in LIST_KEYS and value.size == 1:
-            stated.setdefault(key, (float(np.real(value.reshape(-1)[0])), name))
-        elif squeezed.ndim >= 2:
-            arrays[name] = value
+        elif key not in LIST_KEYS and value.size == 1:
+            if setting := setting_of(name, float(np.real(value.reshape(-1)[0]))):
+                stated.setdefault(setting[0], (setting[1], name))
+        elif squeezed.size >= MIN_VECTOR:
+            arrays[name] = squeezed if squeezed.ndim == 1 else value
     return Contents(arrays, stated)
-
-
-def _key(name: str) -> str | None:
-    """Return the key of ``RecordingSettings`` with the meaning of ``name``: its last part, in lower case."""
-    last = name.replace("/", ".").rpartition(".")[2].lower()
-    return next((key for key, names in NAMES.items() if last == key or last in names), None)
 
 
 def _is_numbers(dtype: np.dtype[Any]) -> bool:

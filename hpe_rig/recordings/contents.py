@@ -16,15 +16,17 @@ from hpe_rig.recordings.settings import Dimension, RecordingSettings
 class Contents:
     """Content of a file.
 
-    ``arrays``: possible samples by name, real, or complex for I and Q, with two axes or more. ``stated``: settings that
-    the file states, by the keys of ``RecordingSettings``; each value with its name in the file, such as "fs". ``axes``:
-    of the samples, if the format defines them. ``board``: the digitizer that produced the samples, if known.
+    ``arrays``: possible samples by name, real, or complex for I and Q. ``stated``: settings that the file states, by
+    the keys of ``RecordingSettings``; each value with its name in the file, such as "fs". ``axes``: of the samples, if
+    the format defines them. ``board``: the digitizer that produced the samples, if known. ``inferred``: sentences about
+    what the importer inferred from the file, for the user.
     """
 
     arrays: Mapping[str, NDArray[Any]]
     stated: Mapping[str, tuple[Any, str]] = field(default_factory=dict)
     axes: tuple[Dimension, ...] | None = None
     board: str | None = None
+    inferred: tuple[str, ...] = ()
 
 
 @runtime_checkable

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hpe_rig.extensions import IMPORTERS, ExtensionError, installed, load, origin
-from hpe_rig.recordings import alazar, arrays
+from hpe_rig.recordings import alazar, arrays, text
 from hpe_rig.recordings.contents import Contents, Importer
 from hpe_rig.recordings.settings import RecordingSettings
 
@@ -17,7 +17,7 @@ BUILT_IN: dict[str, tuple[tuple[str, ...], Callable[[Path, RecordingSettings], C
     "npz": ((".npz",), arrays.read_numpy),
     "mat": ((".mat",), arrays.read_matlab),
     "hdf5": ((".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
-    "csv": ((".csv", ".txt", ".tsv"), arrays.read_csv),
+    "csv": ((".csv", ".txt", ".tsv", ".asc"), text.read_text),
     "raw": ((".raw", ".bin", ".dat", ".i16", ".f32", ".rf"), arrays.read_raw),
     "alazar": ((".alz", ".atb"), alazar.read_alazar),
 }

@@ -15,6 +15,7 @@ from hpe_rig.scene import (
     FrequencyHz,
     Mistake,
     SampleRateHz,
+    SampleTimeS,
     Section,
     SettingsError,
     SpeedMPerS,
@@ -72,8 +73,8 @@ class RecordingSettings(Section):
     """Time of every tracking pulse after the first toneburst (or after another time zero of the phases)."""
     first_pulse_s: DelayS | None = None
     """Time of the first tracking pulse after that time zero; default: 0."""
-    first_sample_s: DelayS | None = None
-    """Time of the first sample after the onset of its tracking pulse; default: 0."""
+    first_sample_s: SampleTimeS | None = None
+    """Time of the first sample after the onset of its tracking pulse, negative if earlier; default: 0."""
     first_sample_depth_m: Annotated[float, Field(ge=0, le=10, strict=True)] | None = None
     """Depth of the first sample, instead of its time."""
     line_position_m: Annotated[tuple[Offset, ...], Field(min_length=1)] | None = None
@@ -90,6 +91,18 @@ class RecordingSettings(Section):
     """-1 negates real samples; it reads I and Q as I - jQ, which reverses the motion."""
     not_finite: Literal["refuse", "missing"] = "refuse"
     """Treatment of records with values that are not finite: refuse them, or count them as missing."""
+    skip_rows: Annotated[int, Field(ge=0, le=10**9, strict=True)] = 0
+    """Lines of a text file to skip; the lines before the first numbers are skipped in any case."""
+    columns: str | None = None
+    """Columns of a text file with samples, counted from 1, such as "2-61" or "2,4"; default: all but times."""
+    delimiter: Annotated[str, Field(min_length=1, max_length=10)] | None = None
+    """Delimiter of a text file: comma, semicolon, tab, blank, or another character; default: inferred."""
+    decimal: Literal[".", ","] | None = None
+    """Decimal sign of a text file; default: inferred."""
+    encoding: Annotated[str, Field(min_length=1, max_length=40)] | None = None
+    """Encoding of a text file, such as utf-16 or latin-1; default: by its byte-order mark, or UTF-8."""
+    transpose: bool = False
+    """Whether the rows of a text file are its columns, as if it had been transposed before it was written."""
     dtype: Literal["int8", "uint8", "int16", "uint16", "int32", "float32", "float64"] | None = None
     """Type of raw values."""
     byte_order: Literal["little", "big"] = "little"
@@ -101,7 +114,7 @@ class RecordingSettings(Section):
     board: BoardName | None = None
     """AlazarTech board that wrote the records."""
     record_samples: Positive | None = None
-    """Samples of one record of that board and one channel."""
+    """Samples of one record: of that board and one channel, or of a signal that holds one record after the other."""
     records_per_buffer: Positive | None = None
     """Records of one channel in a buffer; for records of two channels without headers."""
     channels: Literal[1, 2] = 1
@@ -118,7 +131,7 @@ class RecordingSettings(Section):
         axes = self.axes or ("pulse", "sample")
         if len(set(axes)) < len(axes):
             raise ValueError("an axis is named twice: each of line, shot, pulse, sample, iq at most once")
-        if not {"pulse", "sample"} <= set(axes):
+        if "sample" not in axes or ("pulse" not in axes and self.record_samples is None):
             raise ValueError('axes lacks pulse or sample: both are needed, such as axes = "line,pulse,sample"')
         return self
 

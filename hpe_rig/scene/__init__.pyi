@@ -51,6 +51,7 @@ from .quantities import (
     LengthM as LengthM,
     PressurePa as PressurePa,
     SampleRateHz as SampleRateHz,
+    SampleTimeS as SampleTimeS,
     Seed as Seed,
     SpeedMPerS as SpeedMPerS,
     Title as Title,

@@ -25,6 +25,8 @@ DurationS = Annotated[float, Field(ge=1e-9, le=1e5, strict=True)]
 """Lengths of bursts, windows and shots: up to a day."""
 DelayS = Annotated[float, Field(ge=0, le=1e3, strict=True)]
 """Programmed delays, and delays of windows."""
+SampleTimeS = Annotated[float, Field(ge=-1.0, le=1e3, strict=True)]
+"""Times of samples after the onset of a pulse: oscilloscopes also record before their trigger."""
 LatencyS = Annotated[float, Field(ge=0, le=1.0, strict=True)]
 """Delays of cables and latencies of instruments."""
 LengthM = Annotated[float, Field(ge=1e-9, le=10.0, strict=True)]
