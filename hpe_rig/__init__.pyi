@@ -13,4 +13,5 @@ from .runs import (
     sweep as sweep,
 )
 from .scene import Scene as Scene, load_scene as load_scene
+from .store import read_covariance as read_covariance
 from .study import run_study as run_study

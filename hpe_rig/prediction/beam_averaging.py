@@ -45,9 +45,10 @@ From scripts/validation/aperture.py."""
 AveragingRatio = tuple[ComplexArray, ComplexArray, ComplexArray]
 """Tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
 
-The steepness is the size of the ratio's relative change per unit of the logarithm of the tracking beam's area.
+The steepness is the ratio's relative change per unit of the logarithm of the tracking beam's area.
 Deviation and steepness are pairs of real numbers: relative amplitude as real part, phase (rad) as imaginary part. Over
-the ensemble the ratio is the exponential of its mean logarithm, the steepness a root mean square."""
+the ensemble the ratio is the exponential of its mean logarithm, the steepness a root mean square with the sign of the
+mean."""
 
 
 def predicted_averaging(
@@ -81,14 +82,19 @@ def predicted_averaging(
     columns = {
         "factor": factor,
         "phase_rad": np.angle(ratio),
-        "speckle_relative": (area_spread * steepness).real,
+        "speckle_relative": np.abs((area_spread * steepness).real),
         "factor_uncertainty": factor * deviation.real,
         "phase_uncertainty_rad": deviation.imag,
-        "speckle_phase_rad": (area_spread * steepness).imag,
+        "speckle_phase_rad": np.abs((area_spread * steepness).imag),
     }
     rule = AveragingRule(area_spread, loss_scale)
     averagings = (
-        Averaging(**{name: float(column[i]) for name, column in columns.items()}, carrier_relative=carrier, rule=rule)
+        Averaging(
+            **{name: float(column[i]) for name, column in columns.items()},
+            carrier_relative=carrier,
+            rule=rule,
+            steepness=complex(steepness[i]),
+        )
         for i in range(frequency_hz.size)
     )
     corrections = _aperture_correction(scene, beams, frequency_hz)
@@ -101,7 +107,7 @@ def predicted_averaging(
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
     """Return tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
 
-    The steepness is the size of the relative change per unit of the logarithm of the tracking beam's area. Deviation
+    The steepness is the relative change per unit of the logarithm of the tracking beam's area. Deviation
     and steepness have relative amplitude as real part and phase (rad) as imaginary part. All are those of the declared
     medium, without deviation, else statistics over the ensemble of media.
     """
@@ -110,9 +116,7 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
     tracked, peak, by_log_area = tracked_motion(medium, beams)
-    relative_change = by_log_area / tracked
-    steepness = np.abs(relative_change.real) + 1j * np.abs(relative_change.imag)
-    return tracked / peak, np.zeros_like(tracked), steepness
+    return tracked / peak, np.zeros_like(tracked), np.asarray(by_log_area / tracked)
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
@@ -120,7 +124,7 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
     Mean and standard deviation are those of the logarithm of the ratio: its real part is relative amplitude, its
     imaginary part is phase. The steepness, the relative change per unit of the logarithm of the tracking beam's area,
-    is a root mean square.
+    is a root mean square with the sign of the mean.
     """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
@@ -137,8 +141,8 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     log_ratio = np.log(tracked / peak)
 
     def rms(values: FloatArray) -> FloatArray:
-        """Return the root mean square over members, axis 0."""
-        return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+        """Return the root mean square over members, axis 0, with the sign of the mean."""
+        return np.asarray(np.copysign(np.sqrt(np.mean(values**2, axis=0)), values.mean(axis=0)))
 
     deviation = log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0)
     return np.exp(log_ratio.mean(axis=0)), deviation, rms(steepness.real) + 1j * rms(steepness.imag)

@@ -7,6 +7,7 @@
     compilation.py     optional compilation of loops by Numba
     estimators.py      estimators by name: echoes -> displacement -> harmonics
     budget.py          uncertainty of each estimate, source by source
+    error_influences.py  errors of a shot's complex values, source by source
     first_pulse.py     the tracking pulse of each record
     tracking_rate.py   rate of the pulses by the digitizer's clock
     shot_tracking.py   echoes and displacement of a stored shot

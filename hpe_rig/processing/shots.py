@@ -14,6 +14,7 @@ from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
 from hpe_rig.processing.echo.conditioning import gate_statistics
+from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.first_pulse import PulseAssignment
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
@@ -168,13 +169,14 @@ def _estimate_window(
     fit = _fit_with_aliasing(scene, shot, motion, selection, options, settings)
     sources = _error_sources(records, motion, fit, settings)
     reference = phase_reference_of(scene, shot)
-    estimates = estimates_of(fit, sources, shot_averaging(scene, fit, settings.averaging), true_m, reference)
+    averaging = shot_averaging(scene, fit, settings.averaging)
+    estimates = estimates_of(fit, sources, averaging, true_m, reference)
     if max(records.assignment.shifts):
         alternatives = []
         for late_s in records.assignment.alternatives_s(shot):
             late_fit = _fit_with_aliasing(scene, shot, motion.delayed(late_s), selection, options, settings)
-            averaging = shot_averaging(scene, late_fit, settings.averaging)
-            alternatives.append(estimates_of(late_fit, sources, averaging, None, reference))
+            late_averaging = shot_averaging(scene, late_fit, settings.averaging)
+            alternatives.append(estimates_of(late_fit, sources, late_averaging, None, reference))
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     recorded = records.gate.valid[selection.window]
     # Two checks of the residual, for the warnings.
@@ -207,6 +209,7 @@ def _estimate_window(
         pulse_rate_error=rate.error if (rate := records.tracking_rate) else None,
         pulse_rate_uncertainty=rate.uncertainty if rate else None,
         complete=complete,
+        influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
 

@@ -1,6 +1,7 @@
 """Result of a measurement: amplitude and phase with uncertainty budget, units, provenance and run time.
 
     interval.py       95 % interval from uncertainties and degrees of freedom
+    influence.py      errors of a shot by source, and what is common to which shots
     phase.py          uncertainty of a phase, and of an amplitude that may be noise
     motion.py         displacement of a shot, pulse by pulse
     motion_map.py     amplitude, phase and velocity of every line and depth
@@ -9,8 +10,10 @@
     conditions.py     range of each condition over a run
     repeats.py        mean over repeats, tested against the stated uncertainties
     result_data.py    contents of a result, and their plain form for JSON
+    covariance.py     complex values of all shots with their covariance
     grid.py           arrays over (shot, frequency) and (shot, pulse): result file, xarray
     tables.py         rows as CSV and as text
+    uncertain_numbers.py  complex values as uncertain numbers of GTC
     rows.py           one row for each shot and frequency: CSV, pandas, print
     sentence.py       the result in one sentence
     print_symbols.py  typographic units and symbols

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 
 from hpe_rig.arrays import FloatArray, Int64Array
+from hpe_rig.result.covariance import PARTS, covariance_grid, covariance_of
 from hpe_rig.result.result_data import ResultData
-from hpe_rig.result.tables import frames_package
+from hpe_rig.result.tables import package_of_extra
 
 if TYPE_CHECKING:
     import xarray
@@ -112,7 +113,7 @@ def _motion(result: ResultData) -> Mapping[str, FloatArray]:
 
 def result_dataset(result: ResultData) -> xarray.Dataset:
     """Return the arrays as an xarray Dataset with axes, units and the settings of each shot."""
-    dataset = frames_package("xarray", "Result.to_xarray").Dataset
+    dataset = package_of_extra("xarray", "Result.to_xarray").Dataset
     # Shots with different frequencies share no frequency axis: it then counts the harmonics.
     grid = result_grid(result)
     number = np.arange(1, grid.frequency_hz.shape[1] + 1)
@@ -123,7 +124,9 @@ def result_dataset(result: ResultData) -> xarray.Dataset:
         # A shot of the result has one value: the mean of the readings before and after it.
         means = np.array([np.mean(shot.conditions[condition.name]) for shot in result.shots])
         coordinates[f"condition_{condition.name}"] = ("shot", means, {"units": condition.unit})
-    tables = {name: (("shot", "frequency"), values, {"units": UNITS[name]}) for name, values in grid.estimates.items()}
+    tables: dict[str, Any] = {
+        name: (("shot", "frequency"), values, {"units": UNITS[name]}) for name, values in grid.estimates.items()
+    }
     if grid.frequency is None:
         tables["frequency_hz"] = (("shot", "frequency"), grid.frequency_hz, {"units": "Hz"})
     if grid.motion:
@@ -133,6 +136,11 @@ def result_dataset(result: ResultData) -> xarray.Dataset:
         }
         coordinates["time_s"] = motion.pop("time_s")
         tables |= motion
+    if grid.estimates["phase_rad"].size:
+        covariance = covariance_grid(covariance_of([result.shots]))
+        coordinates |= {name: (dims, values) for name, (dims, values, unit) in covariance.items() if not unit}
+        tables |= {name: (dims, values, {"units": unit}) for name, (dims, values, unit) in covariance.items() if unit}
+        coordinates["part"] = list(PARTS)
     names = ("title", "run_file", "estimator", "phase_reference", "status")
     attributes = {name: getattr(result, name) for name in names} | {"simulated": int(result.simulated)}
     attributes |= {f"note_{name}": note for name, note in result.notes.items()}

@@ -96,7 +96,7 @@ def _as_written(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     if not properties:
         return schema
     if name == "ShotResult":
-        del properties["motion"]
+        del properties["motion"], properties["influences"]
     if name == "Estimate":
         properties |= dict.fromkeys(DERIVED, NUMBER)
     return {**schema, "properties": properties} | _closed(properties)

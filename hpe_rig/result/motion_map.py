@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hpe_rig.arrays import ByteArray, FloatArray
-from hpe_rig.result.tables import frames_package
+from hpe_rig.result.tables import package_of_extra
 
 if TYPE_CHECKING:
     import xarray
@@ -73,7 +73,7 @@ class MotionMap:
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an xarray dataset with axes line, depth and frequency, and units; needs the extra 'frames'."""
-        dataset = frames_package("xarray", "MotionMap.to_xarray").Dataset
+        dataset = package_of_extra("xarray", "MotionMap.to_xarray").Dataset
         # Amplitudes and phases have a value for each frequency, all other quantities one for each pixel.
         pixel, pixel_and_frequency = ("line", "depth"), ("line", "depth", "frequency")
         variables: dict[str, Any] = {}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from hpe_rig.result.covariance import Covariance, covariance_of
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.rows import result_frame, result_text
 
@@ -28,6 +29,7 @@ class Result(ResultData):
     >>> result.shots[0].estimates[0].amplitude_m
     >>> result.to_frame().to_csv("result.csv")
     >>> result.to_xarray().displacement_m.sel(shot=0)
+    >>> result.covariance().combined([[1, -1]])
     >>> result.figure().savefig("result.pdf")
     """
 
@@ -52,6 +54,24 @@ class Result(ResultData):
         from hpe_rig.result.grid import result_dataset
 
         return result_dataset(self)
+
+    def covariance(self, *others: Result) -> Covariance:
+        """Return the complex values of all shots and frequencies with the errors that they have in common.
+
+        ``others``: results of further runs in the same medium, whose shots follow. Errors of medium, sound speed and
+        beams are common to all these runs; noise, speckle and gate edges are not.
+        """
+        return covariance_of([result.shots for result in (self, *others)])
+
+    def to_gtc(self, *others: Result) -> tuple[tuple[Any, ...], ...]:
+        """Return the complex values as uncertain complex numbers of GTC, one tuple of frequencies for each shot.
+
+        ``others``: as for ``covariance``. Ratios, differences and any other calculation with them have the right u, and
+        GTC can archive them. Raises ``ModuleNotFoundError`` that names the extra if GTC is not installed.
+        """
+        from hpe_rig.result.uncertain_numbers import uncertain_numbers
+
+        return uncertain_numbers(self.covariance(*others))
 
     def figure(self) -> Figure:
         """Return a matplotlib figure of amplitude and phase over frequency, with bars of 2 u."""

@@ -58,9 +58,9 @@ class ResultData:
 
         ``left_out`` repeats ``omitted``, which had that name in earlier versions.
         """
-        # JSON omits the displacements, which are arrays of the result file.
-        without_motion = replace(self, shots=tuple(replace(shot, motion=None) for shot in self.shots))
-        tables = {**asdict(without_motion), "left_out": self.omitted}
+        # JSON omits displacements and influences, which are arrays of the result file.
+        without_arrays = replace(self, shots=tuple(replace(shot, motion=None, influences=()) for shot in self.shots))
+        tables = {**asdict(without_arrays), "left_out": self.omitted}
         for name in ("simulated_specimen", "imported"):
             if tables[name] is None:
                 del tables[name]
@@ -72,7 +72,7 @@ class ResultData:
         shots = [*self.shots, *(gate.shot for gate in self.profile)]
         shot_tables = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
         for shot, table in zip(shots, shot_tables, strict=True):
-            del table["motion"]
+            del table["motion"], table["influences"]
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
                 row.update({name: getattr(estimate, name) for name in DERIVED})
         plain: dict[str, Any] = json_values(tables)

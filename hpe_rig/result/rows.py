@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData
-from hpe_rig.result.tables import csv_text, frames_package, text_table
+from hpe_rig.result.tables import csv_text, package_of_extra, text_table
 from hpe_rig.result.values import Headline
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def result_csv(result: ResultData) -> str:
 
 def result_frame(result: ResultData) -> pd.DataFrame:
     """Return the rows as a pandas frame; ``attrs`` hold title, run file, estimator and ``simulated``."""
-    frame: pd.DataFrame = frames_package("pandas", "Result.to_frame").DataFrame(result_rows(result))
+    frame: pd.DataFrame = package_of_extra("pandas", "Result.to_frame").DataFrame(result_rows(result))
     frame.attrs.update({name: getattr(result, name) for name in ("title", "run_file", "estimator", "simulated")})
     return frame
 

@@ -21,12 +21,12 @@ def mappings(rows: Iterable[Any]) -> list[Mapping[str, Any]]:
     return [asdict(row) if is_dataclass(row) and not isinstance(row, type) else row for row in rows]
 
 
-def frames_package(name: str, caller: str) -> Any:
-    """Return the package ``name`` of the extra 'frames', which ``caller`` needs."""
+def package_of_extra(name: str, caller: str, extra: str = "frames") -> Any:
+    """Return the package ``name`` of the ``extra``, which ``caller`` needs."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        message = f'{caller} needs {name}, which is not installed. Try: pip install "hpe-rig[frames]".'
+        message = f'{caller} needs {name}, which is not installed. Try: pip install "hpe-rig[{extra}]".'
         raise ModuleNotFoundError(message, name=error.name) from None
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from hpe_rig.result.influence import Influence
 from hpe_rig.result.interval import interval_95, phase_interval_95_rad
 from hpe_rig.result.motion import ShotMotion
 
@@ -56,7 +58,8 @@ class Averaging:
     * beams that are not Gaussian: ``shape_relative``
     * spread of the echo's mean frequency, for an estimator that divides by the carrier: ``carrier_relative``
 
-    ``rule`` gives the averaging of another medium.
+    ``rule`` gives the averaging of another medium. ``steepness``: relative change of the tracked motion with the
+    logarithm of the tracking beam's area, amplitude as real part, phase (rad) as imaginary part.
     """
 
     factor: float
@@ -71,6 +74,7 @@ class Averaging:
     rule: AveragingRule = AveragingRule()
     shared_relative: float = 0.0
     shared_phase_rad2: float = 0.0
+    steepness: complex = 0.0
 
 
 RECTIFIED = "rectified noise"
@@ -151,6 +155,11 @@ class Estimate:
             interval_95_m=interval_95(sources_m),
             interval_95_rad=phase_interval_95_rad(sources_rad),
         )
+
+    @property
+    def phasor_m(self) -> complex:
+        """Headline value A exp(j phase): in-phase and quadrature component."""
+        return cmath.rect(self.headline.amplitude_m, self.headline.phase_rad)
 
     @property
     def budget(self) -> tuple[Component, ...]:
@@ -240,7 +249,7 @@ class ShotResult:
     trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by
     name, read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse,
     None if not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its
-    standard uncertainty; None without trigger times.
+    standard uncertainty; None without trigger times. ``influences``: errors of the estimates by source.
     """
 
     shot: int
@@ -263,6 +272,7 @@ class ShotResult:
     pulse_rate_error: float | None = None
     pulse_rate_uncertainty: float | None = None
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
+    influences: tuple[Influence, ...] = field(default=(), repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from .records import (
     ShotRecords as ShotRecords,
     assemble as assemble,
 )
-from .result_file import write_result as write_result
+from .result_file import read_covariance as read_covariance, write_result as write_result
 from .validation import InvalidContentError as InvalidContentError, open_checked as open_checked
 from .verification import (
     Damage as Damage,

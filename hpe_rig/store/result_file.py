@@ -7,12 +7,14 @@ import json
 import threading
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
+from hpe_rig.result import MOTION_UNITS, PARTS, UNITS, Covariance, Result, ShotResult, covariance_grid, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal, seal_heap
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
@@ -25,6 +27,7 @@ def write_result(path: Path, result: Result) -> None:
 
     Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN if unknown.
     Group ``motion``: displacement, its uncertainty, model and residual of every pulse, float64 (shot, pulse).
+    Group ``covariance``: complex values with the influences of all sources of uncertainty.
     With gates over depth also group ``profile``, as ``results`` but (shot, depth, frequency), and group
     ``burst_period`` with ``displacement_m`` (shot, depth, time).
     Raises ``StoreError`` if the file cannot be written or the disk does not respond for a minute; an earlier result
@@ -80,8 +83,62 @@ def _write(file: h5py.File, result: Result) -> None:
         motion["time_s"].attrs["long_name"] = f"time of the motion at the gate, {result.phase_reference}"
         tracked = {shot.motion.tracked_by for shot in result.shots if shot.motion is not None}
         motion.attrs["tracked_by"] = ", ".join(sorted(tracked))
+    _write_covariance(file, result)
     if result.profile:
         _write_profile(file, result, axis)
+
+
+def _write_covariance(file: h5py.File, result: Result) -> None:
+    """Write group ``covariance``: the arrays of the result's ``Covariance``, each with its axes."""
+    covariance = result.covariance()
+    group = file.create_group("covariance")
+    arrays = covariance_grid(covariance) | {"frequency_hz": (("shot", "frequency"), covariance.frequency_hz, "Hz")}
+    _, frequencies, columns = covariance.influence_m.shape
+    scales: dict[str, NDArray[Any]] = {
+        "shot": covariance.shot,
+        "part": np.array(PARTS),
+        "frequency": np.arange(1.0, frequencies + 1),
+        "column": np.arange(columns),
+    }
+    for name, values in scales.items():
+        group[name] = _with_text(values)
+        group[name].make_scale(name)
+    for name, (dimensions, values, unit) in arrays.items():
+        group[name] = _with_text(values)
+        group[name].attrs["units"] = unit or "1"
+        for axis, dimension in zip(group[name].dims, dimensions, strict=True):
+            axis.attach_scale(group[dimension])
+
+
+def _with_text(values: NDArray[Any]) -> NDArray[Any]:
+    """Return ``values``, text as UTF-8 of fixed length."""
+    if values.dtype.kind != "U":
+        return values
+    encoded = np.char.encode(values, "utf-8")
+    return encoded.astype(h5py.string_dtype("utf-8", max(encoded.dtype.itemsize, 1)))
+
+
+def read_covariance(path: Path | str) -> Covariance:
+    """Return the complex values and their covariance from the result file at ``path``, as ``Result.covariance()``.
+
+    Raises ``StoreError`` if the file cannot be read or is older than group ``covariance``.
+    """
+    names = "shot", "frequency_hz", "phasor_m", "influence_m", "variable", "source", "common_to", "degrees_of_freedom"
+    try:
+        with h5py.File(path, "r") as file:
+            group = file["covariance"]
+            arrays = {
+                name: group[name].asstr()[()] if group[name].dtype.kind == "S" else group[name][()] for name in names
+            }
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
+        raise StoreError(
+            f"{path} contains no covariance ({reason(error)}): it is no result file, or one of an earlier version. "
+            "Try: hpe-rig process with the run file, which writes the result file again."
+        ) from error
+    for name in ("phasor_m", "influence_m"):
+        arrays[name] = arrays[name][..., 0] + 1j * arrays[name][..., 1]
+    texts = {name: tuple(arrays[name].tolist()) for name in ("source", "common_to")}
+    return Covariance(**{**arrays, **texts})
 
 
 def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) -> None:

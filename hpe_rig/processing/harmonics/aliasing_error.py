@@ -30,8 +30,13 @@ from dataclasses import replace
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, corrected_by, with_aliasing
-from hpe_rig.processing.harmonics.medium_fit import medium_fit, medium_posterior, posterior_of_states
+from hpe_rig.processing.harmonics.harmonic_fit import AliasingCauses, HarmonicFit, corrected_by, with_aliasing
+from hpe_rig.processing.harmonics.medium_fit import (
+    medium_fit,
+    medium_posterior,
+    member_phasors_m,
+    posterior_of_states,
+)
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import PulseTimes
 from hpe_rig.processing.harmonics.prior_evidence import Evidence
@@ -57,20 +62,18 @@ def with_aliasing_error(
     pulses = PulseTimes.of(motion.time_s, motion.valid)
     error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)  # M
     # The error M x given the data: its mean, its covariance, and its remainder for every member of the ensemble.
-    mean_m, posterior_m2, member_errors = posterior_of_states(
-        motion, fit_with_prior, prior, error_matrix, background_order
-    )
+    mean_m, causes, member_errors = posterior_of_states(motion, fit_with_prior, prior, error_matrix, background_order)
     corrected = corrected_by(fit, mean_m)
     medium = medium_posterior(prior, evidence, corrected, member_errors)
-    corrected = with_aliasing(corrected, posterior_m2, fit_with_prior.fit, medium)
+    corrected = with_aliasing(corrected, causes, fit_with_prior.fit, medium)
     # Before the correction the error has the larger covariance of M x over the media of the ensemble.
-    ensemble_m2 = _ensemble_covariance_m2(error_matrix, prior, evidence)
-    uncorrected = with_aliasing(fit, ensemble_m2, fit_with_prior.fit, medium)
+    ensemble_causes = _ensemble_causes(error_matrix, prior, evidence)
+    uncorrected = with_aliasing(fit, ensemble_causes, fit_with_prior.fit, medium)
     return replace(uncorrected, aliasing_corrected=corrected)
 
 
-def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> FloatArray:
-    """Return the covariance (state, state) of the aliasing error over the media of the ensemble, before correction, m².
+def _ensemble_causes(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> AliasingCauses:
+    """Return the aliasing error over the media of the ensemble, before correction.
 
     ``error_matrix`` M (state, direction): error of the fit for the motion of each direction of the prior.
     """
@@ -80,7 +83,8 @@ def _ensemble_covariance_m2(error_matrix: FloatArray, prior: MediumPrior, eviden
     members_m2 = (member_errors.T * member_weights) @ member_errors
     # Second term: media outside the span of the members, scaled like the whole ensemble.
     deviation_errors = prior.deviation[:, None] * error_matrix.T  # M D
-    return members_m2 + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
+    total_m2 = members_m2 + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
+    return AliasingCauses(total_m2, member_phasors_m(evidence, member_errors))
 
 
 @functools.lru_cache(maxsize=8)

@@ -35,6 +35,9 @@ class MediumPosterior:
     ``steepness`` (..., frequency, 2): root mean square derivative of tracked amplitude, relative, and tracked phase by
     the logarithm of the tracking beam's area. ``shared``, same shape: covariance of the errors of
     ``peak_over_tracked`` and of aliasing, relative amplitude and phase; both depend on the medium.
+
+    ``ratio_errors`` and ``steepness_terms``, complex (..., member, frequency): deviation of the logarithm of
+    ``peak_over_tracked`` from its mean, and ``steepness``, of each medium, times the root of its probability.
     """
 
     significance: FloatArray
@@ -42,6 +45,29 @@ class MediumPosterior:
     peak_covariance: FloatArray
     steepness: FloatArray
     shared: FloatArray
+    ratio_errors: ComplexArray
+    steepness_terms: ComplexArray
+
+
+@dataclass(frozen=True, slots=True)
+class AliasingCauses:
+    """Aliasing error of a fit by its causes, with the covariance between all frequencies.
+
+    ``total_m2`` (..., state, state): covariance of the whole error. ``members_m``, complex (..., member, frequency):
+    error in each medium of the ensemble, times the root of the medium's probability. ``noise_m2``, as ``total_m2``: of
+    the noise in a correction for aliasing, 0 without one.
+    """
+
+    total_m2: FloatArray
+    members_m: ComplexArray
+    noise_m2: FloatArray | float = 0.0
+
+    @property
+    def deviation_m2(self) -> FloatArray:
+        """Covariance (..., state, state) of the error in media that deviate from the ensemble."""
+        members = np.stack([self.members_m.real, self.members_m.imag], axis=-1)
+        members = members.reshape(*members.shape[:-2], -1)
+        return np.asarray(self.total_m2 - self.noise_m2 - np.swapaxes(members, -1, -2) @ members)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +96,8 @@ class HarmonicFit:
     ``state`` (..., state) and ``state_covariance`` (..., state, state): in-phase and quadrature states, m and m².
 
     With a prior of media: ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` from unresolved harmonics
-    and shrinkage, and ``medium`` the posterior of the medium. ``aliasing_corrected``, of a fit that has no prior
-    itself: the same fit minus the expected aliasing.
+    and shrinkage, ``aliasing_causes`` that of ``state_covariance``, and ``medium`` the posterior of the medium.
+    ``aliasing_corrected``, of a fit that has no prior itself: the same fit minus the expected aliasing.
     """
 
     frequency_hz: FloatArray
@@ -83,6 +109,7 @@ class HarmonicFit:
     state_covariance: FloatArray
     quality: FitQuality
     aliasing: FloatArray | None = None
+    aliasing_causes: AliasingCauses | None = None
     medium: MediumPosterior | None = None
     aliasing_corrected: HarmonicFit | None = None
 
@@ -238,16 +265,16 @@ def corrected_by(fit: HarmonicFit, correction_m: FloatArray) -> HarmonicFit:
 
 
 def with_aliasing(
-    fit: HarmonicFit, aliasing_m2: FloatArray, prior_fit: HarmonicFit, medium: MediumPosterior
+    fit: HarmonicFit, causes: AliasingCauses, prior_fit: HarmonicFit, medium: MediumPosterior
 ) -> HarmonicFit:
-    """Return ``fit`` with the covariance ``aliasing_m2`` (..., state, state) of its aliasing error added.
+    """Return ``fit`` with the covariance of its aliasing error added; ``causes``: that error.
 
     Aliasing error: harmonics above half the pulse rate that ``fit`` attributes to the wanted ones. It can be as large
     as the amplitudes of ``fit``, so the phase variance is computed with the amplitudes of ``prior_fit`` instead. That
     fit of the same motion has a prior of media for all harmonics; it is in error only where the prior is.
     ``medium``: posterior of the medium, attached to the result.
     """
-    wanted_states = slice(2 * fit.frequency_hz.size)
+    wanted_states, aliasing_m2 = slice(2 * fit.frequency_hz.size), causes.total_m2
     total_m2 = fit.state_covariance.copy()
     total_m2[..., wanted_states, wanted_states] += aliasing_m2
     total, aliasing = (_along_phasor(covariance, fit.phase_rad) for covariance in (total_m2, aliasing_m2))
@@ -262,7 +289,12 @@ def with_aliasing(
     # From errors along and across the phasor to errors of amplitude and phase.
     to_polar = _polar_factors(total, phase_variance)
     return replace(
-        fit, covariance=total * to_polar, state_covariance=total_m2, aliasing=aliasing * to_polar, medium=medium
+        fit,
+        covariance=total * to_polar,
+        state_covariance=total_m2,
+        aliasing=aliasing * to_polar,
+        aliasing_causes=causes,
+        medium=medium,
     )
 
 

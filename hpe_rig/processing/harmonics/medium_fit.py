@@ -22,6 +22,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.processing.harmonics.harmonic_fit import (
+    AliasingCauses,
     FitQuality,
     HarmonicFit,
     MediumPosterior,
@@ -97,7 +98,8 @@ def medium_fit(
     state = (gain * along) @ projected.wanted_rows.T
     quality = FitQuality(np.sqrt(evidence.variance_m2), degrees, len(projected.left_vectors))
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
-    fit = replace(fit, medium=medium_posterior(prior, evidence, fit, member_errors))
+    causes = AliasingCauses(aliasing_m2, member_phasors_m(evidence, member_errors))
+    fit = replace(fit, aliasing_causes=causes, medium=medium_posterior(prior, evidence, fit, member_errors))
     return MediumFit(fit=fit, noise_m2=noise_m2, aliasing_m2=aliasing_m2, evidence=evidence, shrinkage=shrinkage)
 
 
@@ -145,8 +147,8 @@ def fit_residual(
 
 def posterior_of_states(
     motion: Motion, prior_fit: MediumFit, prior: MediumPrior, directions: FloatArray, background_order: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean and covariance (..., state, state) of further states of the motion, given the data of ``motion``.
+) -> tuple[FloatArray, AliasingCauses, FloatArray]:
+    """Return mean and covariance of further states of the motion, given the data of ``motion``.
 
     ``prior_fit`` is the fit of that motion. ``directions`` (state, direction): the states as a linear function of the
     prior's directions, the real and imaginary parts of a medium's response. The third value (..., member, state): true
@@ -165,7 +167,8 @@ def posterior_of_states(
     of_states = replace(projected, wanted_members=prior.members @ directions.T, wanted_deviation=deviation)
     aliasing_m2, member_errors = _aliasing(of_states, weights, evidence)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
-    return (gain * (data @ projected.left_vectors)) @ rows.T, noise_m2 + aliasing_m2, member_errors
+    causes = AliasingCauses(noise_m2 + aliasing_m2, member_phasors_m(evidence, member_errors), noise_m2)
+    return (gain * (data @ projected.left_vectors)) @ rows.T, causes, member_errors
 
 
 def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
@@ -188,6 +191,15 @@ def _aliasing(projected: ProjectedPrior, weights: FloatArray, evidence: Evidence
     members_m2 = np.swapaxes(member_errors, -1, -2) @ (member_weights * member_errors)
     deviations_m2 = np.swapaxes(deviation_errors, -1, -2) @ deviation_errors
     return members_m2 + evidence.scale_m[..., None, None] ** 2 * deviations_m2, member_errors
+
+
+def member_phasors_m(evidence: Evidence, member_errors: FloatArray) -> ComplexArray:
+    """Return the error (..., member, frequency) in each medium, m, times the root of the medium's probability.
+
+    ``member_errors`` (..., member, state): in-phase and quadrature, for a motion of 1 m rms.
+    """
+    root = np.sqrt(evidence.probability * evidence.member_scale_m2)[..., None]
+    return np.asarray(root * (member_errors[..., ::2] + 1j * member_errors[..., 1::2]))
 
 
 def medium_kalman(
@@ -223,7 +235,8 @@ def medium_kalman(
     quality = replace(closed_form.fit.quality, innovation_correlation=correlation)
     state = np.reshape(states, (*data.shape[:-1], -1))
     fit = fit_from_state(frequency_hz, state, closed_form.fit.state_covariance, quality, closed_form.aliasing_m2)
-    return replace(closed_form, fit=replace(fit, medium=closed_form.fit.medium))
+    posterior = {name: getattr(closed_form.fit, name) for name in ("aliasing_causes", "medium")}
+    return replace(closed_form, fit=replace(fit, **posterior))
 
 
 def medium_posterior(
@@ -241,9 +254,11 @@ def medium_posterior(
     # The lower bound avoids 0/0 if nothing moves.
     mean_power_m2 = np.maximum(np.einsum("...m,...mf->...f", probability, member_power_m2), np.finfo(np.float64).tiny)
     relative_power = member_power_m2 / mean_power_m2[..., None, :]
-    steepness = _real_imaginary(bounded_steepness(prior.steepness[:, indices], relative_power))
+    bounded = bounded_steepness(prior.steepness[:, indices], relative_power)
+    steepness = _real_imaginary(bounded)
     mean_log_ratio = probability @ log_ratio
-    ratio_deviation = _real_imaginary(np.asarray(log_ratio - mean_log_ratio[..., None, :]))
+    ratio_error = np.asarray(log_ratio - mean_log_ratio[..., None, :], np.complex128)
+    ratio_deviation = _real_imaginary(ratio_error)
     # Aliasing error of each member relative to the fitted phasor; zero amplitudes have no relative error.
     phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
     errors = member_errors[..., ::2] + 1j * member_errors[..., 1::2]
@@ -251,12 +266,15 @@ def medium_posterior(
     relative_errors = _real_imaginary(np.asarray(errors / divisor_m, np.complex128))
     error_weights = probability * np.sqrt(evidence.member_scale_m2)
     # Sums over members m weighted by their probability; f: frequency, i and j: amplitude and phase.
+    root = np.sqrt(probability)[..., None]
     return MediumPosterior(
         significance=evidence.significance,
         peak_over_tracked=np.exp(mean_log_ratio),
         peak_covariance=np.einsum("...m,...mfi,...mfj->...fij", probability, ratio_deviation, ratio_deviation),
         steepness=np.sqrt(np.einsum("...m,...mfi->...fi", probability, steepness**2)),
         shared=np.einsum("...m,...mfi,...mfi->...fi", error_weights, relative_errors, ratio_deviation),
+        ratio_errors=root * ratio_error,
+        steepness_terms=root * bounded,
     )
 
 

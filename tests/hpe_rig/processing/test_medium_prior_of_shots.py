@@ -197,3 +197,43 @@ def test_a_motion_that_halves_is_distinguished_from_a_stationary_one() -> None:
     change, suspicious = drift_between_halves(changed, wanted_hz, prior=prior)
     assert suspicious[:5].all()
     assert np.all(change[:5] == pytest.approx(-0.2 / 0.9, rel=0.25))
+
+
+@pytest.mark.parametrize(("estimator", "parts"), [("coherent", 2), ("cross_spectrum", 1)])
+def test_the_covariance_holds_the_budget_of_every_value(estimator: str, parts: int) -> None:
+    """Each source's variances along and across a phasor are those of its row in the budget.
+
+    Aliasing and beam averaging are compared together: the budget adds their covariance to the row of beam averaging.
+    2 %: small-angle approximation. The phases of ``cross_spectrum`` are not compared: their u follows from the
+    amplitude of another fit, the one with the prior.
+    """
+    result = run(1e-11).estimate(estimator)  # jitter that leaves every phase known
+    covariance, estimates = result.covariance(), result.shots[0].estimates
+    direction = np.exp(-1j * np.angle(covariance.phasor_m[0]))[:, None]
+    pairs = [(source,) for source in covariance.sources if source not in ("aliasing", "beam averaging")]
+    for sources in [*pairs, ("aliasing", "beam averaging")]:
+        along_phasor = covariance.influences_m(sources)[0] * direction
+        stored_m2 = np.stack([np.sum(part**2, axis=1) for part in (along_phasor.real, along_phasor.imag)], axis=1)
+        budget_m2 = np.zeros_like(stored_m2)
+        for row, estimate in zip(budget_m2, estimates, strict=True):
+            for item in estimate.budget:
+                if item.source in sources:
+                    row += item.amplitude_m**2, (item.phase_rad * estimate.headline.amplitude_m) ** 2
+        expected_m2 = budget_m2[:, :parts]
+        np.testing.assert_allclose(
+            stored_m2[:, :parts], expected_m2, rtol=0.02, atol=1e-4 * np.max(expected_m2), err_msg=str(sources)
+        )
+
+
+def test_the_covariance_of_noise_between_harmonics_is_that_of_the_fit() -> None:
+    fit, shot = fitted(run().scene), run().estimate("coherent").shots[0]
+    noise = next(item for item in shot.influences if item.source == "noise")
+    # Phases of this scene count from the physical time zero; headlines differ from states by the beam averaging.
+    ratio = fit.state[0::2] + 1j * fit.state[1::2]
+    ratio /= np.array([estimate.phasor_m for estimate in shot.estimates])
+    tracked = noise.influence_m * ratio[:, None]
+    rows = np.stack([tracked.real, tracked.imag], axis=1).reshape(fit.state.size, -1)
+    assert fit.aliasing_causes is not None
+    np.testing.assert_allclose(
+        rows @ rows.T, fit.state_covariance - fit.aliasing_causes.total_m2, rtol=0, atol=1e-9 * np.max(rows @ rows.T)
+    )

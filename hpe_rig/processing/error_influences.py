@@ -1,0 +1,123 @@
+"""Errors of one shot's complex values by source, with what is common to frequencies and to other shots.
+
+The budget (budget.py) states the uncertainty of each value alone. Here every source gets its covariance over all
+frequencies, as influences of independent variables (result/covariance.py):
+
+    noise, trigger jitter    covariance of the fit, of one shot
+    aliasing                 error in each medium of the ensemble, common to a run; beyond the ensemble, to repeats
+    beam averaging           deviation in each medium of the ensemble: the variables of aliasing
+    speckle                  scatterers at one position; to second order as well
+    other sources            of the budget: `COMMON_TO` states what they are common to
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.processing.budget import NO_AVERAGING, SPECKLE_KURTOSIS
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.result import RECTIFIED, Averaging, Component, Estimate, Influence, Scope
+
+NOISE_SOURCES = ("noise", "trigger jitter")
+COMMON_TO: dict[str, Scope] = {
+    "speckle": "position",
+    "beam averaging": "run",
+    "gate edge": "position",
+    "sound speed": "run",
+    "gate off focus": "run",
+    "carrier": "position",
+    "beam shape": "run",
+    "first pulse": "shot",
+    "time base": "run",
+}
+"""Shots that have an error in common, for sources whose error has the same sign at all frequencies of a shot."""
+
+
+def error_influences(
+    fit: HarmonicFit,
+    estimates: Sequence[Estimate],
+    averaging: Sequence[Averaging | None],
+    averaging_of_media: bool,
+) -> tuple[Influence, ...]:
+    """Return the errors of the headline phasors of ``estimates``, by source.
+
+    ``fit`` and ``averaging`` (frequency,): what ``estimates`` were made of. ``averaging_of_media``: that averaging is a
+    mean over the media that the fit leaves probable.
+    """
+    best = fit if None in averaging or fit.aliasing_corrected is None else fit.aliasing_corrected
+    phasor_m = np.array([estimate.phasor_m for estimate in estimates])
+    # From states to headline phasors: beam averaging, and the time zero of stated phases.
+    factor = np.array([1 / (estimate.averaging_factor or 1.0) for estimate in estimates])
+    factor = factor * np.exp(1j * (np.angle(phasor_m) - best.phase_rad))
+    media = list(_media_influences(best, averaging, averaging_of_media, phasor_m, factor))
+    influences = [*_noise_influences(best, estimates, factor), *media]
+    described = {*NOISE_SOURCES, RECTIFIED, *(influence.source for influence in media)}
+    sources = dict.fromkeys(item.source for estimate in estimates for item in estimate.budget)
+    influences += [_budget_influence(source, estimates) for source in sources if source not in described]
+    return tuple(influence for influence in influences if influence.influence_m.any())
+
+
+def _noise_influences(fit: HarmonicFit, estimates: Sequence[Estimate], factor: ComplexArray) -> Iterator[Influence]:
+    """Yield the influences of noise and trigger jitter: the covariance of the fit, divided as in the budget."""
+    wanted = slice(2 * factor.size)
+    covariance_m2 = fit.state_covariance[wanted, wanted]
+    if fit.aliasing_causes is not None:
+        covariance_m2 = covariance_m2 - fit.aliasing_causes.total_m2
+    influence_m = _root(covariance_m2) * factor[:, None]
+    components = {item.source: item for item in estimates[0].budget if item.source in NOISE_SOURCES}
+    total_m = math.hypot(*(item.amplitude_m for item in components.values()))
+    for source, item in components.items():
+        fraction = item.amplitude_m / total_m if total_m else 1.0 / math.sqrt(len(components))
+        yield Influence(source, influence_m * fraction, "shot", source, item.degrees_of_freedom)
+
+
+def _media_influences(
+    fit: HarmonicFit,
+    averaging: Sequence[Averaging | None],
+    averaging_of_media: bool,
+    phasor_m: ComplexArray,
+    factor: ComplexArray,
+) -> Iterator[Influence]:
+    """Yield the influences of the unknown medium and of speckle in it."""
+    if (causes := fit.aliasing_causes) is not None:
+        yield Influence("aliasing", causes.members_m.T * factor[:, None], "run", "medium")
+        yield Influence("aliasing", _root(causes.deviation_m2) * factor[:, None], "setting", "deviation from media")
+        if np.any(causes.noise_m2):
+            yield Influence("aliasing", _root(np.asarray(causes.noise_m2)) * factor[:, None], "shot", "aliasing noise")
+    items = [NO_AVERAGING if item is None else item for item in averaging]
+    steepness = np.array([[item.steepness] for item in items])
+    if (medium := fit.medium) is not None and averaging_of_media:
+        yield Influence("beam averaging", medium.ratio_errors.T * phasor_m[:, None], "run", "medium")
+        steepness = medium.steepness_terms.T
+    first_order = np.array([[item.rule.area_spread] for item in items]) * steepness
+    if first_order.any():
+        second_order = math.sqrt(SPECKLE_KURTOSIS) / 2 * np.sum(first_order.imag**2, axis=1, keepdims=True)
+        yield Influence("speckle", np.hstack([first_order, second_order]) * phasor_m[:, None], "position", "speckle")
+
+
+def _budget_influence(source: str, estimates: Sequence[Estimate]) -> Influence:
+    """Return the influence of a ``source`` of the budget: one error of all frequencies, or one of each.
+
+    Amplitude and phase have different variables.
+    """
+    absent = Component(source, 0.0, 0.0)
+    components = [next((item for item in each.budget if item.source == source), absent) for each in estimates]
+    phasor_m = np.array([estimate.phasor_m for estimate in estimates])
+    direction = np.exp(1j * np.angle(phasor_m))
+    along_m = np.array([item.amplitude_m for item in components]) * direction
+    across_m = 1j * np.array([item.phase_rad for item in components]) * phasor_m
+    if source in COMMON_TO:
+        return Influence(source, np.stack([along_m, across_m], axis=1), COMMON_TO[source], source)
+    return Influence(source, np.hstack([np.diag(along_m), np.diag(across_m)]), "setting", source)
+
+
+def _root(covariance_m2: FloatArray) -> ComplexArray:
+    """Return influences (frequency, variable), m, with the covariance (state, state) of in-phase and quadrature."""
+    variances, directions = np.linalg.eigh((covariance_m2 + covariance_m2.T) / 2)
+    # Rounding can leave a variance of zero slightly negative.
+    root = directions * np.sqrt(np.maximum(variances, 0.0))
+    return np.asarray(root[0::2] + 1j * root[1::2])
