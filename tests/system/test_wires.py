@@ -48,7 +48,7 @@ def bench_over(folder: Path, transport: str, *edits: tuple[str, str]) -> Path:
     return path
 
 
-@pytest.fixture(scope="module", params=["table-1", "bovine-muscle"])
+@pytest.fixture(scope="module", params=[pytest.param("table-1", marks=pytest.mark.slow), "bovine-muscle"])
 def in_process(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     path = tmp_path_factory.mktemp("in_process") / "run.h5"
     return request.param, record_run(prepare(request.param), path)

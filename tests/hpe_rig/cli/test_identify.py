@@ -171,7 +171,7 @@ def test_instruments_without_serial_numbers_get_labels_that_they_keep(
 
 
 @posix
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupt_clears_the_displays_and_leaves_the_file_as_it_was(
     bench: Path, start: Callable[[], Terminal], number: int
 ) -> None:

@@ -57,7 +57,7 @@ def vibrations(
     [
         (9e3, 2.0),
         *(pytest.param(each, marks=pytest.mark.slow) for each in ((4e3, 1.0), (13.5e3, 1.0), (12e3, 5.7))),
-        (0.6e3, 0.05),
+        pytest.param((0.6e3, 0.05), marks=pytest.mark.slow),
         (3e5, 20.0),
     ],
 )

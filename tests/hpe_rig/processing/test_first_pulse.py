@@ -161,7 +161,7 @@ def drawn(shot: Shot, seed: int, timed: bool, visible: bool) -> tuple[np.ndarray
 
 @pytest.mark.parametrize("visible", [True, False])
 @pytest.mark.parametrize("timed", [True, False])
-@pytest.mark.parametrize("draws", [10, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("draws", [5, pytest.param(400, marks=pytest.mark.slow)])
 def test_drawn_faults_are_corrected_or_stated(muscle: Shot, draws: int, timed: bool, visible: bool) -> None:
     corrected = 0
     for seed in range(draws):

@@ -430,7 +430,7 @@ def fuzz(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
         generator.emission(no_steps(), PS_PER_S // 1000)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.sampled_from(list(MODELS)), MESSAGES)
 def test_the_instrument_works_after_any_message(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
     fuzz(name, messages)

@@ -122,7 +122,7 @@ def test_the_gates_edges_do_not_bias_kasai_divided_by_the_mean_frequency(wide: T
     ],
 )
 def test_white_noise_alone_is_not_significant_motion(wide: TableOne, estimator: Estimator, margin: int) -> None:
-    trials, table = 600, replace(wide, margin=margin)
+    trials, table = 200, replace(wide, margin=margin)
     try:
         fit = estimate(table.gate(_noise(trials, 130 + 2 * margin)), [200.0], estimator)
     except ValueError:

@@ -311,7 +311,7 @@ def _many(train: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tupl
     ("train", "noise_m"),
     [
         pytest.param(SHIFTING, 770e-9, marks=pytest.mark.slow),
-        (SHIFTING, 77e-9),
+        pytest.param(SHIFTING, 77e-9, marks=pytest.mark.slow),
         pytest.param(SHIFTING, 7.7e-9, marks=pytest.mark.slow),
         pytest.param(AT_4000, 77e-9, marks=pytest.mark.slow),
         (AT_4000, 7.7e-9),
