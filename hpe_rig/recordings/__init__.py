@@ -13,6 +13,7 @@ In the order of the flow::
     importers.py     the importer of a file, also of other packages
     statements.py    settings from options, sidecar, file and scene, and the inferred ones
     lines.py         selected lines, or their mean
+    spectrum.py      echoes against the carrier; band-pass sampling
     baseband.py      I and Q -> samples around the carrier
     recording.py     contents and settings -> samples (line, shot, pulse, sample)
 

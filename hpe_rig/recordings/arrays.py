@@ -122,7 +122,7 @@ def contents(values: Mapping[str, NDArray[Any]]) -> Contents:
             if setting := setting_of(name, float(np.real(value.reshape(-1)[0]))):
                 stated.setdefault(setting[0], (setting[1], name))
         elif squeezed.size >= MIN_VECTOR:
-            arrays[name] = squeezed if squeezed.ndim == 1 else value
+            arrays[name] = value
     return Contents(arrays, stated)
 
 

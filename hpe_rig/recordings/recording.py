@@ -23,6 +23,7 @@ from hpe_rig.recordings.coordinates import find_coordinate
 from hpe_rig.recordings.importers import read_contents
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.settings import DIMENSIONS, Dimension, RecordingSettings
+from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
 from hpe_rig.recordings.statements import Statements
 from hpe_rig.scene import Mistake, SettingsError
 
@@ -137,8 +138,8 @@ class _Reader:
         recorded = self._find_recorded(values)
         position_m = statements.line_positions_m(values.shape[0])
         values, recorded, position_m = self._select_lines(values, recorded, position_m)
-        if not np.iscomplexobj(values):
-            self._check_carrier(rate_hz, carrier_hz)
+        if rate_hz is not None and carrier_hz is not None:
+            values, demodulation_hz = self._with_checked_carrier(values, rate_hz, carrier_hz, demodulation_hz)
         if (
             statements.mistakes
             or rate_hz is None
@@ -407,11 +408,36 @@ class _Reader:
         position_m = None if position_m is None else position_m.mean(keepdims=True)
         return values.mean(axis=0, keepdims=True), recorded, position_m
 
-    def _check_carrier(self, rate_hz: float | None, carrier_hz: float | None) -> None:
-        """Add a mistake if real samples violate the sampling theorem."""
-        if rate_hz is not None and carrier_hz is not None and carrier_hz >= rate_hz / 2:
-            what = f"a carrier of {carrier_hz:g} Hz does not fit a sampling rate of {rate_hz:g} Hz"
-            self.statements.add_mistake("carrier_hz", what, "the right one of the two, or demodulation_hz for I and Q")
+    def _with_checked_carrier(
+        self, values: NDArray[Any], rate_hz: float, carrier_hz: float, demodulation_hz: float | None
+    ) -> tuple[NDArray[Any], float | None]:
+        """Return samples and demodulation frequency; a mistake or warning if the echoes are not at the carrier.
+
+        Real samples below twice the carrier become I and Q.
+        """
+        is_iq, add_mistake = np.iscomplexobj(values), self.statements.add_mistake
+        if not is_iq and carrier_hz >= rate_hz / 2:
+            unfolded = unfold(values, rate_hz, carrier_hz)
+            if unfolded is None:
+                what = f"a carrier of {carrier_hz:g} Hz does not fit a sampling rate of {rate_hz:g} Hz"
+                what += ", and the echoes do not fold cleanly"
+                add_mistake("carrier_hz", what, "the right one of the two, or demodulation_hz for I and Q")
+                return values, demodulation_hz
+            values, demodulation_hz, sentence = unfolded
+            self.statements.inferred.append(sentence)
+        if is_iq and demodulation_hz is None:
+            return values, demodulation_hz
+        band = echo_band(values, rate_hz, demodulation_hz or 0.0, carrier_hz)
+        what, excluded = ("", False) if band is None else compare_with_carrier(band, carrier_hz, is_iq)
+        if excluded and is_iq:
+            remedy = "demodulation_hz = 0.0 if the carrier remains in depth, or the right carrier_hz or sample_rate_hz"
+            add_mistake("demodulation_hz", f"{what}, demodulation_hz is {demodulation_hz:g}", remedy)
+        elif excluded:
+            remedy = "the right carrier_hz or sample_rate_hz, or samples = [first, end] around the echoes"
+            add_mistake("carrier_hz", what, remedy)
+        elif what:
+            self.statements.inferred.append(f"WARNING {what}. Try: the right carrier_hz, or samples around the echoes")
+        return values, demodulation_hz
 
     def _with_sign(self, values: NDArray[Any], recorded: BoolArray) -> NDArray[Any]:
         """Return the values with their sign, and zeros for missing records."""

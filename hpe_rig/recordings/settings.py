@@ -65,8 +65,8 @@ class RecordingSettings(Section):
     """Repetition rate f_prf of the tracking pulses."""
     carrier_hz: FrequencyHz | None = None
     """Frequency f_f of the tracking pulse."""
-    demodulation_hz: FrequencyHz | None = None
-    """Demodulation frequency of I and Q; not for real samples."""
+    demodulation_hz: Annotated[float, Field(ge=0, le=1e9, strict=True)] | None = None
+    """Demodulation frequency of I and Q, 0 if they still hold the carrier; not for real samples."""
     sound_speed_m_per_s: SpeedMPerS | None = None
     """Sound speed that converts times to depths."""
     pulse_time_s: Annotated[tuple[float, ...], Field(min_length=2)] | None = None

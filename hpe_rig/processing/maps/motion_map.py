@@ -100,7 +100,7 @@ def map_pixels(
         model=linear_model(time_s, np.ones(pulses, bool), frequency_hz, background_order=1),
         time_s=time_s,
         decimation=decimation,
-        mixing_hz=settings.demodulation_hz or settings.carrier_hz if is_iq else settings.carrier_hz,
+        mixing_hz=settings.carrier_hz if settings.demodulation_hz is None else settings.demodulation_hz,
         kernels=_kernels(samples.size),
     )
     # Amplitude and phase with uncertainties have a value for each frequency; velocity, residual, power one for a pixel.
@@ -310,8 +310,8 @@ class _Pixels:
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
             # Relative variance of that factor: of the echo frequency plus of the sound speed. The frequency follows
             # from the phase step between samples, which has twice the variance of a phase and is averaged over one
-            # pulse in ``ECHO_PULSE_STEP``. The step is nearly that of the mixing frequency.
-            phase_per_sample = 2 * np.pi * self.mixing_hz / self.settings.sample_rate_hz * self.decimation
+            # pulse in ``ECHO_PULSE_STEP``. The frequency is nearly the carrier.
+            phase_per_sample = 2 * np.pi * self.settings.carrier_hz / self.settings.sample_rate_hz * self.decimation
             frequency_noise = np.float32(2 * ECHO_PULSE_STEP / self.time_s.size / phase_per_sample**2)
             relative_variance = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
         noise_m2 = variance * metres_per_radian**2

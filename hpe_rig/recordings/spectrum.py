@@ -1,0 +1,115 @@
+"""Comparison of the spectrum of the echoes with the stated carrier, and real samples below the Nyquist rate.
+
+Samples at the rate F_s hold a frequency f at f - m F_s, with an integer m: the spectrum alone does not determine m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.arrays import ComplexArray, FloatArray
+
+MAX_RECORDS = 64
+"""Records, evenly spaced, whose mean spectrum is used."""
+SMOOTHING_BINS = 16
+"""The lowest mean of this part of the spectrum's bins is its noise floor."""
+USED_BAND = 0.5
+"""Half the width of the band that the estimators use, relative to the carrier."""
+MIN_BAND_ENERGY, MIN_REAL_BAND_ENERGY = 0.1, 1e-3
+"""Smallest part of the energy near a plausible carrier, in I and Q and in real samples.
+
+Interference of 30 dB outside their band does not disturb the estimators of real samples.
+"""
+BAND_EDGE = 2.15
+"""Half the width at -10 dB of a Gaussian spectrum, in standard deviations of its power."""
+CLEAN_WIDTHS = 2.0
+"""Distance of a folded carrier from the ends of the spectrum that excludes overlap (-40 dB), in half widths."""
+MIN_DEVIATION = 0.1
+"""Deviation of the centre from the carrier that attenuation may cause, relative to the carrier."""
+
+
+@dataclass(frozen=True, slots=True)
+class EchoBand:
+    """Mean spectrum of echoes: frequencies (bin,), Hz, and energies above the noise floor (bin,), of sum 1."""
+
+    frequency_hz: FloatArray
+    energy: FloatArray
+
+    def moments(self) -> tuple[float, float]:
+        """Return the mean frequency and half the width at -10 dB, Hz."""
+        mean_hz = float(self.energy @ self.frequency_hz)
+        return mean_hz, BAND_EDGE * float(np.sqrt(self.energy @ (self.frequency_hz - mean_hz) ** 2))
+
+    def near(self, carrier_hz: float) -> tuple[EchoBand, float]:
+        """Return the band that estimators use around ``carrier_hz``, and its part of the energy."""
+        energy = np.where(np.abs(self.frequency_hz - carrier_hz) <= USED_BAND * carrier_hz, self.energy, 0.0)
+        fraction = float(energy.sum())
+        return EchoBand(self.frequency_hz, energy / (fraction or 1.0)), fraction
+
+
+def echo_band(values: NDArray[Any], rate_hz: float, demodulation_hz: float, carrier_hz: float) -> EchoBand | None:
+    """Return the band of ``values`` (line, shot, pulse, sample); None if no record is finite and has echoes.
+
+    Real samples have ``demodulation_hz`` 0. Of the frequencies that complex samples cannot tell apart, the one nearest
+    to ``carrier_hz`` counts.
+    """
+    records = values.reshape(-1, values.shape[-1])
+    records = records[:: max(1, len(records) // MAX_RECORDS)]
+    records = records[np.isfinite(records).all(axis=-1)]
+    if not len(records):
+        return None
+    if np.isrealobj(records):
+        records = records - records.mean(axis=-1, keepdims=True)
+    power = np.mean(np.abs(np.fft.fft(records * np.hanning(records.shape[-1]), axis=-1)) ** 2, axis=0)
+    frequency_hz = np.asarray(np.fft.fftfreq(power.size, 1 / rate_hz), np.float64)
+    if np.isrealobj(records):
+        frequency_hz, power = frequency_hz[: power.size // 2], power[: power.size // 2]
+    else:
+        nearest = np.round((carrier_hz - demodulation_hz - frequency_hz) / rate_hz)
+        frequency_hz = demodulation_hz + frequency_hz + rate_hz * nearest
+    width = max(1, power.size // SMOOTHING_BINS)
+    floor = np.convolve(power, np.full(width, 1 / width), "valid").min()
+    energy = np.maximum(power - floor, 0.0)
+    return EchoBand(frequency_hz, energy / energy.sum()) if energy.sum() > 0 else None
+
+
+def compare_with_carrier(band: EchoBand, carrier_hz: float, is_iq: bool) -> tuple[str, bool]:
+    """Return a sentence if the echoes are not centred at the carrier, and whether they exclude that carrier."""
+    near, fraction = band.near(carrier_hz)
+    dominated = fraction < MIN_BAND_ENERGY
+    centre_hz, half_width_hz = (band if dominated else near).moments()
+    if not dominated and abs(centre_hz - carrier_hz) <= max(half_width_hz, MIN_DEVIATION * carrier_hz):
+        return "", False
+    low, high = ((centre_hz + sign * half_width_hz) / 1e6 for sign in (-1, 1))
+    sentence = f"echoes are centred at {centre_hz / 1e6:.3g} MHz ({low:.3g} to {high:.3g} MHz)"
+    excluded = fraction < (MIN_BAND_ENERGY if is_iq else MIN_REAL_BAND_ENERGY)
+    return f"{sentence}, the carrier is {carrier_hz / 1e6:.3g} MHz", excluded
+
+
+def unfold(values: NDArray[Any], rate_hz: float, carrier_hz: float) -> tuple[ComplexArray, float, str] | None:
+    """Return band-pass samples as I and Q, their demodulation frequency, Hz, and a sentence with the folded carrier.
+
+    ``values`` (..., sample): real samples at less than twice ``carrier_hz``. Returns None if the band of their
+    echoes is not centred at the folded carrier, or reaches an end of the spectrum, where it folds onto itself.
+    """
+    from scipy.signal import hilbert
+
+    demodulation_hz = rate_hz * round(carrier_hz / rate_hz)
+    offset_hz = carrier_hz - demodulation_hz
+    band = echo_band(values, rate_hz, 0.0, abs(offset_hz))
+    if band is None:
+        return None
+    centre_hz, half_width_hz = band.moments()
+    distance_hz = min(abs(offset_hz), rate_hz / 2 - abs(offset_hz))
+    if distance_hz < half_width_hz or abs(centre_hz - abs(offset_hz)) > half_width_hz:
+        return None
+    sentence = f"band-pass sampling: the carrier of {carrier_hz:g} Hz is folded to {abs(offset_hz):g} Hz"
+    if distance_hz < CLEAN_WIDTHS * half_width_hz:
+        sentence = f"WARNING {sentence}, where the ends of the band of +- {half_width_hz:.3g} Hz overlap"
+    analytic = np.asarray(hilbert(values, axis=-1))
+    # Below a multiple of the rate the folded spectrum is reversed.
+    return (analytic.conj() if offset_hz < 0 else analytic), demodulation_hz, sentence
