@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 
     from hpe_rig.moduli import ModuliResult
     from hpe_rig.report import ResultDifference
-    from hpe_rig.result import MotionMap
+    from hpe_rig.result import Kind, MotionMap
 
+METRES_PER_INCH = 0.0254
+MAX_WIDTH_M = 1.0
 MAX_VALUE = 60
 """Characters of a setting in a table."""
 
@@ -141,6 +143,45 @@ def print_moduli(result: ModuliResult, figure: Path | None, json: bool) -> None:
         print_json(result.as_dict())
     else:
         typer.echo(str(result))
+
+
+def draw_figure(
+    run_files: Sequence[Path],
+    output: Path,
+    kind: str,
+    width: str,
+    *,
+    frequencies_hz: Sequence[float] | None,
+    estimator: str | None,
+    profile_step_m: float | None,
+) -> None:
+    """Write the figure ``kind`` of stored runs, ``width`` wide; raise ``SettingsError`` if they lack its data."""
+    from matplotlib import rc_context
+
+    from hpe_rig.result import STYLE
+    from hpe_rig.runs import fit_moduli, open_run
+    from hpe_rig.scene import length_m
+
+    mistakes = []
+    if kind != "moduli" and len(run_files) > 1:
+        mistakes.append(Mistake("RUN.h5", f"--kind {kind} draws one run", "one run file, or --kind moduli"))
+    if kind == "profile" and profile_step_m is None:
+        mistakes.append(Mistake("--kind profile", "no gates over depth are named", "--gate-profile-step 0.5mm"))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+    width_in = length_m(width, "--width", MAX_WIDTH_M) / METRES_PER_INCH
+    size = width_in, width_in * (0.62 if kind == "displacement" else 1.1)
+    with rc_context({**STYLE, "font.size": 8, "pdf.fonttype": 42, "figure.figsize": size}):
+        if kind == "moduli":
+            drawing = fit_moduli(*run_files, estimator=estimator, profile_step_m=profile_step_m).figure(figsize=size)
+        else:
+            result = open_run(run_files[0]).with_profile(profile_step_m).estimate(estimator)
+            try:
+                drawing = result.figure(cast("Kind", kind), frequencies_hz=frequencies_hz)
+            except ValueError as error:
+                mistake = Mistake(f"--kind {kind}", str(error), "--kind spectrum")
+                raise SettingsError("command line", [mistake]) from error
+        _save(drawing, output, f"{kind}, {width_in * METRES_PER_INCH * 1e3:g} mm wide")
 
 
 def write_map(motion_map: MotionMap, output: Path | None, figure: Path | None) -> None:

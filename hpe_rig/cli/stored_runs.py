@@ -1,14 +1,24 @@
-"""Commands on stored runs: ``process``, ``report``, ``compare``, ``moduli``, ``mark``, ``verify``, ``list``."""
+"""Commands on stored runs: process, report, compare, moduli, figure, mark, verify, list."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, guarded, show
-from hpe_rig.cli.options import Estimator, Json, ProfileStep, ResultOptions, RunFile, SweepOptions, file_option
+from hpe_rig.cli.options import (
+    Estimator,
+    Json,
+    ProfileStep,
+    ResultOptions,
+    RunFile,
+    SweepOptions,
+    check_file_name,
+    file_option,
+)
 from hpe_rig.result import Stages
 
 MAX_STEP_M = 0.1
@@ -121,6 +131,52 @@ def moduli(
         profile_step_m=_step_m(gate_profile_step),
     )
     print_moduli(result, figure, json)
+
+
+class FigureKind(StrEnum):
+    """What a figure draws."""
+
+    SPECTRUM = "spectrum"
+    DISPLACEMENT = "displacement"
+    DRIVE = "drive"
+    DISTANCE = "distance"
+    PROFILE = "profile"
+    MODULI = "moduli"
+
+
+@stored_runs.command()
+@guarded
+def figure(
+    run_files: Annotated[
+        list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run file; several for --kind moduli only.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", callback=check_file_name, help="File: .pdf, .svg or .png.")],
+    kind: Annotated[
+        FigureKind,
+        typer.Option(
+            help="Amplitude and phase over frequency (spectrum), relative force (drive), lateral offset (distance) or "
+            "depth (profile); largest displacement over time; vibrations and the fitted medium (moduli)."
+        ),
+    ] = FigureKind.SPECTRUM,
+    width: Annotated[str, typer.Option(help="Width of the figure, such as 85mm for a column of a journal.")] = "120mm",
+    frequency: Annotated[
+        list[float] | None, typer.Option(metavar="HZ", help="Frequency to draw; repeatable. Default: all.")
+    ] = None,
+    estimator: Estimator = None,
+    gate_profile_step: ProfileStep = None,
+) -> None:
+    """Draw a figure for a paper: one curve for each setting or frequency, means over repeats, bars of 2 u."""
+    from hpe_rig.cli.stored import draw_figure
+
+    draw_figure(
+        run_files,
+        output,
+        kind,
+        width,
+        frequencies_hz=frequency or None,
+        estimator=estimator,
+        profile_step_m=_step_m(gate_profile_step),
+    )
 
 
 @stored_runs.command()

@@ -19,12 +19,15 @@ from hpe_rig.result import (
     RepeatMean,
     Result,
     ShotResult,
+    common_settings,
     estimate_at,
     headline_sentence,
     lead_frequency_hz,
     rich_table,
     scale_of,
+    setting_texts,
     shot_warnings,
+    varied_settings,
 )
 
 TABLE_WIDTH = 110
@@ -126,8 +129,8 @@ def _print_means(result: Result, printer: Printer) -> None:
     frequency_hz = lead_frequency_hz([shot for shot in result.shots if shot.estimates])
     # One line per setting, at its frequency closest to that of the largest amplitude.
     leads = [min(group, key=lambda mean: abs(mean.frequency_hz - frequency_hz)) for group in groups]
-    headers, settings = _varied(leads)
-    printer.text(f"\nMEANS over repeats at {frequency_hz:g} Hz{_common(leads)}", bold=True)
+    headers, settings = varied_settings(leads)
+    printer.text(f"\nMEANS over repeats at {frequency_hz:g} Hz{common_settings(leads)}", bold=True)
     name = "peak" if leads[0].corrected else "tracked"
     scale, unit = _unit([mean.amplitude_m for mean in leads])
     headers = ["repeats\n", *headers, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "p\n"]
@@ -148,7 +151,7 @@ def _print_shots(result: Result, printer: Printer) -> None:
         return
     frequency_hz = lead_frequency_hz(shots)
     estimates = [estimate_at(shot, frequency_hz) for shot in shots]
-    varied, settings = _varied(shots)
+    varied, settings = varied_settings(shots)
     name = "peak" if estimates[0].headline.corrected else "tracked"
     scale, unit = _unit([item.headline.amplitude_m for item in estimates])
     headers = ["shot\n", *varied, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "residual\nnm"]
@@ -163,7 +166,7 @@ def _print_shots(result: Result, printer: Printer) -> None:
         table = rich_table([*headers, "\n"], rows, words=0)
     else:
         table = rich_table(headers, [row[:-1] for row in rows], words=0)
-    printer.text(f"\n{len(shots)} shots at {frequency_hz:g} Hz{_common(shots)}", bold=True)
+    printer.text(f"\n{len(shots)} shots at {frequency_hz:g} Hz{common_settings(shots)}", bold=True)
     printer.table(table)
     printer.text("other frequencies: --wide, --csv, or the report")
 
@@ -175,35 +178,6 @@ def _flags(shot: ShotResult) -> Iterator[str]:
         yield "INCOMPLETE"
     if shot.untrusted:
         yield "UNTRUSTED"
-
-
-_SETTINGS = (
-    ("burst_length_s", 1e6, "T_b\nus", "T_b = {:g} us"),
-    ("force_fraction", 1.0, "F\nF_0", "F = {:g} F_0"),
-    ("pulse_rate_hz", 1.0, "f_prf\nHz", "f_prf = {:g} Hz"),
-    ("window_length_s", 1e3, "T_s\nms", "T_s = {:g} ms"),
-    ("lateral_offset_m", 1e3, "lateral\nmm", "{:g} mm lateral offset"),
-    ("axial_offset_m", 1e3, "axial\nmm", "{:+g} mm axial offset"),
-)
-"""Settings that can differ between shots: attribute, scale, header of a column, and text in a title."""
-
-
-def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
-    """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
-    cells = {
-        header: [_or_dash(getattr(item, name), factor, "g") for item in items] for name, factor, header, _ in _SETTINGS
-    }
-    # Keys of a sweep are shortened to their last part.
-    for name in items[0].swept:
-        cells[f"{name.rpartition('.')[2]}\n"] = [f"{item.swept[name]:g}" for item in items]
-    varied = [header for header, texts in cells.items() if len(set(texts)) > 1]
-    return varied, [[cells[header][index] for header in varied] for index in range(len(items))]
-
-
-def _common(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
-    """Return the settings that are equal in all ``items``, for a title."""
-    shared = set(_settings(items[0])).intersection(*(set(_settings(item)) for item in items))
-    return "".join(f", {setting}" for setting in _settings(items[0]) if setting in shared)
 
 
 def _unit(amplitudes_m: Sequence[float]) -> tuple[float, str]:
@@ -264,7 +238,7 @@ def _print_profile(result: Result, printer: Printer) -> None:
 
 def _profile_title(gates: Sequence[GateResult]) -> str:
     hz = lead_frequency_hz([gate.shot for gate in gates])
-    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot + 1}", *_settings(gates[0].shot)])
+    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot + 1}", *setting_texts(gates[0].shot)])
 
 
 def _profile_table(gates: Sequence[GateResult]) -> Table:
@@ -288,7 +262,7 @@ def _mean_title(mean: RepeatMean) -> str:
     shots = [shot + 1 for shot in mean.shots]
     is_range = shots[-1] - shots[0] == len(shots) - 1
     numbers = f"{shots[0]} to {shots[-1]}" if is_range else ", ".join(map(str, shots))
-    return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *_settings(mean)])
+    return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *setting_texts(mean)])
 
 
 def _mean_row(mean: RepeatMean, has_truth: bool, scale: float) -> list[str]:
@@ -304,18 +278,9 @@ def _mean_row(mean: RepeatMean, has_truth: bool, scale: float) -> list[str]:
 
 
 def _shot_title(shot: ShotResult) -> str:
-    words = [f"shot {shot.shot + 1}", *_settings(shot)]
+    words = [f"shot {shot.shot + 1}", *setting_texts(shot)]
     words += [f"{shot.pulses_used} pulses", f"residual {_digits(shot.residual_m * 1e9, 3)} nm rms", *_flags(shot)]
     return ", ".join(words)
-
-
-def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
-    """Yield the settings of a shot or mean for a title; offsets of zero are omitted."""
-    for name, factor, _, text in _SETTINGS:
-        value = getattr(of, name)
-        if value is not None and (value or not name.endswith("offset_m")):
-            yield text.format(value * factor)
-    yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
 def _row(estimate: Estimate, has_truth: bool, corrected: bool, scale: float) -> list[str]:

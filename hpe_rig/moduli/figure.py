@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,26 +11,36 @@ from hpe_rig.arrays import ComplexArray
 from hpe_rig.moduli.vibration_model import Vibration
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+PAGE_SIZE_IN = (9.6, 4.2)
 
-def moduli_figure(vibrations: Sequence[Vibration], modelled_m: Sequence[ComplexArray], title: str) -> Figure:
+
+def moduli_figure(
+    vibrations: Sequence[Vibration],
+    modelled_m: Sequence[ComplexArray],
+    title: str,
+    *,
+    ax: Axes | Sequence[Axes] | None = None,
+    figsize: tuple[float, float] = PAGE_SIZE_IN,
+) -> Figure:
     """Return a figure of amplitude and phase over frequency, one colour for each lateral offset.
 
     Measured points have bars of two standard uncertainties; lines are ``modelled_m``, the phasors of a fitted medium.
+    ``ax``: axes for amplitude and phase; ``figsize``, inches, of a new figure, with the panels above each other if it
+    is higher than wide.
     """
-    from matplotlib.figure import Figure
+    from hpe_rig.result import figure_panels, mark
 
-    from hpe_rig.result import mark
-
-    figure = Figure(figsize=(9.6, 4.2), layout="constrained")
-    amplitude, phase = figure.subplots(1, 2)
+    is_wide = figsize[0] > figsize[1]
+    figure, (amplitude, phase) = figure_panels(1 if is_wide else 2, 2 if is_wide else 1, ax, figsize)
     for index, (vibration, modelled) in enumerate(zip(vibrations, modelled_m, strict=True)):
         marker, colour = mark(index)
         # Mean variance of the two quadratures of each harmonic.
         variance = np.diag(vibration.covariance_m2).reshape(-1, 2).mean(axis=1)
         sigma_m, size_m, hz = np.sqrt(variance), np.abs(vibration.phasor_m), vibration.frequency_hz
-        style = {"fmt": marker, "ms": 4, "color": colour, "lw": 1}
+        style: Any = {"fmt": marker, "ms": 4, "color": colour, "lw": 1}
         amplitude.errorbar(hz, size_m * 1e9, 2e9 * sigma_m, label=vibration.label, **style)
         amplitude.plot(hz, np.abs(modelled) * 1e9, color=colour, lw=1)
         # The model is unwrapped over frequency; measured phases are within half a turn of it.
@@ -41,10 +51,14 @@ def moduli_figure(vibrations: Sequence[Vibration], modelled_m: Sequence[ComplexA
     amplitude.set(xlabel="frequency (Hz)", ylabel="amplitude (nm)", yscale="log")
     phase.set(xlabel="frequency (Hz)", ylabel="phase (deg)")
     handles_and_labels = amplitude.get_legend_handles_labels()
-    style = {"fontsize": "small", "title_fontsize": "small", "frameon": False}
-    figure.legend(*handles_and_labels, title="lateral offset", loc="outside right center", **style)
+    small: Any = {"fontsize": "small", "title_fontsize": "small", "frameon": False}
+    if ax is None and is_wide:
+        figure.legend(*handles_and_labels, title="lateral offset", loc="outside right center", **small)
+    else:
+        amplitude.legend(title="lateral offset", **small)
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(title, fontsize="medium")
+    if ax is None and is_wide:
+        figure.suptitle(title, fontsize="medium")
     return figure

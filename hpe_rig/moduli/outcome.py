@@ -18,6 +18,7 @@ from hpe_rig.moduli.vibration_model import Vibration
 from hpe_rig.result import dataclass_schema, json_values, object_schema, titled
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 TESTED_RANGES = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
@@ -64,11 +65,25 @@ class ModuliResult:
         values = [f"{_name(name)} {_with_uncertainty(best, name, '±')}" for name in best.values]
         return f"{law_of(best.law).title}: {', '.join(values)}"
 
-    def figure(self) -> Figure:
-        """Return a figure of measured amplitude and phase over frequency, with lines of the most likely medium."""
-        from hpe_rig.moduli.figure import moduli_figure
+    def figure(self, *, ax: Axes | Sequence[Axes] | None = None, figsize: tuple[float, float] | None = None) -> Figure:
+        """Return a figure of measured amplitude and phase over frequency, with lines of the most likely medium.
 
-        return moduli_figure(self.vibrations, self.best.modelled_m, self.headline)
+        ``ax``: axes for amplitude and phase; ``figsize``: width and height of a new figure, inches.
+        """
+        from hpe_rig.moduli.figure import PAGE_SIZE_IN, moduli_figure
+
+        return moduli_figure(
+            self.vibrations, self.best.modelled_m, self.headline, ax=ax, figsize=figsize or PAGE_SIZE_IN
+        )
+
+    def _repr_html_(self) -> str:
+        """Return figure and text for a notebook."""
+        from html import escape
+
+        from hpe_rig.result import image, picture
+
+        drawing = image(picture(self.figure(), "moduli", "Measured and fitted vibrations", self.headline))
+        return f"{drawing}<pre>{escape(str(self))}</pre>"
 
     def __str__(self) -> str:
         """Return the moduli with their uncertainties, the other laws, and the omitted data."""

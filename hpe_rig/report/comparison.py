@@ -11,7 +11,7 @@ p_all uses the uncertainties from all sources, p_noise those that are independen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,7 @@ from hpe_rig.result import (
     Result,
     ShotResult,
     dataclass_schema,
+    figure_panels,
     json_values,
     object_schema,
     titled,
@@ -38,6 +39,7 @@ from hpe_rig.scene import parse_toml
 from hpe_rig.store import StoreError, read_snapshots
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 INDEPENDENT_SOURCES = ("noise", "trigger jitter", RECTIFIED)
@@ -121,9 +123,12 @@ class Comparison:
         plain: dict[str, Any] = json_values(tables)
         return plain
 
-    def figure(self) -> Figure:
-        """Return amplitudes and phases of both runs over frequency with bars of 2 u, and their differences over u."""
-        return _figure(self)
+    def figure(self, *, ax: Sequence[Axes] | None = None, figsize: tuple[float, float] = (9.0, 6.5)) -> Figure:
+        """Return amplitudes and phases of both runs over frequency with bars of 2 u, and their differences over u.
+
+        ``ax``: four axes, amplitude and phase above their differences; ``figsize`` of a new figure, inches.
+        """
+        return _figure(self, ax, figsize)
 
 
 def comparison_schema() -> dict[str, Any]:
@@ -287,11 +292,9 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value if isinstance(value, str | int | float | bool | list) else str(value)
 
 
-def _figure(comparison: Comparison) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 6.5), layout="constrained")
-    panels = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
+def _figure(comparison: Comparison, ax: Sequence[Axes] | None, figsize: tuple[float, float]) -> Figure:
+    figure, all_panels = figure_panels(2, 2, ax, figsize, sharex=True, height_ratios=(2, 1))
+    panels = np.reshape(np.array(all_panels, dtype=object), (2, 2))
     rows = comparison.results
     frequency_hz = np.array([row.frequency_hz for row in rows])
     # Both runs are shifted by this distance from the frequency, so that neither hides the other.
@@ -315,9 +318,12 @@ def _figure(comparison: Comparison) -> Figure:
         below.set(xlabel="frequency / Hz", ylabel="difference / u")
     if np.unique(frequency_hz).size == 1:
         panels[0, 0].set(xticks=frequency_hz[:1], xlim=(frequency_hz[0] - 5, frequency_hz[0] + 5))
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
-    estimators = " and ".join(dict.fromkeys(comparison.estimators))
-    figure.suptitle(f"{comparison.names[0]} and {comparison.names[1]}, estimator {estimators}")
+    if ax is None:
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+        estimators = " and ".join(dict.fromkeys(comparison.estimators))
+        figure.suptitle(f"{comparison.names[0]} and {comparison.names[1]}, estimator {estimators}", wrap=True)
+    else:
+        panels[0, 0].legend(frameon=False)
     for panel in panels.flat:
         panel.grid(alpha=0.3)
         panel.spines[["top", "right"]].set_visible(False)

@@ -18,7 +18,9 @@
     sentence.py       the result in one sentence
     print_symbols.py  typographic units and symbols
     svg.py            palette, panels and pictures of every page, with page.css
-    figure.py         amplitude and phase over frequency, for matplotlib
+    setting_text.py   settings as texts: titles, legends, columns
+    panels.py         panels of a figure for papers, new or the caller's
+    figure.py         figures for papers and notebooks, for matplotlib
     spectra.py        amplitude and phase over frequency, for pages
     html_repr.py      display in a notebook
     result.py         `Result`: contents with all tables and figures

@@ -1,5 +1,6 @@
 from .conditions import ConditionSummary as ConditionSummary, condition_summary as condition_summary
 from .covariance import PARTS as PARTS, Covariance as Covariance, covariance_grid as covariance_grid
+from .figure import Kind as Kind
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
 from .influence import Influence as Influence, Scope as Scope
 from .interval import student_widening as student_widening
@@ -11,6 +12,7 @@ from .json_schema import (
 )
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
+from .panels import figure_panels as figure_panels
 from .phase import (
     DETECTED as DETECTED,
     PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT,
@@ -30,6 +32,11 @@ from .sentence import (
     lead_frequency_hz as lead_frequency_hz,
     scale_of as scale_of,
     with_u as with_u,
+)
+from .setting_text import (
+    common_settings as common_settings,
+    setting_texts as setting_texts,
+    varied_settings as varied_settings,
 )
 from .spectra import main_shot as main_shot, spectrum_pictures as spectrum_pictures
 from .svg import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, cast
@@ -14,6 +14,7 @@ from hpe_rig.result.tables import package_of_extra
 
 if TYPE_CHECKING:
     import xarray
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -93,11 +94,20 @@ class MotionMap:
         attributes = {"title": "Motion map", "source": self.origin}
         return cast("xarray.Dataset", dataset(variables, coordinates, attributes))
 
-    def figure(self, frequency: int = 0) -> Figure:
-        """Return images of amplitude, phase and u at the frequency of this index, and of velocity; bad pixels blank."""
-        from matplotlib.figure import Figure
+    def figure(
+        self,
+        frequency: int = 0,
+        *,
+        ax: Sequence[Axes] | None = None,
+        figsize: tuple[float, float] = (9.0, 6.5),
+    ) -> Figure:
+        """Return images of amplitude, phase and u at the frequency of this index, and of velocity; bad pixels blank.
 
-        figure = Figure(figsize=(9.0, 6.5), layout="constrained")
+        ``ax``: axes of the four images; ``figsize``: width and height of a new figure, inches.
+        """
+        from hpe_rig.result.panels import figure_panels
+
+        figure, all_axes = figure_panels(2, 2, ax, figsize)
         amplitude, u = self.amplitude_m[..., frequency], self.amplitude_uncertainty_m[..., frequency]
         has_pixels = bool(np.isfinite(amplitude).any())
         max_nm = float(np.nanquantile(amplitude, 0.98)) * 1e9 if has_pixels else 1.0
@@ -110,7 +120,7 @@ class MotionMap:
         )
         line_scale = 1e3 if self.lines_are_placed else 1.0
         extent = (*_edges(self.line_m * line_scale), *_edges(self.depth_m * 1e3)[::-1])
-        for axes, (values, label, colours, low, high) in zip(figure.subplots(2, 2).ravel(), panels, strict=True):
+        for axes, (values, label, colours, low, high) in zip(all_axes, panels, strict=True):
             limit = float(np.nanquantile(values, 0.98)) if high is None and np.isfinite(values).any() else high
             image = axes.imshow(values.T, extent=extent, aspect="auto", cmap=colours, vmin=low, vmax=limit)
             axes.set_facecolor("0.85")
@@ -118,7 +128,8 @@ class MotionMap:
             axes.set(xlabel="lateral offset / mm" if self.lines_are_placed else "line", ylabel="depth / mm")
         source = [self.origin.partition(", SHA")[0]] if self.origin else []
         title = ", ".join([f"{self.frequency_hz[frequency]:g} Hz", *source])
-        figure.suptitle(title, fontsize="medium", wrap=True)
+        if ax is None:
+            figure.suptitle(title, fontsize="medium", wrap=True)
         return figure
 
 

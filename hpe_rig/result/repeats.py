@@ -95,7 +95,7 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
     groups: dict[tuple[float | None, ...], list[ShotResult]] = {}
     for shot in shots:
         if shot.complete and not shot.untrusted:
-            groups.setdefault(_setting(shot), []).append(shot)
+            groups.setdefault(setting_of(shot), []).append(shot)
     return tuple(
         _repeat_mean(group, index)
         for group in groups.values()
@@ -104,8 +104,9 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
     )
 
 
-def _setting(shot: ShotResult) -> tuple[float | None, ...]:
-    return *(getattr(shot, name) for name in REPEAT_SETTINGS), *shot.swept.values()
+def setting_of(item: ShotResult | RepeatMean) -> tuple[float | None, ...]:
+    """Return the values of all settings of a shot or mean; repeats have equal ones."""
+    return *(getattr(item, name) for name in REPEAT_SETTINGS), *item.swept.values()
 
 
 def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,10 @@ from hpe_rig.result.rows import result_frame, result_text
 if TYPE_CHECKING:
     import pandas as pd
     import xarray
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from hpe_rig.result.figure import Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +77,25 @@ class Result(ResultData):
 
         return uncertain_numbers(self.covariance(*others))
 
-    def figure(self) -> Figure:
-        """Return a matplotlib figure of amplitude and phase over frequency, with bars of 2 u."""
+    def figure(
+        self,
+        kind: Kind = "spectrum",
+        *,
+        frequencies_hz: Sequence[float] | None = None,
+        ax: Axes | Sequence[Axes] | None = None,
+        figsize: tuple[float, float] | None = None,
+    ) -> Figure:
+        """Return a matplotlib figure, one curve for each setting, with bars of 2 u; repeats are averaged.
+
+        ``kind``: "spectrum" (amplitude and phase over frequency), "drive" (over the relative force), "distance" (over
+        the lateral offset), "profile" (over depth) or "displacement" (over time, largest motion). ``frequencies_hz``:
+        those to draw, None for all. ``ax``: axes to draw on, one for "displacement", else two. ``figsize``: width and
+        height, inches; without it and ``ax``, rcParams plus the legend. Raises ``ValueError`` if the result lacks the
+        data of ``kind``.
+        """
         from hpe_rig.result.figure import result_figure
 
-        return result_figure(self)
+        return result_figure(self, kind, frequencies_hz=frequencies_hz, ax=ax, figsize=figsize)
 
     def _repr_html_(self) -> str:
         """Return figure and tables for a notebook."""

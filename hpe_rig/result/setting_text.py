@@ -1,0 +1,47 @@
+"""Settings of shots and of means over repeats, as texts for titles, legends and columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from hpe_rig.result.repeats import RepeatMean
+from hpe_rig.result.values import ShotResult
+
+_SETTINGS = (
+    ("burst_length_s", 1e6, "T_b\nus", "T_b = {:g} us"),
+    ("force_fraction", 1.0, "F\nF_0", "F = {:g} F_0"),
+    ("pulse_rate_hz", 1.0, "f_prf\nHz", "f_prf = {:g} Hz"),
+    ("window_length_s", 1e3, "T_s\nms", "T_s = {:g} ms"),
+    ("lateral_offset_m", 1e3, "lateral\nmm", "{:g} mm lateral offset"),
+    ("axial_offset_m", 1e3, "axial\nmm", "{:+g} mm axial offset"),
+)
+"""Settings that can differ between shots: attribute, scale, header of a column, and text in a title."""
+
+
+def setting_texts(item: ShotResult | RepeatMean, without: str = "") -> Iterator[str]:
+    """Yield the settings of a shot or mean for a title, except ``without``; offsets of zero are omitted."""
+    for name, factor, _, text in _SETTINGS:
+        value = getattr(item, name)
+        if name != without and value is not None and (value or not name.endswith("offset_m")):
+            yield text.format(value * factor)
+    yield from (f"{name} = {value:g}" for name, value in item.swept.items())
+
+
+def common_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
+    """Return the settings that are equal in all ``items``, for a title."""
+    shared = set(setting_texts(items[0])).intersection(*(set(setting_texts(item)) for item in items))
+    return "".join(f", {setting}" for setting in setting_texts(items[0]) if setting in shared)
+
+
+def varied_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
+    """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
+    cells = {header: [_cell(getattr(item, name), factor) for item in items] for name, factor, header, _ in _SETTINGS}
+    # Keys of a sweep are shortened to their last part.
+    for name in items[0].swept:
+        cells[f"{name.rpartition('.')[2]}\n"] = [f"{item.swept[name]:g}" for item in items]
+    varied = [header for header, texts in cells.items() if len(set(texts)) > 1]
+    return varied, [[cells[header][index] for header in varied] for index in range(len(items))]
+
+
+def _cell(value: float | None, factor: float) -> str:
+    return "-" if value is None else f"{value * factor:g}"
