@@ -167,6 +167,8 @@ def draw_figure(
         mistakes.append(Mistake("RUN.h5", f"--kind {kind} draws one run", "one run file, or --kind moduli"))
     if kind == "profile" and profile_step_m is None:
         mistakes.append(Mistake("--kind profile", "no gates over depth are named", "--gate-profile-step 0.5mm"))
+    if frequencies_hz and kind in {"displacement", "moduli"}:
+        mistakes.append(Mistake("--frequency", f"--kind {kind} draws all frequencies", "leave it out"))
     if mistakes:
         raise SettingsError("command line", mistakes)
     width_in = length_m(width, "--width", MAX_WIDTH_M) / METRES_PER_INCH
@@ -179,7 +181,7 @@ def draw_figure(
             try:
                 drawing = result.figure(cast("Kind", kind), frequencies_hz=frequencies_hz)
             except ValueError as error:
-                mistake = Mistake(f"--kind {kind}", str(error), "--kind spectrum")
+                mistake = Mistake(f"--kind {kind}", str(error), "another kind or frequency")
                 raise SettingsError("command line", [mistake]) from error
         _save(drawing, output, f"{kind}, {width_in * METRES_PER_INCH * 1e3:g} mm wide")
 

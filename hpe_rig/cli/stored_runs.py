@@ -171,7 +171,7 @@ def figure(
     draw_figure(
         run_files,
         output,
-        kind,
+        kind.value,
         width,
         frequencies_hz=frequency or None,
         estimator=estimator,

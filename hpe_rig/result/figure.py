@@ -107,9 +107,13 @@ def _draw_curves(curves: Sequence[Curve], x_label: str, amplitude: Axes, phase: 
 
 
 def _continuous(phase_rad: FloatArray, start: int) -> FloatArray:
-    """Return phases (point,) without jumps of a turn, unwrapped to both sides of the point ``start``."""
+    """Return phases (point,) without jumps of a turn, unwrapped to both sides of the point ``start``.
+
+    The first phase is within half a turn of zero.
+    """
     before = np.unwrap(phase_rad[start::-1])[::-1]
-    return np.concatenate([before[:-1], np.unwrap(phase_rad[start:])])
+    unwrapped = np.concatenate([before[:-1], np.unwrap(phase_rad[start:])])
+    return np.asarray(unwrapped - 2 * math.pi * np.round(unwrapped[0] / (2 * math.pi)))
 
 
 def _add_legend(figure: Figure, axes: Axes, *, outside: bool, grow: bool) -> None:
