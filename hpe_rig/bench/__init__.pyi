@@ -35,6 +35,7 @@ from .instruments import (
     UnsafeBenchError as UnsafeBenchError,
 )
 from .interrupts import (
+    END_SIGNALS as END_SIGNALS,
     INTERRUPTS as INTERRUPTS,
     Terminated as Terminated,
     interruptible as interruptible,

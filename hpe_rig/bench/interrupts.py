@@ -28,7 +28,8 @@ CONSOLE_CLOSING: Final = frozenset({2, 5, 6})
 
 # SIGHUP and SIGQUIT exist on POSIX systems only, SIGBREAK (Ctrl-Break) on Windows only.
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
-_SIGNALS: Final = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+END_SIGNALS: Final = tuple(signal.Signals[name] for name in _NAMES if hasattr(signal, name))
+"""Signals that end the program."""
 
 
 class Terminated(BaseException):
@@ -129,7 +130,7 @@ class _Interrupts:
         self._raised_s = -REPEAT_S
         self._finished.clear()
         # Ignored signals stay ignored, such as SIGHUP under nohup; None means a handler outside Python.
-        handled = [number for number in _SIGNALS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+        handled = [number for number in END_SIGNALS if signal.getsignal(number) not in (signal.SIG_IGN, None)]
         return {number: signal.signal(number, self.arrive) for number in handled}
 
     def _restore(self, before: dict[int, Any]) -> None:

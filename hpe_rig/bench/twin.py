@@ -14,7 +14,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.scene import Excitation, Scene, settings_schema
+from hpe_rig.scene import Excitation, Scene
 
 if TYPE_CHECKING:
     from sim_backend.motion import Dose
@@ -336,4 +336,4 @@ def simulation_schema() -> dict[str, Any]:
     """Return the JSON schema of the ``[simulation]`` section."""
     from sim_backend.settings import SimulationSettings
 
-    return settings_schema(SimulationSettings)
+    return SimulationSettings.model_json_schema()

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from hpe_rig.bench import END_SIGNALS
 from hpe_rig.cli.options import ResultOptions, expand_option_groups
-from hpe_rig.cli.streams import END_SIGNALS, EXIT_SIGNAL, wait_for_messages
+from hpe_rig.cli.streams import EXIT_SIGNAL, wait_for_messages
 
 if TYPE_CHECKING:
     from hpe_rig.measurement import Observer, Setup
@@ -72,9 +73,8 @@ def _wrapped_interrupt(error: BaseException) -> BaseException | None:
 
 def ignore_interrupts() -> None:
     """Ignore all signals that would end the process."""
-    for name in END_SIGNALS:
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def announce(text: str) -> None:

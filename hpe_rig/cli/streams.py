@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from hpe_rig.bench import END_SIGNALS
 from hpe_rig.cli.terminal import LogLevel
 from hpe_rig.queued_file import QueuedFile, WritingThread, queued_text
 
@@ -24,8 +25,6 @@ END_S: Final = 2.0
 POLL_S: Final = 0.05
 EXIT_FAILED, EXIT_SIGNAL = 1, 128
 """Exit code without results; the number added to that of a signal, as in a shell."""
-END_SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
-"""Signals that end the program; some exist on POSIX or on Windows only."""
 
 WRITE_RUN_FILES: Final = ("run", "resume", "queue", "import")
 """Commands whose result is also in a run file."""
@@ -122,9 +121,8 @@ def _line_buffering(stream: Any) -> bool:
 def _note_signals() -> list[int]:
     """Return a list that gets the number of each signal that would end the program; none ends it any more."""
     arrived: list[int] = []
-    for name in END_SIGNALS:
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) not in (signal.SIG_IGN, None):
+    for number in END_SIGNALS:
+        if signal.getsignal(number) not in (signal.SIG_IGN, None):
             signal.signal(number, lambda number, _: arrived.append(number))
     return arrived
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 from hpe_rig.bench import BenchFile, simulation_schema
@@ -17,7 +16,6 @@ from hpe_rig.scene import (
     annotated,
     described,
     parse_toml,
-    settings_schema,
 )
 
 SIMULATION = "Settings of the twin, used on the simulated bench alone. Without them the default muscle is simulated."
@@ -34,10 +32,10 @@ def json_schema(of: str, additional: Mapping[str, Callable[[], dict[str, Any]]] 
     from hpe_rig.store import listing_schema, verification_schema
 
     schemas: dict[str, Callable[[], dict[str, Any]]] = {
-        "scene": partial(settings_schema, Scene),
-        "bench": partial(settings_schema, BenchFile),
+        "scene": Scene.model_json_schema,
+        "bench": BenchFile.model_json_schema,
         "simulation": simulation_schema,
-        "queue": partial(settings_schema, QueueList),
+        "queue": QueueList.model_json_schema,
         "result": result_schema,
         "list": listing_schema,
         "verify": verification_schema,

@@ -3,7 +3,6 @@ from .description import (
     DescribedTable as DescribedTable,
     annotated as annotated,
     described as described,
-    settings_schema as settings_schema,
 )
 from .editing import edited_text as edited_text
 from .estimator_table import (

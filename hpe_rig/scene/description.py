@@ -2,31 +2,21 @@
 
 ``described`` is the source of the reference in the documentation, ``annotated`` of the file with every key that
 ``hpe-rig new --full`` writes. The schema is also the one that validates settings, so that the three always agree.
-The descriptions of keys are the docstrings below them, read from the source code when a schema is asked for. Pydantic's
-option for this, ``use_attribute_docstrings``, would read them at every start of the program.
+The descriptions of keys are the docstrings below them (Pydantic's ``use_attribute_docstrings``).
 """
 
 from __future__ import annotations
 
-import ast
-import inspect
 import json
 import math
 import re
-import sys
 import textwrap
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
-from functools import cache
-from itertools import pairwise
 from typing import Any
 
-from pydantic import BaseModel
-
 from hpe_rig.scene.units import unit_of
-from hpe_rig.scene.validation import models_in
 
 JsonSchema = Mapping[str, Any]
 COMMENT_WIDTH = 110
@@ -71,52 +61,6 @@ class DescribedTable:
         """The line that begins the table; empty at the top of a file."""
         name = ".".join(self.path)
         return f"[[{name}]]" if self.repeated else f"[{name}]" if name else ""
-
-
-def settings_schema(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schema of ``model`` and all models in it, each key described by the docstring below it."""
-    schema = model.model_json_schema()
-    tables = {model.__name__: schema, **schema.get("$defs", {})}
-    for described_model in {model, *_models_under(model)}:
-        keys = tables[described_model.__name__]["properties"]
-        for name, text in _key_docstrings(described_model).items():
-            # A description that the schema already has takes precedence.
-            keys[name] = dict(sorted({"description": text, **keys[name]}.items()))
-    return schema
-
-
-def _models_under(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
-    for field in model.model_fields.values():
-        for inner in models_in(field.annotation):
-            yield inner
-            yield from _models_under(inner)
-
-
-def _key_docstrings(model: type[BaseModel]) -> dict[str, str]:
-    """Return the docstrings below the fields of ``model``, those of its base classes included."""
-    texts: dict[str, str] = {}
-    # From the base class to the model: docstrings of the model replace inherited ones.
-    for base in reversed(model.__mro__):
-        if issubclass(base, BaseModel) and base is not BaseModel:
-            texts |= _docstrings_in_module(base.__module__).get(base.__name__, {})
-    return {name: text for name, text in texts.items() if name in model.model_fields}
-
-
-@cache
-def _docstrings_in_module(name: str) -> dict[str, dict[str, str]]:
-    """Return by class the docstrings below its annotated attributes; empty for a module without source code."""
-    texts: dict[str, dict[str, str]] = {}
-    with suppress(OSError):
-        for node in ast.parse(inspect.getsource(sys.modules[name])).body:
-            if isinstance(node, ast.ClassDef):
-                texts[node.name] = {
-                    attribute.target.id: inspect.cleandoc(docstring.value.value)
-                    for attribute, docstring in pairwise(node.body)
-                    if isinstance(attribute, ast.AnnAssign) and isinstance(attribute.target, ast.Name)
-                    if isinstance(docstring, ast.Expr) and isinstance(docstring.value, ast.Constant)
-                    if isinstance(docstring.value.value, str)
-                }
-    return texts
 
 
 def described(schema: JsonSchema, path: tuple[str, ...] = (), text: str = "") -> list[DescribedTable]:

@@ -61,9 +61,17 @@ def test_a_scene_that_pushes_nothing_has_no_toneburst_and_bursts_of_no_length() 
     assert shot.timeline.burst_onset_s.size == 0
 
 
+FAST = ((2000.0, 50e-6), (2500.0, 200e-6), (3000.0, 100e-6), (4000.0, 200e-6), (5000.0, 50e-6))
+"""Each pulse rate and each burst length at least once; the other pairs are marked slow."""
+
+
 @pytest.mark.parametrize(
     ("pulse_rate_hz", "burst_length_s"),
-    [(2000.0, 50e-6), (2500.0, 200e-6), (3000.0, 100e-6), (4000.0, 200e-6), (5000.0, 50e-6)],
+    [
+        pytest.param(rate_hz, length_s, marks=() if (rate_hz, length_s) in FAST else pytest.mark.slow)
+        for rate_hz in (2000.0, 2500.0, 3000.0, 4000.0, 5000.0)
+        for length_s in (50e-6, 100e-6, 200e-6)
+    ],
 )
 def test_admissible_delays_are_exactly_the_undisturbed_ones(pulse_rate_hz: float, burst_length_s: float) -> None:
     intervals = admissible_delays_s(make_plan(muscle(0.0, pulse_rate_hz, burst_length_s), BENCH).shots[0])
