@@ -1,5 +1,6 @@
 """Stored runs: open, estimate, process again, sweep, import and map; the functions of the public API.
 
+arguments.py        types of the arguments of public functions
 estimation.py       stored records -> estimates of every shot and of every gate over depth
 conditions.py       conditions of the shots of a run
 result_warnings.py  warnings of a result

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.measurement import BenchSource, prepare, provenance_now, record_run, source_text
 from hpe_rig.result import Result, Stages
+from hpe_rig.runs.arguments import number_list, require_axes, require_numbers, text_list
 from hpe_rig.runs.echoes import EchoSettings, Samples, estimate_trains
 from hpe_rig.runs.estimation import chosen_estimator
 from hpe_rig.runs.result_warnings import incomplete_warnings
@@ -57,8 +58,7 @@ def sweep(
     >>> run = sweep("bovine-muscle", {"tracking.delay_s": [0.0, 50e-6], "simulation.receiver.snr_db": [20.0, 40.0]})
     >>> run.estimate().to_frame()[["tracking.delay_s", "simulation.receiver.snr_db", "amplitude_m"]]
     """
-    if not isinstance(axes, Mapping):
-        raise TypeError(f"expected axes as a mapping from key to values, not {type(axes).__name__}")
+    require_axes(axes)
     values = {str(key): _as_list(numbers) for key, numbers in axes.items()}
     settings = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
     return measure(_scene(scene).with_(settings), bench, path)
@@ -99,7 +99,8 @@ def fit_moduli(
     from hpe_rig.medium import law_names
     from hpe_rig.moduli import Source, moduli_of
 
-    if unknown := [law for law in laws if law not in law_names()]:
+    require_numbers("fit_moduli", width_uncertainty=width_uncertainty)
+    if unknown := [law for law in text_list("fit_moduli", "laws", laws) if law not in law_names()]:
         raise SettingsError(
             "moduli", [Mistake("law", f"there is no {law} medium", ", ".join(law_names())) for law in unknown]
         )
@@ -143,14 +144,24 @@ def estimate(
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
     """
     samples = _real(rf)
+    require_numbers(
+        "estimate",
+        sample_rate_hz=sample_rate_hz,
+        pulse_rate_hz=pulse_rate_hz,
+        carrier_hz=carrier_hz,
+        sound_speed_m_per_s=sound_speed_m_per_s,
+    )
+    if not isinstance(margin, Sequence) or len(margin) != 2:
+        raise TypeError(f"estimate expects margin as two whole numbers, such as (64, 64), not {margin!r}")
+    require_numbers("estimate", whole=True, margin=tuple(margin))
     stages, estimator_name = Stages(), chosen_estimator(estimator)
     settings = EchoSettings(
         sample_rate_hz=sample_rate_hz,
         pulse_rate_hz=pulse_rate_hz,
         carrier_hz=carrier_hz,
-        frequencies_hz=frequencies_hz,
+        frequencies_hz=number_list("estimate", "frequencies_hz", frequencies_hz),
         sound_speed_m_per_s=sound_speed_m_per_s,
-        margin=margin,
+        margin=(margin[0], margin[1]),
     )
     with stages("process"):
         estimates = estimate_trains(samples.reshape(-1, *samples.shape[-2:]), settings, estimator_name)

@@ -27,6 +27,7 @@ from hpe_rig.plan import (
     select,
 )
 from hpe_rig.result import Result, Stages
+from hpe_rig.runs.arguments import require_axes, require_numbers
 from hpe_rig.runs.checked_scene import plan_html
 from hpe_rig.runs.conditions import condition_summaries, condition_warnings, conditions_of_shot
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
@@ -84,6 +85,7 @@ class Run:
         """
         from hpe_rig.processing import coherent, relative_to, shot_motion, spec_of
 
+        require_numbers("displacement_m", whole=True, shot=shot)
         count = len(self.plan.shots)
         if not -count <= shot < count:
             raise IndexError(f"shot {shot} does not exist: the run has {count}, counted from 0")
@@ -149,6 +151,7 @@ class Run:
 
         >>> run.sweep({"gate_length_m": [0.5e-3, 1e-3]}).to_frame()[["acquisition.gate_length_m", "amplitude_m"]]
         """
+        require_axes(axes)
         points = points_over(self, [Axis.of_key(key, values) for key, values in axes.items()], together)
         return estimate_points(points, estimator)
 

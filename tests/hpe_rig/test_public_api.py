@@ -362,3 +362,35 @@ def test_a_run_on_the_default_muscle_resumes(tmp_path: Path) -> None:
     rest = hpe.open_run(resume(prepare_resumption(tmp_path / "run.h5")))
     for one, other in zip(whole.records, rest.records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)
+
+
+@pytest.mark.parametrize("wrong", ["4000", None, True, [4000.0], np.array([1.0, 2.0])])
+def test_a_wrong_type_is_refused_by_name(wrong: Any) -> None:
+    names = ("sample_rate_hz", "pulse_rate_hz", "carrier_hz", "sound_speed_m_per_s")
+    with pytest.raises(TypeError) as raised:
+        hpe.estimate(moving_echo(), **ECHOES | dict.fromkeys(names, wrong))
+    # All mistakes are in one error.
+    assert all(f"{name} as a number, not" in str(raised.value) for name in names)
+    if not isinstance(wrong, np.ndarray | list):
+        with pytest.raises(TypeError, match="frequencies_hz as a list of numbers"):
+            hpe.estimate(moving_echo(), **ECHOES | {"frequencies_hz": wrong})
+    with pytest.raises(TypeError, match="margin as"):
+        hpe.estimate(moving_echo(), **ECHOES, margin=wrong)
+    with pytest.raises(TypeError, match="width_uncertainty as a number"):
+        hpe.fit_moduli("run.h5", width_uncertainty=wrong)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    settings = {name: np.float32(value) for name, value in ECHOES.items() if name != "frequencies_hz"}
+    expected = hpe.estimate(moving_echo(), **ECHOES).shots[0].estimates
+    found = hpe.estimate(moving_echo(), **settings, frequencies_hz=np.array([200]), margin=(np.int64(0), 0))
+    assert found.shots[0].estimates == expected
+
+
+def test_wrong_types_of_the_methods_of_a_run_are_refused_by_name(run: hpe.Run) -> None:
+    with pytest.raises(TypeError, match="shot as a whole number, not '0'"):
+        run.displacement_m("0")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="axes as a mapping"):
+        run.sweep(5)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="laws as a list of texts"):
+        hpe.fit_moduli("run.h5", laws="voigt")
