@@ -16,7 +16,7 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import PhaseReference
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, polar_covariance
 from hpe_rig.result import PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
 
@@ -145,7 +145,8 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     # The error across the phasor over the amplitude is the phase error, at most that of an unknown phase.
     rounding = np.array(rounding_m) / (1.0, max(amplitude_m, np.finfo(np.float64).tiny))
     carrier_relative = averaging.carrier_relative or sources.carrier_relative
-    noise = _noise_components(fit, index, sources, averaging, aliasing)
+    drift = np.zeros(2) if fit.drift_m2 is None else np.diagonal(polar_covariance(fit.drift_m2, fit)[index])
+    noise = _noise_components(fit, index, sources, averaging, aliasing + drift)
     # Aliasing and beam averaging both depend on the medium: their covariance is added to the two variances.
     aliasing, averaging_variance = _with_shared(aliasing, averaging_u**2, shared)
     optional = (("carrier", carrier_relative), ("beam shape", averaging.shape_relative))
@@ -159,6 +160,7 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
         Component("sound speed", sources.sound_speed_uncertainty * peak_m, 0.0),
         Component("gate off focus", averaging.offset_relative * peak_m, 0.0),
         *(Component(source, relative * peak_m, 0.0) for source, relative in optional if relative),
+        *((_tracked("drift", drift, averaging),) if drift.any() else ()),
     )
 
 
@@ -195,14 +197,14 @@ def _first_pulse(estimate: Estimate, alternatives: Sequence[Estimate], late_part
 
 
 def _noise_components(
-    fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging, aliasing: FloatArray
+    fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging, model_error: FloatArray
 ) -> tuple[Component, ...]:
     """Return the uncertainties that the scatter of the pulses contains: noise, trigger jitter and the bias of noise.
 
-    ``aliasing`` (2,): variances of amplitude and phase in the covariance of ``fit`` that are not noise. The Rician bias
-    is the amplitude that noise alone would have.
+    ``model_error`` (2,): variances of amplitude and phase in the covariance of ``fit`` that are not noise. The Rician
+    bias is the amplitude that noise alone would have.
     """
-    random = np.maximum(np.diagonal(fit.covariance[index]) - aliasing, 0.0)
+    random = np.maximum(np.diagonal(fit.covariance[index]) - model_error, 0.0)
     residual_m2 = float(fit.quality.residual_rms_m) ** 2
     jitter_share = min(sources.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
     # Jitter is known from elsewhere (type B); noise is the remaining variance of the residual. With these degrees of

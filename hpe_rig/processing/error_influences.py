@@ -3,7 +3,7 @@
 The budget (budget.py) states the uncertainty of each value alone. Here every source gets its covariance over all
 frequencies, as influences of independent variables (result/covariance.py):
 
-    noise, trigger jitter    covariance of the fit, of one shot
+    noise, trigger jitter    covariance of the fit, of one shot; drift: as well
     aliasing                 error in each medium of the ensemble, common to a run; beyond the ensemble, to repeats
     beam averaging           deviation in each medium of the ensemble: the variables of aliasing
     speckle                  scatterers at one position; to second order as well
@@ -55,18 +55,21 @@ def error_influences(
     factor = factor * np.exp(1j * (np.angle(phasor_m) - best.phase_rad))
     media = list(_media_influences(best, averaging, averaging_of_media, phasor_m, factor))
     influences = [*_noise_influences(best, estimates, factor), *media]
-    described = {*NOISE_SOURCES, RECTIFIED, *(influence.source for influence in media)}
+    described = {*NOISE_SOURCES, RECTIFIED, "drift", *(influence.source for influence in media)}
     sources = dict.fromkeys(item.source for estimate in estimates for item in estimate.budget)
     influences += [_budget_influence(source, estimates) for source in sources if source not in described]
     return tuple(influence for influence in influences if influence.influence_m.any())
 
 
 def _noise_influences(fit: HarmonicFit, estimates: Sequence[Estimate], factor: ComplexArray) -> Iterator[Influence]:
-    """Yield the influences of noise and trigger jitter: the covariance of the fit, divided as in the budget."""
+    """Yield the influences of drift, noise and trigger jitter: the covariance of the fit, divided as in the budget."""
     wanted = slice(2 * factor.size)
     covariance_m2 = fit.state_covariance[wanted, wanted]
     if fit.aliasing_causes is not None:
         covariance_m2 = covariance_m2 - fit.aliasing_causes.total_m2
+    if fit.drift_m2 is not None:
+        covariance_m2 = covariance_m2 - fit.drift_m2
+        yield Influence("drift", _root(fit.drift_m2) * factor[:, None], "shot", "drift")
     influence_m = _root(covariance_m2) * factor[:, None]
     components = {item.source: item for item in estimates[0].budget if item.source in NOISE_SOURCES}
     total_m = math.hypot(*(item.amplitude_m for item in components.values()))

@@ -12,11 +12,12 @@ from hpe_rig.medium import BeamWidths, RigidSphere
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.budget import with_second_order_speckle
 from hpe_rig.processing.estimators import Harmonic, Options, fit_motion, spec_of
+from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, Drift, drift_of, with_drift
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, MediumPosterior
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
 from hpe_rig.processing.harmonics.model import LinearModel, linear_model
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.shot_tracking import read_shot, window_motion
+from hpe_rig.processing.shot_tracking import WindowMotion, read_shot, window_motion
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Processing, Scene
 
@@ -56,20 +57,40 @@ def shot_fit(
     ``stored``: run with its records. Raises ``ValueError`` if the shot cannot be estimated.
     """
     spec, selection = spec_of(estimator), select(scene, shot)
-    motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion).tracked
+    motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
-    return HarmonicFitter.of(selection, spec.name, options)(motion)
+    fitter = HarmonicFitter.of(selection, spec.name, options)
+    if scene.processing.drift == "none":
+        return fitter(motion.tracked)
+    drift = shot_drift(motion, selection, options, MAX_ITERATIONS)
+    return with_drift(fitter(motion.without(drift.change_m).tracked), drift)
+
+
+def shot_drift(motion: WindowMotion, selection: Selection, options: Options, max_iterations: int = 1) -> Drift:
+    """Return the change of a shot's ``motion`` over the window; raise ``ValueError`` if it cannot be fitted.
+
+    It is that of the coherent displacement, which has least noise, if there is one.
+    """
+    return drift_of(
+        motion.tracked if motion.coherent is None else motion.coherent,
+        selection.wanted_hz,
+        also_hz=selection.driven_hz,
+        background_order=options.background_order,
+        prior=options.prior,
+        max_iterations=max_iterations,
+    )
 
 
 def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
     """Return the options of the harmonic fit that the scene's [processing] selects.
 
-    The default is a fit with the ``prior`` of media if there is one, else least squares.
+    The default is a fit with the ``prior`` of media if there is one, else least squares. With a linear drift the mean
+    displacement under the bursts drifts too, so that the background is at least linear.
     """
     default: Harmonic = "least_squares" if prior is None else "medium_prior"
     harmonic = default if processing.harmonic in (None, "medium_prior") else processing.harmonic
     return Options(
-        background_order=processing.background_order,
+        background_order=max(processing.background_order, int(processing.drift == "linear")),
         harmonic=harmonic,
         process_noise=processing.process_noise,
         prior=prior,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.plan import Selection, Shot, reference_gate, select
 from hpe_rig.processing.echo.conditioning import (
     CodedVolts,
@@ -71,6 +72,14 @@ class WindowMotion:
         # Both have the times of the same pulses.
         delayed_coherent = None if self.coherent is None else replace(self.coherent, time_s=tracked.time_s)
         return replace(self, tracked=tracked, coherent=delayed_coherent)
+
+    def without(self, displacement_m: FloatArray) -> WindowMotion:
+        """Return the motion with ``displacement_m`` (pulse,) subtracted from ``tracked`` and ``coherent``."""
+        tracked = replace(self.tracked, displacement_m=self.tracked.displacement_m - displacement_m)
+        if self.coherent is None:
+            return replace(self, tracked=tracked)
+        steady = replace(self.coherent, displacement_m=self.coherent.displacement_m - displacement_m)
+        return replace(self, tracked=tracked, coherent=steady)
 
 
 def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.processing.first_pulse import PulseAssignment, triggers
+from hpe_rig.processing.harmonics.drift import Drift
 from hpe_rig.processing.harmonics.fit_checks import Line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.motion.displacement import Motion
@@ -20,6 +21,9 @@ LARGE_STEP = 0.8
 """Largest step between pulses, in quarter wavelengths, without a warning; at 1 the phase becomes ambiguous."""
 LARGE_CONDITION = 10.0
 """Largest condition number of the model without a warning that the frequencies are barely resolved."""
+VISIBLE_U = 0.5
+"""Smallest change by a drift, in standard uncertainties, that is reported."""
+TINY = float(np.finfo(np.float64).tiny)
 LATE_FRACTION = 0.02
 """Fraction of pulses after the last toneburst's period that is reported."""
 
@@ -164,17 +168,38 @@ def clock_warnings(rate: TrackingRate | None, estimates: Sequence[Estimate], pul
         )
 
 
-def drift_warnings(fit: HarmonicFit, drift: tuple[FloatArray, BoolArray] | None) -> Iterator[str]:
-    """Yield a warning if amplitudes of one ``fit`` change between the halves of the train.
+def drift_warnings(
+    drift: Drift | None, estimates: Sequence[Estimate], max_probability: float, *, is_removed: bool
+) -> Iterator[str]:
+    """Yield the ``drift`` of a shot if it ``is_removed``, else a warning if it is significant and changes the results.
 
-    ``drift``: relative change of each amplitude (frequency,) and which changes are suspicious (frequency,); None if not
-    tested.
+    It is significant if steady motion changes as much with less than ``max_probability``. It changes the results if the
+    values at the first pulse differ from the ``estimates`` by more than ``VISIBLE_U``.
     """
-    if drift is not None and drift[1].any():
-        rows = np.flatnonzero(drift[1])
-        changes = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift[0][i] * 100:+.0f} %" for i in rows)
-        yield (
-            f"the amplitude changes from the first half of the pulses to the second ({changes}): tonebursts are "
-            "missing, or the motion is not stationary; compare the bench's burst count with excitation.burst_count, or "
-            "move processing.window_start_s past the start-up"
-        )
+    if drift is None:
+        return
+    common = (
+        f"from the first pulse of the window to the last the amplitudes grow by "
+        f"{with_u(drift.growth * 100, drift.growth_u * 100)} % and the delay by "
+        f"{with_u(drift.delay_s * 1e6, drift.delay_u_s * 1e6)} us"
+    )
+    if is_removed:
+        yield f'{common}: removed (processing.drift = "linear"), the results are those at the first pulse'
+        return
+    # Changes from the mean to the first pulse, in standard uncertainties of the results, (frequency,).
+    headlines = [estimate.headline for estimate in estimates]
+    u_m, u_rad = np.array([[item.amplitude_uncertainty_m, item.phase_uncertainty_rad] for item in headlines]).T
+    growth_m = drift.log_change.real * [item.amplitude_m for item in headlines]
+    in_u = np.maximum(np.abs(growth_m) / u_m.clip(min=TINY), np.abs(drift.log_change.imag) / u_rad.clip(min=TINY))
+    if drift.probability >= max_probability or in_u.max() < VISIBLE_U:
+        return
+    worst = int(in_u.argmax())
+    change, frequency_hz = drift.log_change[worst], estimates[worst].frequency_hz
+    yield (
+        f"the motion changes: {common} (probability in steady motion {drift.probability:.1g}). The results are "
+        f"means over the window; at its first pulse the amplitude at {frequency_hz:g} Hz differs by "
+        f"{np.expm1(-change.real) * 100:+.2g} % and the phase by {-np.degrees(change.imag):+.2g} deg. Tissue warms, tonebursts "
+        'are missing, or the start-up is in the window: set processing.drift = "linear" for the results at the first '
+        "pulse, lower the drive, compare the bench's burst count with excitation.burst_count, or move "
+        "processing.window_start_s past the start-up"
+    )

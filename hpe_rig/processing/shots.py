@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,7 +18,8 @@ from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.first_pulse import PulseAssignment
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
-from hpe_rig.processing.harmonics.fit_checks import drift_between_halves, residual_line
+from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, Drift, with_drift
+from hpe_rig.processing.harmonics.fit_checks import Line, residual_line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.quantisation import quantisation_m
 from hpe_rig.processing.motion_model import stored_motion
@@ -28,6 +29,7 @@ from hpe_rig.processing.shot_fitting import (
     carrier_error,
     options_of,
     shot_averaging,
+    shot_drift,
     shot_prior,
 )
 from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot, window_motion
@@ -47,8 +49,6 @@ from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
     from hpe_rig.store import GatedRecords, StoredRun
-
-CheckResult = TypeVar("CheckResult")
 
 FALSE_ALARM_PROBABILITY = 0.01
 """Probability, over all shots of a run, of a false warning from a statistical test."""
@@ -148,7 +148,8 @@ def _estimate_shot(scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSe
     """
     records = read_shot(scene, shot, stored)
     true_m = None
-    if stored.true_displacement_m is not None:
+    # The stored truth is the mean over the window, not the motion at its first pulse.
+    if stored.true_displacement_m is not None and scene.processing.drift == "none":
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     complete = bool(stored.shot_complete[shot.index])
     return [_estimate_window(window, shot, records, settings, true_m, complete) for window in scene.windows]
@@ -166,7 +167,13 @@ def _estimate_window(
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
     # Records to displacement of each pulse to harmonics.
     motion = window_motion(scene, shot, records, selection, spec.motion)
+    drift = _drift(scene, motion, selection, options, settings.false_alarm)
+    removed_drift = drift if scene.processing.drift == "linear" else None
+    if removed_drift is not None:
+        motion = motion.without(removed_drift.change_m)
     fit = _fit_with_aliasing(scene, shot, motion, selection, options, settings)
+    if removed_drift is not None:
+        fit = with_drift(fit, removed_drift)
     sources = _error_sources(records, motion, fit, settings)
     reference = phase_reference_of(scene, shot)
     averaging = shot_averaging(scene, fit, settings.averaging)
@@ -179,9 +186,7 @@ def _estimate_window(
             alternatives.append(estimates_of(late_fit, sources, late_averaging, None, reference))
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     recorded = records.gate.valid[selection.window]
-    # Two checks of the residual, for the warnings.
-    drift = None if motion.reference is not None else _check(drift_between_halves, motion, selection, options)
-    line = _check(residual_line, motion, selection, options)
+    line = _line(motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
     return ShotResult(
         shot=shot.index,
@@ -202,7 +207,7 @@ def _estimate_window(
             *fit_warnings(fit, float(motion.measured.largest_step)),
             *medium_warnings(fit, settings.false_alarm),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
-            *drift_warnings(fit, drift),
+            *drift_warnings(drift, estimates, settings.false_alarm, is_removed=removed_drift is not None),
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),
             *clock_warnings(records.tracking_rate, estimates, motion.echoes.pulse_time_s),
         ),
@@ -266,18 +271,31 @@ def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowM
     yield from record_warnings(damaged, int((used & ~motion.echoes.valid).sum()), int(clipped.sum()))
 
 
-def _check(
-    check: Callable[..., CheckResult], motion: WindowMotion, selection: Selection, options: Options
-) -> CheckResult | None:
-    """Return the result of ``check``, a test of the fit, on the coherent displacement; None if it cannot be fitted.
+def _drift(
+    scene: Scene, motion: WindowMotion, selection: Selection, options: Options, max_probability: float
+) -> Drift | None:
+    """Return the change of the motion over the window; None if it is only tested and that is not possible.
 
-    The tests are those for a drift of the amplitudes between the halves of the pulses and for a spectral line in the
-    residual.
+    The echoes of the window may be too noisy for a test, or its pulses too few. Raises ``ValueError`` if ``scene`` asks
+    for the removal of a drift that cannot be estimated.
     """
+    if scene.processing.drift == "linear":
+        return shot_drift(motion, selection, options, MAX_ITERATIONS)
+    if motion.coherent is not None:
+        with suppress(ValueError):
+            drift = shot_drift(motion, selection, options)
+            # A drift that is reported needs its full size.
+            significant = drift.probability < max_probability
+            return shot_drift(motion, selection, options, MAX_ITERATIONS) if significant else drift
+    return None
+
+
+def _line(motion: WindowMotion, selection: Selection, options: Options) -> Line | None:
+    """Return the strongest line in the residual of the coherent displacement; None if it cannot be fitted."""
     if motion.coherent is None:
         return None
     with suppress(ValueError):
-        return check(
+        return residual_line(
             motion.coherent,
             selection.wanted_hz,
             also_hz=selection.driven_hz,

@@ -196,6 +196,9 @@ class Processing(Section):
     background_order: Annotated[int, Field(ge=0, le=20, strict=True)] = 0
     """Order of the background that is fitted with the harmonics: 0 constant, 1 velocity, 2 acceleration, higher: drift.
     cross_spectrum removes the background by a band-pass and uses the order for its u only."""
+    drift: Literal["none", "linear"] = "none"
+    """Change of the motion within the window, as of tissue that warms: "none", values are means over the window;
+    "linear", amplitude and delay of every harmonic may change linearly, and values are those at its first pulse."""
     flag_pulses: Annotated[bool, Field(strict=True)] = True
     """Exclude pulses with outlying energy in the gate: leaked tonebursts, spikes, missing echoes."""
     follow_gate: Annotated[bool, Field(strict=True)] = False

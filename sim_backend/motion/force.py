@@ -18,7 +18,7 @@ import numpy as np
 
 from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.settings import SimulationSettings, Specimen, Transmitter
-from sim_backend.wiring import Bursts, to_ps
+from sim_backend.wiring import PS_PER_S, Bursts, to_ps
 
 ForceScale = Callable[[FloatArray, FloatArray], FloatArray]
 """Force over the reference force, from pressure over the reference pressure and carrier in Hz, all (pulse,)."""
@@ -56,15 +56,20 @@ def radiation_force(
 
     ``travel_time_s`` is z_F/c. The force is the mean over the carrier, so a burst that the generator cuts short gives a
     shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. With nonlinear propagation
-    ``force_scale``, a function of relative pressure and carrier, replaces the square of the pressure.
+    ``force_scale``, a function of relative pressure and carrier, replaces the square of the pressure. A
+    specimen that changes has pulses that grow and come ever later, as its responses do.
     """
     pressure = relative_pressure(tonebursts.amplitude_vpp, specimen, transmitter)
     pressure *= transmit_response(tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
     relative_force = np.square(pressure) if force_scale is None else force_scale(pressure, tonebursts.carrier_hz)
-    travel_ps = to_ps(travel_time_s)
+    later_ps = np.full(tonebursts.onset_ps.shape, to_ps(travel_time_s))
+    if tonebursts.onset_ps.size and (specimen.growth_per_s or specimen.delay_growth_s_per_s):
+        elapsed_ps = tonebursts.onset_ps - tonebursts.onset_ps[0]
+        relative_force = relative_force * (1 + specimen.growth_per_s * elapsed_ps / PS_PER_S)
+        later_ps += np.rint(specimen.delay_growth_s_per_s * elapsed_ps).astype(np.int64)
     return ForcePulses(
-        tonebursts.onset_ps + travel_ps,
-        tonebursts.end_ps + travel_ps,
+        tonebursts.onset_ps + later_ps,
+        tonebursts.end_ps + later_ps,
         specimen.force_density_n_per_m3 * relative_force,
     )
 

@@ -103,6 +103,10 @@ class Specimen(Section):
     """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
     reference_drive_vpp: VoltageV = 1.0
     """Toneburst amplitude at the generator for ``force_density_n_per_m3``; the force is proportional to its square."""
+    growth_per_s: Annotated[float, Field(ge=-1, le=10, strict=True)] = 0.0
+    """Relative growth of the motion under a toneburst per second after the first one, as in tissue that warms."""
+    delay_growth_s_per_s: Annotated[float, Field(ge=-0.01, le=0.01, strict=True)] = 0.0
+    """Growth of the delay of that motion per second, as off the push in tissue that softens."""
     sphere: Sphere | None = None
     """A rigid sphere at the focus, to calibrate moduli by its motion; absent: none."""
     resonance_hz: FrequencyHz = 3.0e6

@@ -10,5 +10,6 @@ prior_evidence.py    scale of the motion, noise and probability of each medium
 medium_fit.py        fit with the prior, closed form and Kalman filter; posterior of the medium
 aliasing_error.py    aliasing error of a fit without a prior
 quantisation.py      error from rounding to the digitizer's codes
-fit_checks.py        change of amplitude within the train; spectral line in the residual
+drift.py             change of the motion within the train: test, estimate, removal
+fit_checks.py        spectral line in the residual
 """

@@ -98,6 +98,7 @@ class HarmonicFit:
     With a prior of media: ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` from unresolved harmonics
     and shrinkage, ``aliasing_causes`` that of ``state_covariance``, and ``medium`` the posterior of the medium.
     ``aliasing_corrected``, of a fit that has no prior itself: the same fit minus the expected aliasing.
+    ``drift_m2`` (..., state, state): the part of ``state_covariance`` from a drift within the train that was removed.
     """
 
     frequency_hz: FloatArray
@@ -112,6 +113,7 @@ class HarmonicFit:
     aliasing_causes: AliasingCauses | None = None
     medium: MediumPosterior | None = None
     aliasing_corrected: HarmonicFit | None = None
+    drift_m2: FloatArray | None = None
 
 
 def least_squares(
@@ -298,6 +300,15 @@ def with_aliasing(
     )
 
 
+def polar_covariance(state_covariance: FloatArray, fit: HarmonicFit) -> FloatArray:
+    """Return the covariance (..., frequency, 2, 2) of amplitude and phase for small errors of the states of ``fit``.
+
+    ``state_covariance`` (..., state, state): of in-phase and quadrature.
+    """
+    scale = np.stack([np.ones_like(fit.amplitude_m), fit.amplitude_m.clip(min=np.finfo(np.float64).tiny)], axis=-1)
+    return np.asarray(_along_phasor(state_covariance, fit.phase_rad) / (scale[..., :, None] * scale[..., None, :]))
+
+
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:
     """Return the covariance (..., frequency, 2, 2) of each harmonic's errors along and across its phasor.
 
@@ -322,13 +333,13 @@ def _conditional_variance(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(covariance[..., 0, 0] - covariance[..., 0, 1] ** 2 / across, 0.0))
 
 
-def _polar_factors(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
+def _polar_factors(_along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
     """Return factors (..., frequency, 2, 2) from covariance along and across a phasor to that of amplitude and phase.
 
-    ``along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
+    ``_along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
     That across it, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
     """
-    across, tiny = along_phasor[..., 1, 1], np.finfo(np.float64).tiny
+    across, tiny = _along_phasor[..., 1, 1], np.finfo(np.float64).tiny
     radians_per_metre = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))
     diagonal = np.stack([np.ones_like(radians_per_metre), radians_per_metre], axis=-1)
     return np.asarray(diagonal[..., :, None] * diagonal[..., None, :])

@@ -52,6 +52,7 @@ class MediumFit:
 
     ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``.
     ``shrinkage`` (..., rank): fraction of the data along each observed direction that the estimate uses.
+    ``coordinates`` (..., rank): the estimated motion along V of the projected prior.
     """
 
     fit: HarmonicFit
@@ -59,6 +60,7 @@ class MediumFit:
     aliasing_m2: FloatArray
     evidence: Evidence
     shrinkage: FloatArray
+    coordinates: FloatArray
 
 
 def medium_fit(
@@ -95,12 +97,20 @@ def medium_fit(
         step_noise_ratio = np.asarray(motion.step_noise_ratio)
         noise_m2, degrees = _step_noise(projected, evidence, weights, shrinkage, residual, step_noise_ratio)
     aliasing_m2, member_errors = _aliasing(projected, weights, evidence)
-    state = (gain * along) @ projected.wanted_rows.T
+    coordinates = gain * along
+    state = coordinates @ projected.wanted_rows.T
     quality = FitQuality(np.sqrt(evidence.variance_m2), degrees, len(projected.left_vectors))
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
     causes = AliasingCauses(aliasing_m2, member_phasors_m(evidence, member_errors))
     fit = replace(fit, aliasing_causes=causes, medium=medium_posterior(prior, evidence, fit, member_errors))
-    return MediumFit(fit=fit, noise_m2=noise_m2, aliasing_m2=aliasing_m2, evidence=evidence, shrinkage=shrinkage)
+    return MediumFit(
+        fit=fit,
+        noise_m2=noise_m2,
+        aliasing_m2=aliasing_m2,
+        evidence=evidence,
+        shrinkage=shrinkage,
+        coordinates=coordinates,
+    )
 
 
 def _step_noise(
@@ -143,6 +153,19 @@ def fit_residual(
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
     return np.asarray(data - (shrinkage * (data @ projected.left_vectors)) @ projected.left_vectors.T)
+
+
+def driven_phasors_m(
+    prior: MediumPrior, projected: ProjectedPrior, prior_fit: MediumFit
+) -> tuple[FloatArray, ComplexArray]:
+    """Return frequency (harmonic,) and phasor (..., harmonic), m, of all harmonics of the bursts in ``prior_fit``.
+
+    ``projected``: the ``prior`` at the pulses of the fit. Independent deviations of the wanted harmonics from the
+    ensemble's span are not included.
+    """
+    directions = prior_fit.coordinates @ projected.right_vectors[:, : len(prior.root)] @ prior.root.T
+    states = directions @ prior.states(range(prior.frequency_hz.size)).T
+    return prior.frequency_hz, np.asarray(states[..., ::2] + 1j * states[..., 1::2])
 
 
 def posterior_of_states(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +24,7 @@ from hpe_rig.processing import (
     shot_echoes,
     shot_prior,
 )
-from hpe_rig.processing.harmonics.fit_checks import drift_between_halves
+from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, drift_of
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_fitting import posterior_averaging, shot_averaging
 from hpe_rig.processing.shot_tracking import margin_needed
@@ -185,18 +186,35 @@ def test_a_prior_that_cannot_be_is_refused_with_a_remedy() -> None:
         hpe.load_scene("table-1").with_({"processing.harmonic": "medium_prior"})
 
 
-def test_a_motion_that_halves_is_distinguished_from_a_stationary_one() -> None:
-    """Noise of 11 nm over 600 pulses tells a hundredth of 700 nm: the change is right to three uncertainties."""
+def test_a_motion_that_weakens_is_distinguished_from_a_steady_one() -> None:
+    """Noise of 11 nm over 600 pulses tells a hundredth of 700 nm."""
     scene, shot = run().scene, run().plan.shots[0]
     motion, prior = motion_of(scene, shot), prior_of(scene, shot)
     wanted_hz = select(scene, shot).wanted_hz
-    assert not drift_between_halves(motion, wanted_hz, prior=prior)[1].any()
-    late = np.arange(motion.time_s.size) >= motion.time_s.size // 2
-    weaker = motion.displacement_m - 0.2 * late * (motion.displacement_m - motion.displacement_m[motion.valid].mean())
-    changed = Motion(motion.time_s, weaker, motion.variance_m2, motion.valid, motion.largest_step)
-    change, suspicious = drift_between_halves(changed, wanted_hz, prior=prior)
-    assert suspicious[:5].all()
-    assert np.all(change[:5] == pytest.approx(-0.2 / 0.9, rel=0.25))
+    assert drift_of(motion, wanted_hz, prior=prior).probability > 0.01
+    position = (motion.time_s - motion.time_s[0]) / (motion.time_s[-1] - motion.time_s[0])
+    mean_m = motion.displacement_m[motion.valid].mean()
+    weaker = replace(motion, displacement_m=motion.displacement_m - 0.1 * position * (motion.displacement_m - mean_m))
+    drift = drift_of(weaker, wanted_hz, prior=prior, max_iterations=MAX_ITERATIONS)
+    assert np.all(drift.harmonic_probability[:3] < 1e-6)
+    # The logarithm of 0.9; three sd of the noise, 1.2 nm in growth and mean of the strong harmonics.
+    assert 2 * drift.log_change[:3].real == pytest.approx(np.log(0.9), abs=0.02)
+    assert abs(drift.delay_s) < 3 * drift.delay_u_s
+
+
+def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None:
+    (steady,) = run().estimate().shots
+    linear = replace(run(), scene=run().scene.with_({"processing.drift": "linear"}))
+    (at_first_pulse,) = linear.estimate().shots
+    assert not steady.warnings
+    assert "removed" in " ".join(at_first_pulse.warnings)
+    for mean, first in zip(steady.estimates, at_first_pulse.estimates, strict=True):
+        (drift,) = (component for component in first.budget if component.source == "drift")
+        # The drift is estimated from the same noise, with three times the variance of the mean.
+        assert 1.0 < drift.amplitude_m / mean.budget[0].amplitude_m < 2.0
+        assert abs(first.headline.amplitude_m - mean.headline.amplitude_m) < 3 * drift.amplitude_m
+        assert abs(first.headline.phase_rad - mean.headline.phase_rad) < 3 * drift.phase_rad
+        assert first.true_amplitude_m is None
 
 
 @pytest.mark.parametrize(("estimator", "parts"), [("coherent", 2), ("cross_spectrum", 1)])

@@ -64,7 +64,7 @@ CASES: dict[str, Callable[[], NDArray[np.int16]]] = {
 }
 SAID = {
     "motion that is not fitted": "the residual has a line",
-    "growing": "the amplitude changes from the first half",
+    "growing": "the motion changes: from the first pulse",
     "large steps": "quarter wavelengths",
     "disturbed": "energy differs",
 }

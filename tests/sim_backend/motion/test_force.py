@@ -33,6 +33,15 @@ def test_burst_cut_short_gives_a_shorter_pulse_of_the_same_height():
     assert force.force_density_n_per_m3[0] == pytest.approx(4.0e6)
 
 
+def test_a_warming_specimen_answers_later_bursts_more_strongly_and_later():
+    """20 % and 300 us per second: at the third burst, 0.2 s after the first, 4 % and 60 us."""
+    specimen = Specimen(growth_per_s=0.2, delay_growth_s_per_s=300e-6)
+    force = radiation_force(bursts([10**12, 1_100_000_000_000, 1_200_000_000_000]), specimen, 45.5e-6)
+    assert (force.onset_ps - 45_500_000).tolist() == [10**12, 1_100_030_000_000, 1_200_060_000_000]
+    assert (force.end_ps - force.onset_ps).tolist() == [100_000_000] * 3
+    assert force.force_density_n_per_m3 == pytest.approx([4.0e6, 4.08e6, 4.16e6], rel=1e-14)
+
+
 @pytest.mark.parametrize("drive_vpp", [0.1, 0.5, 2.0])
 def test_force_goes_with_the_square_of_the_drive(drive_vpp):
     force = radiation_force(bursts([0], amplitude_vpp=drive_vpp), Specimen(reference_drive_vpp=0.5), 0.0)

@@ -13,13 +13,10 @@ from scipy.special import chdtri
 from hpe_rig.processing import (
     HarmonicFit,
     Motion,
-    coherent,
     kalman,
     least_squares,
     velocity_to_harmonics,
 )
-from hpe_rig.processing.echo.gate import EchoGate
-from hpe_rig.processing.harmonics.fit_checks import drift_between_halves
 from hpe_rig.processing.harmonics.harmonic_fit import difference_noise_moments
 from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.harmonics.velocity_chain import LIKELIHOOD_GAIN, _residual_spectrum, velocity_noise
@@ -297,25 +294,6 @@ def test_uneven_pulses_are_refused_by_the_velocity_chain() -> None:
     uneven = Velocity(velocity.time_s, interval_s, velocity.velocity_m_per_s, velocity.valid)
     with pytest.raises(ValueError, match="coherent"):
         velocity_to_harmonics(uneven, [200.0])
-
-
-def _rigid_echoes(displacement_m: FloatArray, seed: int) -> EchoGate:
-    sample_s = (np.arange(130) - 65) / 100e6
-    late_s = sample_s - 2 * displacement_m[:, None] / 1540
-    volts = np.exp(-((late_s / 2e-7) ** 2)) * np.cos(2 * np.pi * 9e6 * late_s)
-    volts = volts + 0.03 * np.random.default_rng(seed).standard_normal(volts.shape)
-    pulses = displacement_m.size
-    return EchoGate(volts, 100e6, np.arange(pulses) / 4000, 9e6, 1540.0, np.ones(pulses, dtype=bool))
-
-
-def test_a_motion_that_stops_halfway_is_suspicious_and_a_steady_one_is_not() -> None:
-    time_s = np.arange(400) / 4000
-    steady = 1e-6 * np.sin(2 * np.pi * 200 * time_s)
-    halved = np.where(time_s < 0.05, steady, 0.5 * steady)
-    assert not drift_between_halves(coherent(_rigid_echoes(steady, 1)), [200.0])[1].any()
-    change, suspicious = drift_between_halves(coherent(_rigid_echoes(halved, 1)), [200.0])
-    assert suspicious.all()
-    assert change[0] == pytest.approx(-2 / 3, rel=0.1)
 
 
 def test_further_harmonics_up_to_half_the_pulse_rate_are_not_in_the_residual() -> None:

@@ -1,0 +1,257 @@
+"""Drift: a change of the motion within a train, such as that of tissue that warms while it is pushed.
+
+    d(t) = Im sum_n x_n exp(g_n s) exp(j w_n t) + background + noise,    s from -1 at the first pulse to 1 at the last
+    g_n  = (a - j w_n tau) / 2 + delta_n
+
+x_n is the phasor of harmonic n in the middle of the train. From the first pulse to the last all motion grows by the
+factor exp(a) and becomes later by tau; delta_n is the deviation of a wanted harmonic. Warming limits them: a, tau and
+delta_n are normal with mean zero and the standard deviations below. They are estimated from the residual of the
+harmonic fit by Gauss-Newton steps, together with the columns Q of that fit.
+
+The test for a change uses the same columns without the prior: an F test of a and tau together, the change that all
+harmonics have in common, and one of each harmonic alone. Derivation: docs/explanation/estimation.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, polar_covariance
+from hpe_rig.processing.harmonics.medium_fit import driven_phasors_m, medium_fit
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior
+from hpe_rig.processing.harmonics.model import linear_model
+from hpe_rig.processing.harmonics.projected_prior import project_prior
+from hpe_rig.processing.motion.displacement import Motion
+
+GROWTH_SD = 0.1
+"""Standard deviation of the relative growth a of the amplitudes over a train."""
+DELAY_SD_S = 1e-4
+"""Standard deviation of the growth tau of the delay over a train."""
+DEVIATION = 0.5
+"""Standard deviation of the growth and delay of one harmonic from those of all, relative to the two above."""
+MAX_ITERATIONS = 20
+"""Largest number of Gauss-Newton steps of an estimate."""
+CONVERGED_U = 0.2
+"""Change of every unknown in a step, in standard uncertainties, below which the estimate has converged."""
+MIN_SHRINKAGE = 0.01
+"""Directions of a prior of media with at least this shrinkage count as columns of the fit."""
+NEGLIGIBLE = 1e-3
+"""Unwanted harmonics that are weaker than this, relative to the strongest of all, are omitted."""
+RANK_TOLERANCE = 1e-10
+"""Eigenvalue of the products of the columns over the largest, below which a combination counts as not observed."""
+PULSES_AT_ONCE = 4096
+"""Pulses for which all harmonics are computed at once, to bound the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Change of the motion over a train.
+
+    ``log_change``, complex (frequency,): g_n, half of the change of the logarithm of each wanted phasor from the first
+    pulse to the last. ``covariance`` (2 * frequency, 2 * frequency): of its real and imaginary parts, interleaved.
+    ``growth``, exp(a) - 1, and ``delay_s``, tau: the change that all motion has in common, with standard uncertainties
+    ``growth_u`` and ``delay_u_s``.
+
+    ``probability``: upper bound of the probability that a steady motion changes as significantly in any of the tests.
+    ``harmonic_probability`` (frequency,): the same, of a change of this harmonic.
+
+    ``change_m`` (pulse,): displacement minus that of a steady motion with the phasors of the first pulse.
+    """
+
+    growth: float
+    growth_u: float
+    delay_s: float
+    delay_u_s: float
+    log_change: ComplexArray
+    covariance: FloatArray
+    probability: float
+    harmonic_probability: FloatArray
+    change_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Harmonics:
+    """Harmonics of a motion, fitted to a train, as a function of the unknowns of its drift.
+
+    ``frequency_hz`` and ``phasor_m``, complex: (harmonic,), the wanted ones first. ``sensitivity``, complex (harmonic,
+    unknown): derivative of g_n by the unknowns, which are a, tau, and for each wanted harmonic the deviations of growth
+    and delay, all over their prior standard deviations. ``basis`` (valid pulse, column): Q, orthonormal columns of the
+    fit.
+    """
+
+    frequency_hz: FloatArray
+    phasor_m: ComplexArray
+    sensitivity: ComplexArray
+    basis: FloatArray
+
+    def displacement_m(self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray) -> FloatArray:
+        """Return the displacement (pulse,) at ``time_s`` of a motion that has changed to ``s`` (pulse,)."""
+        return np.concatenate([phasors.imag.sum(axis=1) for phasors, _ in self._phasors(time_s, s, unknowns)])
+
+    def columns_m(self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray) -> FloatArray:
+        """Return the derivatives (unknown, pulse) of the displacement by the unknowns."""
+        blocks = [at * (phasors @ self.sensitivity).imag.T for phasors, at in self._phasors(time_s, s, unknowns)]
+        return np.concatenate(blocks, axis=1)
+
+    def _phasors(
+        self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray
+    ) -> Iterator[tuple[ComplexArray, FloatArray]]:
+        """Yield x_n exp(g_n s) exp(j w_n t) (pulse, harmonic) and s (pulse,) of many pulses at a time."""
+        log_change = self.sensitivity @ unknowns
+        for first in range(0, time_s.size, PULSES_AT_ONCE):
+            at, pulses = s[first : first + PULSES_AT_ONCE], time_s[first : first + PULSES_AT_ONCE]
+            exponent = np.outer(at, log_change) + 2j * np.pi * np.outer(pulses, self.frequency_hz)
+            yield self.phasor_m * np.exp(exponent), at
+
+
+def drift_of(
+    motion: Motion,
+    frequencies_hz: FloatArray | Sequence[float],
+    *,
+    also_hz: FloatArray | Sequence[float] = (),
+    background_order: int = 0,
+    prior: MediumPrior | None = None,
+    max_iterations: int = 1,
+) -> Drift:
+    """Return the change of a ``motion`` (pulse,) over its train, with a test of whether there is any.
+
+    The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
+    further frequencies of the motion. One iteration suffices for the test and for small changes. Raises ``ValueError``
+    if the fit does, and for too few pulses.
+    """
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
+    s = 2 * (time_s - time_s[0]) / (time_s[-1] - time_s[0]) - 1
+    for iteration in range(max_iterations):
+        harmonics = _fitted(steady, frequency_hz, also_hz, background_order, prior)
+        products, moments, degrees = _normal_equations(harmonics, steady, s, unknowns)
+        if iteration == 0:
+            probability, harmonic_probability = _significance(products, moments, degrees)
+        # Posterior of the unknowns, which have a prior variance of one.
+        previous, covariance = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
+        unknowns = covariance @ moments
+        moved_m, middle_m = (harmonics.displacement_m(time_s, at, unknowns) for at in (s, np.zeros_like(s)))
+        steady = replace(motion, displacement_m=motion.displacement_m - (moved_m - middle_m))
+        if np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance))):
+            break
+    wanted = harmonics.sensitivity[: frequency_hz.size]
+    parts = np.stack([wanted.real, wanted.imag], axis=1).reshape(-1, unknowns.size)
+    return Drift(
+        growth=float(np.expm1(GROWTH_SD * unknowns[0])),
+        growth_u=GROWTH_SD * float(np.sqrt(covariance[0, 0]) * np.exp(GROWTH_SD * unknowns[0])),
+        delay_s=DELAY_SD_S * float(unknowns[1]),
+        delay_u_s=DELAY_SD_S * float(np.sqrt(covariance[1, 1])),
+        log_change=wanted @ unknowns,
+        covariance=parts @ covariance @ parts.T,
+        probability=probability,
+        harmonic_probability=harmonic_probability,
+        change_m=moved_m - harmonics.displacement_m(time_s, np.full_like(s, -1.0), unknowns),
+    )
+
+
+def with_drift(fit: HarmonicFit, drift: Drift) -> HarmonicFit:
+    """Return the ``fit`` of a motion without its ``drift``, with the covariance of the removed drift added."""
+    phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
+    # A relative error g of a phasor is an error phasor * g of its in-phase and quadrature states.
+    to_states = np.zeros(drift.covariance.shape)
+    for n, phasor in enumerate(phasor_m):
+        to_states[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] = [[phasor.real, -phasor.imag], [phasor.imag, phasor.real]]
+    drift_m2 = to_states @ drift.covariance @ to_states.T
+    state_covariance, size = fit.state_covariance.copy(), len(drift_m2)
+    state_covariance[:size, :size] += drift_m2
+    corrected = fit.aliasing_corrected
+    return replace(
+        fit,
+        covariance=fit.covariance + polar_covariance(drift_m2, fit),
+        state_covariance=state_covariance,
+        drift_m2=drift_m2,
+        aliasing_corrected=None if corrected is None else with_drift(corrected, drift),
+    )
+
+
+def _fitted(
+    motion: Motion,
+    frequency_hz: FloatArray,
+    also_hz: FloatArray | Sequence[float],
+    background_order: int,
+    prior: MediumPrior | None,
+) -> _Harmonics:
+    """Return the harmonics of a ``motion`` and the columns of their fit; arguments as of ``drift_of``."""
+    wanted, all_hz = frequency_hz.size, frequency_hz
+    if prior is None:
+        times = motion.time_s, motion.valid
+        model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
+        states, basis = model.solve(motion.displacement_m[motion.valid])[0][: 2 * wanted], model.matrix @ model.root
+        phasor_m = states[::2] + 1j * states[1::2]
+    else:
+        fit = medium_fit(motion, frequency_hz, prior, background_order=background_order)
+        projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+        # ``left_vectors`` span the prior's motions. Only those count to which the data contribute.
+        basis = np.hstack([projected.background, projected.left_vectors[:, fit.shrinkage > MIN_SHRINKAGE]])
+        others_hz, others_m = driven_phasors_m(prior, projected, fit)
+        strong = np.abs(others_m) > NEGLIGIBLE * np.abs(others_m).max()
+        strong[list(prior.harmonic_indices(frequency_hz))] = False
+        all_hz = np.concatenate([frequency_hz, others_hz[strong]])
+        phasor_m = np.concatenate([fit.fit.amplitude_m * np.exp(1j * fit.fit.phase_rad), others_m[strong]])
+    # dg/da and dg/d tau; the deviations have the same derivatives, of one harmonic each.
+    common = np.stack([np.full(all_hz.size, GROWTH_SD / 2), -1j * np.pi * all_hz * DELAY_SD_S], axis=1)
+    sensitivity = np.zeros((all_hz.size, 2 + 2 * wanted), dtype=np.complex128)
+    sensitivity[:, :2] = common
+    for n in range(wanted):
+        sensitivity[n, 2 + 2 * n : 4 + 2 * n] = DEVIATION * common[n]
+    return _Harmonics(all_hz, phasor_m, sensitivity, basis)
+
+
+def _normal_equations(
+    harmonics: _Harmonics, steady: Motion, s: FloatArray, unknowns: FloatArray
+) -> tuple[FloatArray, FloatArray, int]:
+    """Return the linear model of the unknowns in units of the noise, and the degrees of freedom of the noise.
+
+    It is linear about ``unknowns``; ``steady`` is the motion without the change that they describe. The first value
+    (unknown, unknown) holds the products of the derivatives, the second (unknown,) those of derivatives and data.
+    Raises ``ValueError`` if no degree of freedom is left.
+    """
+    columns = harmonics.columns_m(steady.time_s, s, unknowns)[:, steady.valid]
+    data = steady.displacement_m[steady.valid]
+    # Project the columns of the fit out of data and derivatives, in place: no second copy of a long train.
+    for row in (data, *columns):
+        row -= (row @ harmonics.basis) @ harmonics.basis.T
+    data += unknowns @ columns
+    products, moments = columns @ columns.T, columns @ data
+    explained_m2, rank = _explained(products, moments)
+    degrees = data.size - harmonics.basis.shape[1] - rank
+    if degrees < 1:
+        raise ValueError(f"{data.size} valid pulses: too few for a change within the train; use a longer window")
+    noise_m2 = max((float(data @ data) - explained_m2) / degrees, np.finfo(np.float64).tiny)
+    return products / noise_m2, moments / noise_m2, degrees
+
+
+def _explained(products: FloatArray, moments: FloatArray) -> tuple[float, int]:
+    """Return the energy of the data that columns explain, and the number of independent columns.
+
+    ``products`` (column, column): of the columns. ``moments`` (column,): of the columns and the data.
+    """
+    value, vector = np.linalg.eigh(products)
+    observed = value > RANK_TOLERANCE * value[-1]
+    return float(np.sum((moments @ vector[:, observed]) ** 2 / value[observed])), int(observed.sum())
+
+
+def _significance(products: FloatArray, moments: FloatArray, degrees: int) -> tuple[float, FloatArray]:
+    """Return the bound of the probability of such changes in steady motion: of any change, and of each harmonic's.
+
+    ``products`` (unknown, unknown) and ``moments`` (unknown,): of columns and data in units of the noise. Half of the
+    false alarms go to the test of the common change, the other half to the tests of the harmonics (Bonferroni).
+    """
+    from scipy.special import fdtrc
+
+    probability = []
+    for first in range(0, moments.size, 2):
+        columns = slice(first, first + 2)
+        energy, rank = _explained(products[columns, columns], moments[columns])
+        probability.append(float(fdtrc(rank, degrees, energy / rank)) if rank else 1.0)
+    harmonics = np.minimum(2 * (len(probability) - 1) * np.array(probability[1:]), 1.0)
+    return min(2 * probability[0], float(harmonics.min())), harmonics
