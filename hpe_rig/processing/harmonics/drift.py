@@ -138,15 +138,15 @@ def drift_of(
         steady = replace(motion, displacement_m=motion.displacement_m - (moved_m - middle_m))
         if np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance))):
             break
-    wanted = harmonics.sensitivity[: frequency_hz.size]
-    parts = np.stack([wanted.real, wanted.imag], axis=1).reshape(-1, unknowns.size)
+    sensitivity = harmonics.sensitivity[: frequency_hz.size]
+    real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)
     return Drift(
         growth=float(np.expm1(GROWTH_SD * unknowns[0])),
         growth_u=GROWTH_SD * float(np.sqrt(covariance[0, 0]) * np.exp(GROWTH_SD * unknowns[0])),
         delay_s=DELAY_SD_S * float(unknowns[1]),
         delay_u_s=DELAY_SD_S * float(np.sqrt(covariance[1, 1])),
-        log_change=wanted @ unknowns,
-        covariance=parts @ covariance @ parts.T,
+        log_change=sensitivity @ unknowns,
+        covariance=real_imaginary @ covariance @ real_imaginary.T,
         probability=probability,
         harmonic_probability=harmonic_probability,
         change_m=moved_m - harmonics.displacement_m(time_s, np.full_like(s, -1.0), unknowns),
