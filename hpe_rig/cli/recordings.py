@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,8 +13,12 @@ from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions
 
 recordings = typer.Typer()
 
-RecordingFile = Annotated[
-    Path, typer.Argument(metavar="RECORDING", help="NPY, NPZ, MATLAB, HDF5, CSV, raw or AlazarTech file of echoes.")
+RecordingFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RECORDING...",
+        help="File of echoes: NPY, NPZ, MATLAB, HDF5, text, oscilloscope, WAV, raw or AlazarTech; or a file per pulse.",
+    ),
 ]
 RecordedScene = Annotated[
     str, typer.Option(help="Scene: gate, frequencies, beams. The recording replaces its rates and counts.")
@@ -23,7 +28,7 @@ RecordedScene = Annotated[
 @recordings.command("import")
 @guarded
 def import_command(
-    recording: RecordingFile,
+    recording: RecordingFiles,
     scene: RecordedScene,
     settings: RecordingOptions,
     output: Annotated[
@@ -37,7 +42,7 @@ def import_command(
     from hpe_rig.store import WriteOptions
 
     options = WriteOptions(compress, overwrite)
-    path, inferred = import_recording(recording, scene, output, settings.sidecar, _parsed(settings), options)
+    path, inferred = import_recording(_source(recording), scene, output, settings.sidecar, _parsed(settings), options)
     for text in inferred:
         typer.echo(text)
     typer.echo(f"{path}: hpe-rig process {path} estimates it, hpe-rig report {path} shows it")
@@ -46,7 +51,7 @@ def import_command(
 @recordings.command("map")
 @guarded
 def map_command(
-    recording: RecordingFile,
+    recording: RecordingFiles,
     scene: RecordedScene,
     settings: RecordingOptions,
     output: Annotated[
@@ -61,11 +66,28 @@ def map_command(
 
     with progress_reporter("lines") as report:
         motion_map, inferred = map_recording(
-            recording, scene, settings.sidecar, _parsed(settings), lambda done, total: report(done, total, "")
+            _source(recording), scene, settings.sidecar, _parsed(settings), lambda done, total: report(done, total, "")
         )
     for text in (*inferred, str(motion_map)):
         typer.echo(text)
     write_map(motion_map, output, figure)
+
+
+def _source(paths: list[Path]) -> Path | tuple[Path, ...]:
+    """Return the file, or the files by the numbers in their names: shot_2 before shot_10.
+
+    A pattern that the shell left as it is, as on Windows, is expanded.
+    """
+    files = [path for name in paths for path in (name.parent.glob(name.name) if "*" in name.name else [name])]
+    if not files:
+        # The error names the pattern.
+        return paths[0]
+    files.sort(key=lambda path: [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in _parts(path)])
+    return files[0] if len(files) == 1 else tuple(files)
+
+
+def _parts(path: Path) -> list[str]:
+    return re.split(r"(\d+)", str(path))
 
 
 def _parsed(options: RecordingOptions) -> dict[str, Any]:

@@ -5,12 +5,14 @@ In the order of the flow::
     settings.py      settings of a recording, from a sidecar file or options
     contents.py      content of a file as an importer reads it: arrays and stated settings; ``Importer``
     names.py         names of settings in the files of common programs
-    arrays.py        NPY, NPZ, MATLAB, HDF5 and raw samples
+    arrays.py        NPY, NPZ, MATLAB, HDF5, WAV and raw samples
     coordinates.py   times and indices in a table of echoes
     text.py          text: tables of numbers, exports of oscilloscopes
     matlab.py        MATLAB's version 5, read in a separate process
     alazar.py        AlazarTech's binary records
+    oscilloscope.py  binary files of oscilloscopes, by RigolWFM
     importers.py     the importer of a file, also of other packages
+    series.py        several files as one recording
     statements.py    settings from options, sidecar, file and scene, and the inferred ones
     lines.py         selected lines, or their mean
     spectrum.py      echoes against the carrier; band-pass sampling

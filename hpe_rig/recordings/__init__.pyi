@@ -1,6 +1,11 @@
 from .contents import Contents as Contents, Importer as Importer
 from .importers import foreign_importer as foreign_importer
-from .recording import Recording as Recording, read_recording as read_recording
+from .recording import (
+    Recording as Recording,
+    Source as Source,
+    as_source as as_source,
+    read_recording as read_recording,
+)
 from .settings import (
     RecordingSettings as RecordingSettings,
     parse_options as parse_options,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.matlab import PREFIX, TEMPORARY_REMEDY, matlab_to_npz
 from hpe_rig.recordings.names import key_of, setting_of
-from hpe_rig.recordings.settings import RecordingSettings
+from hpe_rig.recordings.settings import Dimension, RecordingSettings
 
 MIN_VECTOR = 8
 """Values of a vector that may be a record."""
@@ -37,9 +39,12 @@ def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
                 return contents({name: loaded[name] for name in loaded.files})
     except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         kind, function = ("NPZ", "savez") if path.suffix.lower() == ".npz" else ("NPY", "save")
-        raise ValueError(
-            f"it is no {kind} file of numbers ({_first_line(error)}): numpy.{function} writes one"
-        ) from error
+        if "allow_pickle" in str(error):
+            raise ValueError(
+                "it holds Python objects, which may run programs when they are read: one array of numbers, such as "
+                f"numpy.{function}({path.stem!r}, numpy.stack(records)) in the program that wrote it"
+            ) from error
+        raise ValueError(f"it is no whole {kind} file ({_first_line(error)}): an undamaged copy") from error
 
 
 def read_matlab(path: Path, settings: RecordingSettings) -> Contents:
@@ -72,9 +77,19 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
     variable = settings.variable
 
     def visit(name: str, item: Any) -> None:
+        if name.startswith("#"):
+            # Elements of cells, which are read by their references.
+            return
         for key, value in item.attrs.items():
             values.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
-        if isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
+        if isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference:
+            # A cell or a field of a MATLAB array of structures refers to its elements.
+            elements = [item.file[reference] for reference in np.ravel(item[()]) if reference]
+            if elements and all(isinstance(element, h5py.Dataset) for element in elements):
+                arrays = [_plain(element[()], reverse) for element in elements if _is_numbers(element.dtype)]
+                if len(arrays) == len(elements) and len({array.shape for array in arrays}) == 1:
+                    values[name] = np.stack(arrays)
+        elif isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
             is_large = item.size > MAX_STATED_ENTRIES
             if variable is None or not is_large or name.strip("/") == variable.strip("/"):
                 values[name] = _plain(item[()], reverse)
@@ -105,6 +120,21 @@ def read_raw(path: Path, settings: RecordingSettings) -> Contents:
         )
     values = np.fromfile(path, dtype, offset=settings.header_bytes).reshape(settings.shape)
     return contents({path.stem: values.astype(dtype.newbyteorder("="), copy=False)})
+
+
+def read_wav(path: Path, settings: RecordingSettings) -> Contents:
+    """Return the samples of a WAV file, (sample,) or (sample, channel), and the rate in its header."""
+    from scipy.io import wavfile
+
+    try:
+        with warnings.catch_warnings():
+            # Chunks of notes hold no samples.
+            warnings.simplefilter("ignore", wavfile.WavFileWarning)
+            rate_hz, samples = wavfile.read(path)
+    except (ValueError, EOFError, struct.error) as error:
+        raise ValueError(f"it is no whole WAV file ({_first_line(error)}): an undamaged copy") from error
+    axes: tuple[Dimension, ...] = ("sample", "line") if samples.ndim > 1 else ("sample",)
+    return Contents({path.stem: samples}, {"sample_rate_hz": (float(rate_hz), "the header")}, axes=axes)
 
 
 def contents(values: Mapping[str, NDArray[Any]]) -> Contents:

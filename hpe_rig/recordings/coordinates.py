@@ -34,8 +34,8 @@ class Coordinate:
 
     @property
     def is_index(self) -> bool:
-        """Whether the values are consecutive integers from 0 or 1."""
-        return self.step == 1 and bool(np.isin(self.starts, (0, 1)).all())
+        """Whether the values are consecutive integers."""
+        return self.step == 1 and bool(np.all(self.starts == np.round(self.starts)))
 
 
 def find_coordinate(values: NDArray[Any]) -> Coordinate | None:

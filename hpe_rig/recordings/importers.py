@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hpe_rig.extensions import IMPORTERS, ExtensionError, installed, load, origin
-from hpe_rig.recordings import alazar, arrays, text
+from hpe_rig.recordings import alazar, arrays, oscilloscope, text
 from hpe_rig.recordings.contents import Contents, Importer
 from hpe_rig.recordings.settings import RecordingSettings
 
@@ -18,6 +18,8 @@ BUILT_IN: dict[str, tuple[tuple[str, ...], Callable[[Path, RecordingSettings], C
     "mat": ((".mat",), arrays.read_matlab),
     "hdf5": ((".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
     "csv": ((".csv", ".txt", ".tsv", ".asc"), text.read_text),
+    "wav": ((".wav",), arrays.read_wav),
+    "oscilloscope": ((".trc", ".wfm", ".isf"), oscilloscope.read_oscilloscope),
     "raw": ((".raw", ".bin", ".dat", ".i16", ".f32", ".rf"), arrays.read_raw),
     "alazar": ((".alz", ".atb"), alazar.read_alazar),
 }
@@ -74,6 +76,8 @@ def _infer_format(path: Path, settings: RecordingSettings) -> str:
     if settings.dtype is not None:
         return "raw"
     suffix = path.suffix.lower()
+    if suffix == ".bin" and oscilloscope.is_oscilloscope_file(path):
+        return "oscilloscope"
     for name, (suffixes, _) in BUILT_IN.items():
         if suffix in suffixes:
             return name

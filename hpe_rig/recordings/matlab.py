@@ -72,13 +72,34 @@ def _exit(code: int, why: str) -> NoReturn:
 
 
 def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield arrays with their names; those in a structure of one element as STRUCTURE.FIELD."""
+    """Yield arrays with their names, those of structures as STRUCTURE.FIELD; elements become the first axis."""
     for name, value in values.items():
-        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
-            fields = {f"{name}.{key}": value.reshape(-1)[0][key] for key in value.dtype.names}
-            yield from _fields(fields)
-        elif isinstance(value, np.ndarray):
+        if not isinstance(value, np.ndarray):
+            continue
+        if value.dtype.names:
+            for key in value.dtype.names:
+                elements = [element[key] for element in value.reshape(-1)]
+                # Times of the elements of an array of structures are those of pulses.
+                is_time = value.size > 1 and key.lower() in ("t", "time")
+                yield from _stacked(f"{name}.{key}.pulse_time" if is_time else f"{name}.{key}", elements)
+        elif value.dtype == np.object_:
+            yield from _stacked(name, list(value.reshape(-1)))
+        else:
             yield name, value
+
+
+def _stacked(name: str, elements: list[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the elements of a cell or of a field as one array, if they are arrays of numbers of one shape."""
+    if len(elements) == 1:
+        yield from _fields({name: elements[0]})
+        return
+    shapes = {element.shape if _is_numeric(element) else None for element in elements}
+    if len(shapes) == 1 and None not in shapes:
+        yield name, np.stack(elements)
+
+
+def _is_numeric(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind in "iufc"
 
 
 if __name__ == "__main__":

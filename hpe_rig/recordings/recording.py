@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.coordinates import find_coordinate
 from hpe_rig.recordings.importers import read_contents
 from hpe_rig.recordings.lines import select_lines
+from hpe_rig.recordings.series import read_series, series_name
 from hpe_rig.recordings.settings import DIMENSIONS, Dimension, RecordingSettings
 from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
 from hpe_rig.recordings.statements import Statements
@@ -30,6 +32,8 @@ from hpe_rig.scene import Mistake, SettingsError
 MAX_LISTED = 4
 """Records that a message lists."""
 MIN_PULSES, MIN_SAMPLES = 2, 8
+Source = Path | tuple[Path, ...] | NDArray[Any]
+"""A file, files with one pulse or frame each, or an array."""
 DEFAULT_AXES: Mapping[int, tuple[Dimension, ...]] = {
     1: ("sample",),
     2: ("pulse", "sample"),
@@ -68,43 +72,64 @@ class Recording:
 
 
 def read_recording(
-    source: Path | NDArray[Any],
+    source: Source,
     settings: RecordingSettings,
     origins: Mapping[str, str] | None = None,
     scene: Mapping[str, float] | None = None,
     for_map: bool = False,
 ) -> Recording:
-    """Return the recording in the file or array ``source``; ``origins``: of each of ``settings``.
+    """Return the recording in ``source``: a file, files with a pulse or frame each, or an array.
 
-    ``scene``: settings that the scene states, by key; also ``pulse_count`` and ``record_samples``. ``for_map``: by
-    default all lines are selected, without positions; I and Q are not mixed up; invalid values are kept, since the map
-    marks its pixels. Raises ``SettingsError`` with every unreadable, missing or wrong value.
+    ``origins``: of each of ``settings``. ``scene``: settings that the scene states, by key; also ``pulse_count`` and
+    ``record_samples``. ``for_map``: by default all lines are selected, without positions; I and Q are not mixed up;
+    invalid values are kept, since the map marks its pixels. Raises ``SettingsError`` with every unreadable, missing or
+    wrong value.
     """
-    name = source.name if isinstance(source, Path) else "array"
+    name = source_name(source)
     file_format, contents, sha256 = _open_source(source, settings, name)
     statements = Statements(settings, contents, scene or {}, origins or {})
     return _Reader(statements, name, for_map).read(file_format, sha256)
 
 
-def _open_source(source: Path | NDArray[Any], settings: RecordingSettings, name: str) -> tuple[str, Contents, str]:
-    """Return format, content and SHA-256 of the file or array."""
-    if not isinstance(source, Path):
+def as_source(recording: Any) -> Source:
+    """Return a path, a sequence of paths or an array as the source of a recording."""
+    if isinstance(recording, str | os.PathLike):
+        return Path(recording)
+    if isinstance(recording, list | tuple) and recording and all(isinstance(p, str | os.PathLike) for p in recording):
+        return tuple(Path(path) for path in recording)
+    return np.asarray(recording)
+
+
+def source_name(source: Source) -> str:
+    """Return the name of ``source`` in messages and results."""
+    if isinstance(source, tuple):
+        return series_name(source)
+    return source.name if isinstance(source, Path) else "array"
+
+
+def _open_source(source: Source, settings: RecordingSettings, name: str) -> tuple[str, Contents, str]:
+    """Return format, content and SHA-256 of the files or array."""
+    if not isinstance(source, Path | tuple):
         values = np.asarray(source)
         if values.dtype.kind not in "iufc":
             raise SettingsError("recording", [Mistake("", f"values of type {values.dtype}", "real or complex numbers")])
         digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
         return "array", Contents({"array": values}), digest
+    paths = source if isinstance(source, tuple) else (source,)
     try:
-        if not source.is_file():
-            what = "is a folder" if source.is_dir() else "does not exist"
-            raise SettingsError(f"recording {name}", [Mistake("", f"{source} {what}", "the path of a recording")])
-        if not source.stat().st_size:
-            raise ValueError("it is empty: a file with samples")
+        for path in paths:
+            if not path.is_file():
+                what = "is a folder" if path.is_dir() else "does not exist"
+                raise SettingsError(f"recording {name}", [Mistake("", f"{path} {what}", "the path of a recording")])
+            if not path.stat().st_size:
+                raise ValueError(f"{'it' if len(paths) == 1 else path.name} is empty: a file with samples")
+        if isinstance(source, tuple):
+            return read_series(source, settings)
         file_format, contents = read_contents(source, settings)
         with source.open("rb") as file:
             return file_format, contents, hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        what = f"{source} cannot be read ({error.strerror or error})"
+        what = f"{error.filename or name} cannot be read ({error.strerror or error})"
         raise SettingsError(f"recording {name}", [Mistake("", what, "a readable copy")]) from error
     except ValueError as error:
         what, _, remedy = str(error).rpartition(": ")

@@ -36,6 +36,7 @@ SETTING = re.compile(r"([A-Za-z][\w .()/-]*?)[\"']?\s*[=:,;\t ]\s*[\"']?([-+]?\d
 """Name, number and unit in a header, such as "PRF: 4 kHz" or "Sample Interval,4e-08,s"."""
 SEGMENT_TIME = re.compile(r"#\d+[,;\t].*[,;\t]\s*([-+\d.eE]+)\s*$")
 """Line of a header with the time of the trigger of a segment."""
+CHANNEL = re.compile(r"\bc(?:h|hannel)?[ _]?([1-8a-d])\b")
 X_UNIT = re.compile(r"(?:horizontal|\bx)[ _-]?units?\W+([a-zµμ]+)")
 
 
@@ -280,12 +281,20 @@ def _remove_first_columns(table: Table, removable: int, settings: RecordingSetti
             table.coordinate = coordinate
             if "sample_rate_hz" in table.stated:
                 table.axes = ("sample", "pulse")
+                _shift_start(table, float(coordinate.starts[0]))
             continue
         _state_times(table, coordinate, name, unit_s, settings)
         break
     if removed == 0 and removable and settings.columns is None:
         _refuse_uneven_times(table, settings)
     table.values = table.values[:, max(removed, removable if settings.columns else 0) :]
+
+
+def _shift_start(table: Table, index: float) -> None:
+    """Move the time of the first sample in the header, that of index 0, to the sample with ``index``."""
+    if index > 1 and "first_sample_s" in table.stated:
+        start_s, name = table.stated["first_sample_s"]
+        table.stated["first_sample_s"] = (start_s + index / table.stated["sample_rate_hz"][0], name)
 
 
 def _unit_s(name: str) -> float | None:
@@ -337,6 +346,12 @@ def _refuse_uneven_times(table: Table, settings: RecordingSettings) -> None:
     )
 
 
+def _are_channels(names: Sequence[str]) -> bool:
+    """Return whether ``names`` of columns are those of different channels, such as CH1 and CH2."""
+    channels = [match[1] for name in names if (match := CHANNEL.search(name.lower()))]
+    return 1 < len(names) == len(channels) == len(set(channels))
+
+
 def _split_into_records(table: Table) -> None:
     """Split rows of consecutive records: at each restart of their times, or by the segments in the header."""
     coordinate, values = table.coordinate, table.values
@@ -352,7 +367,7 @@ def _split_into_records(table: Table) -> None:
             )
         table.stated["pulse_time_s"] = (tuple((times - times[0]).tolist()), "the times of the triggers")
     count = values.shape[0] // length
-    channels = 1 < values.shape[1] < MIN_PULSES
+    channels = 1 < values.shape[1] < MIN_PULSES or _are_channels(table.names[-values.shape[1] :])
     if count > 1:
         table.inferred.append(f"{values.shape[0]} rows are {count} consecutive records of {length} samples")
         table.values = np.moveaxis(values.reshape(count, length, -1), 2, 0)
@@ -366,6 +381,6 @@ def _split_into_records(table: Table) -> None:
             table.values, table.axes = table.values[0], ("pulse", "sample")
     elif table.axes == ("sample", "pulse") and channels:
         table.axes = ("sample", "line")
-        table.inferred.append(f"{values.shape[1]} columns are too few for pulses: each is a line")
+        table.inferred.append(f"{values.shape[1]} columns are channels, too few for pulses: each is a line")
     elif table.axes == ("sample", "pulse") and values.shape[1] == 1:
         table.values, table.axes = values[:, 0], ("sample",)

@@ -10,21 +10,21 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.arrays import BoolArray, Int16Array
 from hpe_rig.bench import parse_bench
 from hpe_rig.measurement import plan_and_check
 from hpe_rig.plan import Plan, refuse_conflicts
-from hpe_rig.recordings import Recording, read_recording, read_settings
+from hpe_rig.recordings import Recording, Source, as_source, read_recording, read_settings
 from hpe_rig.runs.codes import FULL_SCALE_CODES, MAX_CODE, UNSTATED_SCALE_V, are_codes, signed_codes, zero_code
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import (
@@ -54,14 +54,16 @@ SCENE_KEYS: Mapping[str, str] = {
 
 
 def import_records(
-    recording: str | os.PathLike[str] | ArrayLike,
+    recording: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | ArrayLike,
     scene: SceneSource,
     path: str | os.PathLike[str] | None = None,
     *,
     sidecar: str | os.PathLike[str] | None = None,
     **settings: Any,
 ) -> Run:
-    """Return ``recording``, a file or array of echoes from any program, as a run; its run file is written to ``path``.
+    """Return ``recording`` of another program as a run; its run file is written to ``path``.
+
+    ``recording``: a file of echoes, a list of files with one pulse or frame each, or an array.
 
     ``settings`` are those of a sidecar file (docs/how-to/import.md), such as ``axes="line,pulse,sample"`` and
     ``lines="12"``. They take precedence over the sidecar, then the file, then the scene. ``run.bench.recording``
@@ -72,14 +74,13 @@ def import_records(
     >>> run = import_records("rf.npy", "my-scene.toml", axes="pulse,sample", sample_rate_hz=50e6, pulse_rate_hz=4e3)
     >>> print(run.estimate())
     """
-    source = Path(recording) if isinstance(recording, str | os.PathLike) else np.asarray(recording)
     run_file = None if path is None else Path(path)
     sidecar_file = None if sidecar is None else Path(sidecar)
-    return open_run(import_recording(source, scene, run_file, sidecar_file, settings)[0])
+    return open_run(import_recording(as_source(recording), scene, run_file, sidecar_file, settings)[0])
 
 
 def import_recording(
-    source: Path | NDArray[Any],
+    source: Source,
     scene: SceneSource,
     path: Path | None = None,
     sidecar: Path | None = None,

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from hpe_rig.recordings import Recording, read_recording, read_settings
+from hpe_rig.recordings import Recording, Source, as_source, read_recording, read_settings
 from hpe_rig.result import MotionMap
 from hpe_rig.runs.importing import stated_by_scene
 from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, edited_text, parse_scene, path_of, scene_text
 
 
 def map_motion(
-    recording: str | os.PathLike[str] | ArrayLike,
+    recording: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | ArrayLike,
     scene: SceneSource,
     *,
     sidecar: str | os.PathLike[str] | None = None,
@@ -37,13 +36,12 @@ def map_motion(
     >>> motion_map.to_xarray().amplitude_m.sel(frequency=200.0)
     >>> motion_map.figure().savefig("map.png")
     """
-    source = Path(recording) if isinstance(recording, str | os.PathLike) else np.asarray(recording)
     sidecar_file = None if sidecar is None else Path(sidecar)
-    return map_recording(source, scene, sidecar_file, settings, progress)[0]
+    return map_recording(as_source(recording), scene, sidecar_file, settings, progress)[0]
 
 
 def map_recording(
-    source: Path | Any,
+    source: Source,
     scene: SceneSource,
     sidecar: Path | None = None,
     options: dict[str, Any] | None = None,
