@@ -164,7 +164,5 @@ def test_a_binary_file_of_an_oscilloscope_names_the_extra(tmp_path: Path, monkey
     monkeypatch.setitem(sys.modules, "RigolWFM", None)
     for name, content in (("a.trc", b"WAVEDESC"), ("a.bin", b"AG10\0\0\0\0"), ("a.wfm", b"\x0f\x0f:WFM#003")):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(
-            SettingsError, match=r"Try: pip install 'hpe-rig\[oscilloscope\]', or save it as CSV"
-        ):
+        with pytest.raises(SettingsError, match=r"Try: pip install 'hpe-rig\[oscilloscope\]', or save it as CSV"):
             read(tmp_path / name)
