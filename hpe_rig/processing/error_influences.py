@@ -58,7 +58,7 @@ def error_influences(
     described = {*NOISE_SOURCES, RECTIFIED, "drift", *(influence.source for influence in media)}
     sources = dict.fromkeys(item.source for estimate in estimates for item in estimate.budget)
     influences += [_budget_influence(source, estimates) for source in sources if source not in described]
-    return tuple(influence for influence in influences if influence.influence_m.any())
+    return tuple(item for item in influences if item.source in NOISE_SOURCES or item.influence_m.any())
 
 
 def _noise_influences(fit: HarmonicFit, estimates: Sequence[Estimate], factor: ComplexArray) -> Iterator[Influence]:

@@ -44,7 +44,7 @@ from hpe_rig.processing.shot_warnings import (
     record_warnings,
     setting_warnings,
 )
-from hpe_rig.result import MOST_PULSES, Averaging, ShotResult
+from hpe_rig.result import MAX_INFLUENCE_BYTES, MOST_PULSES, Averaging, ShotResult
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def estimate_run(
     results, failures = list[ShotResult](), dict[int, str]()
     shots, pulses, _ = stored.records.shape
     # Results of very long runs do not hold the displacement of every pulse.
-    with_motion = shots * pulses * len(scene.windows) <= MOST_PULSES
+    with_motion, influence_bytes = shots * pulses * len(scene.windows) <= MOST_PULSES, 0
     for shot in plan.shots:
         if shot.index in stored.marks:
             failures[shot.index] = stored.marks[shot.index]
@@ -114,6 +114,9 @@ def estimate_run(
             failures[shot.index] = str(error)
             continue
         results += shot_results if with_motion else [replace(result, motion=None) for result in shot_results]
+        influence_bytes += sum(item.influence_m.nbytes for result in shot_results for item in result.influences)
+        if influence_bytes > MAX_INFLUENCE_BYTES:
+            results = [replace(result, influences=()) for result in results]
     return Estimates(tuple(results), failures)
 
 

@@ -2,7 +2,7 @@ from .conditions import ConditionSummary as ConditionSummary, condition_summary 
 from .covariance import PARTS as PARTS, Covariance as Covariance, covariance_grid as covariance_grid
 from .figure import Kind as Kind
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
-from .influence import Influence as Influence, Scope as Scope
+from .influence import MAX_INFLUENCE_BYTES as MAX_INFLUENCE_BYTES, Influence as Influence, Scope as Scope
 from .interval import student_widening as student_widening
 from .json_schema import (
     dataclass_schema as dataclass_schema,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
-from hpe_rig.result.influence import Influence, Scope
+from hpe_rig.result.influence import MAX_INFLUENCE_BYTES, Influence, Scope
 from hpe_rig.result.interval import coverage_factor, effective_degrees_of_freedom
 from hpe_rig.result.values import ShotResult
 
@@ -103,29 +103,24 @@ class Covariance:
         logarithm of y_2 / y_1, whose real part is the relative amplitude ratio and whose imaginary part the phase
         difference, rad. ``sources``: only these sources of uncertainty; by default all.
         """
-        weights = np.asarray(weights, np.complex128)
-        total = np.einsum("rf,rfv->v", weights, self.influences_m(sources))
-        parts = np.stack([total.real, total.imag])
+        columns = self._columns(sources)
+        # Error of the sum by column, then by variable: equal variables add up.
+        by_column = np.einsum("rf,rfc->rc", np.nan_to_num(weights), self.influence_m[:, :, columns])
+        numbers, index = np.unique(self.variable[:, columns], return_inverse=True)
+        parts = np.zeros((2, numbers.size))
+        for part, errors in zip(parts, (by_column.real, by_column.imag), strict=True):
+            np.add.at(part, index.ravel(), errors.ravel())
         covariance = parts @ parts.T
         uncertainty = np.sqrt(np.diag(covariance))
-        degrees = np.array([self._effective_degrees(weights, part, u, sources) for part, u in enumerate(uncertainty)])
+        freedom = self.degrees_of_freedom[:, columns]
+        degrees = np.array(
+            [
+                _effective_degrees(errors, freedom, u)
+                for errors, u in zip((by_column.real, by_column.imag), uncertainty.tolist(), strict=True)
+            ]
+        )
         factors = np.array([coverage_factor(value) for value in degrees])
         return Combination(uncertainty, covariance, degrees, factors * uncertainty)
-
-    def _effective_degrees(
-        self, weights: ComplexArray, part: int, uncertainty: float, sources: Iterable[str] | None
-    ) -> float:
-        """Return the degrees of freedom of one part (0 real, 1 imaginary) of a combination (Welch-Satterthwaite)."""
-        columns = self._columns(sources)
-        finite: list[tuple[float, float]] = []
-        for row, degrees in enumerate(self.degrees_of_freedom[:, columns]):
-            error = weights[row] @ self.influence_m[row][:, columns]
-            error = error.imag if part else error.real
-            # Variables with the same finite degrees of freedom in one shot follow from the same residual.
-            for value in np.unique(degrees[np.isfinite(degrees)]):
-                finite.append((float(np.linalg.norm(error[degrees == value])), float(value)))
-        remaining = max(uncertainty**2 - sum(u**2 for u, _ in finite), 0.0)
-        return effective_degrees_of_freedom([*finite, (math.sqrt(remaining), math.inf)])
 
     def _columns(self, sources: Iterable[str] | None) -> list[int]:
         """Return the columns of ``sources``, all if None; raise ``ValueError`` for an unknown source."""
@@ -135,6 +130,20 @@ class Covariance:
                 f"no source of uncertainty is called {', '.join(unknown)}. Try: one of {', '.join(self.sources)}"
             )
         return [column for column, source in enumerate(self.source) if source in selected]
+
+
+def _effective_degrees(errors: FloatArray, degrees_of_freedom: FloatArray, uncertainty: float) -> float:
+    """Return the degrees of freedom of a sum with ``errors`` (row, column) and their ``degrees_of_freedom``.
+
+    Variables with the same finite degrees of freedom in one row follow from the same residual (Welch-Satterthwaite).
+    """
+    finite = [
+        (float(np.linalg.norm(row[degrees == value])), float(value))
+        for row, degrees in zip(errors, degrees_of_freedom, strict=True)
+        for value in np.unique(degrees[np.isfinite(degrees)])
+    ]
+    remaining = max(uncertainty**2 - sum(u**2 for u, _ in finite), 0.0)
+    return effective_degrees_of_freedom([*finite, (math.sqrt(remaining), math.inf)])
 
 
 def covariance_grid(covariance: Covariance) -> dict[str, tuple[tuple[str, ...], NDArray[Any], str]]:
@@ -169,9 +178,15 @@ class _Block:
 def covariance_of(results: Sequence[Sequence[ShotResult]]) -> Covariance:
     """Return phasors and covariance of all shots of ``results``, each the shots of one run.
 
-    Errors common to a run count as common to all ``results``; all others differ between runs.
+    Errors common to a run count as common to all ``results``; all others differ between runs. Raises ``ValueError`` for
+    a shot without influences.
     """
     rows = [(run, shot) for run, shots in enumerate(results) for shot in shots]
+    if not all(shot.influences for _, shot in rows):
+        raise ValueError(
+            f"the result holds no covariance: influences of its {len(rows)} shots exceed "
+            f"{MAX_INFLUENCE_BYTES / 1e6:g} MB. Try: fewer shots, as in a run of each setting"
+        )
     blocks = [
         _Block(row, _group(run, shot, error), error)
         for row, (run, shot) in enumerate(rows)

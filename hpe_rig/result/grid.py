@@ -136,7 +136,7 @@ def result_dataset(result: ResultData) -> xarray.Dataset:
         }
         coordinates["time_s"] = motion.pop("time_s")
         tables |= motion
-    if grid.estimates["phase_rad"].size:
+    if result.has_covariance:
         covariance = covariance_grid(covariance_of([result.shots]))
         coordinates |= {name: (dims, values) for name, (dims, values, unit) in covariance.items() if not unit}
         tables |= {name: (dims, values, {"units": unit}) for name, (dims, values, unit) in covariance.items() if unit}

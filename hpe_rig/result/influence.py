@@ -10,6 +10,8 @@ from hpe_rig.arrays import ComplexArray
 
 Scope = Literal["shot", "setting", "position", "run"]
 """Shots with a common error: none; repeats of the same settings; shots at the same position; all shots of a run."""
+MAX_INFLUENCE_BYTES = 200_000_000
+"""Influences of all shots up to which a result stores them: 1700 shots with ten frequencies in an unknown medium."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,6 +49,11 @@ class ResultData:
         return "SIMULATED" if self.simulated else "measured"
 
     @property
+    def has_covariance(self) -> bool:
+        """Whether the shots hold the errors that the values have in common; without shots there is none."""
+        return bool(self.shots) and all(shot.influences for shot in self.shots)
+
+    @property
     def means(self) -> tuple[RepeatMean, ...]:
         """Mean over repeats of each setting and frequency; empty without repeats."""
         return repeat_means(self.shots)

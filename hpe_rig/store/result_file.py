@@ -83,7 +83,8 @@ def _write(file: h5py.File, result: Result) -> None:
         motion["time_s"].attrs["long_name"] = f"time of the motion at the gate, {result.phase_reference}"
         tracked = {shot.motion.tracked_by for shot in result.shots if shot.motion is not None}
         motion.attrs["tracked_by"] = ", ".join(sorted(tracked))
-    _write_covariance(file, result)
+    if result.has_covariance:
+        _write_covariance(file, result)
     if result.profile:
         _write_profile(file, result, axis)
 

@@ -137,6 +137,16 @@ def test_what_is_common_leaves_ratios_and_differences() -> None:
     np.testing.assert_allclose(one_shot.interval_95, 2.2622 * one_shot.uncertainty, rtol=1e-4)
 
 
+def test_without_influences_no_covariance_is_stated(result: Result, tmp_path: Path) -> None:
+    without = replace(result, shots=tuple(replace(shot, influences=()) for shot in result.shots))
+    with pytest.raises(ValueError, match=r"holds no covariance: influences of its 3 shots exceed 200 MB"):
+        without.covariance()
+    write_result(tmp_path / "without.h5", without)
+    with pytest.raises(StoreError, match="contains no covariance"):
+        hpe.read_covariance(tmp_path / "without.h5")
+    assert "influence_m" not in without.to_xarray()
+
+
 def test_an_unknown_source_is_named_with_those_there_are() -> None:
     with pytest.raises(ValueError, match=r"called nose.*noise, speckle, sound speed, aliasing, beam averaging"):
         covariance_of([shots()]).matrix_m2(["nose"])
