@@ -46,7 +46,7 @@ def continue_queue(folder: Path, is_alone: bool) -> tuple[Path, tuple[QueueRun, 
     if not is_alone:
         what = "a continued queue has its scenes, benches and folder already"
         raise SettingsError("command line", [Mistake("--resume", what, "--resume FOLDER alone")])
-    return folder, read_queue(folder), False
+    return folder, read_queue(folder, announce), False
 
 
 def measure_queue(folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool, watch: WatchOptions) -> int:

@@ -34,8 +34,8 @@ def print_verification(verification: Verification, json: bool = False) -> None:
         print_json(verification.as_dict())
         return
     shots = verification.shots
-    content = f"results of {shots} shots"
-    # A result file has neither records nor a status.
+    content = f"results of {shots} shots" if verification.kind == "result" else verification.kind
+    # Only a run file has records and a status.
     if verification.kind == "run":
         counts = f"{verification.shots_complete} of {shots} shots complete, {verification.records} records"
         content = f"{counts}, {verification.status}"
@@ -47,10 +47,12 @@ def print_verification(verification: Verification, json: bool = False) -> None:
 
 def _verdict(verification: Verification) -> str:
     if verification.damage:
-        remedy = (
-            "hpe-rig process" if verification.kind == "result" else "hpe-rig resume, which measures damaged shots again"
-        )
-        return f"damaged data count as missing and enter no result. Try: another copy of the file, or {remedy}."
+        command = {
+            "run": "hpe-rig resume, which measures damaged shots again",
+            "result": "hpe-rig process",
+            "map": "hpe-rig map",
+        }.get(verification.kind, "the command that wrote it")
+        return f"damaged data count as missing and enter no result. Try: another copy of the file, or {command}."
     if not verification.checksums:
         return "the file of an earlier release has no checksums: changed values cannot be detected"
     return "sound: all data match their checksums"

@@ -196,7 +196,11 @@ def mark(
 @stored_runs.command()
 @guarded
 def verify(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Run file or result file.")], json: Json = False
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Run, result, map, queue.json, RUN.marks.json, study.json or summary.csv."),
+    ],
+    json: Json = False,
 ) -> None:
     """Compare every byte of a file with its checksums. Exit code 0: sound, 4: damaged, 5: it has no checksums."""
     from hpe_rig.cli.stored import print_verification

@@ -6,10 +6,7 @@ No run waits for the disk of its log, or ends because that disk is full or does 
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
-import os
-import stat
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -20,7 +17,7 @@ from typing import Final
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
 from hpe_rig.measurement.setup import Setup
 from hpe_rig.queued_file import QueuedFile, WritingThread, queued_text
-from hpe_rig.store import StoreError, reason, versions
+from hpe_rig.store import StoreError, open_ordinary, reason, versions
 
 CLOSE_S: Final = 2.0
 """Time that the disk gets for the last lines."""
@@ -37,7 +34,7 @@ def run_log(setup: Setup, run_file: Path) -> Iterator[Callable[[Observer], Obser
     stem = run_file.name if run_file.suffix == ".log" else run_file.stem
     log_file = run_file.parent / f"{stem}.log"
     try:
-        disk = io.FileIO(log_file, "ab", opener=_open_file)
+        disk = io.FileIO(log_file, "ab", opener=open_ordinary)
     except OSError as error:
         raise StoreError(
             f"{log_file} cannot be written ({reason(error)}). Try: another --output, or no --verbose."
@@ -81,21 +78,6 @@ def run_log(setup: Setup, run_file: Path) -> Iterator[Callable[[Observer], Obser
             with contextlib.suppress(OSError):
                 disk.close()
         thread.stop()
-
-
-def _open_file(path: str, flags: int) -> int:
-    """Open an ordinary file; refuse a link or pipe that another user may have placed there, without waiting for it."""
-    try:
-        number = os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
-    except OSError as error:
-        if error.errno not in (errno.ELOOP, errno.ENXIO):
-            raise
-    else:
-        status = os.fstat(number)
-        if stat.S_ISREG(status.st_mode) and status.st_nlink == 1:
-            return number
-        os.close(number)
-    raise OSError(errno.EINVAL, "it is a link or no ordinary file", path)
 
 
 def _step_text(progress: Progress) -> str:

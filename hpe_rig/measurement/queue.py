@@ -6,14 +6,13 @@ can continue.
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
@@ -29,10 +28,25 @@ from hpe_rig.measurement.setup import Setup, prepare_text, source_text
 from hpe_rig.measurement.stop_request import StopRequested, clear_stop, stop_requested, write_stop
 from hpe_rig.plan import PlanError
 from hpe_rig.result import Result
-from hpe_rig.scene import Mistake, Section, SettingsError, parse_toml, validated
-from hpe_rig.store import StoreError, WriteOptions, new_run_id, read_run, reason, refuse_unwritable, write_file
+from hpe_rig.scene import Mistake, Section, SettingsError, parse_toml, printable, validated
+from hpe_rig.store import (
+    StoreError,
+    WriteOptions,
+    acquire,
+    make_folder,
+    new_run_id,
+    open_ordinary,
+    read_run,
+    read_sealed,
+    reason,
+    refuse_unwritable,
+    sealed_json,
+    write_file,
+)
 
-QUEUE_FILE = "queue.json"
+QUEUE_FILE, QUEUE_COPY = "queue.json", "queue-copy.json"
+QUEUE_LOCK = "queue.lock"
+QUEUE_FORMAT = "hpe_rig queue"
 MAX_RUNS = 1000
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 RUN_FAILURES = (InstrumentError, StoreError, PlanError, SettingsError, OSError, MemoryError)
@@ -128,29 +142,69 @@ def new_queue(entries: Sequence[tuple[str, Path | None]], folder: Path) -> tuple
         runs.append(QueueRun(name, text, path, f"{number:02d}-{name}.h5", planned_s=setup.plan.duration_s))
     if mistakes:
         raise SettingsError("the queue", mistakes)
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise StoreError(f"{folder} cannot be made ({reason(error)}). Try: another --output.") from None
+    make_folder(folder, exist_ok=False)
     write_queue(folder, runs)
     return tuple(runs)
 
 
-def read_queue(folder: Path) -> tuple[QueueRun, ...]:
-    """Return the queue in ``folder``; raise ``StoreError`` if there is none."""
-    path = folder / QUEUE_FILE
+def read_queue(folder: Path, report: Callable[[str], None] = lambda text: None) -> tuple[QueueRun, ...]:
+    """Return the queue in ``folder``, from the copy of its list if the list is damaged; ``report`` is told so.
+
+    Raises ``StoreError`` if both are absent or damaged.
+    """
+    whys = list[str]()
+    for name in (QUEUE_FILE, QUEUE_COPY):
+        try:
+            queue = _read_list(folder / name)
+        except (OSError, ValueError) as error:
+            whys.append(reason(error) if isinstance(error, OSError) else f"it lists no runs of a queue: {error}")
+            continue
+        if whys:
+            report(f"{folder / QUEUE_FILE} cannot be read ({whys[0]}): its copy {QUEUE_COPY} is used")
+        return queue
+    raise StoreError(
+        f"{folder / QUEUE_FILE} cannot be read ({whys[0]}). Try: the folder that hpe-rig queue made, or hpe-rig resume "
+        "for each of its run files."
+    )
+
+
+def _read_list(path: Path) -> tuple[QueueRun, ...]:
+    """Return the runs of a queue's list; raise ``ValueError`` if it is damaged, and ``OSError`` if unreadable."""
+    tables, has_checksum = read_sealed(path)
+    if tables.get("format") != QUEUE_FORMAT or not has_checksum:
+        raise ValueError("it has no checksum, as lists of earlier releases")
     try:
-        if queue := TypeAdapter(tuple[QueueRun, ...]).validate_json(path.read_bytes(), strict=False):
-            return queue
-        raise ValueError
-    except (OSError, ValidationError, ValueError) as error:
-        why = reason(error) if isinstance(error, OSError) else "it lists no runs of a queue"
-        raise StoreError(f"{path} cannot be read ({why}). Try: the folder that hpe-rig queue made.") from None
+        queue = TypeAdapter(tuple[QueueRun, ...]).validate_python(tables.get("runs"), strict=False)
+    except ValidationError:
+        raise ValueError("its runs have other keys") from None
+    for run in queue:
+        # Both kinds of system: a name with a folder would lead out of the queue's folder.
+        if any(kind(run.run_file).name != run.run_file for kind in (PurePosixPath, PureWindowsPath)):
+            raise ValueError(f"the run file {printable(run.run_file)!r} is no plain name")
+        if Path(run.run_file).suffix != ".h5":
+            raise ValueError(f"the run file {printable(run.run_file)!r} does not end in .h5")
+    if not queue:
+        raise ValueError("it is empty")
+    return queue
 
 
 def write_queue(folder: Path, queue: Sequence[QueueRun]) -> None:
-    """Replace the list of runs with their states in one step."""
-    write_file(folder / QUEUE_FILE, json.dumps([asdict(run) for run in queue], indent=1))
+    """Replace the list of runs with their states, then its copy, each in one step."""
+    text = sealed_json({"format": QUEUE_FORMAT, "runs": [asdict(run) for run in queue]})
+    for name in (QUEUE_FILE, QUEUE_COPY):
+        write_file(folder / name, text)
+
+
+@contextmanager
+def _only_queue(folder: Path) -> Iterator[None]:
+    """Keep other programs from measuring the queue in ``folder``; raise ``StoreError`` if one does already."""
+    with open(folder / QUEUE_LOCK, "ab", opener=open_ordinary) as file:
+        try:
+            acquire(file)
+        except BlockingIOError:
+            what = f"another program measures the queue in {folder}"
+            raise StoreError(f"{what}. Try: hpe-rig live {folder}, which shows it, or wait for its end.") from None
+        yield
 
 
 def run_queue(
@@ -167,7 +221,7 @@ def run_queue(
     # All runs are planned before the first one: a mistake must not appear in the middle of the night.
     setups = [prepare_text(run.name, run.scene_toml, _bench(run)) for run in runs]
     runs = [replace(run, planned_s=setup.plan.duration_s) for run, setup in zip(runs, setups, strict=True)]
-    with hold(sorted({name for setup in setups for name in resources(setup.bench.bench)})):
+    with _only_queue(folder), hold(sorted({name for setup in setups for name in resources(setup.bench.bench)})):
         clear_stop(folder / QUEUE_FILE)
         for index, run in enumerate(runs):
             if run.state == "done":

@@ -7,15 +7,13 @@ it. An empty file, made by hand, applies to any run.
 
 from __future__ import annotations
 
-import os
-import stat
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from hpe_rig.measurement.sequencer import Observer, Progress, Step
-from hpe_rig.store import StoreError, atomic_file, is_locked, read_run, reason
+from hpe_rig.store import StoreError, atomic_file, is_locked, open_ordinary, read_run, reason
 
 POLL_INTERVAL_S = 0.1
 """Each check costs a call to the file system, too much for every block of records."""
@@ -114,15 +112,9 @@ def write_request(path: Path, text: str) -> None:
 
 def read_request(path: Path) -> list[str]:
     """Return the lines of a request, at least one; an empty list without a request. A link or a pipe is no request."""
+    # Windows has no flag against links. Other systems refuse them when the file is opened.
     with suppress(OSError, ValueError):
-        # The type is checked before opening, and again after it, because a shared folder can change in between.
-        if stat.S_ISREG(path.lstat().st_mode):
-            with open(path, "rb", opener=_open_at_once) as file:
-                if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                    return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip().splitlines() or [""]
+        if not path.is_symlink():
+            with open(path, "rb", opener=open_ordinary) as file:
+                return file.read(MAX_REQUEST_BYTES).decode("ascii", "replace").strip().splitlines() or [""]
     return []
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    """Open no link, and do not wait for the other end of a pipe."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))

@@ -1,6 +1,7 @@
 from .atomic import (
     atomic_file as atomic_file,
     make_folder as make_folder,
+    open_ordinary as open_ordinary,
     refuse_unwritable as refuse_unwritable,
     replace_text as replace_text,
     unwritable as unwritable,
@@ -22,7 +23,7 @@ from .listing import (
     listing_schema as listing_schema,
     matching_runs as matching_runs,
 )
-from .lock import is_locked as is_locked
+from .lock import acquire as acquire, is_locked as is_locked
 from .map_file import write_map as write_map
 from .marks import MARKED_BAD as MARKED_BAD, identity_of as identity_of, write_marks as write_marks
 from .placement import Placement as Placement, place_records as place_records
@@ -40,6 +41,7 @@ from .records import (
     assemble as assemble,
 )
 from .result_file import read_covariance as read_covariance, write_result as write_result
+from .sealed_json import content_digest as content_digest, read_sealed as read_sealed, sealed_json as sealed_json
 from .validation import InvalidContentError as InvalidContentError, open_checked as open_checked
 from .verification import (
     Damage as Damage,

@@ -42,8 +42,7 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[BinaryIO]:
         try:
             with file:
                 yield file
-                file.flush()
-                os.fsync(file.fileno())
+                synchronise(file)
             if overwrite:
                 _replace(draft, path)
             else:
@@ -57,6 +56,12 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[BinaryIO]:
         if error.errno is None or error.filename == str(path):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def synchronise(file: BinaryIO) -> None:
+    """Wait until the content of ``file`` is on the disk."""
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def write_file(path: Path, content: str | bytes, overwrite: bool = True) -> None:
@@ -90,11 +95,11 @@ def replace_text(path: Path, text: str) -> None:
         raise _not_written(path, error) from None
 
 
-def make_folder(folder: Path) -> None:
+def make_folder(folder: Path, exist_ok: bool = True) -> None:
     """Make ``folder`` and its parents where absent, and synchronise them; raise ``StoreError`` if impossible."""
     try:
         absent = [parent for parent in (folder, *folder.parents) if not parent.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=exist_ok)
         for made in absent:
             sync_folder(made.parent)
     except OSError as error:
@@ -114,6 +119,25 @@ def sync_folder(folder: Path) -> None:
     except OSError as error:
         if error.errno not in NO_FOLDER_SYNC:
             raise
+
+
+def open_ordinary(path: str, flags: int) -> int:
+    """Open an ordinary file, for ``open(..., opener=open_ordinary)``.
+
+    Raises ``OSError`` for a link, a further name of a file, and a pipe, which another user may have placed there. It
+    does not wait for the other end of a pipe.
+    """
+    try:
+        number = os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    except OSError as error:
+        if error.errno not in (errno.ELOOP, errno.ENXIO):
+            raise
+    else:
+        status = os.fstat(number)
+        if stat.S_ISREG(status.st_mode) and status.st_nlink == 1:
+            return number
+        os.close(number)
+    raise OSError(errno.EINVAL, "it is a link or no ordinary file", path)
 
 
 def _not_written(path: Path, error: BaseException) -> StoreError:

@@ -143,6 +143,27 @@ def heap_is_sound(file: h5py.File, path: Path) -> bool:
     return True
 
 
+def kind_of(path: Path) -> str | None:
+    """Return the kind of an HDF5 file: run, result, map or "" for another; None if it cannot be opened.
+
+    It is recognised by names alone. Reading a text of variable length from a damaged file can trap the library in an
+    endless loop, also one that states the kind.
+    """
+    if not path.is_file():
+        # Opening a named pipe would block.
+        return None
+    try:
+        with h5py.File(path, "r") as file:
+            attributes = set(file.attrs)
+            if {"format_version", "scene_name"} <= attributes:
+                return "run"
+            if {"run_file", "estimator"} <= attributes:
+                return "result"
+            return "map" if HEAP in attributes and "velocity_m_per_s" in file else ""
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError):
+        return None
+
+
 def datasets(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
     """Yield path and dataset of every dataset in ``file``, sorted by path."""
     by_path: dict[str, h5py.Dataset] = {}

@@ -15,8 +15,8 @@ import numpy as np
 
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
-from hpe_rig.store.checksum import ATTRIBUTE
-from hpe_rig.store.format import FORMAT, RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.checksum import ATTRIBUTE, kind_of
+from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.marks import MARKED_BAD
 from hpe_rig.store.reader import StoredRun, read_run
 from hpe_rig.store.validation import CheckedFile, InvalidContentError
@@ -97,8 +97,7 @@ def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[s
         raise StoreError(f"{folder} is no folder. Try: the folder that holds the run files.")
     entries, unreadable = list[RunEntry](), list[str]()
     for path in sorted(folder.rglob("*.h5") if below else folder.glob("*.h5")):
-        kind = _format(path)
-        if kind in (FORMAT, None):
+        if kind_of(path) in ("run", None):
             try:
                 entries.append(_entry(read_run(path)))
             except (StoreError, OSError) as error:
@@ -179,26 +178,13 @@ def _date(stored: StoredRun) -> datetime:
         return datetime.fromtimestamp(stored.path.stat().st_mtime).astimezone()
 
 
-def _format(path: Path) -> str | None:
-    """Return the kind of an HDF5 file, its attribute ``format``: "" without it, None if the file cannot be opened."""
-    if not path.is_file():
-        # Opening a named pipe would block.
-        return None
-    try:
-        with h5py.File(path, "r") as file:
-            kind = file.attrs.get("format", "")
-            return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
-        return None
-
-
 def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
     """Return the strongest harmonic of the latest result of the run file ``run``; None without a result.
 
     Also None if shots were marked bad, or unmarked, after that result. ``marks``: the reason by shot. Raises
     ``StoreError`` if that result file cannot be read.
     """
-    results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if _format(path) == RESULT_FORMAT]
+    results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if kind_of(path) == "result"]
     if not results:
         return None
     latest = max(results, key=lambda path: path.stat().st_mtime)

@@ -5,7 +5,6 @@ The file holds the identity of its run, so that marks never apply to another run
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any, Final
 from hpe_rig.scene import printable
 from hpe_rig.store.atomic import write_file
 from hpe_rig.store.format import StoreError, reason
+from hpe_rig.store.sealed_json import read_sealed, sealed_json
 
 FORMAT: Final = "hpe_rig marks"
 MARKED_BAD: Final = "marked bad"
@@ -38,12 +38,14 @@ def read_marks(run_file: Path, identity: Mapping[str, str], shots: int) -> tuple
     if not path.is_file():
         return {}, ""
     try:
-        tables = _tables(path)
+        tables, _ = read_sealed(path, MAX_BYTES)
+        if tables.get("format") != FORMAT:
+            raise ValueError("it is no file of marks")
         if tables["run"] != identity:
             why = f"{path.name} belongs to another run than {run_file.name}: its marks are not applied"
             return {}, f"{why}. Try: move it to its run file, or away"
         return {_shot(entry, shots): f"{MARKED_BAD}: {_why(entry)}" for entry in tables["bad"]}, ""
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         cause = reason(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
         raise StoreError(
             f"{path} cannot be read as marks of shots ({cause}). Try: move it away, then hpe-rig mark again."
@@ -65,18 +67,8 @@ def write_marks(run_file: Path, identity: Mapping[str, str], marks: Mapping[int,
     bad = [{"shot": shot + 1, "why": why} for shot, why in sorted(reasons.items())]
     marked = datetime.now().astimezone().isoformat(timespec="seconds")
     tables = {"format": FORMAT, "run": identity, "marked": marked, "bad": bad}
-    write_file(path, json.dumps(tables, indent=1, ensure_ascii=False) + "\n")
+    write_file(path, sealed_json(tables))
     return path
-
-
-def _tables(path: Path) -> Mapping[str, Any]:
-    """Return the content of the file of marks; raise ``ValueError`` if it is no such file."""
-    with path.open("rb") as file:
-        text = file.read(MAX_BYTES + 1)
-    tables = json.loads(text) if len(text) <= MAX_BYTES else None
-    if not isinstance(tables, dict) or tables.get("format") != FORMAT:
-        raise ValueError("it is no file of marks")
-    return tables
 
 
 def _shot(entry: Mapping[str, Any], shots: int) -> int:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.result import MOTION_UNITS, PARTS, UNITS, Covariance, Result, ShotResult, covariance_grid, result_grid
-from hpe_rig.store.atomic import atomic_file
-from hpe_rig.store.checksum import seal, seal_heap
+from hpe_rig.store.atomic import atomic_file, synchronise
+from hpe_rig.store.checksum import kind_of, seal, seal_heap
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.journal import make_or_undo
 from hpe_rig.store.layout import LIBVER, name_axes
@@ -53,6 +53,7 @@ def _replace(path: Path, image: bytes, cancelled: threading.Event) -> None:
     _refuse_foreign(path)
     with atomic_file(path) as file:
         file.write(image)
+        synchronise(file)
         if cancelled.is_set():
             raise InterruptedError
 
@@ -187,17 +188,7 @@ def _row_key(shot: ShotResult) -> tuple[int, float | None]:
 
 def _refuse_foreign(path: Path) -> None:
     """Raise ``StoreError`` if ``path`` exists and is not a result file."""
-    if not path.exists():
-        return
-    try:
-        if not path.is_file():
-            raise OSError
-        with h5py.File(path, "r") as file:
-            # Results of earlier versions have these two attributes instead of ``format``.
-            is_result = file.attrs.get("format") == RESULT_FORMAT or {"run_file", "estimator"} <= set(file.attrs)
-    except (OSError, KeyError, ValueError, RuntimeError):
-        is_result = False
-    if not is_result:
+    if path.exists() and kind_of(path) != "result":
         raise StoreError(
             f"{path} exists and is not a result file of hpe-rig, so it is not replaced. Try: move it away."
         )

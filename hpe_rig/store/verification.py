@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -13,11 +14,14 @@ import numpy as np
 
 from hpe_rig.arrays import BoolArray
 from hpe_rig.result import dataclass_schema, titled
-from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound
-from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound, kind_of
+from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
+from hpe_rig.store.sealed_json import read_sealed
 from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
 
+TEXT_KINDS: Final = ("queue", "marks", "study", "summary")
+"""Kinds of files of text with a checksum."""
 MAX_ECHO_BYTES: Final = 64_000_000
 """Maximum size of the echoes in memory."""
 
@@ -45,7 +49,11 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """Content and damage of a file; without ``checksums`` hardly any damage can be detected."""
+    """Content and damage of a file; without ``checksums`` hardly any damage can be detected.
+
+    ``kind``: run, result, map, queue, marks, study or summary; "text" for one of the last four that is damaged. Only
+    runs and results have shots.
+    """
 
     path: Path
     kind: str
@@ -67,12 +75,14 @@ def verification_schema() -> dict[str, Any]:
 
 
 def verify(path: Path) -> Verification:
-    """Return the damage in the run or result file ``path``, by comparison of its content with its checksums.
+    """Return the damage in a file of this program, by comparison of its content with its checksums.
 
     It needs little memory for any file. Raises ``StoreError`` if it is neither kind of file or cannot be opened.
     """
-    if _is_result(path):
-        return _verified_result(path)
+    if path.suffix in (".json", ".csv"):
+        return _verified_text(path)
+    if (kind := kind_of(path)) in ("result", "map"):
+        return _verified_result(path, kind)
     stored = read_run(path)
     damage = [Damage(text) for text in stored.damage if not text.startswith("shot ")]
     with open_checked(path) as checked:
@@ -110,31 +120,44 @@ def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:
                 yield Damage(f"/{name} fails its checksum")
 
 
-def _is_result(path: Path) -> bool:
-    """Return whether ``path`` is a readable result file."""
-    if not path.is_file():
-        # Opening a named pipe would block.
-        return False
+def _verified_text(path: Path) -> Verification:
+    """Return whether a queue's list, marks, a study or its summary match their checksum.
+
+    Raises ``StoreError`` if the file is none of these or cannot be read.
+    """
+    kind, has_checksum = "summary", True
     try:
-        with h5py.File(path, "r") as file:
-            kind = file.attrs.get("format")
-            return bool(kind == RESULT_FORMAT)
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
-        return False
+        if path.suffix == ".csv":
+            # The table itself has no room for a checksum.
+            study, _ = read_sealed(path.with_name("study.json"))
+            if study.get("summary_sha256") != hashlib.sha256(path.read_bytes()).hexdigest():
+                raise ValueError("its rows do not match the checksum in study.json")
+        else:
+            tables, has_checksum = read_sealed(path)
+            kind = str(tables.get("format", "")).removeprefix("hpe_rig ")
+    except OSError as error:
+        what = f"{error.filename or path} cannot be read ({reason(error)})"
+        raise StoreError(f"{what}. Try: its path; study.json has the checksum of summary.csv.") from None
+    except ValueError as error:
+        return Verification(path, "text", "complete", 0, 0, 0, True, (Damage(str(error)),))
+    if kind not in TEXT_KINDS:
+        raise StoreError(f"{path} is no file of hpe-rig with a checksum. Try: {', '.join(TEXT_KINDS)}.")
+    return Verification(path, kind, "complete", 0, 0, 0, has_checksum, ())
 
 
-def _verified_result(path: Path) -> Verification:
-    """Return the damage in a result file; raise ``StoreError`` if it cannot be read."""
+def _verified_result(path: Path, kind: str) -> Verification:
+    """Return the damage in a result file or map; raise ``StoreError`` if it cannot be read."""
     try:
         with h5py.File(path, "r") as file:
-            shots = int(file["results/shot"].shape[0])
-            checksums = ATTRIBUTE in file["results/amplitude_m"].attrs
+            shots = int(file["results/shot"].shape[0]) if kind == "result" else 0
+            lead = file["results/amplitude_m" if kind == "result" else "amplitude_m"]
+            checksums = ATTRIBUTE in lead.attrs
             damage = tuple(_damaged_datasets(file, path))
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, InvalidContentError) as error:
         raise StoreError(
             f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
         ) from error
-    return Verification(path, "result", "complete", shots, shots, 0, checksums, damage)
+    return Verification(path, kind, "complete", shots, shots, 0, checksums, damage)
 
 
 def ranges(which: BoolArray) -> tuple[tuple[int, int], ...]:

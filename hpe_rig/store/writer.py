@@ -33,7 +33,7 @@ from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
-from hpe_rig.store.atomic import atomic_file
+from hpe_rig.store.atomic import atomic_file, synchronise
 from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, digest, stored_bytes
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.journal import Journal, Write, make_or_undo
@@ -642,6 +642,7 @@ def _new_file(
             refuse_to_replace(path)
         with atomic_file(path, overwrite) as file:
             file.write(image)
+            synchronise(file)
             if cancelled.is_set():
                 raise InterruptedError
         return Journal(path)

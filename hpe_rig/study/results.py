@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.result import csv_text
-from hpe_rig.store import make_folder, refuse_unwritable, write_file
+from hpe_rig.store import content_digest, make_folder, refuse_unwritable, sealed_json, write_file
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
@@ -34,7 +34,7 @@ class CaseStore:
         except (OSError, ValueError, RecursionError):
             return None
         record = stored.get("record") if isinstance(stored, dict) else None
-        if not isinstance(record, dict) or stored.get("sha256") != _digest(record):
+        if not isinstance(record, dict) or stored.get("sha256") != content_digest(record):
             return None
         return record if record.keys() >= FIELDS and record["case"] == key else None
 
@@ -46,7 +46,7 @@ class CaseStore:
         """Write a record and its hash atomically; raise ``StoreError`` if that is impossible."""
         path = self._path(record["case"])
         make_folder(path.parent)
-        write_file(path, json.dumps({"sha256": _digest(record), "record": record}))
+        write_file(path, json.dumps({"sha256": content_digest(record), "record": record}))
 
     def prepare(self) -> None:
         """Make the folder; raise ``StoreError``, before any computation, if it is not writable."""
@@ -56,11 +56,6 @@ class CaseStore:
     def _path(self, key: str) -> Path:
         # 256 subfolders: file managers are slow with 1e5 files in one folder.
         return self.folder / key[:2] / f"{key}.json"
-
-
-def _digest(record: CaseRecord) -> str:
-    """Return the hash of a record. JSON round-trips every bit of a number, so the hash survives it."""
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +108,17 @@ def result_of(
 
 def write_study(result: StudyResult, folder: Path) -> None:
     """Write ``study.json`` and ``summary.csv`` to ``folder``."""
+    summary = csv_text(result.rows)
     tables = {
+        "format": "hpe_rig study",
         "name": result.name,
         "definition": result.definition.model_dump(mode="json"),
         "versions": list(result.versions),
         "seconds": result.seconds,
         "rows": result.rows,
+        # ``hpe-rig verify`` compares it: a table has no room for a checksum of its own.
+        "summary_sha256": hashlib.sha256(summary.encode()).hexdigest(),
     }
     make_folder(folder)
-    write_file(folder / STUDY_FILE, json.dumps(tables) + "\n")
-    write_file(folder / SUMMARY_FILE, csv_text(result.rows))
+    write_file(folder / SUMMARY_FILE, summary)
+    write_file(folder / STUDY_FILE, sealed_json(tables))

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.measurement.resumption import prepare_resumption, resume
-from hpe_rig.store import StoreError, list_runs, read_run
+from hpe_rig.store import StoreError, list_runs, read_run, read_sealed, sealed_json
 
 FIXTURES = Path(__file__).parents[1] / "fixtures" / "run_files"
 WHY = "shot 2 left out: marked bad: cable touched"
@@ -106,7 +106,9 @@ def test_marks_of_another_run_are_not_applied_and_damaged_ones_are_refused(run_f
     command("mark", run_file, 2, "--bad", "cable touched")
     marks = run_file.with_name("run.marks.json")
     text = marks.read_text(encoding="utf-8")
-    marks.write_text(text.replace('"started": "', '"started": "2001'), encoding="utf-8")
+    tables, _ = read_sealed(marks)
+    tables["run"]["started"] = "2001"
+    marks.write_text(sealed_json(tables), encoding="utf-8")
     stored = read_run(run_file)
     assert not stored.marks
     assert "run.marks.json belongs to another run than run.h5" in stored.damage[0]
@@ -114,6 +116,14 @@ def test_marks_of_another_run_are_not_applied_and_damaged_ones_are_refused(run_f
         marks.write_text(wrong, encoding="utf-8")
         with pytest.raises(StoreError, match=r"run\.marks\.json cannot be read as marks of shots"):
             read_run(run_file)
+
+
+def test_marks_of_an_earlier_release_have_no_checksum_and_are_applied(run_file: Path) -> None:
+    command("mark", run_file, 2, "--bad", "cable touched")
+    marks = run_file.with_name("run.marks.json")
+    tables, _ = read_sealed(marks)
+    marks.write_text(json.dumps(tables), encoding="utf-8")
+    assert read_run(run_file).marks == {1: "marked bad: cable touched"}
 
 
 def test_a_resumed_run_keeps_the_marks_of_the_shots_that_it_copies(tmp_path: Path) -> None:

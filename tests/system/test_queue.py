@@ -257,6 +257,24 @@ def test_a_damaged_list_is_said_on_the_page_and_refused_by_the_command(content: 
         assert "it lists no runs of a queue" in " ".join(done.output.split())
 
 
+def test_two_programs_do_not_measure_the_queue_of_one_folder(tmp_path: Path) -> None:
+    queue = new_queue([(str(scenes(tmp_path, 1)[0]), None)], tmp_path / "queue")
+    refusals = list[str]()
+
+    @contextmanager
+    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, None]]:
+        with pytest.raises(StoreError, match=r"another program measures the queue in .*Try") as caught:
+            run_queue(tmp_path / "queue", queue, Watcher().watching)
+        refusals.append(str(caught.value))
+        yield lambda progress: None, None
+
+    ended, _ = run_queue(tmp_path / "queue", queue, QueueHooks(refusals.append, watch, process))
+    assert [run.state for run in ended] == ["done"]
+    assert any("another program" in text for text in refusals)
+    # The lock ends with the queue.
+    run_queue(tmp_path / "queue", ended, Watcher().watching)
+
+
 def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> None:
     path = tmp_path / "list.toml"
     runs = '[[run]]\nscene = "a.toml"\n[[run]]\nscene = "table-1"\nbench = "c.toml"\n'
