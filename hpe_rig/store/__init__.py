@@ -11,7 +11,7 @@
     writer.py        ``RunWriter``: creates the file; writes records, settings, ground truth and status
     validation.py    validation of a file of unknown origin
     reader.py        ``read_run``: the run file, shot by shot on demand
-    sealed_json.py   JSON files with a checksum
+    json_checksum.py JSON files with a checksum
     marks.py         verdicts on shots after the run, in a file of their own
     result_file.py   ``write_result``: the result file
     map_file.py      ``write_map``: a motion map as NetCDF

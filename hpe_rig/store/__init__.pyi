@@ -16,6 +16,7 @@ from .format import (
     result_path as result_path,
     versions as versions,
 )
+from .json_checksum import content_digest as content_digest, read_sealed as read_sealed, sealed_json as sealed_json
 from .layout import Predecessor as Predecessor, sha256_of_scan as sha256_of_scan
 from .listing import (
     RunEntry as RunEntry,
@@ -41,7 +42,6 @@ from .records import (
     assemble as assemble,
 )
 from .result_file import read_covariance as read_covariance, write_result as write_result
-from .sealed_json import content_digest as content_digest, read_sealed as read_sealed, sealed_json as sealed_json
 from .validation import InvalidContentError as InvalidContentError, open_checked as open_checked
 from .verification import (
     Damage as Damage,

@@ -13,7 +13,7 @@ from typing import Any, Final
 from hpe_rig.scene import printable
 from hpe_rig.store.atomic import write_file
 from hpe_rig.store.format import StoreError, reason
-from hpe_rig.store.sealed_json import read_sealed, sealed_json
+from hpe_rig.store.json_checksum import read_sealed, sealed_json
 
 FORMAT: Final = "hpe_rig marks"
 MARKED_BAD: Final = "marked bad"

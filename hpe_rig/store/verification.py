@@ -16,8 +16,8 @@ from hpe_rig.arrays import BoolArray
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound, kind_of
 from hpe_rig.store.format import StoreError, reason
+from hpe_rig.store.json_checksum import read_sealed
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
-from hpe_rig.store.sealed_json import read_sealed
 from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
 
 TEXT_KINDS: Final = ("queue", "marks", "study", "summary")
