@@ -14,6 +14,7 @@ In the order of the flow::
     importers.py     the importer of a file, also of other packages
     series.py        several files as one recording
     statements.py    settings from options, sidecar, file and scene, and the inferred ones
+    axes.py          array of the samples, names of its axes
     lines.py         selected lines, or their mean
     spectrum.py      echoes against the carrier; band-pass sampling
     baseband.py      I and Q -> samples around the carrier

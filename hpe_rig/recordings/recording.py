@@ -7,7 +7,6 @@ with its origin.
 from __future__ import annotations
 
 import hashlib
-import itertools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.recordings.axes import select_array, with_axes
 from hpe_rig.recordings.baseband import to_radio_frequency
 from hpe_rig.recordings.contents import Contents
-from hpe_rig.recordings.coordinates import find_coordinate
 from hpe_rig.recordings.importers import read_contents
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.series import read_series, series_name
@@ -34,12 +33,6 @@ MAX_LISTED = 4
 MIN_PULSES, MIN_SAMPLES = 2, 8
 Source = Path | tuple[Path, ...] | NDArray[Any]
 """A file, files with one pulse or frame each, or an array."""
-DEFAULT_AXES: Mapping[int, tuple[Dimension, ...]] = {
-    1: ("sample",),
-    2: ("pulse", "sample"),
-    3: ("line", "pulse", "sample"),
-    4: ("line", "shot", "pulse", "sample"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +141,8 @@ class _Reader:
         """Return the recording; raise ``SettingsError`` with all mistakes."""
         statements = self.statements
         statements.inferred += statements.contents.inferred
-        label, array = self._select_array()
-        array, axes = (None, None) if array is None else self._with_axes(array, label)
+        label, array = select_array(statements)
+        array, axes = (None, None) if array is None else with_axes(statements, array, label)
         rate_hz, carrier_hz = statements.number("sample_rate_hz"), statements.number("carrier_hz")
         sound_speed = statements.number("sound_speed_m_per_s", needed=False)
         pulse_count = None if axes is None or array is None else array.shape[axes.index("pulse")]
@@ -201,133 +194,6 @@ class _Reader:
 
     def _error(self) -> SettingsError:
         return SettingsError(f"recording {self.name}", list(dict.fromkeys(self.statements.mistakes)))
-
-    def _select_array(self) -> tuple[str, NDArray[Any] | None]:
-        """Return name and array of the samples: the stated one, or the largest. None and a mistake if ambiguous."""
-        arrays, variable = self.statements.contents.arrays, self.settings.variable
-        if variable is None:
-            # Vectors are samples only if there is nothing else: most are times or positions.
-            arrays = {name: array for name, array in arrays.items() if _is_table(array)} or arrays
-        if variable is not None:
-            by_name = {name.strip("/"): array for name, array in arrays.items()}
-            if variable.strip("/") in by_name:
-                return variable, by_name[variable.strip("/")]
-            self.statements.add_mistake(
-                "variable",
-                f"{variable!r} is no array of numbers in the file",
-                f"one of {', '.join(arrays)}" if arrays else "a file with samples",
-            )
-            return variable, None
-        if not arrays:
-            what = "the file holds no array of numbers"
-            self.statements.add_mistake("", what, "a file with samples")
-            return "", None
-        # Without a stated name the largest array holds the samples, unless two are equally large.
-        sizes = sorted(((array.size, name) for name, array in arrays.items()), reverse=True)
-        largest = [name for name, array in arrays.items() if array.size == sizes[0][0]]
-        if len(largest) > 1:
-            what = f"several arrays may be the samples: {', '.join(largest)}"
-            self.statements.add_mistake("variable", what, f'"{sizes[0][1]}"')
-            return "", None
-        if len(arrays) > 1:
-            self.statements.inferred.append(f"samples: {largest[0]!r}, the largest array of {', '.join(arrays)}")
-        return largest[0], arrays[largest[0]]
-
-    def _with_axes(
-        self, array: NDArray[Any], label: str
-    ) -> tuple[NDArray[Any], tuple[Dimension, ...]] | tuple[None, None]:
-        """Return the array, without axes of length 1 and divided into records, and its axes; None and a mistake."""
-        axes = self.settings.axes or self.statements.contents.axes
-        if array.ndim != len(axes or ()) and 1 in array.shape:
-            self.statements.inferred.append(f"{label!r} of {array.shape}: axes of length 1 are dropped")
-            array = array.squeeze()
-        axes = axes or self._axes_of_records(array) or self._infer_axes(array, label)
-        if axes is None:
-            return None, None
-        if len(axes) != array.ndim:
-            what = f"{', '.join(axes)} are {len(axes)} axes, {label!r} has {array.ndim}: {array.shape}"
-            self.statements.add_mistake("axes", what, f"{array.ndim} names in the order of the file")
-            return None, None
-        if "iq" in axes and array.shape[axes.index("iq")] != 2:
-            what = f"axis iq has a length of {array.shape[axes.index('iq')]}"
-            self.statements.add_mistake("axes", what, "a length of 2, for I and Q")
-            return None, None
-        self._refuse_coordinates(array, label)
-        return (array, axes) if "pulse" in axes else self._divide(array, axes)
-
-    def _refuse_coordinates(self, array: NDArray[Any], label: str) -> None:
-        """Add a mistake if the first row or column of a table holds times or an index instead of echoes."""
-        if array.ndim != 2 or self.settings.columns is not None:
-            return
-        for name, values, remedy in (("column", array[:, 0], "[:, 1:]"), ("row", array[0], "[1:]")):
-            if coordinate := find_coordinate(values):
-                what = f"the first {name} of {label!r} ascends by {coordinate.step:g}: times or an index, no echoes"
-                self.statements.add_mistake("variable", what, f"the array without it, {label}{remedy}, and the rate")
-
-    def _axes_of_records(self, array: NDArray[Any]) -> tuple[Dimension, ...] | None:
-        """Return sample, or sample and line, for an array with an axis of several stated records; else None."""
-        length = self.settings.record_samples
-        if array.ndim == 1:
-            return ("sample",)
-        if length is None or array.ndim != 2 or length in array.shape:
-            return None
-        multiples = [index for index, size in enumerate(array.shape) if size > length and size % length == 0]
-        if len(multiples) != 1:
-            return None
-        self.statements.inferred.append(f"axes: {array.shape[multiples[0]]} samples in records of {length}, and lines")
-        return ("sample", "line") if multiples[0] == 0 else ("line", "sample")
-
-    def _divide(
-        self, array: NDArray[Any], axes: tuple[Dimension, ...]
-    ) -> tuple[NDArray[Any], tuple[Dimension, ...]] | tuple[None, None]:
-        """Return the array with its axis sample divided into (pulse, sample); None and a mistake if that fails."""
-        index, length = axes.index("sample"), self.settings.record_samples
-        samples = array.shape[index]
-        if length is None or samples % length or samples == length:
-            what = f"a signal of {samples} samples has no axis pulse"
-            what += "" if length is None else f", and is not several records of {length} samples"
-            remedy = "record_samples of consecutive records; or one file per pulse: import shot_1.csv shot_2.csv"
-            self.statements.add_mistake("record_samples", what, remedy)
-            return None, None
-        self.statements.inferred.append(f"{samples} samples are {samples // length} consecutive records of {length}")
-        shape = (*array.shape[:index], samples // length, length, *array.shape[index + 1 :])
-        return array.reshape(shape), (*axes[:index], "pulse", *axes[index:])
-
-    def _infer_axes(self, array: NDArray[Any], label: str) -> tuple[Dimension, ...] | None:
-        """Return the only order of axes that has the known lengths; None and a mistake if it is not unique."""
-        if array.ndim not in DEFAULT_AXES:
-            what = f"{label!r} has {array.ndim} axes: {array.shape}"
-            remedy = f"axes with {array.ndim} names of {', '.join(DIMENSIONS)}, or another array"
-            self.statements.add_mistake("axes", what, remedy)
-            return None
-        default = DEFAULT_AXES[array.ndim]
-        lengths = {name: length for name, length in self._known_lengths().items() if length is not None}
-        # Try every order of the default axes against the lengths that settings, file or scene state.
-        orders = [
-            order
-            for order in itertools.permutations(default)
-            if all(lengths.get(name, length) == length for name, length in zip(order, array.shape, strict=True))
-        ]
-        known_text = ", ".join(f"{length:g} along {name}" for name, length in lengths.items())
-        if len(orders) == 1:
-            order_text = f"axes: {', '.join(orders[0])} for {array.shape}"
-            self.statements.inferred.append(f"{order_text}, the only order with {known_text}")
-            return orders[0]
-        what = f"the order of axes of {array.shape} is not stated"
-        if known_text:
-            what += f", and {'several orders have' if orders else 'none has'} {known_text}"
-        self.statements.add_mistake("axes", what, f'such as axes = "{",".join(default)}"')
-        return None
-
-    def _known_lengths(self) -> dict[str, float | None]:
-        times, positions = self.statements.stated("pulse_time_s"), self.statements.stated("line_position_m")
-        scene, in_file = self.statements.scene, self.statements.stated("record_samples")
-        samples = scene.get("record_samples") if self.settings.samples is None else None
-        return {
-            "pulse": scene.get("pulse_count") if times is None else len(times[0]),
-            "sample": samples if in_file is None else in_file[0],
-            "line": None if positions is None else len(positions[0]),
-        }
 
     def _arrange(self, array: NDArray[Any], axes: tuple[Dimension, ...]) -> NDArray[Any]:
         """Return the samples as (line, shot, pulse, sample), with I and Q as complex numbers."""
@@ -483,11 +349,6 @@ class _Reader:
             f"I and Q are mixed up by {demodulation_hz:g} Hz and interpolated from {rate_hz:g} Hz to {output_hz:g} Hz"
         )
         return samples, output_hz
-
-
-def _is_table(array: NDArray[Any]) -> bool:
-    """Return whether more than one axis of ``array`` is longer than 1."""
-    return array.ndim > 1 and array.size > max(array.shape)
 
 
 def _list_records(marked: BoolArray) -> str:

@@ -403,9 +403,9 @@ def mat_of_another_type() -> bytes:
 MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     # file, what it holds (bytes, array or arrays by name), settings, a part of the message
     "empty npy": ("a.npy", b"", GOOD, "it is empty"),
-    "text as npy": ("a.npy", b"hello world", GOOD, "no NPY file"),
-    "cut npy": ("a.npy", b"\x93NUMPY\x01\x00v\x00", GOOD, "no NPY file"),
-    "pickled npy": ("a.npy", np.array([{}]), GOOD, "no NPY file"),
+    "text as npy": ("a.npy", b"hello world", GOOD, "no whole NPY file"),
+    "cut npy": ("a.npy", b"\x93NUMPY\x01\x00v\x00", GOOD, "no whole NPY file"),
+    "pickled npy": ("a.npy", np.array([{}]), GOOD, "holds Python objects"),
     "texts as npy": ("a.npy", np.array([["a", "b"]]), GOOD, "no array of numbers"),
     "one axis": ("a.npy", RF[0, 0], GOOD, "pulse, sample are 2 axes, 'a' has 1"),
     "five axes": ("a.npy", np.ones((2, 2, 2, 2, 2)), {**GOOD, "axes": None}, "5 axes"),
@@ -460,7 +460,7 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
         "1 positions for 3 lines",
     ),
     "shots": ("a.npy", RF, {**GOOD, "axes": "shot,pulse,sample", "lines": "mean:2"}, "not within the 1 lines"),
-    "text as npz": ("a.npz", b"PK\x03\x04rubbish", GOOD, "no NPZ file"),
+    "text as npz": ("a.npz", b"PK\x03\x04rubbish", GOOD, "no whole NPZ file"),
     "npz of numbers": ("a.npz", {"fs": np.array(1.0)}, GOOD, "no array of numbers"),
     "npz of two": ("a.npz", {"a": RF[0], "b": RF[0]}, GOOD, "several arrays may be the samples: a, b"),
     "npz without": ("a.npz", {"a": RF[0]}, {**GOOD, "variable": "rf"}, "'rf' is no array"),

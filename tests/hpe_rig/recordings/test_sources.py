@@ -166,3 +166,28 @@ def test_a_binary_file_of_an_oscilloscope_names_the_extra(tmp_path: Path, monkey
         (tmp_path / name).write_bytes(content)
         with pytest.raises(SettingsError, match=r"Try: pip install 'hpe-rig\[oscilloscope\]', or save it as CSV"):
             read(tmp_path / name)
+
+
+def slow_echoes(*shape: int) -> np.ndarray[Any, Any]:
+    """Return noise along the last axis that changes little along the one before it."""
+    noise = np.random.default_rng(2).normal(size=(*shape[:-2], 1, shape[-1]))
+    return noise + 0.1 * np.random.default_rng(3).normal(size=shape)
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (slow_echoes(20, 300), 'axes = "pulse,sample"'),
+        (slow_echoes(300, 20), 'axes = "pulse,sample"'),
+        (slow_echoes(300, 20).T, 'axes = "sample,pulse"'),
+        (slow_echoes(12, 20, 300), 'axes = "line,pulse,sample"'),
+        (slow_echoes(12, 20, 300).transpose(2, 0, 1), 'axes = "sample,line,pulse"'),
+        (np.stack([slow_echoes(20, 300)] * 2, axis=-1), 'axes = "pulse,sample,iq"'),
+        (slow_echoes(2, 3000).T, 'axes = "sample,line" and record_samples'),
+        (slow_echoes(3, 3000), 'axes = "line,sample" and record_samples'),
+    ],
+)
+def test_suggested_axes_fit_lengths_and_echoes(array: np.ndarray[Any, Any], said: str) -> None:
+    with pytest.raises(SettingsError) as refused:
+        read(array)
+    assert said in str(refused.value)
