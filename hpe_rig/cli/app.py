@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.benches import benches
+from hpe_rig.cli.bug_report import reporting
 from hpe_rig.cli.console import EXIT_INTERRUPTED, announce, ignore_interrupts, print_version, refuse_undecodable
 from hpe_rig.cli.measuring import measuring
 from hpe_rig.cli.recordings import recordings
@@ -22,7 +23,7 @@ from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
-for group in (measuring, stored_runs, recordings, scene_commands, benches, studies):
+for group in (measuring, stored_runs, recordings, scene_commands, benches, studies, reporting):
     app.add_typer(group)
 commands = app
 

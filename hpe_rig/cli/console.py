@@ -175,7 +175,10 @@ def _program_error(error: BaseException) -> str:
     except OSError:
         details = "".join(traceback.format_exception(error))
     notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
-    return f"this is an error of the program itself ({summary}){notes}. Try: other input, and report it: {details}"
+    return (
+        f"this is an error of the program itself ({summary}){notes}. Try: other input, and report it: {details}, and "
+        "hpe-rig bug-report FILE ... collects what a report needs"
+    )
 
 
 def refuse_undecodable(arguments: Sequence[str]) -> None:

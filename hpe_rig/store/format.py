@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import re
+import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Final
 from uuid import uuid4
 
+GIT_TIMEOUT_S: Final = 5.0
 FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 2
 RESULT_FORMAT: Final = "hpe_rig result"
@@ -85,8 +87,21 @@ def versions() -> Mapping[str, str]:
         version = metadata.version("hpe-rig")
     except metadata.PackageNotFoundError:
         version = "not installed"
-    commit = version.partition("+g")[2].partition(".")[0] or "unknown"
-    return {"hpe_rig": version, "commit": commit, "python": platform.python_version(), **packages}
+    return {"hpe_rig": version, "commit": _commit(), "python": platform.python_version(), **packages}
+
+
+@cache
+def _commit() -> str:
+    """Return the commit of a working copy, with "-dirty" if its files differ from it; "unknown" outside of one."""
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return "unknown"
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()
 
 
 def free_path(stem: str, folder: Path) -> Path:
