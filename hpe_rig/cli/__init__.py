@@ -11,6 +11,7 @@ Modules, from the typed command to its output::
     recordings.py   commands on recordings of other programs: import, map
     scenes.py       commands on settings: check, scenes, new, schema, extensions
     benches.py      commands on benches: bench, commission, emulate
+    bug_report.py   versions, scene, bench and log of a problem, without addresses and names
     studies.py      commands that study by simulation: accuracy, design, study
     watch.py        stop request, pause, log and live page of a run
     keys.py         keys pressed during a run
