@@ -251,14 +251,14 @@ def _with_few_variables(blocks: Sequence[_Block]) -> Iterator[_Block]:
             continue
         # Any orthogonal matrix changes the variables but no covariance. Rows of unit length: weak harmonics count as
         # much as strong ones.
-        rows = np.vstack(
-            [part for block in group for part in (block.error.influence_m.real, block.error.influence_m.imag)]
-        )
+        stacked = np.vstack([block.error.influence_m for block in group])
+        rows = np.vstack([stacked.real, stacked.imag])
         rows /= np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(np.float64).tiny)
         variances, directions = np.linalg.eigh(rows.T @ rows)
-        directions = directions[:, np.cumsum(variances) > NEGLIGIBLE_VARIANCE]
-        for block in group:
-            yield replace(block, error=replace(block.error, influence_m=block.error.influence_m @ directions))
+        reduced = stacked @ directions[:, np.cumsum(variances) > NEGLIGIBLE_VARIANCE]
+        ends = np.cumsum([len(block.error.influence_m) for block in group])
+        for block, influence_m in zip(group, np.split(reduced, ends[:-1]), strict=True):
+            yield replace(block, error=replace(block.error, influence_m=influence_m))
 
 
 def _padded(rows: Sequence[Sequence[complex]], count: int) -> ComplexArray:

@@ -159,7 +159,10 @@ class Estimate:
     @property
     def phasor_m(self) -> complex:
         """Headline value A exp(j phase): in-phase and quadrature component."""
-        return cmath.rect(self.headline.amplitude_m, self.headline.phase_rad)
+        amplitude_m, phase_rad = self.corrected_amplitude_m, self.corrected_phase_rad
+        if amplitude_m is None or phase_rad is None:
+            return cmath.rect(self.amplitude_m, self.phase_rad)
+        return cmath.rect(amplitude_m, phase_rad)
 
     @property
     def budget(self) -> tuple[Component, ...]:
