@@ -29,7 +29,7 @@ from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_fitting import posterior_averaging, shot_averaging
 from hpe_rig.processing.shot_tracking import margin_needed
 from hpe_rig.processing.shot_warnings import medium_warnings
-from hpe_rig.result import Result
+from hpe_rig.result import RECTIFIED, Result
 from hpe_rig.runs import Run
 from hpe_rig.scene import Scene, SettingsError
 
@@ -227,6 +227,8 @@ def test_the_covariance_holds_the_budget_of_every_value(estimator: str, parts: i
     """
     result = run(1e-11).estimate(estimator)  # jitter that leaves every phase known
     covariance, estimates = result.covariance(), result.shots[0].estimates
+    budgeted = {item.source for each in estimates for item in each.budget if item.amplitude_m or item.phase_rad}
+    assert budgeted - {RECTIFIED} == set(covariance.sources)
     direction = np.exp(-1j * np.angle(covariance.phasor_m[0]))[:, None]
     pairs = [(source,) for source in covariance.sources if source not in ("aliasing", "beam averaging")]
     for sources in [*pairs, ("aliasing", "beam averaging")]:
