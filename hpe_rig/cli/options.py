@@ -52,6 +52,14 @@ Open = Annotated[bool, typer.Option("--open", help="Open the live page in the br
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 
 
+def refuse_two_formats(json: bool, csv: bool) -> None:
+    """Raise ``SettingsError`` if both formats are requested: only one can be printed."""
+    from hpe_rig.scene import Mistake, SettingsError
+
+    if json and csv:
+        raise SettingsError("command line", [Mistake("--json, --csv", "both formats are requested", "one of them")])
+
+
 @dataclass(frozen=True, slots=True)
 class ResultOptions:
     """Estimator and format of the printed result."""
@@ -62,6 +70,10 @@ class ResultOptions:
         bool, typer.Option("--csv", help="Print CSV instead of a table, one row per shot and frequency.")
     ] = False
     wide: Annotated[bool, typer.Option("--wide", help="Print every column, and a table for every shot.")] = False
+
+    def __post_init__(self) -> None:
+        """Refuse two formats at once, before anything is measured."""
+        refuse_two_formats(self.json, self.csv)
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,12 +80,13 @@ def _print_table(runs: Sequence[QueueRun], results: Mapping[int, Result]) -> Non
 
 
 def _result_text(run: QueueRun, result: Result | None) -> str:
-    """Return the largest amplitude of a run, or the reason why it has no result."""
+    """Return the strongest harmonic of a run, of the means over repeats if any, or why it has no result."""
     if result is None:
         # The first line up to its remedy states the reason.
         reason = printable(run.why.partition("\n")[0].partition(". Try")[0])
         return reason[:MAX_REASON] or ("measured earlier" if run.state == "done" else "")
-    headlines = [(estimate.headline, estimate.frequency_hz) for shot in result.shots for estimate in shot.estimates]
+    estimates = result.means or [estimate for shot in result.shots for estimate in shot.estimates]
+    headlines = [(estimate.headline, estimate.frequency_hz) for estimate in estimates]
     if not headlines:
         return "the scene has no frequency"
     lead, frequency_hz = max(headlines, key=lambda item: item[0].amplitude_m)

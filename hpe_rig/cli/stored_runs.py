@@ -232,5 +232,7 @@ def list_command(
 ) -> None:
     """List the runs in a folder with date, title, result and notes."""
     from hpe_rig.cli.listing import print_runs
+    from hpe_rig.cli.options import refuse_two_formats
 
+    refuse_two_formats(json, csv)
     print_runs(folder, below, find or (), (since, until), json=json, csv=csv)

@@ -311,7 +311,7 @@ def _end_text(queue: Sequence[QueueRun], index: int) -> str:
     # The pace of completed runs is more accurate than the plans.
     basis = "from the runs so far" if any(run.took_s for run in queue) else "from the plans"
     end = datetime.now().astimezone() + timedelta(seconds=time_left_s(queue, index))
-    return f"the queue ends at about {end.isoformat(' ', 'seconds')}, {basis}"
+    return f"the queue ends at about {end.isoformat(' ', 'minutes')}, {basis}"
 
 
 def _mistakes(where: str, error: Exception) -> Iterator[Mistake]:

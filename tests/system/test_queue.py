@@ -379,3 +379,17 @@ def test_the_key_p_pauses_and_goes_on_at_a_terminal(tmp_path: Path) -> None:
     assert b"continuing" in seen
     assert read_run(tmp_path / "scene-0.h5").status == "complete"
     assert not list(tmp_path.glob("*.pause"))
+
+
+def test_queue_and_list_state_the_mean_over_repeats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (scene,) = scenes(tmp_path, 1)
+    # Repeats differ in the printed digits.
+    scene.write_text(scene.read_text(encoding="utf-8").replace("snr_db = 40.0", "snr_db = 15.0"), encoding="utf-8")
+    printed = CliRunner().invoke(app, ["queue", str(scene), "--output", "night"]).output
+    result = hpe.open_run(tmp_path / "night" / "01-scene-0.h5").estimate()
+    (mean,) = result.means
+    nm = f"{mean.amplitude_m * 1e9:.4g}"
+    assert all(f"{shot.estimates[0].headline.amplitude_m * 1e9:.4g}" != nm for shot in result.shots)
+    assert f"{nm} +-" in printed
+    assert nm in CliRunner().invoke(app, ["list", "night"]).output
