@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from hpe_rig.plan.checks.check_result import CheckResult, in_us
-from hpe_rig.plan.interference import admissible_delays_s, forbidden_window_s
+from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import engineering
 
@@ -91,7 +91,9 @@ def _table(plan: Plan, shot: Shot) -> Iterator[str]:
         free = admissible_delays_s(shot)
         words = " or ".join(f"{low * 1e6:.4g} to {high * 1e6:.4g} us" for low, high in free)
         more = f", plus multiples of {in_us(1 / train.rate_hz)}"
-        rows.append(("admissible t_d", f"{words}{more}" if free else "none"))
+        disturbed = int(disturbed_pulses(shot).sum())
+        none = f"none: at any delay some pulses are disturbed, at this one {disturbed} of {train.count}"
+        rows.append(("admissible t_d", f"{words}{more}" if free else none))
     rows += [
         ("tracking", f"{train.count} pulses at {train.rate_hz:g} Hz from t_d = {in_us(train.delay_s)}"),
         ("record", f"{capture.record_samples} samples, {capture.trigger_delay_samples} after the trigger"),
