@@ -38,6 +38,9 @@ def run(
     ] = None,
     compress: Compress = False,
     overwrite: Overwrite = False,
+    control: Annotated[
+        bool, typer.Option("--control", help="Repeat each shot with tonebursts off, and subtract that motion.")
+    ] = False,
     report: Annotated[bool, typer.Option("--report", help="Write the report too, as hpe-rig report does.")] = False,
 ) -> None:
     """Measure a scene, from the plan to the printed result. SCENE may be a run file: its scene is measured again."""
@@ -49,7 +52,7 @@ def run(
         from hpe_rig.runs import chosen_estimator, process
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
-    setup = prepare(scene, bench, stages)
+    setup = prepare(scene, bench, stages, control=control)
     estimator = chosen_estimator(result.estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     # An unwritable folder is an error before the measurement, not after it.

@@ -20,6 +20,7 @@ from hpe_rig.result import (
     Result,
     ShotResult,
     common_settings,
+    control_text,
     estimate_at,
     headline_sentence,
     lead_frequency_hz,
@@ -67,6 +68,8 @@ def print_result(result: Result, wide: bool = False) -> None:
             printer.table(_shot_table(shot, printer))
             if shot.estimates:
                 printer.text(_budget_line(shot))
+    if text := control_text(result.shots):
+        printer.text(text)
     _print_profile(result, printer)
     if result.conditions:
         rows = [condition.cells for condition in result.conditions]

@@ -40,7 +40,7 @@ class ShotHistory:
         return False
 
     def _append(self, run: Run, shot: Shot) -> None:
-        if shot.index in run.stored.marks:
+        if shot.is_control or shot.index in run.stored.marks:
             return
         scene = scene_of_shot(run.scene, shot)
         estimator = scene.processing.estimator
@@ -100,8 +100,10 @@ def setting_of(shot: Shot) -> str:
     texts = [f"{shot.tracking_train.rate_hz:g} pulses a second", f"repeat {shot.repeat + 1}"]
     if shot.lateral_offset_m:
         texts.insert(0, f"{shot.lateral_offset_m * 1e3:g} mm from the push")
-    if shot.force_fraction is not None:
+    if shot.force_fraction is not None and not shot.is_control:
         texts.insert(0, f"force {shot.force_fraction:.4g} F₀")
-    if shot.burst_train is not None:
+    if shot.is_control:
+        texts.insert(0, "control with tonebursts off")
+    elif shot.burst_train is not None:
         texts.insert(0, f"tonebursts of {shot.timeline.burst_length_s * 1e6:g} µs")
     return ", ".join(texts)

@@ -198,7 +198,8 @@ def _enable(shot: Shot, bench: Bench, observer: Observer) -> None:
     observer(Progress(Step.ENABLE, shot))
     # Downstream first: no generator may trigger an output that is not ready.
     for generator in reversed(bench.generators):
-        generator.enable_output()
+        if not (shot.is_control and generator is bench.toneburst):
+            generator.enable_output()
 
 
 def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) -> None:

@@ -33,6 +33,7 @@ from hpe_rig.scene import (
     SceneSource,
     SceneText,
     SettingsError,
+    edited_text,
     parse_scene,
     scene_text,
     with_default_specimen,
@@ -57,15 +58,27 @@ class Setup:
     findings: tuple[CheckResult, ...]
 
 
-def prepare(scene: SceneSource, bench: BenchSource = None, stages: Stages | None = None, refuse: bool = True) -> Setup:
+def prepare(
+    scene: SceneSource,
+    bench: BenchSource = None,
+    stages: Stages | None = None,
+    refuse: bool = True,
+    control: bool = False,
+) -> Setup:
     """Return the planned measurement of ``scene`` on ``bench``.
 
-    If ``scene`` is the path of a run file, its scene is planned again by the current rules for scenes.
+    If ``scene`` is the path of a run file, its scene is planned again by the current rules for scenes. With ``control``
+    each shot is followed by its control, as by ``acquisition.control`` of the scene.
     Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is False, and
     ``TypeError`` if ``scene`` or ``bench`` has another type.
     """
     bench_path = as_path(bench, "the path of a bench file")
-    return prepare_text(*source_text(scene), bench_path, stages, refuse)
+    name, text = source_text(scene)
+    if control:
+        # Mistakes are reported of the text as written.
+        parse_scene(name, text)
+        text = edited_text(text, {("acquisition", "control"): True})
+    return prepare_text(name, text, bench_path, stages, refuse)
 
 
 def source_text(scene: SceneSource) -> tuple[str, str]:

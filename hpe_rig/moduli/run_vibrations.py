@@ -31,7 +31,7 @@ from hpe_rig.plan import (
     without_shared_echoes,
 )
 from hpe_rig.prediction import beam_widths
-from hpe_rig.processing import HarmonicFit, assign_pulses, displacement_residual_m, shot_fit
+from hpe_rig.processing import HarmonicFit, assign_pulses, displacement_residual_m, estimate_controls, shot_fit
 from hpe_rig.result import DETECTED
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun
@@ -102,12 +102,19 @@ def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted
     first pulse is known.
     """
     beams = beam_widths(gate.scene, estimator, off_axis_offsets_m(source.plan))
+    controls = estimate_controls(gate.scene, gate.plan, source.stored, estimator)
     for shot in gate.plan.shots:
+        if shot.is_control:
+            continue
+        # The fit is that of the scene's window, the first.
+        control, *_ = controls.motions.get(shot.index, (None,))
         reason = _unusable(shot, source.stored, gate.plan)
+        if shot.index in controls.failures:
+            reason = reason or f"without a control ({controls.failures[shot.index]})"
         if not reason:
             # A shot that cannot be estimated is reported like an incomplete one.
             try:
-                yield shot_fit(gate.scene, shot, source.stored, estimator, beams)
+                yield shot_fit(gate.scene, shot, source.stored, estimator, beams, control)
                 continue
             except ValueError as error:
                 reason = str(error)

@@ -39,6 +39,7 @@ from .shots import (
     Plan as Plan,
     Shot as Shot,
     Timeline as Timeline,
+    control_shots as control_shots,
     make_plan as make_plan,
     off_axis_offsets_m as off_axis_offsets_m,
     plans_at_offsets as plans_at_offsets,

@@ -69,7 +69,8 @@ class Shot:
     """One master trigger: the task of every instrument, and the times that follow.
 
     ``lateral_offset_m`` and ``axial_offset_m`` are those of the tracking transducer and the gate; ``point`` is the
-    index of the scene's point in a sweep.
+    index of the scene's point in a sweep. ``is_control``: the control of the shot before it, of force 0. Its toneburst
+    generator is programmed and triggered as in that shot, with the output off.
     """
 
     index: int
@@ -85,6 +86,7 @@ class Shot:
     lateral_offset_m: float = 0.0
     axial_offset_m: float = 0.0
     point: int = 0
+    is_control: bool = False
 
     @property
     def gate(self) -> slice:
@@ -203,6 +205,11 @@ def plans_at_offsets(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
             yield offset_scene, replace(plan, shots=tuple(shots))
 
 
+def control_shots(plan: Plan) -> dict[int, Shot]:
+    """Return the control of each shot that has one, by the index of that shot."""
+    return {shot.index: control for shot, control in itertools.pairwise(plan.shots) if control.is_control}
+
+
 def off_axis_offsets_m(plan: Plan) -> tuple[float, ...]:
     """Return the tracked distances from the axis, without 0, in ascending order."""
     return tuple(sorted({abs(shot.lateral_offset_m) for shot in plan.shots} - {0.0}))
@@ -254,7 +261,7 @@ def burst_path_s(bench: BenchFile) -> float:
 def _refuse_too_many(scene: Scene) -> None:
     excitation, mistakes = scene.excitation, []
     bursts = len(excitation.burst_length_s) * len(excitation.force_fraction) if excitation else 1
-    shots = scene.acquisition.repeats * bursts
+    shots = scene.acquisition.repeats * bursts * (1 + scene.acquisition.control)
     if shots > MAX_SHOTS:
         what = f"the scene asks for {shots} shots, a run holds at most {MAX_SHOTS}"
         mistakes.append(Mistake("acquisition.repeats", what, "fewer repeats, or several runs"))
@@ -268,7 +275,7 @@ def _refuse_too_many(scene: Scene) -> None:
 
 
 def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
-    """Yield a shot for every burst length, force and repeat."""
+    """Yield a shot for every burst length, force and repeat, each followed by its control if the scene asks for it."""
     excitation, tracking, generators = scene.excitation, scene.tracking, bench.generators
     lengths_s: tuple[float | None, ...] = excitation.burst_length_s if excitation else (None,)
     forces: tuple[float | None, ...] = excitation.force_fraction if excitation else (None,)
@@ -278,12 +285,13 @@ def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
     pulser = generators.tracking_pulser
     pulse_vpp = pulser.amplitude_vpp or bench.limits.full_drive_vpp
     train_load_ohm = generators.tracking_train.load_ohm
-    settings = itertools.product(lengths_s, forces, range(scene.acquisition.repeats))
-    for index, (burst_length_s, force, repeat) in enumerate(settings):
+    is_control = (False, True) if scene.acquisition.control else (False,)
+    settings = itertools.product(lengths_s, forces, range(scene.acquisition.repeats), is_control)
+    for index, (burst_length_s, force, repeat, control) in enumerate(settings):
         yield Shot(
             index=index,
             repeat=repeat,
-            force_fraction=force,
+            force_fraction=0.0 if control else force,
             master=TriggerPulse(MAX_TRIGGER_PULSE_S, TTL_HIGH_V, generators.master.load_ohm),
             burst_train=_burst_train(scene, bench),
             toneburst=_toneburst(scene, bench, burst_length_s, force),
@@ -293,6 +301,7 @@ def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
             timeline=timelines[burst_length_s],
             lateral_offset_m=tracking.lateral_offset_m,
             axial_offset_m=tracking.axial_offset_m,
+            is_control=control,
         )
 
 

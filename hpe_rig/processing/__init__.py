@@ -11,6 +11,8 @@
     first_pulse.py     the tracking pulse of each record
     tracking_rate.py   rate of the pulses by the digitizer's clock
     shot_tracking.py   echoes and displacement of a stored shot
+    control.py         motion without tonebursts, and the uncertainty of its subtraction
+    shot_controls.py   motion in the controls of a stored run
     shot_fitting.py    harmonic fit of a shot: options, prior, beam averaging
     motion_model.py    fitted displacement of each pulse
     shot_warnings.py   warnings of a shot

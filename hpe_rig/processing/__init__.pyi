@@ -43,6 +43,7 @@ from .motion.spectral_peak import (
     padded_bins as padded_bins,
 )
 from .motion_model import fitted_motion as fitted_motion
+from .shot_controls import estimate_controls as estimate_controls
 from .shot_fitting import (
     options_of as options_of,
     shot_fit as shot_fit,

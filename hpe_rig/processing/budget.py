@@ -8,7 +8,7 @@ Every u_i is that of the value corrected to the peak displacement. docs/explanat
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import PhaseReference
+from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, polar_covariance
 from hpe_rig.result import PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
@@ -35,7 +36,7 @@ class ErrorSources:
     gate has been subtracted, and trigger jitter with it. ``gate_edge``: relative amplitude error from the ends of the
     gate. ``quantisation_m``: for each frequency along and across its phasor; empty if noise dithers the codes.
     ``carrier_relative``: difference of the echo's mean frequency from the carrier, for estimators that divide by the
-    carrier, unless the averaging predicts it.
+    carrier, unless the averaging predicts it. ``control``: motion without tonebursts, already subtracted.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -45,6 +46,7 @@ class ErrorSources:
     gate_edge: float = 0.0
     quantisation_m: tuple[tuple[float, float], ...] = ()
     carrier_relative: float = 0.0
+    control: ControlMotion | None = None
 
     @property
     def rounding_m(self) -> float:
@@ -152,6 +154,7 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     optional = (("carrier", carrier_relative), ("beam shape", averaging.shape_relative))
     return (
         *noise,
+        *_control_components(sources.control, index, amplitude_m, averaging),
         _tracked("quantisation", np.minimum(rounding**2, (np.inf, PHASE_VARIANCE_LIMIT)), averaging),
         _tracked("aliasing", aliasing, averaging),
         Component("speckle", averaging.speckle_relative * peak_m, averaging.speckle_phase_rad),
@@ -162,6 +165,23 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
         *(Component(source, relative * peak_m, 0.0) for source, relative in optional if relative),
         *((_tracked("drift", drift, averaging),) if drift.any() else ()),
     )
+
+
+def _control_components(
+    control: ControlMotion | None, index: int, amplitude_m: float, averaging: Averaging
+) -> Iterator[Component]:
+    """Yield the uncertainties from subtracting a control: its noise, and how much controls differ beyond their noise.
+
+    ``amplitude_m``: tracked amplitude of the shot at frequency ``index``.
+    """
+    if control is None:
+        return
+    for source, variance_m2, freedom in (
+        ("control", control.noise_m2[index], float(control.fit.quality.degrees_of_freedom)),
+        ("control scatter", control.scatter_m2[index], control.scatter_freedom),
+    ):
+        phase_variance = min(variance_m2 / max(amplitude_m**2, np.finfo(np.float64).tiny), PHASE_VARIANCE_LIMIT)
+        yield _tracked(source, np.array([variance_m2, phase_variance]), averaging, freedom)
 
 
 def with_first_pulse(

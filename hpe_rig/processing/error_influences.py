@@ -20,7 +20,7 @@ import numpy as np
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.processing.budget import NO_AVERAGING, SPECKLE_KURTOSIS
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
-from hpe_rig.result import RECTIFIED, Averaging, Component, Estimate, Influence, Scope
+from hpe_rig.result import INDEPENDENT_SOURCES, RECTIFIED, Averaging, Component, Estimate, Influence, Scope
 
 NOISE_SOURCES = ("noise", "trigger jitter")
 COMMON_TO: dict[str, Scope] = {
@@ -115,7 +115,8 @@ def _budget_influence(source: str, estimates: Sequence[Estimate]) -> Influence:
     across_m = 1j * np.array([item.phase_rad for item in components]) * phasor_m
     if source in COMMON_TO:
         return Influence(source, np.stack([along_m, across_m], axis=1), COMMON_TO[source], source)
-    return Influence(source, np.hstack([np.diag(along_m), np.diag(across_m)]), "setting", source)
+    scope: Scope = "shot" if source in INDEPENDENT_SOURCES else "setting"
+    return Influence(source, np.hstack([np.diag(along_m), np.diag(across_m)]), scope, source)
 
 
 def _root(covariance_m2: FloatArray) -> ComplexArray:

@@ -11,6 +11,7 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths, RigidSphere
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.budget import with_second_order_speckle
+from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.estimators import Harmonic, Options, fit_motion, spec_of
 from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, Drift, drift_of, with_drift
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, MediumPosterior
@@ -50,20 +51,30 @@ class HarmonicFitter:
 
 
 def shot_fit(
-    scene: Scene, shot: Shot, stored: StoredRun, estimator: str, beams: BeamWidths | None = None
+    scene: Scene,
+    shot: Shot,
+    stored: StoredRun,
+    estimator: str,
+    beams: BeamWidths | None = None,
+    control: ControlMotion | None = None,
 ) -> HarmonicFit:
     """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
 
-    ``stored``: run with its records. Raises ``ValueError`` if the shot cannot be estimated.
+    ``stored``: run with its records. ``control``: motion without tonebursts, which is subtracted. Raises ``ValueError``
+    if the shot cannot be estimated.
     """
     spec, selection = spec_of(estimator), select(scene, shot)
     motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion)
+    if control is not None:
+        motion = motion.without(control.displacement_m(motion.tracked.time_s))
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
     fitter = HarmonicFitter.of(selection, spec.name, options)
     if scene.processing.drift == "none":
-        return fitter(motion.tracked)
-    drift = shot_drift(motion, selection, options, MAX_ITERATIONS)
-    return with_drift(fitter(motion.without(drift.change_m).tracked), drift)
+        fit = fitter(motion.tracked)
+    else:
+        drift = shot_drift(motion, selection, options, MAX_ITERATIONS)
+        fit = with_drift(fitter(motion.without(drift.change_m).tracked), drift)
+    return fit if control is None else control.with_error(fit)
 
 
 def shot_drift(motion: WindowMotion, selection: Selection, options: Options, max_iterations: int = 1) -> Drift:
@@ -118,7 +129,7 @@ def available_prior(scene: Scene, shot: Shot, beams: BeamWidths | None) -> Mediu
     length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
     sphere = None if scene.sphere is None else RigidSphere(scene.sphere.radius_m, scene.sphere.density_kg_per_m3)
     pushed = sphere or beams
-    if pushed is None or excitation is None or not length_s or scene.without_prior is not None:
+    if pushed is None or excitation is None or shot.is_control or not length_s or scene.without_prior is not None:
         return None
     if medium is None:
         return medium_prior(pushed, excitation.burst_rate_hz, length_s)

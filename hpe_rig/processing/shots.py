@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +14,7 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
+from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.echo.conditioning import gate_statistics
 from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
@@ -23,6 +25,7 @@ from hpe_rig.processing.harmonics.fit_checks import Line, residual_line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.quantisation import quantisation_m
 from hpe_rig.processing.motion_model import stored_motion
+from hpe_rig.processing.shot_controls import Controls, estimate_controls
 from hpe_rig.processing.shot_fitting import (
     HarmonicFitter,
     available_prior,
@@ -88,8 +91,8 @@ def estimate_run(
 
     ``averaging`` (frequency,): predicted beam averaging. With ``beams`` the fit uses the medium prior
     (``hpe_rig.medium.ensemble``), if scene and estimator allow it. If the scene declares no medium, that fit also
-    yields a posterior over media, and its beam averaging replaces the predicted one. A shot that cannot be
-    estimated is listed in ``failures`` and does not affect the others.
+    yields a posterior over media, and its beam averaging replaces the predicted one. The motion in the control of a
+    shot is subtracted. A shot that cannot be estimated is listed in ``failures`` and does not affect the others.
     """
     # Every window of every shot is tested: division by their number keeps the probability of a false warning in the
     # whole run at FALSE_ALARM_PROBABILITY (Bonferroni).
@@ -100,16 +103,19 @@ def estimate_run(
         sources=error_sources_of(scene, stored.simulated),
         false_alarm=FALSE_ALARM_PROBABILITY / max(len(plan.shots), 1) / len(scene.windows),
     )
+    controls = estimate_controls(scene, plan, stored, estimator)
     results, failures = list[ShotResult](), dict[int, str]()
     shots, pulses, _ = stored.records.shape
     # Results of very long runs do not hold the displacement of every pulse.
     with_motion, influence_bytes = shots * pulses * len(scene.windows) <= MOST_PULSES, 0
     for shot in plan.shots:
+        if shot.is_control:
+            continue
         if shot.index in stored.marks:
             failures[shot.index] = stored.marks[shot.index]
             continue
         try:
-            shot_results = _estimate_shot(scene, shot, stored, settings)
+            shot_results = _estimate_shot(scene, shot, stored, settings, controls)
         except ValueError as error:
             failures[shot.index] = str(error)
             continue
@@ -144,7 +150,9 @@ def estimate_records(scene: Scene, shot: Shot, records: GatedRecords, estimator:
     return result if shot_count * valid.size <= MOST_PULSES else replace(result, motion=None)
 
 
-def _estimate_shot(scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSettings) -> list[ShotResult]:
+def _estimate_shot(
+    scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSettings, controls: Controls
+) -> list[ShotResult]:
     """Return the result of one shot in each processing window; raise ``ValueError`` if one cannot be estimated.
 
     A scene with several windows of slow time (``scene.windows``) is estimated once in each, from the same records.
@@ -155,38 +163,54 @@ def _estimate_shot(scene: Scene, shot: Shot, stored: StoredRun, settings: _RunSe
     if stored.true_displacement_m is not None and scene.processing.drift == "none":
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     complete = bool(stored.shot_complete[shot.index])
-    return [_estimate_window(window, shot, records, settings, true_m, complete) for window in scene.windows]
+    of_windows = controls.motions.get(shot.index) or (None,) * len(scene.windows)
+    results = [
+        _estimate_window(window, shot, records, settings, true_m, complete, control)
+        for window, control in zip(scene.windows, of_windows, strict=True)
+    ]
+    if (reason := controls.failures.get(shot.index)) is None:
+        return results
+    warning = f"no control is subtracted ({reason}): motion without tonebursts, such as a hum, is in the values"
+    return [replace(result, warnings=(*result.warnings, warning)) for result in results]
 
 
 def _estimate_window(
-    scene: Scene, shot: Shot, records: ShotRecords, settings: _RunSettings, true_m: FloatArray | None, complete: bool
+    scene: Scene,
+    shot: Shot,
+    records: ShotRecords,
+    settings: _RunSettings,
+    true_m: FloatArray | None,
+    complete: bool,
+    control: ControlMotion | None = None,
 ) -> ShotResult:
     """Return amplitude and phase of every wanted frequency, with uncertainty budget and warnings, in one window.
 
     The window of slow time is that of ``scene``. ``records``: codes of the shot. ``true_m`` (frequency, 2): ground
-    truth, A cos(phase) and A sin(phase), None if unknown. ``complete``: the shot was recorded to its end.
+    truth, A cos(phase) and A sin(phase), None if unknown. ``complete``: the shot was recorded to its end. ``control``:
+    motion without tonebursts, which is subtracted.
     """
     spec, selection = settings.spec, select(scene, shot)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
     # Records to displacement of each pulse to harmonics.
     motion = window_motion(scene, shot, records, selection, spec.motion)
+    if control is not None:
+        motion = motion.without(control.displacement_m(motion.tracked.time_s))
     drift = _drift(scene, motion, selection, options, settings.false_alarm)
     removed_drift = drift if scene.processing.drift == "linear" else None
     if removed_drift is not None:
         motion = motion.without(removed_drift.change_m)
-    fit = _fit_with_aliasing(scene, shot, motion, selection, options, settings)
-    if removed_drift is not None:
-        fit = with_drift(fit, removed_drift)
-    sources = _error_sources(records, motion, fit, settings)
+    fit_of = partial(_fit_with_aliasing, scene, shot, selection=selection, options=options, settings=settings)
+    fit = fit_of(motion) if removed_drift is None else with_drift(fit_of(motion), removed_drift)
+    sources = replace(_error_sources(records, motion, fit, settings), control=control)
     reference = phase_reference_of(scene, shot)
     averaging = shot_averaging(scene, fit, settings.averaging)
     estimates = estimates_of(fit, sources, averaging, true_m, reference)
     if max(records.assignment.shifts):
-        alternatives = []
-        for late_s in records.assignment.alternatives_s(shot):
-            late_fit = _fit_with_aliasing(scene, shot, motion.delayed(late_s), selection, options, settings)
-            late_averaging = shot_averaging(scene, late_fit, settings.averaging)
-            alternatives.append(estimates_of(late_fit, sources, late_averaging, None, reference))
+        late_fits = [fit_of(motion.delayed(late_s)) for late_s in records.assignment.alternatives_s(shot)]
+        alternatives = [
+            estimates_of(late_fit, sources, shot_averaging(scene, late_fit, settings.averaging), None, reference)
+            for late_fit in late_fits
+        ]
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     recorded = records.gate.valid[selection.window]
     line = _line(motion, selection, options)
@@ -204,6 +228,7 @@ def _estimate_window(
         lateral_offset_m=shot.lateral_offset_m,
         axial_offset_m=shot.axial_offset_m,
         estimates=estimates,
+        control=() if control is None else estimates_of(control.fit, reference=reference),
         warnings=(
             *records.assignment.remarks,
             *_record_warnings(records, selection, motion, complete),

@@ -21,6 +21,7 @@ import numpy as np
 from hpe_rig.bench import settings_differences
 from hpe_rig.plan import phase_reference_of
 from hpe_rig.result import (
+    INDEPENDENT_SOURCES,
     PALETTE,
     RECTIFIED,
     REPEAT_SETTINGS,
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-INDEPENDENT_SOURCES = ("noise", "trigger jitter", RECTIFIED)
-"""Sources of uncertainty that are independent between shots; all others may be common to both runs."""
 SIGNIFICANCE = 0.01
 """Probability of a difference by chance below which the runs differ."""
 
@@ -195,7 +194,7 @@ def _points(result: Result) -> Points:
     for shot in result.shots:
         if (setting := _setting(shot)) not in repeated:
             for estimate in shot.estimates:
-                independent = [item for item in estimate.budget if item.source in INDEPENDENT_SOURCES]
+                independent = [item for item in estimate.budget if item.source in (*INDEPENDENT_SOURCES, RECTIFIED)]
                 noise_m = math.hypot(*(item.amplitude_m for item in independent))
                 noise_rad = math.hypot(*(item.phase_rad for item in independent))
                 point = _Point(f"{shot.shot + 1}", estimate.headline, noise_m, noise_rad)

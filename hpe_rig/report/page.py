@@ -26,6 +26,7 @@ from hpe_rig.result import (
     Result,
     ShotResult,
     Stages,
+    control_text,
     headline_sentence,
     main_shot,
     shot_warnings,
@@ -191,6 +192,8 @@ def _settings_texts(shot: ShotResult) -> list[str]:
     if shot.pulse_rate_error is not None and shot.pulse_rate_uncertainty is not None:
         error, u = shot.pulse_rate_error * 1e6, shot.pulse_rate_uncertainty * 1e6
         texts.append(f"pulse rate {error:+.2f} ppm from nominal by the digitizer's clock (u {u:.2g} ppm)")
+    if text := control_text([shot]):
+        texts.append(text)
     return texts
 
 

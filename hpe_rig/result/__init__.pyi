@@ -22,7 +22,11 @@ from .phase import (
 )
 from .print_symbols import symbols as symbols
 from .provenance import Provenance as Provenance, Stages as Stages
-from .repeats import REPEAT_SETTINGS as REPEAT_SETTINGS, RepeatMean as RepeatMean
+from .repeats import (
+    INDEPENDENT_SOURCES as INDEPENDENT_SOURCES,
+    REPEAT_SETTINGS as REPEAT_SETTINGS,
+    RepeatMean as RepeatMean,
+)
 from .result import Result as Result
 from .result_data import json_values as json_values, shot_warnings as shot_warnings
 from .rows import result_csv as result_csv
@@ -35,6 +39,7 @@ from .sentence import (
 )
 from .setting_text import (
     common_settings as common_settings,
+    control_text as control_text,
     setting_texts as setting_texts,
     varied_settings as varied_settings,
 )

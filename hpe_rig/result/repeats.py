@@ -24,7 +24,7 @@ from hpe_rig.result.interval import interval_95, phase_interval_95_rad, student_
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
 from hpe_rig.result.values import RECTIFIED, Estimate, Headline, ShotResult
 
-INDEPENDENT = ("noise", "trigger jitter")
+INDEPENDENT_SOURCES = ("noise", "trigger jitter", "control", "control scatter")
 """Sources that are independent between repeats; all others are common to them."""
 DETECTED_AMPLITUDE = 4.0
 """Amplitude over its u above which the phase is not that of noise."""
@@ -224,7 +224,7 @@ def _uncertainty(estimate: Estimate, independent: bool) -> Pair:
     components = [
         component
         for component in estimate.budget
-        if component.source != RECTIFIED and (component.source in INDEPENDENT) is independent
+        if component.source != RECTIFIED and (component.source in INDEPENDENT_SOURCES) is independent
     ]
     return math.hypot(*(item.amplitude_m for item in components)), math.hypot(*(item.phase_rad for item in components))
 

@@ -78,7 +78,9 @@ class ResultData:
         shot_tables = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
         for shot, table in zip(shots, shot_tables, strict=True):
             del table["motion"], table["influences"]
-            for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
+            for estimate, row in zip(
+                (*shot.estimates, *shot.control), (*table["estimates"], *table["control"]), strict=True
+            ):
                 row.update({name: getattr(estimate, name) for name in DERIVED})
         plain: dict[str, Any] = json_values(tables)
         return plain

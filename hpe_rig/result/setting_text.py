@@ -27,6 +27,21 @@ def setting_texts(item: ShotResult | RepeatMean, without: str = "") -> Iterator[
     yield from (f"{name} = {value:g}" for name, value in item.swept.items())
 
 
+def control_text(shots: Sequence[ShotResult]) -> str:
+    """Return in words the largest motion in the controls of ``shots``, "" without controls."""
+    motions = [estimate for shot in shots for estimate in shot.control]
+    if not motions:
+        return ""
+    largest = max(motions, key=lambda item: item.amplitude_m)
+    controls = len({shot.shot for shot in shots if shot.control})
+    where = "the control" if controls == 1 else f"{controls} controls"
+    amplitude_nm, u_nm = largest.amplitude_m * 1e9, largest.amplitude_uncertainty_m * 1e9
+    return (
+        f"motion in {where} with tonebursts off, subtracted: "
+        f"at most {amplitude_nm:.3g} nm (u {u_nm:.2g} nm) at {largest.frequency_hz:g} Hz"
+    )
+
+
 def common_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
     """Return the settings that are equal in all ``items``, for a title."""
     shared = set(setting_texts(items[0])).intersection(*(set(setting_texts(item)) for item in items))

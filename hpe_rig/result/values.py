@@ -252,7 +252,8 @@ class ShotResult:
     trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by
     name, read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse,
     None if not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its
-    standard uncertainty; None without trigger times. ``influences``: errors of the estimates by source.
+    standard uncertainty; None without trigger times. ``control``: tracked motion in the control of the shot, which has
+    been subtracted, at each frequency; empty without a control. ``influences``: errors of the estimates by source.
     """
 
     shot: int
@@ -274,6 +275,7 @@ class ShotResult:
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pulse_rate_error: float | None = None
     pulse_rate_uncertainty: float | None = None
+    control: tuple[Estimate, ...] = ()
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
     influences: tuple[Influence, ...] = field(default=(), repr=False, compare=False)
 

@@ -100,7 +100,7 @@ def _estimate_gate(
     averaging = predicted_averaging(scene, estimator, lateral_offsets_m)
     beams = beam_widths(scene, estimator, lateral_offsets_m)
     estimates = estimate_run(scene, plan, stored, estimator, averaging, beams)
-    motion = {shot.index: burst_period_motion(scene, shot, stored) for shot in plan.shots}
+    motion = {shot.index: burst_period_motion(scene, shot, stored) for shot in plan.shots if not shot.is_control}
     gates = []
     for shot in estimates.shots:
         time_s, displacement_m = (values.tolist() for values in motion[shot.shot])

@@ -207,6 +207,8 @@ def _conflicts(scene: Scene) -> Iterator[str]:
     processing = scene.processing
     if processing.harmonic == "medium_prior" and scene.without_prior is not None:
         yield f'processing.harmonic = "medium_prior" needs more, {scene.without_prior}: set harmonic = "least_squares"'
+    if scene.acquisition.control and scene.excitation is None:
+        yield "acquisition.control repeats shots with tonebursts off, and there is no [excitation]: remove control"
     if scene.sphere is not None and scene.beams is not None:
         yield "[sphere] moves as a whole, so that [beams] do not average its motion: remove one of the two"
     if scene.sphere is not None and (processing.gates or processing.gate_profile_step_m is not None):

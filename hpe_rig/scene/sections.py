@@ -105,6 +105,9 @@ class Acquisition(Section):
     """Time between master triggers; default: the length of the trains."""
     changed_settings: Literal["stop", "continue"] = "stop"
     """Action after a shot with changed settings; the shot is marked as untrusted in both cases."""
+    control: Annotated[bool, Field(strict=True)] = False
+    """Whether each shot is followed by its control, the same shot with the toneburst generator's output off. The motion
+    at the wanted frequencies in the control, such as a hum, is subtracted from that in the shot."""
 
 
 class Beams(Section):
