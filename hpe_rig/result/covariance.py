@@ -103,7 +103,12 @@ class Covariance:
         logarithm of y_2 / y_1, whose real part is the relative amplitude ratio and whose imaginary part the phase
         difference, rad. ``sources``: only these sources of uncertainty; by default all.
         """
-        columns = self._columns(sources)
+        columns, weights = self._columns(sources), np.asarray(weights, np.complex128)
+        if weights.shape != self.phasor_m.shape:
+            raise ValueError(
+                f"weights have the shape {weights.shape}, values {self.phasor_m.shape}. "
+                "Try: one weight for each shot and frequency, 0 for values that do not enter"
+            )
         # Error of the sum by column, then by variable: equal variables add up.
         by_column = np.einsum("rf,rfc->rc", np.nan_to_num(weights), self.influence_m[:, :, columns])
         numbers, index = np.unique(self.variable[:, columns], return_inverse=True)

@@ -134,7 +134,7 @@ def read_covariance(path: Path | str) -> Covariance:
             }
     except (OSError, KeyError, ValueError, RuntimeError) as error:
         raise StoreError(
-            f"{path} contains no covariance ({reason(error)}): it is no result file, or one of an earlier version. "
+            f"{path}: no covariance can be read ({reason(error)}). It is no result file, or one of an earlier version. "
             "Try: hpe-rig process with the run file, which writes the result file again."
         ) from error
     for name in ("phasor_m", "influence_m"):

@@ -142,14 +142,16 @@ def test_without_influences_no_covariance_is_stated(result: Result, tmp_path: Pa
     with pytest.raises(ValueError, match=r"holds no covariance: influences of its 3 shots exceed 200 MB"):
         without.covariance()
     write_result(tmp_path / "without.h5", without)
-    with pytest.raises(StoreError, match="contains no covariance"):
+    with pytest.raises(StoreError, match="no covariance can be read"):
         hpe.read_covariance(tmp_path / "without.h5")
     assert "influence_m" not in without.to_xarray()
 
 
-def test_an_unknown_source_is_named_with_those_there_are() -> None:
+def test_wrong_sources_and_weights_are_named_with_the_right_ones() -> None:
     with pytest.raises(ValueError, match=r"called nose.*noise, speckle, sound speed, aliasing, beam averaging"):
         covariance_of([shots()]).matrix_m2(["nose"])
+    with pytest.raises(ValueError, match=r"shape \(2,\), values \(3, 3\).*one weight for each shot and frequency"):
+        covariance_of([shots()]).combined(np.array([1.0, -1.0]))
 
 
 def test_gtc_propagates_the_same_covariance_and_reads_it_back_from_an_archive(result: Result) -> None:
@@ -196,5 +198,5 @@ def test_a_file_without_covariance_is_refused_with_a_remedy(result: Result, tmp_
     write_result(tmp_path / "old.h5", result)
     with h5py.File(tmp_path / "old.h5", "r+") as file:
         del file["covariance"]
-    with pytest.raises(StoreError, match=r"contains no covariance.*hpe-rig process"):
+    with pytest.raises(StoreError, match=r"no covariance can be read.*hpe-rig process"):
         hpe.read_covariance(tmp_path / "old.h5")
