@@ -3,8 +3,9 @@
 Sources. 33250A: docs/explanation/instruments.md, 1.4; its resolution: the manual (amplitude 0.1 mV or 4 digits,
 frequency 1 uHz or 9 digits). 33500 series: its manual's burst and pulse pages (count, 6 MHz limit of counted sine
 bursts, smallest width). Assumed: the 33600A has the same limit; offset and levels have the amplitude's resolution; from
-memory of the data sheets, the siblings' sine and pulse rates, edges, delays and resolution, and the 33220A's row. A
-series with several frequency options is listed with the lowest one.
+memory of the data sheets, the siblings' sine and pulse rates, edges, delays and resolution, the 33220A's row, and the
+accuracy of every clock (one year after adjustment, near 23 degrees Celsius). A series with several frequency options is
+listed with the lowest one.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ class GeneratorModel:
 
     ``sine_hz`` limits a continuous sine, ``burst_carrier_hz`` counted sine bursts; ``narrowest_s`` lists (period above
     which it applies, smallest width); ``edge_s`` is the fastest pulse edge; ``pattern`` matches the name in ``*IDN?``.
+    ``clock_accuracy`` is the largest relative error of the internal time base.
     """
 
     name: str
@@ -59,6 +61,7 @@ class GeneratorModel:
     pulse_node: str = "PULS"
     period_node: str = "PULS"
     frequency_resolution: Resolution = Resolution(1e-6, ALL_DIGITS)
+    clock_accuracy: float = 2e-6
 
     def header(self, header: str) -> str:
         """Return this model's header for a header of the 33250A."""
@@ -102,17 +105,17 @@ MODELS: Final = (
         name="33220A", pattern=r"33220A", pulse_node="FUNC:PULS",
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(500e-6, 5e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 50_000), delay_s=(0.0, 85.0), width_s=(20e-9, 2000.0), edge_s=5e-9,
-        narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
+        narrowest_s=((100.0, 2e-6), (10.0, 200e-9)), clock_accuracy=20e-6,
     ),
     GeneratorModel(
         name="33500B", pattern=r"335\d\d[AB]", pulse_node="FUNC:PULS", period_node="FUNC:PULS", channel_number=True,
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(1e-6, 20e6), burst_carrier_hz=(1e-6, 6e6),
-        cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(16e-9, 1e6), edge_s=8.4e-9,
+        cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(16e-9, 1e6), edge_s=8.4e-9, clock_accuracy=1e-6,
     ),
     GeneratorModel(
         name="33600A", pattern=r"336\d\dA", pulse_node="FUNC:PULS", period_node="FUNC:PULS", channel_number=True,
         sine_hz=(1e-6, 80e6), pulse_rate_hz=(1e-6, 80e6), burst_carrier_hz=(1e-6, 6e6),
-        cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(5e-9, 1e6), edge_s=2.9e-9,
+        cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(5e-9, 1e6), edge_s=2.9e-9, clock_accuracy=1e-6,
     ),
 )
 # fmt: on

@@ -42,6 +42,7 @@ class BoardModel:
         record_overhead_samples: samples of the memory that a record needs in addition to its length.
         max_records: of a single-port capture; ``old_fpga_records`` with FPGA versions up to ``old_fpga``.
         stamped_records: the library states the trigger times of the first so many single-port records.
+        clock_accuracy: largest relative error of the internal clock (data sheets, from memory; ATS9462 assumed).
     """
 
     name: str
@@ -64,6 +65,7 @@ class BoardModel:
     old_fpga: int = 0
     old_fpga_records: int = 0
     stamped_records: int = 1000
+    clock_accuracy: float = 2e-6
 
     @property
     def rate_ids(self) -> Mapping[float, int]:
@@ -122,6 +124,7 @@ ATS460_BOARD: Final = BoardModel(
     "ATS460", kind=7, code_bits=14, sample_rates_hz=_rates_from(1e3, 125e6), input_ranges_v=tuple(RANGE_IDS),
     record_minimum=128, record_multiple=16, npt_record_multiple=32, pre_trigger_multiple=64, trigger_delay_multiple=1,
     buffer_limit_bytes=4 * MIB, always_dual_port=False, old_fpga=18, old_fpga_records=1000,
+    clock_accuracy=25e-6,
 )
 MODELS: Final = (
     ATS460_BOARD,
@@ -135,7 +138,7 @@ MODELS: Final = (
     ),
     BoardModel(
         "ATS9462", kind=11, code_bits=16, sample_rates_hz=_rates_from(1e3, 125e6, 160e6, 180e6),
-        input_ranges_v=(0.2, 0.4, 0.8, 2.0, 4.0),
+        input_ranges_v=(0.2, 0.4, 0.8, 2.0, 4.0), clock_accuracy=25e-6,
     ),
     BoardModel(
         "ATS9870", kind=13, code_bits=8, sample_rates_hz=_rates_from(1e3, 250e6, 500e6, 1e9),

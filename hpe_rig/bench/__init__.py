@@ -6,6 +6,7 @@ In the order of the flow:
     bench_loading   bench files from a path or text, their wiring checked
     commissioned    digest of the instruments and cables that a commissioning proves
     twin            the simulation that a scene declares, as one typed value
+    clocks          how far the clocks of motion, pulses and digitizer may differ
     push_scan       hydrophone scan of the push
     twin_checks     mistakes in [simulation], and settings that differ from the scene's
     interrupts      Ctrl-C, SIGTERM and closed terminals while outputs may be on

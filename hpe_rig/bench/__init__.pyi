@@ -17,6 +17,7 @@ from .bench_loading import (
     with_title as with_title,
     with_transducers as with_transducers,
 )
+from .clocks import clock_covariance as clock_covariance
 from .commissioned import commissioned_digest as commissioned_digest
 from .comparison import (
     file_differences as file_differences,

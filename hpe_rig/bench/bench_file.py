@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field
 
-from drivers.agilent import MODEL_NAMES
+from drivers.agilent import MODEL_NAMES, MODELS
 from drivers.alazar import BOARD_NAMES, BoardModel, model_named
 from drivers.visa import Handshake, Termination
 from hpe_rig.scene import (
@@ -84,6 +84,8 @@ BoardName = Annotated[str, *_choice(BOARD_NAMES)]
 GeneratorName = Annotated[str, *_choice(MODEL_NAMES)]
 """Name of a generator or a series of generators that has a driver."""
 
+ClockAccuracy = Annotated[float, Field(gt=0, le=1e-2, strict=True)]
+"""Relative error of a clock's rate."""
 Serial = Annotated[str, Field(pattern=r"^[ -~]{0,64}$", strict=True)]
 """Serial number or label of an instrument, in printable ASCII."""
 NO_SERIAL = "none"
@@ -118,6 +120,16 @@ class Generator(Section):
     """Largest voltage into the load that the connected device tolerates; the driver refuses more."""
     carrier_band_hz: tuple[FrequencyHz, FrequencyHz] | None = None
     """Lowest and highest carrier that the transducer at this output may be driven with; default: not limited."""
+    clock_accuracy: ClockAccuracy | None = None
+    """Relative standard uncertainty of its internal clock's rate; default: the limit in the model's data sheet."""
+    common_reference: Annotated[bool, Field(strict=True)] = False
+    """Whether its clock is locked to the 10 MHz reference that the instruments with this key share."""
+
+    @property
+    def clock_uncertainty(self) -> float:
+        """Relative standard uncertainty of the internal clock, the model's default filled in."""
+        by_model = {model.name: model.clock_accuracy for model in MODELS}
+        return self.clock_accuracy or by_model[self.model]
 
 
 class Generators(Section):
@@ -173,6 +185,15 @@ class DigitizerBoard(Section):
     """Capture mode; default: AutoDMA with record headers if there is dual-port memory, otherwise single port."""
     monitor_range_v: VoltageV | None = None
     """Input range of channel B, which is recorded in addition to the echoes on channel A; default: not recorded."""
+    clock_accuracy: ClockAccuracy | None = None
+    """Relative standard uncertainty of its internal clock's rate; default: the limit in the model's data sheet."""
+    common_reference: Annotated[bool, Field(strict=True)] = False
+    """Whether its clock is locked to the 10 MHz reference that the instruments with this key share."""
+
+    @property
+    def clock_uncertainty(self) -> float:
+        """Relative standard uncertainty of the internal clock, the model's default filled in."""
+        return self.clock_accuracy or self.board_model.clock_accuracy
 
     @property
     def mode(self) -> Literal["single_port", "traditional", "npt"]:

@@ -102,6 +102,17 @@ class TwinDeclaration:
         return {name: getattr(instruments, name) for name in ("trigger_jitter_s", "sample_clock_jitter_s")}
 
     @property
+    def has_clock_errors(self) -> bool:
+        """Whether instruments have clocks of their own, whose rates differ; False: all share one reference."""
+        instruments = self.settings.instruments
+        return bool(instruments.sample_clock_offset) or any(instruments.clock_error.model_dump().values())
+
+    @property
+    def burst_clock_rate(self) -> float:
+        """True rate of the burst train's clock over its nominal rate; only the ground truth may use it."""
+        return 1 + float(self.settings.instruments.clock_error.burst_train)
+
+    @property
     def focus_depth_m(self) -> float:
         """Distance from the tracking transducer to the common focus, the centre of the scatterers."""
         return self.settings.beams.tracked_from_m

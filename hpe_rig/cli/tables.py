@@ -22,6 +22,7 @@ from hpe_rig.result import (
     common_settings,
     control_text,
     estimate_at,
+    frequency_error_text,
     headline_sentence,
     lead_frequency_hz,
     rich_table,
@@ -311,7 +312,8 @@ def _budget_line(shot: ShotResult) -> str:
         for item in components
         if _variance_fraction(item, lead) >= MIN_VARIANCE_FRACTION
     ]
-    return f"u at {lead.frequency_hz:g} Hz: {', '.join(words)}"
+    clock = frequency_error_text(shot)
+    return f"u at {lead.frequency_hz:g} Hz: {', '.join(words)}" + (f"\n{clock}" if clock else "")
 
 
 def _variance_fraction(component: Component, estimate: Estimate) -> float:

@@ -14,6 +14,7 @@
     control.py         motion without tonebursts, and the uncertainty of its subtraction
     shot_controls.py   motion in the controls of a stored run
     shot_fitting.py    harmonic fit of a shot: options, prior, beam averaging
+    time_base.py       rate error of the motion's clock by that of the pulses
     motion_model.py    fitted displacement of each pulse
     shot_warnings.py   warnings of a shot
     shots.py           estimates of every shot of a stored run

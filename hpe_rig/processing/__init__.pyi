@@ -46,7 +46,6 @@ from .motion_model import fitted_motion as fitted_motion
 from .shot_controls import estimate_controls as estimate_controls
 from .shot_fitting import (
     options_of as options_of,
-    shot_fit as shot_fit,
     shot_model as shot_model,
     shot_prior as shot_prior,
 )
@@ -58,3 +57,4 @@ from .shot_tracking import (
     shot_motion as shot_motion,
 )
 from .shots import Estimates as Estimates, estimate_records as estimate_records, estimate_run as estimate_run
+from .time_base import shot_fit as shot_fit

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import PhaseReference
 from hpe_rig.processing.control import ControlMotion
@@ -37,6 +37,9 @@ class ErrorSources:
     gate. ``quantisation_m``: for each frequency along and across its phasor; empty if noise dithers the codes.
     ``carrier_relative``: difference of the echo's mean frequency from the carrier, for estimators that divide by the
     carrier, unless the averaging predicts it. ``control``: motion without tonebursts, already subtracted.
+    ``time_base_m`` (frequency,): change of each phasor by one standard uncertainty of the rate error, with
+    ``time_base_freedom`` degrees of freedom; None for one common clock. ``time_base_clock_fraction``: part of its
+    variance that is common to all shots.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -47,6 +50,9 @@ class ErrorSources:
     quantisation_m: tuple[tuple[float, float], ...] = ()
     carrier_relative: float = 0.0
     control: ControlMotion | None = None
+    time_base_m: ComplexArray | None = None
+    time_base_freedom: float = math.inf
+    time_base_clock_fraction: float = 1.0
 
     @property
     def rounding_m(self) -> float:
@@ -164,6 +170,7 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
         Component("gate off focus", averaging.offset_relative * peak_m, 0.0),
         *(Component(source, relative * peak_m, 0.0) for source, relative in optional if relative),
         *((_tracked("drift", drift, averaging),) if drift.any() else ()),
+        *_time_base_components(fit, index, sources, averaging),
     )
 
 
@@ -182,6 +189,19 @@ def _control_components(
     ):
         phase_variance = min(variance_m2 / max(amplitude_m**2, np.finfo(np.float64).tiny), PHASE_VARIANCE_LIMIT)
         yield _tracked(source, np.array([variance_m2, phase_variance]), averaging, freedom)
+
+
+def _time_base_components(
+    fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging
+) -> tuple[Component, ...]:
+    """Return the uncertainty of frequency ``index`` of ``fit`` from the clocks' rate error; none for one clock."""
+    if sources.time_base_m is None:
+        return ()
+    # In the direction of the phasor and across it; the latter over the amplitude is the phase.
+    change_m = complex(sources.time_base_m[index]) * np.exp(-1j * float(fit.phase_rad[index]))
+    phase_rad = abs(change_m.imag) / max(float(fit.amplitude_m[index]), np.finfo(np.float64).tiny)
+    variance = np.array([change_m.real**2, min(phase_rad**2, PHASE_VARIANCE_LIMIT)])
+    return (_tracked("time base", variance, averaging, sources.time_base_freedom),)
 
 
 def with_first_pulse(

@@ -8,14 +8,26 @@ from __future__ import annotations
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.plan import Shot
+from hpe_rig.plan import Shot, select
 from hpe_rig.processing.harmonics.model import linear_model
-from hpe_rig.processing.shot_tracking import shot_displacement
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.motion.phase_shift import coherent
+from hpe_rig.processing.shot_tracking import read_shot
+from hpe_rig.processing.time_base import clocks_of, timed_motion
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun
 
 BIN_LIMITS = (8, 200)
 """Smallest and largest number of bins of the burst period."""
+
+
+def _displacement(scene: Scene, shot: Shot, stored: StoredRun) -> Motion:
+    """Return the displacement by the estimator "coherent" in the processing window, timed by the clock of the bursts.
+
+    Raises ``ValueError`` if there are no records or the echoes carry no displacement.
+    """
+    records, clocks = read_shot(scene, shot, stored), clocks_of(scene, stored)
+    return timed_motion(scene, shot, records, coherent, clocks, None)[0].tracked
 
 
 def displacement_residual_m(scene: Scene, shot: Shot, stored: StoredRun) -> FloatArray | None:
@@ -24,7 +36,7 @@ def displacement_residual_m(scene: Scene, shot: Shot, stored: StoredRun) -> Floa
     The fit has all harmonics and the background. Invalid pulses are NaN.
     """
     try:
-        motion, selection = shot_displacement(scene, shot, stored)
+        selection, motion = select(scene, shot), _displacement(scene, shot, stored)
         matrix = linear_model(
             motion.time_s,
             motion.valid,
@@ -50,7 +62,7 @@ def burst_period_motion(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[Fl
     if scene.excitation is None:
         return empty
     try:
-        motion, _ = shot_displacement(scene, shot, stored)
+        motion = _displacement(scene, shot, stored)
     except ValueError:
         return empty
     # Mean displacement of the pulses in each bin of the burst period.

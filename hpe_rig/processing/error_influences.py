@@ -7,6 +7,7 @@ frequencies, as influences of independent variables (result/covariance.py):
     aliasing                 error in each medium of the ensemble, common to a run; beyond the ensemble, to repeats
     beam averaging           deviation in each medium of the ensemble: the variables of aliasing
     speckle                  scatterers at one position; to second order as well
+    time base                the clocks, common to a run; noise of a shot's displacement
     other sources            of the budget: `COMMON_TO` states what they are common to
 """
 
@@ -18,7 +19,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.processing.budget import NO_AVERAGING, SPECKLE_KURTOSIS
+from hpe_rig.processing.budget import NO_AVERAGING, SPECKLE_KURTOSIS, ErrorSources
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.result import INDEPENDENT_SOURCES, RECTIFIED, Averaging, Component, Estimate, Influence, Scope
 
@@ -32,7 +33,6 @@ COMMON_TO: dict[str, Scope] = {
     "carrier": "position",
     "beam shape": "run",
     "first pulse": "shot",
-    "time base": "run",
 }
 """Shots that have an error in common, for sources whose error has the same sign at all frequencies of a shot."""
 
@@ -42,11 +42,12 @@ def error_influences(
     estimates: Sequence[Estimate],
     averaging: Sequence[Averaging | None],
     averaging_of_media: bool,
+    error_sources: ErrorSources,
 ) -> tuple[Influence, ...]:
     """Return the errors of the headline phasors of ``estimates``, by source.
 
-    ``fit`` and ``averaging`` (frequency,): what ``estimates`` were made of. ``averaging_of_media``: that averaging is a
-    mean over the media that the fit leaves probable.
+    ``fit``, ``averaging`` (frequency,) and ``error_sources``: what ``estimates`` were made of.
+    ``averaging_of_media``: that averaging is a mean over the media that the fit leaves probable.
     """
     best = fit if None in averaging or fit.aliasing_corrected is None else fit.aliasing_corrected
     phasor_m = np.array([estimate.phasor_m for estimate in estimates])
@@ -54,8 +55,9 @@ def error_influences(
     factor = np.array([1 / (estimate.averaging_factor or 1.0) for estimate in estimates])
     factor = factor * np.exp(1j * (np.angle(phasor_m) - best.phase_rad))
     media = list(_media_influences(best, averaging, averaging_of_media, phasor_m, factor))
-    influences = [*_noise_influences(best, estimates, factor), *media]
-    described = {*NOISE_SOURCES, RECTIFIED, "drift", *(influence.source for influence in media)}
+    clocks = list(_time_base_influences(error_sources, factor))
+    influences = [*_noise_influences(best, estimates, factor), *media, *clocks]
+    described = {"time base", *NOISE_SOURCES, RECTIFIED, "drift", *(influence.source for influence in media)}
     sources = dict.fromkeys(item.source for estimate in estimates for item in estimate.budget)
     influences += [_budget_influence(source, estimates) for source in sources if source not in described]
     return tuple(item for item in influences if item.source in NOISE_SOURCES or item.influence_m.any())
@@ -76,6 +78,15 @@ def _noise_influences(fit: HarmonicFit, estimates: Sequence[Estimate], factor: C
     for source, item in components.items():
         fraction = item.amplitude_m / total_m if total_m else 1.0 / math.sqrt(len(components))
         yield Influence(source, influence_m * fraction, "shot", source, item.degrees_of_freedom)
+
+
+def _time_base_influences(sources: ErrorSources, factor: ComplexArray) -> Iterator[Influence]:
+    """Yield the influences of the rate error: that of the clocks, and that of the displacement which narrows it."""
+    if sources.time_base_m is not None:
+        influence_m, fraction = (sources.time_base_m * factor)[:, None], sources.time_base_clock_fraction
+        yield Influence("time base", influence_m * math.sqrt(fraction), "run", "clocks")
+        of_shot_m = influence_m * math.sqrt(1 - fraction)
+        yield Influence("time base", of_shot_m, "shot", "time base", sources.time_base_freedom)
 
 
 def _media_influences(

@@ -47,13 +47,16 @@ def _specimen_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArr
     from hpe_rig.processing.harmonics.harmonic_fit import least_squares
     from hpe_rig.processing.motion.displacement import Motion
 
-    sensing_s = shot.timeline.sensing_s[select(scene, shot).window]
+    zero_s, sensing_s = shot.timeline.time_zero_s, shot.timeline.sensing_s[select(scene, shot).window]
     length_s = float(sensing_s[-1] - sensing_s[0])
     time_s = sensing_s[0] + _sample_times_s(scene, length_s)
-    displacement_m = motion_m(time_s)
+    # Phases count by the clock of the bursts, as those of the fit.
+    twin = twin_of(scene)
+    rate = 1.0 if twin is None else twin.burst_clock_rate
+    displacement_m = motion_m(time_s if rate == 1 else zero_s + (time_s - zero_s) / rate)
     displacement_m = displacement_m - _creep_m(scene, time_s, displacement_m)
     motion = Motion(
-        time_s=time_s - shot.timeline.time_zero_s,
+        time_s=time_s - zero_s,
         displacement_m=displacement_m,
         variance_m2=np.zeros(time_s.size),
         valid=np.ones(time_s.size, bool),

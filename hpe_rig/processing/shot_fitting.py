@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,19 +10,15 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import BeamWidths, RigidSphere
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.budget import with_second_order_speckle
-from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.estimators import Harmonic, Options, fit_motion, spec_of
-from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, Drift, drift_of, with_drift
+from hpe_rig.processing.harmonics.drift import Drift, drift_of
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, MediumPosterior
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
 from hpe_rig.processing.harmonics.model import LinearModel, linear_model
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.processing.shot_tracking import WindowMotion, read_shot, window_motion
+from hpe_rig.processing.shot_tracking import WindowMotion
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Processing, Scene
-
-if TYPE_CHECKING:
-    from hpe_rig.store import StoredRun
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,33 +43,6 @@ class HarmonicFitter:
     def __call__(self, motion: Motion) -> HarmonicFit:
         """Return amplitude and phase of ``motion`` at the wanted frequencies."""
         return fit_motion(motion, self.wanted_hz, self.estimator, self.driven_hz, self.options)
-
-
-def shot_fit(
-    scene: Scene,
-    shot: Shot,
-    stored: StoredRun,
-    estimator: str,
-    beams: BeamWidths | None = None,
-    control: ControlMotion | None = None,
-) -> HarmonicFit:
-    """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
-
-    ``stored``: run with its records. ``control``: motion without tonebursts, which is subtracted. Raises ``ValueError``
-    if the shot cannot be estimated.
-    """
-    spec, selection = spec_of(estimator), select(scene, shot)
-    motion = window_motion(scene, shot, read_shot(scene, shot, stored), selection, spec.motion)
-    if control is not None:
-        motion = motion.without(control.displacement_m(motion.tracked.time_s))
-    options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
-    fitter = HarmonicFitter.of(selection, spec.name, options)
-    if scene.processing.drift == "none":
-        fit = fitter(motion.tracked)
-    else:
-        drift = shot_drift(motion, selection, options, MAX_ITERATIONS)
-        fit = with_drift(fitter(motion.without(drift.change_m).tracked), drift)
-    return fit if control is None else control.with_error(fit)
 
 
 def shot_drift(motion: WindowMotion, selection: Selection, options: Options, max_iterations: int = 1) -> Drift:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.plan import Selection, Shot, reference_gate, select
+from hpe_rig.plan import Selection, Shot, reference_gate
 from hpe_rig.processing.echo.conditioning import (
     CodedVolts,
     GateStatistics,
@@ -152,15 +152,6 @@ def _coherent_or_none(scene: Scene, shot: Shot, echoes: EchoGate) -> Motion | No
         return shot_motion(scene, shot, echoes, coherent)
     except ValueError:
         return None
-
-
-def shot_displacement(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[Motion, Selection]:
-    """Return the displacement in the processing window by the estimator "coherent", and the selected pulses.
-
-    Raises ``ValueError`` if there are no records or the echoes carry no displacement.
-    """
-    selection = select(scene, shot)
-    return window_motion(scene, shot, read_shot(scene, shot, stored), selection, coherent).tracked, selection
 
 
 def shot_echoes(

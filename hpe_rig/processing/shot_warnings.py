@@ -11,9 +11,10 @@ from hpe_rig.processing.first_pulse import PulseAssignment, triggers
 from hpe_rig.processing.harmonics.drift import Drift
 from hpe_rig.processing.harmonics.fit_checks import Line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_tracking import DAMAGED
-from hpe_rig.processing.tracking_rate import TrackingRate
+from hpe_rig.processing.time_base import TimeBase
 from hpe_rig.result import DETECTED, Estimate, with_u
 from hpe_rig.scene import Scene
 
@@ -147,25 +148,46 @@ def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: floa
         )
 
 
-def clock_warnings(rate: TrackingRate | None, estimates: Sequence[Estimate], pulse_time_s: FloatArray) -> Iterator[str]:
-    """Yield a warning if the measured pulse rate is off by so much that a phase may be wrong by more than its u.
+def clock_warnings(
+    time_base: TimeBase, estimates: Sequence[Estimate], pulse_time_s: FloatArray, has_bursts: bool
+) -> Iterator[str]:
+    """Yield a warning of clocks that differ by more than stated, and of a significant rate error that changes a result.
 
-    The fit takes the nominal times of the pulses, ``pulse_time_s`` (pulse,).
+    ``pulse_time_s`` (pulse,): nominal times. ``has_bursts``: tonebursts of the bench make the motion.
     """
-    if rate is None or not rate.is_significant:
+    rate, error = time_base.tracking_rate, time_base.by_pulses
+    if rate is not None and time_base.differs_from_bench:
+        yield (
+            f"by the digitizer's clock the tracking train is {_ppm_text(rate.error, rate.uncertainty)}, more than "
+            "clock_accuracy and common_reference of the two explain: correct them in the bench file, or check the "
+            "10 MHz reference"
+        )
+    if abs(error.value) <= SIGNIFICANT * error.uncertainty:
         return
     # Times that are wrong by e t shift a phase by 2 pi f e t, on average that of the mean time.
-    per_hz = 2 * np.pi * abs(rate.error * float(pulse_time_s.mean()))
+    per_hz = 2 * np.pi * abs(error.value * float(pulse_time_s.mean()))
     worst = max(estimates, key=lambda item: item.frequency_hz / max(item.headline.phase_uncertainty_rad, 1e-300))
-    error_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
-    if error_rad > u_rad:
-        yield (
-            f"by the digitizer's clock the tracking train is {with_u(abs(rate.error) * 1e6, rate.uncertainty * 1e6)} "
-            f"ppm {'fast' if rate.error > 0 else 'slow'}, which the results do not correct: if the train's clock is "
-            f"the wrong one, the phase at {worst.frequency_hz:g} Hz is off by "
-            f"{np.degrees(error_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg); connect a common 10 MHz reference, or "
-            "shorten processing.window_length_s"
+    shift_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
+    if shift_rad > u_rad:
+        stated = time_base.by_digitizer or error
+        clock = "digitizer" if time_base.by_digitizer else "tracking train"
+        subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
+        beyond = (
+            ", more than clock_accuracy explains, unless the motion's delay grows as in tissue that warms"
+            if time_base.exceeds_accuracy
+            else ""
         )
+        change = f"{np.degrees(shift_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg)"
+        yield (
+            f"{subject} is {_ppm_text(stated.value, stated.uncertainty)} of the {clock}'s{beyond}: the times of the "
+            f"pulses are corrected, which changes the phase at {worst.frequency_hz:g} Hz by {change}; a common 10 MHz "
+            "reference (common_reference in the bench file) makes this correction unnecessary"
+        )
+
+
+def _ppm_text(error: float, uncertainty: float) -> str:
+    """Return a relative rate error with its standard uncertainty in words."""
+    return f"{with_u(abs(error) * 1e6, uncertainty * 1e6)} ppm {'fast' if error > 0 else 'slow'}"
 
 
 def drift_warnings(

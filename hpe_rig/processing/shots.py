@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
@@ -35,7 +35,7 @@ from hpe_rig.processing.shot_fitting import (
     shot_drift,
     shot_prior,
 )
-from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot, window_motion
+from hpe_rig.processing.shot_tracking import NO_RECORDS, ShotRecords, WindowMotion, read_shot
 from hpe_rig.processing.shot_warnings import (
     clock_warnings,
     drift_warnings,
@@ -47,6 +47,7 @@ from hpe_rig.processing.shot_warnings import (
     record_warnings,
     setting_warnings,
 )
+from hpe_rig.processing.time_base import TimeBase, clocks_of, phasor_influence_m, timed_motion
 from hpe_rig.result import MAX_INFLUENCE_BYTES, MOST_PULSES, Averaging, ShotResult
 from hpe_rig.scene import Scene
 
@@ -70,6 +71,7 @@ class _RunSettings:
     """Settings that the shots of a run share.
 
     ``averaging`` (frequency,): predicted beam averaging. ``false_alarm``: probability of a false warning per window.
+    ``clocks`` (3, 3): covariance of the rate errors of motion, pulses and digitizer; None if nothing is known of them.
     """
 
     spec: EstimatorSpec
@@ -77,6 +79,7 @@ class _RunSettings:
     beams: BeamWidths | None
     sources: ErrorSources
     false_alarm: float
+    clocks: FloatArray | None
 
 
 def estimate_run(
@@ -102,6 +105,7 @@ def estimate_run(
         beams=beams,
         sources=error_sources_of(scene, stored.simulated),
         false_alarm=FALSE_ALARM_PROBABILITY / max(len(plan.shots), 1) / len(scene.windows),
+        clocks=clocks_of(scene, stored),
     )
     controls = estimate_controls(scene, plan, stored, estimator)
     results, failures = list[ShotResult](), dict[int, str]()
@@ -143,6 +147,7 @@ def estimate_records(scene: Scene, shot: Shot, records: GatedRecords, estimator:
         beams=None,
         sources=error_sources_of(scene, simulated=False),
         false_alarm=FALSE_ALARM_PROBABILITY / shot_count,
+        clocks=None,
     )
     placement = Placement(np.where(valid, np.arange(valid.size), -1), valid, np.zeros(valid.size, bool))
     shot_records = ShotRecords(records, gate_statistics(records), None, PulseAssignment(placement))
@@ -192,16 +197,15 @@ def _estimate_window(
     spec, selection = settings.spec, select(scene, shot)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
     # Records to displacement of each pulse to harmonics.
-    motion = window_motion(scene, shot, records, selection, spec.motion)
-    if control is not None:
-        motion = motion.without(control.displacement_m(motion.tracked.time_s))
+    motion, time_base = timed_motion(scene, shot, records, spec.motion, settings.clocks, settings.beams, control)
     drift = _drift(scene, motion, selection, options, settings.false_alarm)
     removed_drift = drift if scene.processing.drift == "linear" else None
     if removed_drift is not None:
         motion = motion.without(removed_drift.change_m)
     fit_of = partial(_fit_with_aliasing, scene, shot, selection=selection, options=options, settings=settings)
     fit = fit_of(motion) if removed_drift is None else with_drift(fit_of(motion), removed_drift)
-    sources = replace(_error_sources(records, motion, fit, settings), control=control)
+    time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base)
+    sources = replace(_error_sources(records, motion, fit, settings, time_base, time_base_m), control=control)
     reference = phase_reference_of(scene, shot)
     averaging = shot_averaging(scene, fit, settings.averaging)
     estimates = estimates_of(fit, sources, averaging, true_m, reference)
@@ -237,20 +241,30 @@ def _estimate_window(
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
             *drift_warnings(drift, estimates, settings.false_alarm, is_removed=removed_drift is not None),
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),
-            *clock_warnings(records.tracking_rate, estimates, motion.echoes.pulse_time_s),
+            *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s, scene.excitation is not None),
         ),
         pulse_rate_error=rate.error if (rate := records.tracking_rate) else None,
         pulse_rate_uncertainty=rate.uncertainty if rate else None,
+        frequency_error=time_base.by_pulses.value if time_base.is_uncertain else None,
+        frequency_error_uncertainty=time_base.by_pulses.uncertainty if time_base.is_uncertain else None,
         complete=complete,
-        influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging),
+        influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
 
 
 def _error_sources(
-    records: ShotRecords, motion: WindowMotion, fit: HarmonicFit, settings: _RunSettings
+    records: ShotRecords,
+    motion: WindowMotion,
+    fit: HarmonicFit,
+    settings: _RunSettings,
+    time_base: TimeBase,
+    time_base_m: ComplexArray | None,
 ) -> ErrorSources:
-    """Return the sources of uncertainty of the scene with those that depend on the shot."""
+    """Return the sources of uncertainty of the scene with those that depend on the shot.
+
+    ``time_base_m`` (frequency,): influence of the rate error.
+    """
     spec = settings.spec
     return replace(
         settings.sources,
@@ -260,6 +274,9 @@ def _error_sources(
         if motion.coherent is None
         else quantisation_m(motion.echoes, records.gate.volts_per_code, motion.coherent, fit),
         carrier_relative=carrier_error(motion.measured, motion.measured_coherent) if spec.by_carrier else 0.0,
+        time_base_m=time_base_m,
+        time_base_freedom=time_base.by_pulses.degrees_of_freedom,
+        time_base_clock_fraction=time_base.by_pulses.clock_fraction,
     )
 
 

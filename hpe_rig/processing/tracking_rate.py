@@ -26,8 +26,6 @@ MIN_TIMES: Final = 10
 """Number of trigger times below which no rate is measured."""
 MAX_STEP_SAMPLES: Final = 16
 """Largest step of the counter of trigger times, in samples (assumed: boards count 1 to 16)."""
-SIGNIFICANT: Final = 3.0
-"""Smallest significant error of the rate, in standard uncertainties."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +34,6 @@ class TrackingRate:
 
     error: float
     uncertainty: float
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the error differs from zero by more than its uncertainty explains."""
-        return abs(self.error) > SIGNIFICANT * self.uncertainty
 
 
 def measured_rate(

@@ -27,6 +27,7 @@ from hpe_rig.result import (
     ShotResult,
     Stages,
     control_text,
+    frequency_error_text,
     headline_sentence,
     main_shot,
     shot_warnings,
@@ -194,6 +195,8 @@ def _settings_texts(shot: ShotResult) -> list[str]:
         texts.append(f"pulse rate {error:+.2f} ppm from nominal by the digitizer's clock (u {u:.2g} ppm)")
     if text := control_text([shot]):
         texts.append(text)
+    if clock_text := frequency_error_text(shot):
+        texts.append(clock_text)
     return texts
 
 

@@ -32,6 +32,7 @@ from .result_data import json_values as json_values, shot_warnings as shot_warni
 from .rows import result_csv as result_csv
 from .sentence import (
     estimate_at as estimate_at,
+    frequency_error_text as frequency_error_text,
     headline_sentence as headline_sentence,
     lead_frequency_hz as lead_frequency_hz,
     scale_of as scale_of,

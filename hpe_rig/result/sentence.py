@@ -69,6 +69,14 @@ def estimate_at(shot: ShotResult, frequency_hz: float) -> Estimate:
     return min(shot.estimates, key=lambda estimate: abs(estimate.frequency_hz - frequency_hz))
 
 
+def frequency_error_text(shot: ShotResult) -> str:
+    """Return the rate error of the motion's clock in words; "" for one common clock."""
+    if shot.frequency_error is None or shot.frequency_error_uncertainty is None:
+        return ""
+    error, u = shot.frequency_error * 1e6, shot.frequency_error_uncertainty * 1e6
+    return f"motion's frequencies {with_u(error, u)} ppm from nominal by the clock of the pulses, corrected"
+
+
 def with_u(value: float, uncertainty: float) -> str:
     """Return ``value`` +- ``uncertainty``, both with the decimals of two digits of the uncertainty."""
     return f"{plain(value, uncertainty)} +- {plain(uncertainty, uncertainty)}"

@@ -252,8 +252,10 @@ class ShotResult:
     trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by
     name, read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse,
     None if not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its
-    standard uncertainty; None without trigger times. ``control``: tracked motion in the control of the shot, which has
-    been subtracted, at each frequency; empty without a control. ``influences``: errors of the estimates by source.
+    standard uncertainty; None without trigger times. ``frequency_error``: relative error of the motion's frequencies
+    (of the burst rate) by the clock of the pulses, which the estimates are corrected for, with its standard
+    uncertainty; None for one common clock. ``control``: tracked motion in the control of the shot, which has been
+    subtracted, at each frequency; empty without a control. ``influences``: errors of the estimates by source.
     """
 
     shot: int
@@ -276,6 +278,8 @@ class ShotResult:
     pulse_rate_error: float | None = None
     pulse_rate_uncertainty: float | None = None
     control: tuple[Estimate, ...] = ()
+    frequency_error: float | None = None
+    frequency_error_uncertainty: float | None = None
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
     influences: tuple[Influence, ...] = field(default=(), repr=False, compare=False)
 

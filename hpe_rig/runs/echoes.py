@@ -38,6 +38,7 @@ class EchoSettings:
     frequencies_hz: Sequence[float]
     sound_speed_m_per_s: float
     margin: tuple[int, int]
+    frequency_accuracy: float
 
     def refuse_mistakes(self, samples: int) -> None:
         """Raise ``ValueError`` with every setting that is not positive, or if no gate is left of the ``samples``."""
@@ -46,6 +47,8 @@ class EchoSettings:
         mistakes = [f"{name} is {value:g}" for name, value in values.items() if not 0 < value < np.inf]
         if mistakes:
             raise ValueError(f"{', '.join(mistakes)}: each must be positive and finite")
+        if not 0 <= self.frequency_accuracy <= 1e-2:
+            raise ValueError(f"frequency_accuracy is {self.frequency_accuracy:g}: a relative value from 0 to 0.01")
         if min(self.margin) < 0 or sum(self.margin) >= samples:
             raise ValueError(f"margins of {self.margin} samples leave no gate in records of {samples}")
 
@@ -108,7 +111,11 @@ def _scene(settings: EchoSettings, pulses: int, samples: int, estimator: Estimat
             sample_rate_hz=settings.sample_rate_hz,
             record_samples=samples,
         ),
-        processing=Processing.model_construct(frequencies_hz=tuple(settings.frequencies_hz), estimator=estimator),
+        processing=Processing.model_construct(
+            frequencies_hz=tuple(settings.frequencies_hz),
+            frequency_accuracy=settings.frequency_accuracy,
+            estimator=estimator,
+        ),
     )
 
 

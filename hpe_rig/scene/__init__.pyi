@@ -60,6 +60,7 @@ from .quantities import (
 from .scene import Scene as Scene, ScenePoint as ScenePoint, scene_mistakes as scene_mistakes
 from .sections import (
     SWEPT_LISTS as SWEPT_LISTS,
+    UNSTATED_FREQUENCY_ACCURACY as UNSTATED_FREQUENCY_ACCURACY,
     Acquisition as Acquisition,
     Excitation as Excitation,
     Medium as Medium,

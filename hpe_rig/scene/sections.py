@@ -185,6 +185,11 @@ class Gate(Section):
     """Its length; default: acquisition.gate_length_m."""
 
 
+UNSTATED_FREQUENCY_ACCURACY = 50e-6
+"""Standard uncertainty of a frequency by the clock of the pulses if nothing is stated: two quartz clocks, each within
+50 ppm (uniform), differ by 41 ppm rms."""
+
+
 class Processing(Section):
     """How amplitude and phase are estimated from the records."""
 
@@ -222,6 +227,9 @@ class Processing(Section):
     """Displacement amplitude, for the prediction; default: the prescribed motion of the twin, or 100 nm."""
     frequencies_hz: Annotated[tuple[VibrationHz, ...], Field(min_length=1)] | None = None
     """Vibration frequencies f_v to estimate; default: f_r and its multiples up to the tenth below f_prf / 2."""
+    frequency_accuracy: Annotated[float, Field(ge=0, le=1e-2, strict=True)] | None = None
+    """Relative standard uncertainty of all frequencies by the clock of the pulses; 0 for one clock. Default: from the
+    clocks in the bench file; 50e-6 for a source of vibration that is not on the bench, and for imported recordings."""
     window_start_s: DelayS = 0.0
     """Start of the slow-time window after the first tracking pulse."""
     window_length_s: DurationS | None = None

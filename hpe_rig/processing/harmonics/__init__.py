@@ -8,6 +8,7 @@ medium_prior.py      prior: states of all harmonics that media can have under to
 projected_prior.py   the prior at the pulses of a train
 prior_evidence.py    scale of the motion, noise and probability of each medium
 medium_fit.py        fit with the prior, closed form and Kalman filter; posterior of the medium
+rate_error.py        rate error of the motion's clock, one more unknown of the fit
 aliasing_error.py    aliasing error of a fit without a prior
 quantisation.py      error from rounding to the digitizer's codes
 drift.py             change of the motion within the train: test, estimate, removal

@@ -94,6 +94,13 @@ class MediumPrior:
         harmonic_displacement = np.stack([sin_cos.real, sin_cos.imag], axis=-1).reshape(len(sin_cos), -1)
         return displacement[repeats], harmonic_displacement[repeats]
 
+    def velocity_m_per_s(self, time_s: FloatArray, phasor_m: ComplexArray) -> FloatArray:
+        """Return the velocity (pulse,) at ``time_s`` of the motion with ``phasor_m`` A exp(j phase), (harmonic,)."""
+        first, repeats = self.distinct_instants(time_s)
+        phasors = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
+        velocity: FloatArray = (phasors @ (2j * np.pi * self.frequency_hz * phasor_m)).imag
+        return velocity[repeats]
+
     def distinct_instants(self, time_s: FloatArray) -> tuple[IndexArray, IndexArray]:
         """Return the index of one pulse for each distinct instant of the burst period, and each pulse's instant.
 

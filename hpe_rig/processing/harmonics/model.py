@@ -57,7 +57,8 @@ class LinearModel:
     ``matrix`` (valid pulse, state) is H; ``every_pulse`` (pulse, state) has the rows of invalid pulses too. ``root``
     (state, state), upper triangular, is R^-1 with H'H = R'R: root @ root.T is the covariance of the states for noise of
     unit variance. ``condition``: condition number of the wanted and background columns scaled to unit length.
-    ``wanted_states``: slice of the wanted and background states.
+    ``wanted_states``: slice of the wanted and background states. ``column_hz`` (state,): frequency of each column, sin
+    before cos; 0 for the background and for the single column of half the pulse rate.
     """
 
     matrix: FloatArray
@@ -65,6 +66,15 @@ class LinearModel:
     root: FloatArray
     condition: float
     wanted_states: slice
+    column_hz: FloatArray
+
+    def velocity(self, state: FloatArray) -> FloatArray:
+        """Return the derivative by time (valid pulse,) of the sinusoids with ``state`` (state,), per second."""
+        # sin and cos have the derivatives w cos and -w sin: each pair of states is exchanged.
+        sines = np.flatnonzero(self.column_hz)[::2]
+        exchanged = np.zeros_like(state)
+        exchanged[sines], exchanged[sines + 1] = -state[sines + 1], state[sines]
+        return np.asarray(self.matrix @ (2 * np.pi * self.column_hz * exchanged))
 
     def solve(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the least-squares states (..., state) of ``data`` (..., valid pulse), and the residual."""
@@ -156,14 +166,17 @@ def _model(
         )
     products = matrix.T @ matrix
     sizes = [2] * frequency_hz.size + [1] * (background_order + 1)
+    column_hz = np.repeat(np.append(frequency_hz, np.zeros(background_order + 1)), sizes)
     condition = _condition(matrix, products, _lengths(products, sizes))
     if not condition <= largest_condition:
         raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition, largest_condition))
     if also_hz:
         # At most half of the remaining degrees of freedom go to further frequencies; noise is estimated from the
         # others.
-        groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
-        sizes += [group.shape[1] for group in groups]
+        further_hz, groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
+        further_sizes = [group.shape[1] for group in groups]
+        column_hz = np.append(column_hz, np.repeat(np.array(further_hz), np.array(further_sizes, dtype=np.intp)))
+        sizes += further_sizes
         every_pulse = np.hstack([every_pulse, *groups])
         products = every_pulse[valid].T @ every_pulse[valid]
         numbers = np.cumsum(sizes)
@@ -175,10 +188,16 @@ def _model(
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
     root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
-    for array in (matrix, every_pulse, root):
+    column_hz = column_hz[: matrix.shape[1]]
+    for array in (matrix, every_pulse, root, column_hz):
         array.flags.writeable = False
     return LinearModel(
-        matrix=matrix, every_pulse=every_pulse, root=root, condition=condition, wanted_states=slice(0, states)
+        matrix=matrix,
+        every_pulse=every_pulse,
+        root=root,
+        condition=condition,
+        wanted_states=slice(0, states),
+        column_hz=column_hz,
     )
 
 
@@ -237,26 +256,30 @@ def _resolved_columns(products: FloatArray, numbers: IndexArray, largest_conditi
     return int(numbers[low])
 
 
-def _further_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> list[FloatArray]:
-    """Return sin and cos (pulse, 2) of each of the further frequencies ``also_hz`` that the train can distinguish.
+def _further_columns(
+    time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray
+) -> tuple[list[float], list[FloatArray]]:
+    """Return the further frequencies of ``also_hz`` that the train can distinguish, and sin and cos (pulse, 2) of each.
 
     From the lowest up, a frequency is left out if it aliases within the train's resolution of zero or of a lower one.
-    Half the pulse rate has one column only.
+    Half the pulse rate has one column only, and is returned as frequency 0.
     """
     # Frequencies closer than this, after aliasing, cannot be distinguished.
     rate_hz = pulse_rate_hz(time_s)
     resolution_hz = 0.9 / float(time_s[-1] - time_s[0])
-    used_hz, groups = aliased_hz(frequency_hz, rate_hz), []
+    used_hz, further_hz, groups = aliased_hz(frequency_hz, rate_hz), list[float](), list[FloatArray]()
     for frequency, aliased in zip(np.sort(also_hz), aliased_hz(np.sort(also_hz), rate_hz), strict=True):
         if aliased < resolution_hz or np.abs(used_hz - aliased).min() < resolution_hz:
             continue
         used_hz = np.append(used_hz, aliased)
         if np.isclose(frequency, rate_hz / 2, rtol=1e-6, atol=0):
             # At half the pulse rate only the alternating column (-1)^k remains.
+            further_hz.append(0.0)
             groups.append(np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))[:, None])
         else:
+            further_hz.append(float(frequency))
             groups.append(harmonic_columns(time_s, np.array([frequency])))
-    return groups
+    return further_hz, groups
 
 
 def pulse_rate_hz(time_s: FloatArray) -> float:

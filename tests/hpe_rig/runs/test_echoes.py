@@ -160,3 +160,21 @@ def test_a_motion_no_larger_than_one_that_changes_no_code_is_within_its_interval
         headline = shot.estimates[0].headline
         within += abs(headline.amplitude_m - fraction * hidden_m) < 2 * headline.amplitude_uncertainty_m
     assert within >= 34
+
+
+def test_a_frequency_that_is_off_is_estimated_and_corrected_and_one_clock_can_be_stated() -> None:
+    """In 1 s a frequency 50 ppm too high shifts the phase by 1.8 degrees at the mean time of the pulses."""
+    settings = RATES | {"frequencies_hz": [MOVED_HZ], "pulse_rate_hz": 450.0}
+    time_s = np.arange(450) / 450.0
+    echoes = codes(1e-6 * np.sin(2 * np.pi * MOVED_HZ * (1 + 5e-5) * time_s))
+    (shot,) = hpe.estimate(echoes, **settings).shots
+    assert shot.frequency_error is not None
+    assert shot.frequency_error_uncertainty is not None
+    assert shot.frequency_error == pytest.approx(5e-5, abs=3.5 * shot.frequency_error_uncertainty)
+    assert abs(shot.estimates[0].phase_rad) < 3 * shot.estimates[0].headline.phase_uncertainty_rad
+    assert "the clock of the motion's frequencies is 5" in " ".join(shot.warnings)
+    (wrong,) = hpe.estimate(echoes, **settings, frequency_accuracy=0.0).shots
+    assert wrong.frequency_error is None
+    assert abs(wrong.estimates[0].phase_rad) > 5 * wrong.estimates[0].headline.phase_uncertainty_rad
+    with pytest.raises(ValueError, match="frequency_accuracy is -1"):
+        hpe.estimate(echoes, **settings, frequency_accuracy=-1.0)

@@ -1,0 +1,215 @@
+"""Rate error e of the motion's clock by the clock of the pulses, as one more unknown of a harmonic fit.
+
+    d_k = D(t_k (1 + e)) + noise        D: motion at the nominal frequencies
+    e ~ N(mean, std^2)                  from the accuracies of the clocks
+
+All frequencies come from one clock and share e. Gauss-Newton step from the present e, with g = t dD/dt and S the
+covariance of the data for this e (noise and prior of D):
+
+    step = (g' S^-1 d + (mean - e) / std^2) u^2,    1 / u^2 = g' S^-1 g + 1 / std^2
+    S^-1 = (1 - Q h Q') / sigma^2
+
+Q is an orthonormal basis of the model and h its shrinkage, 1 for least squares. Where the error may shift a phase by
+more than ``MAX_TURNS`` over the train, a scan of e comes first: the power of the fit as a function of e.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from hpe_rig.arrays import FloatArray
+from hpe_rig.processing.harmonics.medium_fit import driven_phasors_m, medium_fit
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior
+from hpe_rig.processing.harmonics.model import background_columns, harmonic_columns, linear_model
+from hpe_rig.processing.harmonics.projected_prior import project_prior
+from hpe_rig.processing.motion.displacement import Motion
+
+SIGNIFICANT: Final = 3.0
+"""Smallest significant error of a rate, in standard uncertainties."""
+MAX_TURNS: Final = 0.2
+"""Shift of the highest frequency's phase over the train, in turns, up to which Gauss-Newton converges from the mean."""
+SCANNED_STDS: Final = 4.0
+"""Half width of the scan of e, in standard deviations of its prior."""
+SCAN_STEP_TURNS: Final = 0.1
+"""Step of the scan, as shift of the highest frequency's phase over the train, in turns."""
+SEGMENT_TURNS: Final = 0.05
+"""Largest shift of the highest frequency's phase within a segment of the train, in turns."""
+MIN_LOG_GAIN: Final = 3.0
+"""Gain in log-likelihood, beyond the logarithm of the number of scanned values, that makes a maximum significant."""
+MAX_STEPS: Final = 10
+"""Largest number of Gauss-Newton steps; two or three are usual."""
+CONVERGED: Final = 0.05
+"""Step, in standard uncertainties, below which the iteration ends."""
+MIN_INFORMATION: Final = 0.1
+"""Information of the data on e over that of its prior, below which the prior is the result."""
+
+
+@dataclass(frozen=True, slots=True)
+class RateError:
+    """Relative error of the motion's frequencies by the clock of the pulses, and its standard uncertainty.
+
+    ``degrees_of_freedom``: of the uncertainty, infinite if it is that of the clocks. ``clock_fraction``: part of the
+    variance that comes from the clocks and not from the noise of the displacement.
+    """
+
+    value: float = 0.0
+    uncertainty: float = 0.0
+    degrees_of_freedom: float = math.inf
+    clock_fraction: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Linearisation:
+    """Fit of the motion at the present times, and its derivative by time.
+
+    ``basis`` Q (pulse, column), ``shrinkage`` h (column,), ``residual_m`` (pulse,), ``velocity_m_per_s`` dD/dt
+    (pulse,), all at the valid pulses. ``noise_m2``: variance of a pulse, with ``degrees_of_freedom``.
+    """
+
+    basis: FloatArray
+    shrinkage: FloatArray
+    residual_m: FloatArray
+    velocity_m_per_s: FloatArray
+    noise_m2: float
+    degrees_of_freedom: float
+
+
+def with_rate_error(motion: Motion, error: float) -> Motion:
+    """Return ``motion`` with its times on the clock of the motion's frequencies, which is fast by ``error``."""
+    return replace(motion, time_s=motion.time_s * (1 + error)) if error else motion
+
+
+def estimate_rate_error(
+    motion: Motion,
+    frequencies_hz: FloatArray,
+    prior_error: RateError,
+    *,
+    also_hz: FloatArray,
+    background_order: int = 0,
+    prior: MediumPrior | None = None,
+) -> RateError:
+    """Return the rate error of the motion's frequencies from the displacement (pulse,) of one train.
+
+    ``prior_error``: its value and uncertainty without the displacement; an uncertainty of zero is final. The model is
+    that of a fit with the ``prior`` of media, or least squares with the further frequencies ``also_hz``. Raises
+    ``ValueError`` as the fit does.
+    """
+    if not prior_error.uncertainty:
+        return prior_error
+
+    def linearise(timed: Motion) -> Linearisation:
+        if prior is None:
+            return _least_squares(timed, frequencies_hz, also_hz, background_order)
+        return _with_medium_prior(timed, frequencies_hz, prior, background_order)
+
+    start = _start(motion, frequencies_hz, prior_error, background_order)
+    error = _gauss_newton(motion, linearise, prior_error, start)
+    excess = abs(error.value - prior_error.value)
+    if excess > SIGNIFICANT * prior_error.uncertainty:
+        # The accuracies are wrong: a prior as wide as the error found does not draw the estimate to its mean.
+        error = _gauss_newton(motion, linearise, RateError(prior_error.value, excess), error.value)
+    return error
+
+
+def _gauss_newton(
+    motion: Motion, linearise: Callable[[Motion], Linearisation], prior_error: RateError, start: float
+) -> RateError:
+    """Return the most probable rate error, iterated from ``start``, with its standard uncertainty."""
+    error, weight = start, prior_error.uncertainty**-2
+    for _ in range(MAX_STEPS):
+        model = linearise(with_rate_error(motion, error))
+        slope_m = motion.time_s[motion.valid] * model.velocity_m_per_s
+        # The part of the slope that the model does not absorb.
+        unabsorbed_m = slope_m - model.basis @ (model.shrinkage * (slope_m @ model.basis))
+        noise_m2 = max(model.noise_m2, np.finfo(np.float64).tiny)
+        information = max(float(unabsorbed_m @ slope_m), 0.0) / noise_m2
+        if error == prior_error.value and information < MIN_INFORMATION * weight:
+            return prior_error
+        uncertainty = (information + weight) ** -0.5
+        gradient = float(slope_m @ model.residual_m) / noise_m2 + weight * (prior_error.value - error)
+        # A last step that is far below the uncertainty is left out: the fit then has the times of this iteration.
+        if abs(gradient * uncertainty) < CONVERGED:
+            break
+        error += gradient * uncertainty**2
+    # Of the variance, the prior leaves ``clock_fraction``; the other part has the residual's degrees of freedom.
+    clock_fraction = weight * uncertainty**2
+    degrees = model.degrees_of_freedom / max(1 - clock_fraction, 1e-6) ** 2
+    return RateError(error, uncertainty, degrees, clock_fraction)
+
+
+def _least_squares(
+    motion: Motion, frequency_hz: FloatArray, also_hz: FloatArray, background_order: int
+) -> Linearisation:
+    """Return the least-squares fit of ``motion`` and its derivative."""
+    model = linear_model(motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz)
+    state, residual_m = model.solve(motion.displacement_m[motion.valid])
+    degrees = len(model.matrix) - state.size
+    return Linearisation(
+        basis=model.matrix @ model.root,
+        shrinkage=np.ones(state.size),
+        residual_m=residual_m,
+        velocity_m_per_s=model.velocity(state),
+        noise_m2=float(residual_m @ residual_m) / degrees,
+        degrees_of_freedom=degrees,
+    )
+
+
+def _with_medium_prior(
+    motion: Motion, frequency_hz: FloatArray, prior: MediumPrior, background_order: int
+) -> Linearisation:
+    """Return the fit of ``motion`` with the ``prior`` of media and its derivative, all harmonics included."""
+    medium = medium_fit(motion, frequency_hz, prior, background_order=background_order)
+    projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+    data_m = projected.without_background(motion.displacement_m[motion.valid])
+    along_m = data_m @ projected.left_vectors
+    _, phasors_m = driven_phasors_m(prior, projected, medium)
+    phasors_m[list(prior.harmonic_indices(frequency_hz))] = medium.fit.amplitude_m * np.exp(1j * medium.fit.phase_rad)
+    return Linearisation(
+        basis=np.hstack([projected.background, projected.left_vectors]),
+        shrinkage=np.concatenate([np.ones(projected.background.shape[1]), medium.shrinkage]),
+        residual_m=data_m - projected.left_vectors @ (medium.shrinkage * along_m),
+        velocity_m_per_s=prior.velocity_m_per_s(motion.time_s[motion.valid], phasors_m),
+        noise_m2=float(medium.evidence.total_m2),
+        degrees_of_freedom=float(medium.evidence.degrees_of_freedom),
+    )
+
+
+def _start(motion: Motion, frequency_hz: FloatArray, prior_error: RateError, background_order: int) -> float:
+    """Return the start of the iteration, for which it converges: the mean of the prior, or the maximum of a scan."""
+    mean, std = prior_error.value, prior_error.uncertainty
+    time_s, data_m = motion.time_s[motion.valid], motion.displacement_m[motion.valid]
+    turns = float(frequency_hz.max() * (time_s[-1] - time_s[0]))
+    if turns * std < MAX_TURNS:
+        return mean
+    basis = np.linalg.qr(background_columns(time_s, background_order))[0]
+    data_m = data_m - basis @ (basis.T @ data_m)
+    errors = mean + np.arange(-SCANNED_STDS * std, SCANNED_STDS * std, SCAN_STEP_TURNS / turns)
+    power_m2 = _power_by_error(time_s, data_m, frequency_hz, errors)
+    # Likelihood with the best noise variance for each e, times the prior.
+    unexplained_m2 = np.maximum(data_m @ data_m - power_m2, np.finfo(np.float64).tiny)
+    log_posterior = -data_m.size / 2 * np.log(unexplained_m2) - ((errors - mean) / std) ** 2 / 2
+    best, middle = int(np.argmax(log_posterior)), int(np.argmin(np.abs(errors - mean)))
+    is_significant = log_posterior[best] - log_posterior[middle] > MIN_LOG_GAIN + math.log(errors.size)
+    return float(errors[best]) if is_significant else mean
+
+
+def _power_by_error(time_s: FloatArray, data_m: FloatArray, frequency_hz: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return the energy (error,) of the data that sinusoids at the frequencies times 1 + ``errors`` explain, m^2.
+
+    The train is divided into segments so short that the error hardly changes the phasor of a segment.
+    """
+    segment_s = SEGMENT_TURNS / (float(frequency_hz.max()) * float(np.abs(errors).max()))
+    segment = np.floor((time_s - time_s[0]) / segment_s).astype(np.int64)
+    count = np.bincount(segment)
+    centre_s = np.bincount(segment, time_s)[count > 0] / count[count > 0]
+    columns = harmonic_columns(time_s, frequency_hz) * data_m[:, None]
+    sums_m = np.stack([np.bincount(segment, column)[count > 0] for column in columns.T])
+    phasors_m = sums_m[1::2] - 1j * sums_m[::2]  # sum of d exp(-jwt), (frequency, segment)
+    angle_rad = 2 * np.pi * frequency_hz[:, None] * centre_s
+    energy = [np.sum(np.abs(np.sum(phasors_m * np.exp(-1j * error * angle_rad), axis=1)) ** 2) for error in errors]
+    return 2 / data_m.size * np.array(energy)

@@ -1,0 +1,211 @@
+"""Time base of a shot: the rate error of the motion's frequencies, and its effect on every amplitude and phase.
+
+The clocks of the motion, of the tracking train and of the digitizer have the relative rate errors m, p and q. Their
+covariance C follows from the accuracies in the bench file. The fit needs e = m - p; the trigger times measure p - q:
+
+    e ~ N(0, w'C w),  w = (1, -1, 0)      without trigger times
+    e given p - q                         with them (normal distribution, conditional)
+
+The displacement then narrows e (harmonics/rate_error.py). Pulse times are multiplied by 1 + e.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.bench import clock_covariance, parse_bench
+from hpe_rig.medium import BeamWidths
+from hpe_rig.plan import Shot, select
+from hpe_rig.processing.control import ControlMotion
+from hpe_rig.processing.estimators import spec_of
+from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, with_drift
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, estimate_rate_error, with_rate_error
+from hpe_rig.processing.shot_fitting import HarmonicFitter, available_prior, options_of, shot_drift, shot_prior
+from hpe_rig.processing.shot_tracking import MotionFunction, ShotRecords, WindowMotion, read_shot, window_motion
+from hpe_rig.processing.tracking_rate import TrackingRate
+from hpe_rig.scene import UNSTATED_FREQUENCY_ACCURACY, Scene
+
+if TYPE_CHECKING:
+    from hpe_rig.store import StoredRun
+
+MOTION_BY_PULSES: Final = np.array([1.0, -1.0, 0.0])
+"""w: rate of the motion by the clock of the pulses, from the rates of motion, pulses and digitizer."""
+PULSES_BY_DIGITIZER: Final = np.array([0.0, 1.0, -1.0])
+"""As above, for the rate of the pulses by the digitizer's clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeBase:
+    """Rate error of the motion's frequencies by the clock of the pulses, ``by_pulses``, and its origin.
+
+    ``by_clocks``: the part known without the displacement. ``tracking_rate``: rate of the pulses by the digitizer's
+    clock, None if it was not measured. ``differs_from_bench``: it is off by more than the clocks' accuracies explain.
+    """
+
+    by_pulses: RateError
+    by_clocks: RateError
+    tracking_rate: TrackingRate | None
+    differs_from_bench: bool = False
+
+    @property
+    def exceeds_accuracy(self) -> bool:
+        """Whether the displacement shows a rate error that the accuracies of the clocks do not explain."""
+        return abs(self.by_pulses.value - self.by_clocks.value) > SIGNIFICANT * self.by_clocks.uncertainty
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the clocks of motion and pulses may differ."""
+        return bool(self.by_pulses.uncertainty or self.by_pulses.value)
+
+    @property
+    def by_digitizer(self) -> RateError | None:
+        """Rate error of the motion's frequencies by the digitizer's clock; None without trigger times."""
+        if self.tracking_rate is None:
+            return None
+        return RateError(
+            self.by_pulses.value + self.tracking_rate.error,
+            math.hypot(self.by_pulses.uncertainty, self.tracking_rate.uncertainty),
+        )
+
+
+def clocks_of(scene: Scene, stored: StoredRun) -> FloatArray:
+    """Return the covariance (3, 3) of the rate errors of motion, pulses and digitizer in a stored run."""
+    return clock_covariance(scene, _parsed(stored.bench_name, stored.bench_toml))
+
+
+_parsed = lru_cache(maxsize=4)(lambda name, text: parse_bench(name, text).bench)
+
+
+def prior_rate_error(scene: Scene, clocks: FloatArray | None, rate: TrackingRate | None) -> RateError:
+    """Return the rate error of the motion by the clock of the pulses that is known without the displacement.
+
+    ``clocks`` (3, 3): covariance of the rate errors, None if nothing is known of them. ``rate``: rate of the pulses by
+    the digitizer's clock, None if it was not measured. A stated ``processing.frequency_accuracy`` replaces both.
+    """
+    stated = scene.processing.frequency_accuracy
+    if stated is not None or clocks is None:
+        return RateError(0.0, UNSTATED_FREQUENCY_ACCURACY if stated is None else stated)
+    variance = float(MOTION_BY_PULSES @ clocks @ MOTION_BY_PULSES)
+    if rate is None:
+        return RateError(0.0, math.sqrt(variance))
+    if differs_from_bench(clocks, rate):
+        # Either of the two clocks may be wrong by the whole difference.
+        clocks = clocks + rate.error**2 * np.diag([0.0, 1.0, 1.0])
+        variance = float(MOTION_BY_PULSES @ clocks @ MOTION_BY_PULSES)
+    expected = _rate_variance(clocks, rate)
+    common = float(MOTION_BY_PULSES @ clocks @ PULSES_BY_DIGITIZER)
+    return RateError(common / expected * rate.error, math.sqrt(max(variance - common**2 / expected, 0.0)))
+
+
+def differs_from_bench(clocks: FloatArray, rate: TrackingRate) -> bool:
+    """Return whether ``rate`` is off by more than the accuracies of train and digitizer, in ``clocks``, explain."""
+    return rate.error**2 > SIGNIFICANT**2 * _rate_variance(clocks, rate)
+
+
+def _rate_variance(clocks: FloatArray, rate: TrackingRate) -> float:
+    """Return the expected variance of the pulse rate by the digitizer's clock, measurement included."""
+    return float(PULSES_BY_DIGITIZER @ clocks @ PULSES_BY_DIGITIZER) + rate.uncertainty**2
+
+
+def timed_motion(
+    scene: Scene,
+    shot: Shot,
+    records: ShotRecords,
+    motion: MotionFunction,
+    clocks: FloatArray | None,
+    beams: BeamWidths | None,
+    control: ControlMotion | None = None,
+) -> tuple[WindowMotion, TimeBase]:
+    """Return the displacement of the selected pulses, timed by the clock of the motion's frequencies, and that clock.
+
+    ``motion``: displacement from echoes. ``clocks`` (3, 3): covariance of the rate errors of motion, pulses and
+    digitizer; None if nothing is known of them. ``control``: motion without tonebursts, which is subtracted. Raises
+    ``ValueError`` if the echoes have no displacement.
+    """
+    selection = select(scene, shot)
+    window = window_motion(scene, shot, records, selection, motion)
+    if control is not None:
+        window = window.without(control.displacement_m(window.tracked.time_s))
+    by_clocks = prior_rate_error(scene, clocks, records.tracking_rate)
+    if scene.processing.drift == "linear":
+        # A growing delay is the same motion as a rate error; the drift is far less limited and contains it.
+        by_clocks = replace(by_clocks, uncertainty=0.0)
+    error = by_clocks
+    # The coherent displacement has the least noise. A prior of media that is not applicable is left out.
+    for prior in dict.fromkeys((available_prior(scene, shot, beams), None)):
+        if window.coherent is None or not by_clocks.uncertainty:
+            break
+        with suppress(ValueError):
+            error = estimate_rate_error(
+                window.coherent,
+                selection.wanted_hz,
+                by_clocks,
+                also_hz=selection.driven_hz,
+                background_order=scene.processing.background_order,
+                prior=prior,
+            )
+            break
+    if error.value:
+        coherent = None if window.coherent is None else with_rate_error(window.coherent, error.value)
+        window = replace(window, tracked=with_rate_error(window.tracked, error.value), coherent=coherent)
+    rate = records.tracking_rate
+    differs = rate is not None and clocks is not None and differs_from_bench(clocks, rate)
+    return window, TimeBase(error, by_clocks, rate, differs)
+
+
+def state_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> FloatArray:
+    """Return the change (state,) of the fitted states by one standard uncertainty of the rate error, m.
+
+    ``motion`` has the times of the estimated rate error. The fit is repeated on both sides of it.
+    """
+    u = time_base.by_pulses.uncertainty
+    fast, slow = (fitter(with_rate_error(motion.tracked, error)) for error in (u, -u))
+    return np.asarray((fast.state - slow.state) / 2)
+
+
+def phasor_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> ComplexArray | None:
+    """Return the change (frequency,) of A exp(j phase) by one standard uncertainty of the rate error, m.
+
+    None if the rate error is known exactly.
+    """
+    if not time_base.by_pulses.uncertainty:
+        return None
+    states = state_influence_m(fitter, motion, time_base)[: 2 * len(fitter.wanted_hz)]
+    return np.asarray(states[::2] + 1j * states[1::2])
+
+
+def shot_fit(
+    scene: Scene,
+    shot: Shot,
+    stored: StoredRun,
+    estimator: str,
+    beams: BeamWidths | None = None,
+    control: ControlMotion | None = None,
+) -> HarmonicFit:
+    """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
+
+    ``stored``: run with its records. ``control``: motion without tonebursts, which is subtracted. The covariance of the
+    states includes that of the rate error. Raises ``ValueError`` if the shot cannot be estimated.
+    """
+    spec, selection = spec_of(estimator), select(scene, shot)
+    clocks, records = clocks_of(scene, stored), read_shot(scene, shot, stored)
+    motion, time_base = timed_motion(scene, shot, records, spec.motion, clocks, beams, control)
+    options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
+    fitter = HarmonicFitter.of(selection, spec.name, options)
+    if scene.processing.drift == "none":
+        fit = fitter(motion.tracked)
+    else:
+        drift = shot_drift(motion, selection, options, MAX_ITERATIONS)
+        fit = with_drift(fitter(motion.without(drift.change_m).tracked), drift)
+    if time_base.by_pulses.uncertainty:
+        influence_m = state_influence_m(fitter, motion, time_base)
+        fit = replace(fit, state_covariance=fit.state_covariance + np.outer(influence_m, influence_m))
+    return fit if control is None else control.with_error(fit)
