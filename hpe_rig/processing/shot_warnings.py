@@ -172,11 +172,9 @@ def clock_warnings(
         stated = time_base.by_digitizer or error
         clock = "digitizer" if time_base.by_digitizer else "tracking train"
         subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
-        beyond = (
-            ", more than clock_accuracy explains, unless the motion's delay grows as in tissue that warms"
-            if time_base.exceeds_accuracy
-            else ""
-        )
+        beyond = ""
+        if time_base.exceeds_accuracy:
+            beyond = ", more than clock_accuracy explains, unless its delay grows as in tissue that warms"
         change = f"{np.degrees(shift_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg)"
         yield (
             f"{subject} is {_ppm_text(stated.value, stated.uncertainty)} of the {clock}'s{beyond}: the times of the "
