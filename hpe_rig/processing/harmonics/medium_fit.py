@@ -209,10 +209,11 @@ def _aliasing(projected: ProjectedPrior, weights: FloatArray, evidence: Evidence
     transposed = np.swapaxes(weights, -1, -2)
     member_errors = projected.wanted_members - projected.members @ transposed
     deviation_errors = projected.wanted_deviation - projected.deviation @ transposed
-    # Deviations of the wanted harmonics, the last rows, are as large as the data suggest.
-    deviation_scale = np.ones((*evidence.scale_m.shape, len(projected.deviation), 1))
-    deviation_scale[..., -len(projected.wanted_rows) :, 0] = evidence.deviation_factor[..., None]
-    deviation_errors = deviation_scale * deviation_errors
+    # Deviations are as large as the data suggest. Those from the ensemble's span, all but the last rows, are at least
+    # those of the prior: media between the members deviate as much.
+    factor = np.repeat(evidence.deviation_factor[..., None], len(projected.deviation), axis=-1)
+    factor[..., : -len(projected.wanted_rows)] = factor[..., : -len(projected.wanted_rows)].clip(min=1)
+    deviation_errors = factor[..., None] * deviation_errors
     # Members with their posterior probability and their own scale; deviations with the scale of the ensemble.
     member_weights = (evidence.probability * evidence.member_scale_m2)[..., None]
     members_m2 = np.swapaxes(member_errors, -1, -2) @ (member_weights * member_errors)

@@ -26,8 +26,10 @@ MIN_MEMBERS = 15.0
 """Smallest effective number of members behind the mean error: the ensemble has no more where the data narrow it
 down."""
 DEVIATION_FACTORS = np.geomspace(1 / 3, 10.0, 30)
-"""Deviations of the wanted harmonics from the ensemble, over ``HARMONIC_DEVIATION``, with prior probabilities of one
-over the factor: 1 % (a homogeneous medium) to 30 % (a wall that reflects a third)."""
+"""Possible deviations of a medium from the ensemble, relative to those that the prior states.
+
+For a wanted harmonic they are 1 % (a homogeneous medium) to 30 % (a wall that reflects a third). The prior probability
+of each is proportional to one over the factor."""
 LOG_SCALES = np.arange(0.0, 9.0, 0.1) * np.log(10)
 """Natural logarithms of the scanned r, relative to the r whose strongest direction equals the noise of a pulse."""
 
@@ -39,8 +41,8 @@ class Evidence:
     ``scale_m``: rms displacement s. ``variance_m2``: noise of a pulse. ``total_m2``: noise plus the hidden model error,
     as if independent between pulses. ``degrees_of_freedom``: of the residual. ``significance``: probability that a
     medium of the ensemble gives data as improbable as these. ``probability`` (..., member), of sum 1.
-    ``member_scale_m2`` (..., member): mean square of each member's own scale. ``deviation_factor`` (...): root mean
-    square deviation of the wanted harmonics from the ensemble, over ``HARMONIC_DEVIATION``.
+    ``member_scale_m2`` (..., member): mean square of each member's own scale. ``deviation_factor`` (...): rms
+    deviation of the medium from the ensemble, over that of the prior.
     """
 
     scale_m: FloatArray
@@ -94,26 +96,28 @@ def evidence_of(projected: ProjectedPrior, data: FloatArray, along: FloatArray) 
 def _deviation_factor(
     projected: ProjectedPrior, along: FloatArray, scale_m: FloatArray, noise_m2: FloatArray
 ) -> FloatArray:
-    """Return the rms deviation (...) of the wanted harmonics from the ensemble, over ``HARMONIC_DEVIATION``.
+    """Return the rms deviation (...) of the medium from the ensemble, over that of the prior, estimated from the data.
 
-    Reflections and layers change each harmonic on its own. For a deviation g times as large, the data ``along`` U
+    Reflections and layers change the harmonics. If deviations are g times those of the prior, the data ``along`` U
     (..., rank) have the covariance
 
         S + (g² - 1) s² B B',    S = diag(sigma² + s² l²)
 
-    with B (rank, wanted state) the deviations along U. The result is the root of the mean of g² under the posterior of
-    g. C = s S^-1/2 B has the singular values m and left singular vectors v:
+    B (rank, deviation): the prior's deviations along U; s: ``scale_m`` (...); sigma²: ``noise_m2`` (...). With the
+    singular values m and left singular vectors v of s S^-1/2 B, and z the data:
 
         -2 log likelihood = sum_i log(1 + (g² - 1) m_i²) - (g² - 1) m_i² / (1 + (g² - 1) m_i²) (v_i' S^-1/2 z)²
+
+    The result is the square root of the posterior mean of g².
     """
-    # S^-1/2 and C, for every train.
-    deviation = np.sqrt(noise_m2[..., None] + (scale_m[..., None] * projected.value) ** 2)
-    columns = (scale_m[..., None] / deviation)[..., None] * projected.deviation[-len(projected.wanted_rows) :].T
-    vectors, value, _ = np.linalg.svd(columns, full_matrices=False)
-    fitted = np.einsum("...ri,...r->...i", vectors, along / deviation)[..., None, :]
-    # Axes (..., factor, column).
+    # Square root of S, and B in units of it, for every train.
+    std_m = np.sqrt(noise_m2[..., None] + (scale_m[..., None] * projected.value) ** 2)
+    relative = (scale_m[..., None] / std_m)[..., None] * projected.deviation.T
+    vectors, value, _ = np.linalg.svd(relative, full_matrices=False)
+    component = np.einsum("...ri,...r->...i", vectors, along / std_m)[..., None, :]
+    # Axes (..., factor, singular value).
     excess = (DEVIATION_FACTORS[:, None] ** 2 - 1) * value[..., None, :] ** 2
-    log_likelihood = -0.5 * np.sum(np.log1p(excess) - excess / (1 + excess) * fitted**2, axis=-1)
+    log_likelihood = -0.5 * np.sum(np.log1p(excess) - excess / (1 + excess) * component**2, axis=-1)
     weight = np.exp(log_likelihood - log_likelihood.max(axis=-1, keepdims=True)) / DEVIATION_FACTORS
     return np.asarray(np.sqrt(weight @ DEVIATION_FACTORS**2 / weight.sum(axis=-1)))
 
