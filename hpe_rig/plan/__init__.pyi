@@ -23,6 +23,7 @@ from .interference import (
     INSIDE as INSIDE,
     NEAR as NEAR,
     disturbed_pulses as disturbed_pulses,
+    follow_tonebursts as follow_tonebursts,
     pulse_kinds as pulse_kinds,
 )
 from .omitted import omissions as omissions

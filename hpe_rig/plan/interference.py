@@ -42,6 +42,20 @@ def disturbed_pulses(shot: Shot) -> BoolArray:
     return (latest >= 0) & (pulses_s < bursts_s[np.maximum(latest, 0)] + end_s)
 
 
+def follow_tonebursts(shot: Shot, pulses: BoolArray) -> bool:
+    """Return whether ``pulses`` (pulse,), two or more, all come directly after the echoes of a toneburst.
+
+    Directly means within one burst length: echoes of a toneburst that is longer than planned reach these pulses first.
+    """
+    line = shot.timeline
+    if pulses.sum() < 2 or not line.burst_onset_s.size:
+        return False
+    onset_s = line.pulse_onset_s[pulses]
+    latest = np.searchsorted(line.burst_onset_s, onset_s, side="right") - 1
+    after_s = onset_s - line.burst_onset_s[latest.clip(min=0)] - forbidden_window_s(shot)[1]
+    return bool(np.all((latest >= 0) & (after_s >= -MIN_FREE_S) & (after_s < line.burst_length_s)))
+
+
 def pulse_kinds(shot: Shot) -> Int64Array:
     """Return how tonebursts disturb the record of each pulse, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``.
 

@@ -54,17 +54,23 @@ def first_pulse_warnings(assignment: PulseAssignment) -> Iterator[str]:
         )
 
 
-def record_warnings(damaged: BoolArray, deviating: int, clipped: int) -> Iterator[str]:
+def record_warnings(damaged: BoolArray, deviating: int, clipped: int, after_tonebursts: bool) -> Iterator[str]:
     """Yield warnings of damaged records, of pulses omitted for their energy, and of clipped records.
 
     ``damaged`` (pulse,): which records fail their checksums. ``deviating``, ``clipped``: numbers of pulses.
+    ``after_tonebursts``: the deviating pulses all come directly after the echoes of a toneburst.
     """
     if damaged.any():
         yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
     if deviating:
         yield (
             f"{deviating} of {damaged.size} pulses are omitted because their energy differs from the others': "
-            "something disturbs them; see tracking.delay_s and processing.flag_pulses"
+            + (
+                "all come directly after a toneburst, which seems longer than planned: compare the toneburst at the "
+                "transducer with excitation.burst_length_s"
+                if after_tonebursts
+                else "something disturbs them; see tracking.delay_s and processing.flag_pulses"
+            )
         )
     if clipped:
         yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"

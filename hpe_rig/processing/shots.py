@@ -12,7 +12,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import BeamWidths
-from hpe_rig.plan import Plan, Selection, Shot, phase_reference_of, select
+from hpe_rig.plan import Plan, Selection, Shot, follow_tonebursts, phase_reference_of, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.echo.conditioning import gate_statistics
@@ -235,7 +235,7 @@ def _estimate_window(
         control=() if control is None else estimates_of(control.fit, reference=reference),
         warnings=(
             *records.assignment.remarks,
-            *_record_warnings(records, selection, motion, complete),
+            *_record_warnings(shot, records, selection, motion, complete),
             *fit_warnings(fit, float(motion.measured.largest_step)),
             *medium_warnings(fit, settings.false_alarm),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
@@ -302,7 +302,9 @@ def _fit_with_aliasing(
     return fit
 
 
-def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowMotion, complete: bool) -> Iterator[str]:
+def _record_warnings(
+    shot: Shot, records: ShotRecords, selection: Selection, motion: WindowMotion, complete: bool
+) -> Iterator[str]:
     """Yield warnings of records in the window that are missing, damaged, clipped, or unlike the others in energy."""
     gate, window = records.gate, selection.window
     recorded = gate.valid[window]
@@ -313,7 +315,10 @@ def _record_warnings(records: ShotRecords, selection: Selection, motion: WindowM
         yield from first_pulse_warnings(records.assignment)
     used = recorded & selection.used
     clipped = records.statistics.at_full_scale(gate.code_limits)[window] & used
-    yield from record_warnings(damaged, int((used & ~motion.echoes.valid).sum()), int(clipped.sum()))
+    deviating = np.zeros_like(window)
+    deviating[window] = used & ~motion.echoes.valid
+    after_tonebursts = follow_tonebursts(shot, deviating)
+    yield from record_warnings(damaged, int(deviating.sum()), int(clipped.sum()), after_tonebursts)
 
 
 def _drift(

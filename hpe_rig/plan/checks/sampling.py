@@ -68,8 +68,17 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     if effective_hz > ALIASING_MARGIN * driven_hz:
         yield CheckResult("aliasing harmonics", "passed", text)
         return
-    text += ": higher harmonics alias onto the wanted ones; least squares cannot distinguish them, a prior of media "
-    text += "separates them as well as media in general allow, and u includes the remaining error"
+    text += ": higher harmonics alias onto the wanted ones"
+    if scene.without_prior is None:
+        text += (
+            ". A prior of media separates them, and u holds on average over smooth media under a force as declared: "
+        )
+        text += (
+            f"a narrow resonance above {rate_hz / 2:g} Hz, an elastic medium or a force of half the width may cause "
+        )
+        text += "larger errors without a warning"
+    else:
+        text += f", and u does not include their error ({scene.without_prior})"
     remedy = f'tracking.pulse_rate_hz = {rate_hz - burst_rate_hz / 10:g} with disturbed = "skip", '
     remedy += "so that the pulses shift from burst to burst"
     yield CheckResult("aliasing harmonics", "warning", text, remedy)

@@ -187,6 +187,16 @@ def test_aliasing_harmonics_are_warned_of_unless_the_pulses_shift_from_burst_to_
     assert found(3990.0) == "passed"
 
 
+def test_u_of_synchronous_pulses_is_said_to_hold_for_smooth_media_or_without_prior_not_at_all() -> None:
+    def text(scene: Scene) -> str:
+        results = check_plan(scene, BENCH, make_plan(scene, BENCH))
+        return next(item.text for item in results if item.check == "aliasing harmonics")
+
+    assert "u holds on average over smooth media" in text(MUSCLE)
+    assert "a narrow resonance above 2000 Hz" in text(MUSCLE)
+    assert "u does not include their error (the scene has no [beams])" in text(MUSCLE.with_({"beams": None}))
+
+
 def test_aliasing_harmonics_are_those_of_the_shortest_toneburst() -> None:
     def text(*burst_length_s: float) -> str:
         scene = muscle(130e-6, 4000.0).with_({"excitation.burst_length_s": list(burst_length_s)})

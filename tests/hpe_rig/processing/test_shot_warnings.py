@@ -10,7 +10,9 @@ import numpy as np
 from hpe_rig import measure
 from hpe_rig.bench import read_bench
 from hpe_rig.measurement.setup import plan_and_check
-from hpe_rig.processing import Motion, least_squares
+from hpe_rig.plan import follow_tonebursts
+from hpe_rig.plan.interference import forbidden_window_s
+from hpe_rig.processing import Motion, estimate_run, least_squares
 from hpe_rig.processing.shot_warnings import fit_warnings, setting_warnings
 from hpe_rig.scene import Scene, load_scene, parse_scene, scene_text
 
@@ -45,6 +47,27 @@ def test_a_step_near_a_quarter_wavelength_is_a_warning(tmp_path: Path) -> None:
     assert len(told) == 1
     # What the beam averages is a little less than the peak.
     assert 0.85 < float(told[0].partition(" up to ")[2].partition(" ")[0]) < 39.2 / 42.8
+
+
+def test_tonebursts_longer_than_planned_are_reported_by_their_echoes(tmp_path: Path) -> None:
+    planned = load_scene("bovine-muscle")
+    run = measure(planned.with_({"excitation.burst_length_s": 150e-6}), path=tmp_path / "run.h5")
+    plan = plan_and_check(planned, read_bench().bench)[0]
+    warnings = estimate_run(planned, plan, run.stored, "coherent", (None,) * 10).shots[0].warnings
+    assert any("all come directly after a toneburst, which seems longer than planned" in text for text in warnings)
+
+
+def test_pulses_after_the_echoes_of_a_toneburst_follow_it_within_its_length() -> None:
+    shot = plan_and_check(load_scene("bovine-muscle"), read_bench().bench)[0].shots[0]
+    line = shot.timeline
+    after_s = (line.pulse_onset_s[:, None] - line.burst_onset_s + 1e-12) % 0.01
+    end_s = forbidden_window_s(shot)[1]
+    direct = (after_s[:, 0] >= end_s) & (after_s[:, 0] < end_s + 100e-6)
+    assert direct.sum() >= 4
+    assert follow_tonebursts(shot, direct)
+    later = np.flatnonzero(after_s[:, 0] >= end_s + 100e-6)[0]
+    assert not follow_tonebursts(shot, direct | (np.arange(direct.size) == later))
+    assert not follow_tonebursts(shot, np.zeros_like(direct))
 
 
 def test_one_toneburst_and_pulses_after_the_last_toneburst_are_reported() -> None:
