@@ -39,7 +39,7 @@ def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
                 return contents({name: loaded[name] for name in loaded.files})
     except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         kind, function = ("NPZ", "savez") if path.suffix.lower() == ".npz" else ("NPY", "save")
-        if "allow_pickle" in str(error):
+        if "Object arrays" in str(error):
             raise ValueError(
                 "it holds Python objects, which may run programs when they are read: one array of numbers, such as "
                 f"numpy.{function}({path.stem!r}, numpy.stack(records)) in the program that wrote it"

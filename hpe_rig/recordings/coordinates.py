@@ -16,8 +16,8 @@ from hpe_rig.arrays import FloatArray
 
 MIN_LENGTH = 8
 """Values below which a linear sequence may be a record by chance."""
-MAX_ROUNDING = 0.5
-"""Deviation from a line that rounding of printed times causes at most, in steps."""
+MAX_DEVIATION, MAX_ROUNDING = 0.05, 5e-6
+"""Largest deviation from a line, in steps, or of the largest value: times are printed with six digits or more."""
 MAX_OFFSET = 2.0
 """Largest difference of first-sample times that interpolation removes, in samples: ends of the records are lost."""
 MIN_OFFSET = 1e-4
@@ -50,7 +50,9 @@ def find_coordinate(values: NDArray[Any]) -> Coordinate | None:
     records = values.reshape(-1, length)
     step = float(np.median((records[:, -1] - records[:, 0]) / (length - 1)))
     line = records[:, :1] + step * np.arange(length)
-    if step <= 0 or np.abs(records - line).max() > MAX_ROUNDING * step:
+    # Half a step is left of a step that is lost in rounding; a row that is absent deviates by as much.
+    tolerance = min(0.499 * step, max(MAX_DEVIATION * step, MAX_ROUNDING * float(np.abs(values).max())))
+    if step <= 0 or np.abs(records - line).max() > tolerance:
         return None
     # Printed times have no more digits.
     return Coordinate(float(f"{step:.9g}"), np.asarray(records[:, 0]), length)

@@ -13,13 +13,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.recordings.contents import Contents
-from hpe_rig.recordings.coordinates import Coordinate, align_records, find_coordinate
+from hpe_rig.recordings.coordinates import MIN_LENGTH, Coordinate, align_records, find_coordinate
 from hpe_rig.recordings.names import TIME_UNITS, setting_of
 from hpe_rig.recordings.settings import Dimension, RecordingSettings
 
@@ -32,6 +32,8 @@ MIN_PULSES = 4
 """Columns below which each is a channel: fewer pulses do not determine a vibration."""
 MIN_SAMPLE_RATE_HZ = 1e5
 """Rate of a time column above which rows are samples; below, they are pulses."""
+MIN_ASCENDING = 0.9
+"""Part of the steps of a first column that ascend if it holds times, some of them spoilt."""
 SETTING = re.compile(r"([A-Za-z][\w .()/-]*?)[\"']?\s*[=:,;\t ]\s*[\"']?([-+]?\d[\d.eE+-]*)[ \"']*([A-Za-zµμ/]*)")
 """Name, number and unit in a header, such as "PRF: 4 kHz" or "Sample Interval,4e-08,s"."""
 SEGMENT_TIME = re.compile(r"#\d+[,;\t].*[,;\t]\s*([-+\d.eE]+)\s*$")
@@ -83,6 +85,7 @@ def read_text(path: Path, settings: RecordingSettings) -> Contents:
     layout = _layout(lines, settings)
     table = Table(_values(lines, layout, settings.skip_rows), [], {}, inferred)
     _read_header(table, lines, layout)
+    _check_segments(table)
     if settings.transpose:
         table.values, table.names = table.values.T, []
     _remove_first_row(table)
@@ -158,7 +161,20 @@ def _layout(lines: Sequence[str], settings: RecordingSettings) -> Layout:
     header_lines = next(
         (index for index, line in enumerate(lines) if line[:1] != "#" and layout.numbers(line) is not None), 0
     )
+    if header_lines and _is_spoilt(_cells(lines[header_lines - 1], best[0]), best[1]):
+        _raise_no_numbers(header_lines + settings.skip_rows, lines[header_lines - 1])
     return Layout(*best, header_lines, columns)
+
+
+def _is_spoilt(cells: Sequence[str], decimal: str) -> bool:
+    """Return whether more than half of the cells are numbers with decimals, as in a line of data and no header."""
+    numbers = [cell for cell in cells if re.search(r"\d[.,e]\d|[.,]\d", cell) and _numbers([cell], decimal)]
+    return 2 * len(numbers) > sum(map(bool, cells))
+
+
+def _raise_no_numbers(number: int, line: str) -> NoReturn:
+    what = f"line {number} has values that are not numbers, {line.strip()[:40]!r}"
+    raise ValueError(f"{what}: numbers alone, or skip_rows")
 
 
 def _values(lines: Sequence[str], layout: Layout, skipped: int) -> NDArray[Any]:
@@ -184,11 +200,11 @@ def _values(lines: Sequence[str], layout: Layout, skipped: int) -> NDArray[Any]:
             ndmin=2,
         )
     except ValueError:
-        values = np.array(_checked_rows(lines, layout, skipped), dtype)
+        values = np.array(_checked_rows(lines, layout, skipped, dtype is float), dtype)
     return values
 
 
-def _checked_rows(lines: Sequence[str], layout: Layout, skipped: int) -> list[list[Any]]:
+def _checked_rows(lines: Sequence[str], layout: Layout, skipped: int, is_real: bool) -> list[list[Any]]:
     """Return the numbers of each line as ``_values``, slowly; the error names the line."""
     rows = list[list[Any]]()
     count = len(_cells(lines[layout.header_lines], layout.delimiter))
@@ -196,11 +212,12 @@ def _checked_rows(lines: Sequence[str], layout: Layout, skipped: int) -> list[li
         if not line.strip() or line[0] == "#":
             continue
         cells, numbers = _cells(line, layout.delimiter), layout.numbers(line)
-        where = f"line {index + 1 + skipped}"
         if any(cells[count:]) or len(cells) <= layout.columns[-1]:
-            raise ValueError(f"{where} has {len(cells)} values, earlier lines {count}: rows of equal length")
-        if numbers is None:
-            raise ValueError(f"{where} has values that are not numbers, {line[:40]!r}: numbers alone, or skip_rows")
+            raise ValueError(
+                f"line {index + 1 + skipped} has {len(cells)} values, earlier lines {count}: rows of equal length"
+            )
+        if numbers is None or (is_real and any(isinstance(number, complex) for number in numbers)):
+            _raise_no_numbers(index + 1 + skipped, line)
         rows.append(numbers)
     return rows
 
@@ -334,7 +351,7 @@ def _state_sample_times(table: Table, coordinate: Coordinate, name: str, unit_s:
 def _refuse_uneven_times(table: Table, settings: RecordingSettings) -> None:
     """Raise ``ValueError`` for a first column that ascends unevenly; as times of pulses it becomes a setting."""
     first = table.values[:, 0]
-    if first.size < MIN_PULSES or np.iscomplexobj(first) or not np.all(np.diff(first) > 0):
+    if first.size < MIN_LENGTH or np.iscomplexobj(first) or np.mean(np.diff(first) > 0) < MIN_ASCENDING:
         return
     if settings.axes and settings.axes[0] == "pulse":
         table.stated["pulse_time_s"] = (tuple(first.tolist()), "column 1")
@@ -346,6 +363,17 @@ def _refuse_uneven_times(table: Table, settings: RecordingSettings) -> None:
     )
 
 
+def _check_segments(table: Table) -> None:
+    """Raise ``ValueError`` if the rows are not those of the segments that the header states."""
+    segments, rows = len(table.trigger_time_s), len(table.values)
+    length = int(table.stated.get("record_samples", (rows,))[0])
+    if segments > 1 and segments * length != rows:
+        raise ValueError(
+            f"the header states {segments} segments of {length} samples, {rows} rows follow: "
+            "a whole copy, or one file per segment"
+        )
+
+
 def _are_channels(names: Sequence[str]) -> bool:
     """Return whether ``names`` of columns are those of different channels, such as CH1 and CH2."""
     channels = [match[1] for name in names if (match := CHANNEL.search(name.lower()))]
@@ -355,17 +383,14 @@ def _are_channels(names: Sequence[str]) -> bool:
 def _split_into_records(table: Table) -> None:
     """Split rows of consecutive records: at each restart of their times, or by the segments in the header."""
     coordinate, values = table.coordinate, table.values
-    times = np.array(table.trigger_time_s)
+    segment_length = int(table.stated.get("record_samples", (values.shape[0],))[0])
     length = values.shape[0] if coordinate is None else coordinate.record_length
-    segment_length = int(table.stated.get("record_samples", (length,))[0])
-    if times.size > 1:
-        length = segment_length
-        if times.size * length != values.shape[0]:
-            raise ValueError(
-                f"the header states {times.size} segments of {length} samples, {values.shape[0]} rows follow: "
-                "a whole copy, or one file per segment"
-            )
+    if len(table.trigger_time_s) > 1:
+        times = np.array(table.trigger_time_s)
         table.stated["pulse_time_s"] = (tuple((times - times[0]).tolist()), "the times of the triggers")
+        length = segment_length
+    elif table.axes == ("sample", "pulse") and length % segment_length:
+        raise ValueError(f"the header states {segment_length} samples, {length} rows follow: a whole copy")
     count = values.shape[0] // length
     channels = 1 < values.shape[1] < MIN_PULSES or _are_channels(table.names[-values.shape[1] :])
     if count > 1:

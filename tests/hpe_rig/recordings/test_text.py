@@ -189,6 +189,15 @@ MALFORMED: Mapping[str, tuple[str | bytes, Mapping[str, Any], str]] = {
     "wrong delimiter": (rows(), {"delimiter": ";"}, "no line of numbers"),
     "wrong decimal": (rows(), {"decimal": ","}, "no line of numbers"),
     "decimal of two": (rows(), {"decimal": ".,"}, "is not one of the choices"),
+    "row absent": (rows().replace(rows().splitlines(keepends=True)[12], ""), {}, "column 1 ascends unevenly"),
+    "row twice": (rows() + rows().splitlines()[-1], {}, "column 1 ascends unevenly"),
+    "first row spoilt": ("time_s\n" + rows().replace("e-07", "e--7", 1), {}, "line 2 has values that are not numbers"),
+    "end absent": (
+        "Record Length,64\nTIME" + NAMES + "\n" + rows(),
+        {},
+        "the header states 64 samples, 32 rows follow",
+    ),
+    "complex number among real ones": (rows().replace(f"{RF[3, 20]:.6f}", "1+2j"), {}, "line 21 has values that"),
     "records too far apart": (
         "".join(f"{(k + 5 * p) * INTERVAL_S:.6e},{RF[p, k]}\n" for p in range(PULSES) for k in range(SAMPLES)),
         {},
@@ -210,3 +219,19 @@ def test_a_malformed_text_is_refused_with_one_clear_message(case: str, tmp_path:
     text = str(refused.value)
     assert said in text
     assert "Try: " in text
+
+
+def test_a_changed_file_is_read_or_refused_but_never_fails_otherwise(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    refused = 0
+    for content in LAYOUTS.values():
+        whole = content if isinstance(content, bytes) else content.encode()
+        for _ in range(6):
+            first, count = int(rng.integers(len(whole))), int(rng.integers(0, 30))
+            changed = whole[:first] + bytes(rng.integers(0, 256, 3).astype(np.uint8)) + whole[first + count :]
+            try:
+                read(tmp_path / "a.csv", changed)
+            except SettingsError as error:
+                refused += 1
+                assert "Try: " in str(error)
+    assert refused > 3 * len(LAYOUTS)
