@@ -62,8 +62,8 @@ def read_oscilloscope(path: Path, settings: RecordingSettings) -> Contents:
     stated["first_sample_s"] = (float(start_s[0]), "the header")
     inferred = ["time 0 of the file counts as the onset of the pulse", *_names_of_lines(first.channels)]
     if start_s.size > 1:
-        moved, sentence = align_records(volts.swapaxes(0, 1), (start_s - start_s[0]) / interval_s)
-        volts = moved.swapaxes(0, 1)
+        aligned, sentence = align_records(volts.swapaxes(0, 1), (start_s - start_s[0]) / interval_s)
+        volts = aligned.swapaxes(0, 1)
         inferred += [sentence] if sentence else []
     if volts.shape[1] == 1:
         return Contents({path.stem: volts[:, 0]}, stated, axes=("line", "sample"), inferred=tuple(inferred))

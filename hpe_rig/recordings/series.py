@@ -55,8 +55,8 @@ def read_series(paths: Sequence[Path], settings: RecordingSettings) -> tuple[str
     if axes is not None and rate_hz is not None:
         # Samples become the last axis for the shift.
         last = np.moveaxis(stacked, 1 + axes.index("sample"), -1)
-        moved, sentence = align_records(last, (np.array(start_s) - start_s[0]) * rate_hz)
-        stacked = np.moveaxis(moved, -1, 1 + axes.index("sample"))
+        aligned, sentence = align_records(last, (np.array(start_s) - start_s[0]) * rate_hz)
+        stacked = np.moveaxis(aligned, -1, 1 + axes.index("sample"))
         inferred += [sentence] if sentence else []
     return (
         file_format,
@@ -76,7 +76,8 @@ def _samples(contents: Contents, variable: str | None) -> NDArray[Any]:
     arrays = contents.arrays
     if variable is not None and variable in arrays:
         return arrays[variable].squeeze()
-    largest = [name for name, array in arrays.items() if array.size == max(other.size for other in arrays.values())]
+    largest_size = max((array.size for array in arrays.values()), default=0)
+    largest = [name for name, array in arrays.items() if array.size == largest_size]
     if variable is not None or len(largest) != 1:
         names = ", ".join(arrays) or "none"
         raise ValueError(f"the array of the samples is not determined, there are {names}: variable with its name")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import ComplexArray, FloatArray
 
 MAX_RECORDS = 64
-"""Records, evenly spaced, whose mean spectrum is used."""
+"""Records, evenly spaced, for the mean spectrum."""
 SMOOTHING_BINS = 16
 """The lowest mean of this part of the spectrum's bins is its noise floor."""
 USED_BAND = 0.5
@@ -54,8 +54,8 @@ class EchoBand:
 def echo_band(values: NDArray[Any], rate_hz: float, demodulation_hz: float, carrier_hz: float) -> EchoBand | None:
     """Return the band of ``values`` (line, shot, pulse, sample); None if no record is finite and has echoes.
 
-    Real samples have ``demodulation_hz`` 0. Of the frequencies that complex samples cannot tell apart, the one nearest
-    to ``carrier_hz`` counts.
+    Real samples have ``demodulation_hz`` 0. Complex samples determine a frequency up to multiples of the rate: the one
+    nearest to ``carrier_hz`` counts.
     """
     records = values.reshape(-1, values.shape[-1])
     records = records[:: max(1, len(records) // MAX_RECORDS)]

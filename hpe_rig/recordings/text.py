@@ -27,7 +27,7 @@ BYTE_ORDER_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-1
 DELIMITERS: Mapping[str, str | None] = {"tab": "\t", "semicolon": ";", "comma": ",", "blank": None}
 """Delimiters by their words, in the order of precedence: in a text with tabs, commas belong to numbers."""
 SAMPLED_LINES = 20
-"""Lines from which delimiter and decimal sign are detected."""
+"""Number of lines that determine delimiter and decimal sign."""
 MIN_PULSES = 4
 """Columns below which each is a channel: fewer pulses do not determine a vibration."""
 MIN_SAMPLE_RATE_HZ = 1e5
@@ -134,7 +134,7 @@ def _numbers(cells: Sequence[str], decimal: str) -> list[Any] | None:
 
 
 def _layout(lines: Sequence[str], settings: RecordingSettings) -> Layout:
-    """Return the stated layout, or the one in which most lines are numbers alone."""
+    """Return the stated layout, or the one that makes most lines numbers alone."""
     # The second half of a long file has no header.
     last = lines[len(lines) // 2 :] if len(lines) > 2 * SAMPLED_LINES else lines
     sampled = [line for line in last[:: max(1, len(last) // SAMPLED_LINES)] if line.strip() and line[0] != "#"]
@@ -226,8 +226,8 @@ def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
     """Read the settings, the names of the columns and the unit of times from the lines before the numbers."""
     header = [line for line in lines[: layout.header_lines] if line.strip(" \t,;")]
     # Some oscilloscopes write their settings to the left of the first numbers.
-    beside = [line for line in lines[:SAMPLED_LINES] if layout.columns[0] > 0 and line not in header]
-    for line in header + beside:
+    side_header = [line for line in lines[:SAMPLED_LINES] if layout.columns[0] > 0 and line not in header]
+    for line in header + side_header:
         for name, number, unit in SETTING.findall(line):
             if setting := setting_of(name, number, unit):
                 table.stated.setdefault(setting[0], (setting[1], name.strip()))
@@ -271,8 +271,8 @@ def _select_columns(table: Table, text: str | None) -> int:
     if text is None:
         return int(min(2, count - 1))
     numbers = list[int]()
-    for part in text.replace(" ", "").split(","):
-        match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", part)
+    for item in text.replace(" ", "").split(","):
+        match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", item)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (0, 0)
         if not 1 <= first <= last <= count:
             raise ValueError(f'columns = {text!r} names none of the {count} columns: such as columns = "2-{count}"')
@@ -284,7 +284,7 @@ def _select_columns(table: Table, text: str | None) -> int:
 
 
 def _remove_first_columns(table: Table, removable: int, settings: RecordingSettings) -> None:
-    """Remove the ``removable`` first columns as far as they are times or an index, and all that are not selected."""
+    """Remove the ``removable`` first columns that are times or an index, and all that are not selected."""
     removed = 0
     for number in range(1, min(2, removable) + 1):
         coordinate = find_coordinate(table.values[:, removed])
@@ -383,8 +383,8 @@ def _are_channels(names: Sequence[str]) -> bool:
 def _split_into_records(table: Table) -> None:
     """Split rows of consecutive records: at each restart of their times, or by the segments in the header."""
     coordinate, values = table.coordinate, table.values
-    segment_length = int(table.stated.get("record_samples", (values.shape[0],))[0])
     length = values.shape[0] if coordinate is None else coordinate.record_length
+    segment_length = int(table.stated.get("record_samples", (length,))[0])
     if len(table.trigger_time_s) > 1:
         times = np.array(table.trigger_time_s)
         table.stated["pulse_time_s"] = (tuple((times - times[0]).tolist()), "the times of the triggers")
@@ -399,8 +399,8 @@ def _split_into_records(table: Table) -> None:
         table.axes = ("line", "pulse", "sample")
         if coordinate is not None and coordinate.starts.size == count:
             offset = (coordinate.starts - coordinate.starts[0]) / coordinate.step
-            moved, sentence = align_records(np.moveaxis(table.values, 0, 1), offset)
-            table.values = np.moveaxis(moved, 1, 0)
+            aligned, sentence = align_records(np.moveaxis(table.values, 0, 1), offset)
+            table.values = np.moveaxis(aligned, 1, 0)
             table.inferred += [sentence] if sentence else []
         if table.values.shape[0] == 1:
             table.values, table.axes = table.values[0], ("pulse", "sample")
