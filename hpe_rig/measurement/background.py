@@ -61,15 +61,20 @@ class BackgroundTasks:
         self._next_ended(timeout_s)
         self.check()
 
-    def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until every task has ended; return whether that happens within ``timeout_s``. Raises no failure."""
+    def wait(self, timeout_s: float | None = None, progress: Callable[[], object] = lambda: None) -> bool:
+        """Wait until every task has ended; return False once none has for ``timeout_s``. Raises no failure.
+
+        A change of the value of ``progress`` counts as the end of a task.
+        """
         if not self.unfinished or not self._started:
             return True
         marker: Task = lambda: None  # noqa: E731
-        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
         self._put(marker, 0)
-        while self._next_ended(POLL_S) is not marker:
-            if deadline_s is not None and time.monotonic() > deadline_s:
+        last_s, last_progress = time.monotonic(), progress()
+        while (ended := self._next_ended(POLL_S)) is not marker:
+            if ended is not None or progress() != last_progress:
+                last_s, last_progress = time.monotonic(), progress()
+            if timeout_s is not None and time.monotonic() - last_s > timeout_s:
                 return False
         # An interrupted ``_put`` may have counted a task that it did not queue.
         self.unfinished = self.backlog_bytes = 0

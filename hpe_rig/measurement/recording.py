@@ -1,7 +1,7 @@
 """Recording of a run: the events of the sequencer are written to a run file.
 
-Records arrive while outputs are on: a thread writes them, so that a slow disk keeps no output on. Everything else is
-written by the measuring thread, with outputs off, after the records of the shot.
+A thread writes everything. Records arrive while outputs are on: the measuring thread does not wait for them, so that a
+slow disk keeps no output on. For everything else it waits, with outputs off, but not for a disk that does not answer.
 
 An existing run file that is to be replaced stays untouched until the first record arrives. A new run file is removed if
 not even one shot was programmed. So a wrong address neither destroys a run nor leaves an empty file.
@@ -10,6 +10,7 @@ not even one shot was programmed. So a wrong address neither destroys a run nor 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -38,8 +39,10 @@ MAX_BACKLOG_BYTES = 256_000_000
 """Records in memory that wait for the disk; beyond it the shot ends."""
 MAX_SIMULATED_BACKLOG_BYTES = 16_000_000
 """As above on a simulated bench, which drives nothing: there the measurement waits for the disk."""
-GIVE_UP_S = 30.0
-"""Time that a slow disk gets after a second signal: one that does not answer is given up after a time-out of 5 s."""
+DISK_TIMEOUT_S = 60.0
+"""Time limit of one write; network shares that fail over to another server take tens of seconds."""
+GIVE_UP_S = 5.0
+"""Time limit of one write after the run was interrupted: the user is waiting for it to end."""
 
 
 class CreateWriter(Protocol):
@@ -58,7 +61,7 @@ class RunRecorder:
         self._defer = defer
         self._writer: RunWriter | None = None
         self._first_settings: ShotReady | None = None
-        self._has_event = self._has_record = False
+        self._has_event = self._has_record = self._is_stuck = False
         self._storage, self._cancelled = BackgroundTasks("storage"), threading.Event()
 
     def __enter__(self) -> Self:
@@ -83,72 +86,93 @@ class RunRecorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Wait for the records so far, close the run file in a thread, and note in ``error`` what the file holds."""
-        # The records of a complete run were waited for after each shot.
-        is_closed = error is None or self._wait_for(self._storage, error, hurried=not isinstance(error, Exception))
+        limit_s = DISK_TIMEOUT_S if error is None or isinstance(error, Exception) else GIVE_UP_S
+        is_closed = not self._is_stuck and self._wait_for(self._storage, error, limit_s)
         closing = BackgroundTasks("close")
         if is_closed and self._writer is not None:
             closing.submit(partial(self._writer.__exit__, kind, error, trace))
             try:
-                is_closed = self._wait_for(closing, error)
+                is_closed = self._wait_for(closing, error, limit_s)
             finally:
                 closing.end()
         closing.check()
         if error is not None:
             unwritten = f"the disk of {self._path} does not answer: its last records may be missing"
             error.add_note(self._content_after_error() if is_closed else unwritten)
+        elif not is_closed:
+            raise self._disk_timeout()
 
-    def _wait_for(self, tasks: BackgroundTasks, error: BaseException | None, hurried: bool = False) -> bool:
-        """Wait for the end of ``tasks`` and return whether the disk answers.
+    def _wait_for(self, tasks: BackgroundTasks, error: BaseException | None, limit_s: float) -> bool:
+        """Wait for the end of ``tasks`` and return whether the disk answers, each time within ``limit_s``.
 
-        A signal discards records that wait for the disk. It is raised afterwards unless the run ends by an ``error``.
+        A signal discards records that wait for the disk, and leaves the log of the run as it is. It is raised
+        afterwards unless the run ends by an ``error``.
         """
         try:
             with interruptible():
-                while not tasks.wait(POLL_S):
-                    if hurried:
-                        self._hurry()
-        except INTERRUPTS:
+                return tasks.wait(limit_s, self._progress)
+        except INTERRUPTS as interrupt:
             self._storage.discard()
-            self._hurry()
-            is_finished = tasks.wait(GIVE_UP_S)
+            self._cancelled.set()
+            is_finished = tasks.wait(GIVE_UP_S, self._progress)
             if error is None:
+                interrupt.add_note(f"{self._path} holds the run: the next command that reads it makes it an HDF5 file")
                 raise
             return is_finished
-        return True
 
-    def _hurry(self) -> None:
-        """Give a disk that does not answer less time: the user waits for the end of the program."""
-        self._cancelled.set()
-        if self._writer is not None:
-            self._writer.shorten_timeout()
+    def _progress(self) -> int:
+        return 0 if self._writer is None else self._writer.progress
+
+    def _run(self, task: Callable[[], None]) -> None:
+        """Run ``task`` in the thread after all records so far, and wait for it.
+
+        Raises its error or theirs, and ``StoreError`` if the disk does not answer.
+        """
+        self._storage.submit(task)
+        self._drain()
+
+    def _drain(self) -> None:
+        """Wait until all records are written; raise their error, and ``StoreError`` if the disk does not answer."""
+        self._is_stuck = not self._storage.wait(DISK_TIMEOUT_S, self._progress)
+        if self._is_stuck:
+            raise self._disk_timeout()
+        self._storage.check()
+
+    def _disk_timeout(self) -> StoreError:
+        return StoreError(
+            f"{self._path} cannot be written any further (the disk has not answered for {DISK_TIMEOUT_S:g} s). What "
+            f"was written before is kept. Try: bring the disk back, then hpe-rig resume {self._path.name}."
+        )
 
     def copy_shots(self, earlier: StoredRun, shots: int) -> None:
         """Copy the first ``shots`` shots of an earlier run of the same plan."""
-        self._open().copy_shots(earlier, shots)
-        self._has_record = self._has_record or shots > 0
+        writer = self._open()
+        for shot in range(shots):
+            self._run(partial(writer.copy_shot, earlier, shot))
+            self._has_record = True
 
     def write(self, event: Event, scene: Scene, bench: Bench, stages: Stages) -> None:
         """Write ``event``; a shot is marked as complete after all of its data.
 
         Records are handed to the thread. Raises the error of earlier records, and ``StoreError`` if the disk of a real
-        bench has fallen too far behind.
+        bench has fallen too far behind, or does not answer.
         """
         self._has_event = True
         if isinstance(event, ShotBlock):
             self._hand_over(event, bench.simulated)
             return
-        self._storage.drain()
+        self._drain()
         match event:
             case ShotReady() if self._writer is None:
                 self._first_settings = event
             case ShotReady(shot, settings):
-                self._open().write_settings(shot, settings)
+                self._run(partial(self._open().write_settings, shot, settings))
             case ShotUntrusted(shot, why):
-                self._open().write_untrusted(shot, why)
+                self._run(partial(self._open().write_untrusted, shot, why))
             case ShotSettingsChanged(shot, changes):
-                self._open().write_changed_settings(shot, changes)
+                self._run(partial(self._open().write_changed_settings, shot, changes))
             case ShotConditions(shot, before, after):
-                self._open().write_conditions(shot, before, after)
+                self._run(partial(self._open().write_conditions, shot, before, after))
             case ShotDone():
                 self._finish_shot(event, scene, bench, stages)
 
@@ -169,21 +193,25 @@ class RunRecorder:
         self._has_record = self._has_record or block.codes.size > 0
 
     def _finish_shot(self, event: ShotDone, scene: Scene, bench: Bench, stages: Stages) -> None:
-        writer = self._open()
-        writer.write_clipped(event.shot, event.clipped)
+        writer, truth = self._open(), None
         if bench.world is not None:
             with stages("truth"):
                 displacement_m = bench.world.true_displacement_m()
-                harmonics_m = true_harmonics_m(scene, event.shot, bench.world.true_motion_m)
-            writer.write_ground_truth(event.shot, displacement_m)
-            writer.write_true_harmonics(event.shot, harmonics_m)
-        writer.finish(event.shot)
+                truth = displacement_m, true_harmonics_m(scene, event.shot, bench.world.true_motion_m)
+
+        def finish() -> None:
+            writer.write_clipped(event.shot, event.clipped)
+            if truth is not None:
+                writer.write_ground_truth(event.shot, truth[0])
+                writer.write_true_harmonics(event.shot, truth[1])
+            writer.finish(event.shot)
+
+        self._run(finish)
 
     def check_file_present(self, wait: bool) -> None:
         """Raise ``StoreError`` if the run file was removed or replaced; without ``wait``, at one of the next calls."""
         if wait:
-            self._storage.drain()
-            self._check_file()
+            self._run(self._check_file)
             return
         self._storage.check()
         # Each block of records checks the file too.
@@ -196,7 +224,7 @@ class RunRecorder:
 
     def write_run_time(self, stages: Stages) -> None:
         """Write the wall time of each stage so far."""
-        self._open().write_run_times(stages.run_time_s)
+        self._run(partial(self._open().write_run_times, stages.run_time_s))
 
     def _content_after_error(self) -> str:
         """Return the content of the file after an early end; remove a file without any event."""

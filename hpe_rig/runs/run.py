@@ -33,7 +33,7 @@ from hpe_rig.runs.conditions import condition_summaries, condition_warnings, con
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
 from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import Axis, Estimator, Mistake, Processing, Scene, SettingsError, mistakes_of
-from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, result_path, versions, write_result
+from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, recover, result_path, versions, write_result
 
 if TYPE_CHECKING:
     from hpe_rig.processing import EchoGate
@@ -220,6 +220,7 @@ class Run:
 def open_run(path: str | os.PathLike[str]) -> Run:
     """Return the run in the run file ``path``, which may be unfinished.
 
+    The log of a killed run becomes a run file in HDF5 first, where the folder can be written.
     Raises ``StoreError`` if it is no run file or its records do not fit its scene, ``SettingsError`` if scene and bench
     file lead to no plan, and ``TypeError`` if ``path`` is no path.
 
@@ -227,6 +228,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     """
     if not isinstance(path, str | os.PathLike):
         raise TypeError(f"expected the path of a run file, not {type(path).__name__}")
+    recover(Path(path))
     stored = read_run(Path(path))
     setup = setup_of_run(stored)
     plan = _with_stored_forces(setup.plan, stored)

@@ -1,3 +1,4 @@
+from .assembly import recover as recover
 from .atomic import (
     atomic_file as atomic_file,
     make_folder as make_folder,
@@ -42,7 +43,8 @@ from .records import (
     assemble as assemble,
 )
 from .result_file import read_covariance as read_covariance, write_result as write_result
-from .validation import InvalidContentError as InvalidContentError, open_checked as open_checked
+from .source import open_checked as open_checked
+from .validation import InvalidContentError as InvalidContentError
 from .verification import (
     Damage as Damage,
     Verification as Verification,

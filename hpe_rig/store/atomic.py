@@ -169,9 +169,9 @@ def unwritable(path: Path) -> str:
 
 
 def _new_draft(path: Path) -> BinaryIO:
-    """Return a new, empty file beside ``path``, open for writing."""
+    """Return a new, empty file beside ``path``, open for reading and writing."""
     draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}.draft")
-    return open(draft, "xb", opener=_open_new)
+    return open(draft, "x+b", opener=_open_new)
 
 
 def _open_new(path: str, flags: int) -> int:

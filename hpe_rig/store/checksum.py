@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
+from zlib import crc32
 
 import h5py
 import numpy as np
@@ -57,6 +58,15 @@ def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> 
     for content in contents:
         checksum.update(content)
     return int.from_bytes(checksum.digest(), "little") or 1
+
+
+def crc(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
+    """Return the CRC-32 of ``contents``, the bytes in row or chunk ``index`` of dataset ``name``; never zero."""
+    # Name and index are part of the checksum, so that exchanged rows or chunks are detected.
+    checksum = crc32(f"{name} {index}".encode())
+    for content in contents:
+        checksum = crc32(content, checksum)
+    return checksum or 1
 
 
 def stored_bytes(values: Any, dtype: np.dtype[Any]) -> bytes:

@@ -15,7 +15,9 @@ from uuid import uuid4
 
 GIT_TIMEOUT_S: Final = 5.0
 FORMAT: Final = "hpe_rig run"
-FORMAT_VERSION: Final = 2
+FORMAT_VERSION: Final = 3
+OLDEST_VERSION: Final = 2
+"""Version 2 has checksums by BLAKE2b, or none, and was written in place during the run."""
 RESULT_FORMAT: Final = "hpe_rig result"
 MAP_FORMAT: Final = "hpe_rig map"
 

@@ -1,8 +1,7 @@
 """Empty run file as bytes: every group, dataset and attribute, before the first record.
 
-HDF5 creates nothing while other programs read. So everything has its final size from the start and is filled in later.
-Everything except the echoes is also allocated on the disk: on a full disk, a chunk of echoes fails and never one of
-the library's own structures. ``docs/reference/run-file.md`` describes the content of the file.
+The bytes are the first frame of the log of a run (``log.py``); the run file is made from them when the run ends
+(``assembly.py``). ``docs/reference/run-file.md`` describes the content of the file.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.interfaces import Capture
 from hpe_rig.bench import BenchText, Condition, twin_settings
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
@@ -45,8 +45,6 @@ from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
 """Readable with HDF5 1.10 and later, the first with concurrent reading."""
-MAX_PREALLOCATED_BYTES = 64_000_000
-"""Maximum size of a quantity with one value per pulse that is allocated at the start; larger ones grow when written."""
 TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
 """A cos(phase) and A sin(phase) of the true displacement at the focus, datasets of group ``true_harmonics``."""
 
@@ -76,7 +74,7 @@ def empty_run(
             file.attrs["scan_sha256"] = _fixed(scan_sha256)
         _create_records(file, plan, bench.bench.digitizer.board_model.code_limits, compress)
         times = file.create_group("run_time")
-        times["run_time_s"] = np.full(len(STAGES), math.nan)
+        _add(times, "run_time_s", np.full(len(STAGES), math.nan))
         name_axes(times, {"stage": np.array(STAGES, f"S{STAGE_BYTES}")}, {"run_time_s": "s"})
         if bench.bench.simulated:
             ground_truth = file.create_group("truth")
@@ -116,6 +114,20 @@ def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[
     return scale, scale / 2
 
 
+def _add(group: h5py.Group, name: str, values: Any) -> None:
+    """Create dataset ``name`` with ``values`` (any shape but scalar) and HDF5's own checksum."""
+    if np.size(values):
+        group.create_dataset(name, data=values, chunks=True, fletcher32=True)
+    else:
+        # HDF5 has no empty chunks.
+        group[name] = values
+
+
+def chunk_records(capture: Capture) -> int:
+    """Return the number of records in a chunk of echoes, the piece that HDF5 reads and writes at once."""
+    return max(1, min(capture.record_count, math.ceil(CHUNK_BYTES / (2 * capture.record_samples))))
+
+
 def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
     """Attach named axes to every dataset of ``group``, and write their units.
 
@@ -123,7 +135,7 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
     """
     datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
     for name, values in scales.items():
-        group[name] = values
+        _add(group, name, values)
     axes = [group[name] for name in scales]
     for name, axis in zip(scales, axes, strict=True):
         axis.make_scale(name)
@@ -155,13 +167,9 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
         file.attrs[name] = _fixed(printable(value)) if isinstance(value, str) else value
     file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
     file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
-    snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
-    if snapshot.nbytes <= MAX_PREALLOCATED_BYTES:
-        snapshot[...] = b""
-    for name in ("untrusted", "changed_settings"):
-        texts = file.create_dataset(name, len(plan.shots), f"S{UNTRUSTED_BYTES}", chunks=(1,))
-        if texts.nbytes <= MAX_PREALLOCATED_BYTES:
-            texts[...] = b""
+    sizes = {"snapshot": SNAPSHOT_BYTES, "untrusted": UNTRUSTED_BYTES, "changed_settings": UNTRUSTED_BYTES}
+    for name, size in sizes.items():
+        file.create_dataset(name, len(plan.shots), f"S{size}", chunks=(1,), fletcher32=True)
     name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
 
 
@@ -176,18 +184,17 @@ def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
 
 
 def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
-    """Create dataset ``name`` (shot, pulse), filled with ``fill``; a very large one is filled when it is read."""
+    """Create dataset ``name`` (shot, pulse), filled with ``fill``."""
     shape = (len(plan.shots), plan.shots[0].capture.record_count)
-    rows = group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
-    if rows.nbytes <= MAX_PREALLOCATED_BYTES:
-        rows[...] = fill
+    chunks = (1, min(shape[1], ROW_CHUNK))
+    group.create_dataset(name, shape, dtype, chunks=chunks, fillvalue=fill, fletcher32=True)
 
 
 def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence[float]) -> None:
     """Create datasets for the simulated harmonics (shot, frequency), NaN until the simulation provides them."""
     group = file.create_group("true_harmonics")
     for name in TRUE_HARMONICS:
-        group[name] = np.full((shots, len(frequencies_hz)), math.nan)
+        _add(group, name, np.full((shots, len(frequencies_hz)), math.nan))
     axes = {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}
     name_axes(group, axes, dict.fromkeys(TRUE_HARMONICS, "m"))
     group["frequency"].attrs["units"] = "Hz"
@@ -197,7 +204,7 @@ def _create_conditions(file: h5py.File, shots: int, conditions: Sequence[Conditi
     """Create the conditions before and after each shot, (shot, condition), NaN until they are read."""
     group, units = file.create_group("conditions"), ", ".join(condition.unit or "1" for condition in conditions)
     for name in ("before", "after"):
-        group[name] = np.full((shots, len(conditions)), math.nan)
+        _add(group, name, np.full((shots, len(conditions)), math.nan))
     names = np.array([condition.name for condition in conditions], f"S{CONDITION_BYTES}")
     name_axes(group, {"shot": np.arange(shots), "condition": names}, {"before": units, "after": units})
 
@@ -211,11 +218,8 @@ def _create_codes(
     """
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
-    pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
-    chunks, filters = (1, pulses_a_chunk, shape[2]), _filter() if compress else {}
-    echo = group.create_dataset(name, shape, "<i2", chunks=chunks, fillvalue=MISSING, **filters)
-    # Writing the first chunk creates the index of all chunks, which a full disk could prevent later.
-    echo[0, :pulses_a_chunk] = MISSING
+    chunks, filters = (1, chunk_records(capture), shape[2]), _filter() if compress else {}
+    echo = group.create_dataset(name, shape, "<i2", chunks=chunks, fillvalue=MISSING, fletcher32=True, **filters)
     # CF conventions: programs that follow them convert codes to volts and missing records to NaN.
     scale, offset = volts_of_codes(input_range_v, code_limits)
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
@@ -259,16 +263,17 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
     _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
     # Planned values and flags of each shot.
-    group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
+    _add(group, "burst_length_s", [shot.timeline.burst_length_s for shot in shots])
     # Filled in when the settings of a shot are read back from the generator.
-    group["force_set"] = np.full(len(shots), math.nan)
-    group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
-    group["repeat"] = [shot.repeat for shot in shots]
+    _add(group, "force_set", np.full(len(shots), math.nan))
+    forces = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
+    _add(group, "force_fraction", forces)
+    _add(group, "repeat", [shot.repeat for shot in shots])
     for name in ("lateral_offset_m", "axial_offset_m"):
         if any(offsets := [getattr(shot, name) for shot in shots]):
-            group[name] = offsets
-    group["shot_complete"] = np.zeros(len(shots), np.uint8)
-    group["clipped"] = np.zeros(len(shots), np.uint8)
+            _add(group, name, offsets)
+    _add(group, "shot_complete", np.zeros(len(shots), np.uint8))
+    _add(group, "clipped", np.zeros(len(shots), np.uint8))
     # Axes of all datasets: shot, pulse, and time within a record.
     sample_s = shots[0].timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz
     units = {"echo": "V", "monitor": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}

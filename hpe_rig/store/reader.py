@@ -1,4 +1,4 @@
-"""Content of a run file, read shot by shot on demand, also during the run.
+"""Content of a run, read shot by shot on demand, from its run file or, during the run, from its log.
 
 Every value is compared with its checksum. A record counts as missing and damaged if its echoes, or the mark in
 ``recorded`` that it arrived, fail their checksum. Early files without checksums are read unchecked, except for chunks
@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import math
 import tempfile
-import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -29,6 +28,7 @@ from hpe_rig.result import Provenance
 from hpe_rig.scene import printable
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
 from hpe_rig.store.format import (
+    BITSHUFFLE,
     CONDITION_BYTES,
     MAX_CONDITIONS,
     MAX_STAGES,
@@ -43,7 +43,8 @@ from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store.marks import identity_of, read_marks, write_marks
 from hpe_rig.store.placement import Placement, place_records
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
-from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
+from hpe_rig.store.source import open_checked
+from hpe_rig.store.validation import CheckedFile, InvalidContentError, stored_values
 
 Shape = tuple[int, int, int]
 CODE_LIMITS_UNSTATED: Final = (-8192, 8191)
@@ -51,9 +52,6 @@ CODE_LIMITS_UNSTATED: Final = (-8192, 8191)
 MAX_MISSING_BYTES: Final = 256_000_000
 """Maximum memory for the missing records of a shot, which take no space in the file."""
 MAX_SHOTS: Final = 1_000_000
-READ_ATTEMPTS: Final = 3
-"""How often a chunk of a running run is read before it counts as damaged: the writer may be changing it."""
-READ_PAUSE_S: Final = 0.02
 MAX_SAMPLES_IN_MEMORY: Final = 1 << 25
 """Maximum number of samples of a shot that are read into memory; the records of a longer shot stay in the file."""
 MAX_SAMPLES_PER_STEP: Final = 1 << 22
@@ -120,7 +118,8 @@ class StoredShot:
         else:
             with open_checked(self.path) as checked:
                 echo = checked.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
-                codes = echo[self.shot, records, self.samples]
+                arrival = _Arrival(self.valid, np.full(self.valid.size, np.nan), self.damaged)
+                codes, _ = _codes(checked, echo, f"records/{self.name}", self.shot, arrival, self.samples, records)
         return codes
 
 
@@ -209,17 +208,11 @@ class StoredRecords(Sequence[ShotRecords]):
 
         ``placement``: pulses of the records; None: by the trigger times.
         """
-        # While a run writes the file, records can look damaged for a moment: they are read again after a pause.
-        for attempt in range(READ_ATTEMPTS):
-            with open_checked(self.path) as checked:
-                stored, offset_v, arrival = self._of_shot(checked, shot, gate, name, margin)
-                echo = _echo(checked, self.shape, name)
-                codes, damaged = _codes(checked, echo, f"records/{name}", stored.shot, arrival, stored.samples)
-                running = checked.attribute("status", str) == STATUSES[0]
-                record_placement = placement or _placement(checked, self.shape, stored.shot, arrival)
-            if not (damaged.any() and running) or attempt == READ_ATTEMPTS - 1:
-                break
-            time.sleep(READ_PAUSE_S)
+        with open_checked(self.path) as checked:
+            stored, offset_v, arrival = self._of_shot(checked, shot, gate, name, margin)
+            echo = _echo(checked, self.shape, name)
+            codes, damaged = _codes(checked, echo, f"records/{name}", stored.shot, arrival, stored.samples)
+            record_placement = placement or _placement(checked, self.shape, stored.shot, arrival)
         time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
         scale, limits = stored.volts_per_code, stored.code_limits
         records = ShotRecords(codes, time_s, scale, offset_v, limits, stored.margin, damaged)
@@ -280,7 +273,7 @@ class StoredRecords(Sequence[ShotRecords]):
         samples, margins = with_margin(gate, margin, self.shape[2])
         arrival = _arrival(checked, self.shape, shot)
         _refuse_excessive_size(
-            _echo(checked, self.shape, name), arrival.recorded, self.shape, samples.stop - samples.start
+            checked, _echo(checked, self.shape, name), arrival.recorded, samples.stop - samples.start
         )
         scale, offset = (checked.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
         limits = _code_limits(checked, f"records/{name}")
@@ -525,8 +518,8 @@ def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
     if status not in STATUSES:
         raise InvalidContentError(f"its status is {status!r}")
     damage = list[str]()
-    if checked.missing_bytes:
-        damage.append(f"the file is cut short: {checked.missing_bytes} bytes are missing at its end")
+    if (remark := _remark_on_length(checked)) is not None:
+        damage.append(remark)
     shot_complete, damaged_shots = _flags(checked, shape, "shot_complete", "does not count as complete")
     clipped, damaged_clipping = _flags(checked, shape, "clipped", "may have been clipped")
     damage += damaged_shots + damaged_clipping
@@ -559,6 +552,17 @@ def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
         changed_settings=_texts_by_shot(checked, shape, "changed_settings"),
         conditions=_conditions(checked, shape[0]),
     )
+
+
+def _remark_on_length(checked: CheckedFile) -> str | None:
+    """Return a message if the end of the file is damaged."""
+    if checked.missing_bytes > 0 and checked.codes:
+        return f"the log of the run is damaged: its last {checked.missing_bytes} bytes are left out"
+    if checked.missing_bytes > 0:
+        return f"the file is cut short: {checked.missing_bytes} bytes are missing at its end"
+    if checked.missing_bytes < 0 and checked.is_written_once:
+        return f"{-checked.missing_bytes} bytes follow the end of the file: another program has appended them"
+    return None
 
 
 def _checked_shape(checked: CheckedFile, simulated: bool) -> Shape:
@@ -699,13 +703,14 @@ def _row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None
     Values that were never written or are damaged are blank. ``name``: path of the dataset.
     """
     index = () if row is None else (row,)
-    values = np.asarray(dataset[index], dataset.dtype)
+    values = stored_values(dataset, index)
     if not checked.has_checksums:
         return values, True
-    # A checksum of 0 is that of values that were never written.
     expected = int(checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[: len(index)])[index])
-    intact = expected in (0, digest(name, index, stored_bytes(values, dataset.dtype)))
-    return (values if expected and intact else blank(dataset.dtype, values.shape)), intact
+    matches = expected == checked.row_checksum(name, index, stored_bytes(values, dataset.dtype))
+    # In files of version 2 a checksum of 0 is that of values that were never written.
+    intact = matches or (expected == 0 and not checked.is_written_once)
+    return (values if matches else blank(dataset.dtype, values.shape)), intact
 
 
 def _row_or_blank(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int) -> Any:
@@ -719,17 +724,16 @@ def _all_rows(checked: CheckedFile, name: str, dataset: h5py.Dataset) -> tuple[N
 
     Rows that were never written or are damaged are blank.
     """
-    values: NDArray[Any] = dataset[()]
+    values = stored_values(dataset)
     if not checked.has_checksums:
         return values, np.ones(values.shape[0], bool)
-    expected = checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[:1])[()].tolist()
-    actual = [digest(name, (index,), stored_bytes(row, dataset.dtype)) for index, row in enumerate(values)]
-    # A checksum of 0 is that of a row that was never written.
-    unwritten = np.array(expected) == 0
-    matches = [stored == computed for stored, computed in zip(expected, actual, strict=True)]
-    intact = unwritten | np.array(matches, bool)
-    values[unwritten | ~intact] = blank(dataset.dtype, ())
-    return values, intact
+    expected = checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[:1])[()]
+    content = [stored_bytes(row, dataset.dtype) for row in values]
+    actual = [checked.row_checksum(name, (index,), row) for index, row in enumerate(content)]
+    matches = expected == np.array(actual, "<u8")
+    values[~matches] = blank(dataset.dtype, ())
+    # In files of version 2 a checksum of 0 is that of a row that was never written.
+    return values, matches | ((expected == 0) & (not checked.is_written_once))
 
 
 @dataclass(frozen=True, slots=True)
@@ -746,18 +750,18 @@ def _arrival(checked: CheckedFile, shape: Shape, shot: int) -> _Arrival:
 
     The marks of each chunk of records have a checksum; records with a missing or wrong one do not count.
     """
-    marks = _rows(checked, "records/recorded", shape, "u1")[shot]
-    time_s = _rows(checked, "records/trigger_time_s", shape)[shot]
+    marks = stored_values(_rows(checked, "records/recorded", shape, "u1"), (shot,))
+    time_s = stored_values(_rows(checked, "records/trigger_time_s", shape), (shot,))
     recorded, damaged = marks == 1, np.zeros(shape[1], bool)
     if checked.has_checksums:
         # Marks and trigger times have one checksum for each chunk of records.
         name, size = "records/recorded", checked.file["records/echo"].chunks[1]
         for number, expected in enumerate(_sums(checked, name, shape, size)[shot]):
             rows = slice(number * size, (number + 1) * size)
-            if not expected:
+            if not expected and not checked.is_written_once:
                 # The writer was killed before it wrote this checksum.
                 recorded[rows] = False
-            elif digest(name, (shot, number), marks[rows].tobytes(), time_s[rows].tobytes()) != expected:
+            elif checked.row_checksum(name, (shot, number), marks[rows].tobytes(), time_s[rows].tobytes()) != expected:
                 recorded[rows], damaged[rows] = False, True
     return _Arrival(recorded, np.where(recorded, time_s, np.nan), damaged)
 
@@ -828,21 +832,23 @@ def _chunk(
 
     A chunk is the piece that HDF5 stores at once. ``sums`` (shot, chunk): checksums, None in a file without.
     """
-    rows, uncompressed = echo.chunks[1], echo.id.get_create_plist().get_nfilters() == 0
+    rows = echo.chunks[1]
     first = number * rows
+    shape = (min(rows, echo.shape[1] - first), echo.shape[2])
+    if checked.codes is not None:
+        found = checked.codes(name, shot, number, shape, first)
+        return None if found is None else found[0]
+    if checked.is_written_once:
+        return _checked_chunk(checked, echo, name, shot, number, sums)
     if sums is None:
         location = echo.id.get_chunk_info_by_coord((shot, first, 0))
         if location.byte_offset is None or location.byte_offset + location.size > checked.size:
             return None
     else:
-        try:
-            _, stored = echo.id.read_direct_chunk((shot, first, 0))
-        except (OSError, RuntimeError, ValueError):
-            # The chunk lies beyond the end of the file or has no location.
+        stored = _stored_chunk(echo, shot, first)
+        if stored is None or digest(name, (shot, number), stored) != int(sums[shot, number]):
             return None
-        if digest(name, (shot, number), stored) != int(sums[shot, number]):
-            return None
-        if uncompressed:
+        if not _is_compressed(echo):
             return np.frombuffer(stored, "<i2").reshape(echo.chunks[1:])
     try:
         codes: Int16Array = echo[shot, first : first + rows]
@@ -851,16 +857,56 @@ def _chunk(
     return codes
 
 
-def _refuse_excessive_size(echo: h5py.Dataset, recorded: BoolArray, shape: Shape, samples: int) -> None:
+def _checked_chunk(
+    checked: CheckedFile, echo: h5py.Dataset, name: str, shot: int, number: int, sums: h5py.Dataset | None
+) -> Int16Array | None:
+    """As ``_chunk``, in a file that was written after its run: the checksum is that of the codes."""
+    first, samples = number * echo.chunks[1], echo.shape[2]
+    rows = min(echo.chunks[1], echo.shape[1] - first)
+    if _is_compressed(echo):
+        try:
+            # HDF5 compares its own checksum before it decompresses the chunk.
+            codes: Int16Array = echo[shot, first : first + rows]
+        except OSError:
+            return None
+    else:
+        # HDF5's own checksum follows the codes; comparing one checksum takes half the time.
+        stored = _stored_chunk(echo, shot, first)
+        if stored is None or len(stored) < 2 * rows * samples:
+            return None
+        codes = np.frombuffer(stored, "<i2", rows * samples).reshape(rows, samples)
+    matches = sums is not None and checked.row_checksum(name, (shot, number), codes.data) == int(sums[shot, number])
+    return codes if matches else None
+
+
+def _stored_chunk(echo: h5py.Dataset, shot: int, first: int) -> bytes | None:
+    """Return the stored bytes of the chunk that begins with record ``first`` of ``shot``; None if it is not there."""
+    try:
+        _, stored = echo.id.read_direct_chunk((shot, first, 0))
+    except (OSError, RuntimeError, ValueError):
+        # The chunk lies beyond the end of the file or has no location.
+        return None
+    content: bytes = stored
+    return content
+
+
+def _refuse_excessive_size(checked: CheckedFile, echo: h5py.Dataset, recorded: BoolArray, samples: int) -> None:
     """Raise ``InvalidContentError`` if the declared records need far more memory than the file has bytes for them.
 
     ``samples``: number of samples that are read from each record.
     """
-    size, uncompressed = echo.id.get_storage_size(), echo.id.get_create_plist().get_nfilters() == 0
-    if uncompressed and int(recorded.sum()) * shape[2] * 2 > size:
+    _, pulses, record_samples = echo.shape
+    size = checked.size if checked.codes else echo.id.get_storage_size()
+    if (checked.codes or not _is_compressed(echo)) and int(recorded.sum()) * record_samples * 2 > size:
         raise InvalidContentError(f"it declares {int(recorded.sum())} stored records in {size} bytes")
-    if 2 * shape[1] * samples > size + MAX_MISSING_BYTES:
-        raise InvalidContentError(f"it declares {shape[1]} records a shot and holds {size} bytes")
+    if 2 * pulses * samples > size + MAX_MISSING_BYTES:
+        raise InvalidContentError(f"it declares {pulses} records a shot and holds {size} bytes")
+
+
+def _is_compressed(echo: h5py.Dataset) -> bool:
+    """Return whether the chunks of ``echo`` are compressed."""
+    properties = echo.id.get_create_plist()
+    return any(properties.get_filter(number)[0] == BITSHUFFLE for number in range(properties.get_nfilters()))
 
 
 def _echo(checked: CheckedFile, shape: Shape, name: str = "echo") -> h5py.Dataset:

@@ -18,8 +18,8 @@ from hpe_rig.result import MOTION_UNITS, PARTS, UNITS, Covariance, Result, ShotR
 from hpe_rig.store.atomic import atomic_file, synchronise
 from hpe_rig.store.checksum import kind_of, seal, seal_heap
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
-from hpe_rig.store.journal import make_or_undo
 from hpe_rig.store.layout import LIBVER, name_axes
+from hpe_rig.store.task import make_or_undo
 
 
 def write_result(path: Path, result: Result) -> None:

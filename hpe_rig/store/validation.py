@@ -10,19 +10,20 @@ import contextlib
 import ctypes
 import math
 import os
-import time
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import h5py
 import numpy as np
-from h5py import h5f, h5p
+from h5py import h5f, h5p, h5z
+from numpy.typing import NDArray
 
+from hpe_rig.arrays import Int16Array
 from hpe_rig.scene import MAX_TEXT_BYTES, control_character, printable
-from hpe_rig.store.checksum import ATTRIBUTE, GROUP, digest, stored_bytes
-from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, extra, reason
+from hpe_rig.store.checksum import ATTRIBUTE, GROUP, crc, digest, stored_bytes
+from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, OLDEST_VERSION, StoreError, extra
 
 MAX_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
@@ -31,8 +32,6 @@ SUPERBLOCK: Final = 3
 END_OFFSET: Final = 28
 """Offset in the superblock of the file's length, 8 bytes."""
 METADATA_ATTEMPTS: Final = 20
-OPEN_ATTEMPTS: Final = 5
-OPEN_PAUSE_S: Final = 0.02
 
 
 class InvalidContentError(Exception):
@@ -41,11 +40,25 @@ class InvalidContentError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class CheckedFile:
-    """Open file that returns only checked content; ``missing_bytes``: how much shorter it is than it declares."""
+    """Open file that returns only checked content.
+
+    ``missing_bytes``: how much shorter it is than it declares, negative if bytes follow its end; of a log, the
+    unreadable bytes. ``codes``: of a chunk of echoes in a log (``LogContent.codes``); None if ``file`` has them.
+    """
 
     file: h5py.File
     size: int = 0
     missing_bytes: int = 0
+    codes: Callable[[str, int, int, tuple[int, int], int], tuple[Int16Array, int] | None] | None = None
+
+    @property
+    def is_written_once(self) -> bool:
+        """Whether the file was written after its run; those of format version 2 were written during the run."""
+        return int(self.file.attrs["format_version"]) > OLDEST_VERSION
+
+    def row_checksum(self, name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
+        """Return the checksum of row or chunk ``index`` of dataset ``name`` by the format of this file."""
+        return (crc if self.is_written_once else digest)(name, index, *contents)
 
     @property
     def has_checksums(self) -> bool:
@@ -68,14 +81,18 @@ class CheckedFile:
     def matches_checksum(self, name: str, dataset: h5py.Dataset) -> bool:
         """Return whether ``dataset``, which never changes after the start, matches the checksum in its attribute."""
         stated = dataset.attrs.get(ATTRIBUTE)
-        return isinstance(stated, np.uint64) and int(stated) == digest(
-            name, (), stored_bytes(dataset[()], dataset.dtype)
-        )
+        content = stored_bytes(stored_values(dataset), dataset.dtype)
+        return isinstance(stated, np.uint64) and int(stated) == digest(name, (), content)
+
+    def stored_here(self, name: str) -> h5py.Dataset:
+        """Return dataset ``name`` if the file itself holds its values."""
+        dataset = self._dataset(name)
+        _refuse_external_storage(dataset, name)
+        return dataset
 
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
         """Return dataset ``name`` if it has this type and shape; None in ``shape`` allows any length."""
-        dataset = self._dataset(name)
-        _refuse_external_storage(dataset, name)
+        dataset = self.stored_here(name)
         if dataset.dtype != np.dtype(dtype):
             raise InvalidContentError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
         same_rank = len(dataset.shape or ()) == len(shape)
@@ -124,44 +141,32 @@ class CheckedFile:
         return item
 
 
-@contextlib.contextmanager
-def open_checked(path: Path) -> Iterator[CheckedFile]:
-    """Yield the run file ``path``, also while another program writes it; raise ``StoreError`` if it is invalid."""
+def stored_values(dataset: h5py.Dataset, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
+    """Return the values of ``dataset`` at ``index``; zero where HDF5's own checksum does not match."""
     try:
-        declared = _declared_size(path)
-        # Read after the declared size, since a run in progress extends the file.
-        size = path.stat().st_size
-        with _open(path) as file:
-            checked = CheckedFile(file, size, max(0, declared - size))
-            _refuse_format(checked)
-            yield checked
-    except InvalidContentError as error:
-        raise StoreError(
-            f"{path} is not a readable run file: {error}. It is damaged, was changed, or comes from elsewhere. "
-            "Try: a file written by hpe-rig run."
-        ) from None
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
-        raise StoreError(
-            f"{path} is not a readable run file ({reason(error)}). It is cut short, damaged or comes from elsewhere. "
-            "Try: a copy of it, or measure again."
-        ) from error
+        return np.asarray(dataset[index], dataset.dtype)
+    except OSError:
+        if dataset.chunks is None:
+            raise
+    values = np.zeros(dataset.shape, dataset.dtype)
+    for chunk in dataset.iter_chunks():
+        with contextlib.suppress(OSError):
+            values[chunk] = dataset[chunk]
+    return np.asarray(values[index])
 
 
-def _open(path: Path) -> h5py.File:
-    """Return the run file ``path`` opened for reading, also while another program writes it (HDF5's SWMR mode).
+def open_hdf5(path: Path) -> h5py.File:
+    """Return the run file ``path`` opened for reading, also one that is shorter than it declares.
 
-    In this mode echoes are never read in a state older than their marks. A full disk can leave a file shorter than it
-    declares; HDF5 opens such a file only in this mode.
+    HDF5 opens such a file only in its mode for files that are being written (SWMR), and never in any other mode while
+    this program has it open in that one.
     """
     arguments = os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, _access_properties()
-    for _ in range(OPEN_ATTEMPTS):
-        with contextlib.suppress(OSError):
-            return h5py.File(h5f.open(*arguments))
-        with contextlib.suppress(OSError):
-            # This program may have opened it without SWMR before.
-            return h5py.File(path, "r")
-        # The writer of an earlier release may be between two of its steps. A damaged file costs 0.1 s.
-        time.sleep(OPEN_PAUSE_S)
+    with contextlib.suppress(OSError):
+        return h5py.File(h5f.open(*arguments))
+    with contextlib.suppress(OSError):
+        # This program may have opened it without SWMR before.
+        return h5py.File(path, "r")
     return h5py.File(h5f.open(*arguments))
 
 
@@ -179,7 +184,7 @@ def _access_properties() -> h5p.PropFAID:
     return access
 
 
-def _declared_size(path: Path) -> int:
+def declared_size(path: Path) -> int:
     """Return the length of the file that its superblock (HDF5's header) states.
 
     Raises ``InvalidContentError`` if the header is not that of a run file.
@@ -197,7 +202,7 @@ def _declared_size(path: Path) -> int:
     return int.from_bytes(start[END_OFFSET:], "little")
 
 
-def _refuse_format(checked: CheckedFile) -> None:
+def refuse_format(checked: CheckedFile) -> None:
     """Raise ``InvalidContentError`` unless the file is a run file of this format version."""
     try:
         is_run = checked.attribute("format", str) == FORMAT
@@ -207,7 +212,7 @@ def _refuse_format(checked: CheckedFile) -> None:
         raise InvalidContentError("it is an HDF5 file, but a result file or another program's")
     version = checked.attribute("format_version", int)
     newer = f"this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
-    if version != FORMAT_VERSION:
+    if not OLDEST_VERSION <= version <= FORMAT_VERSION:
         why = newer if version > FORMAT_VERSION else "which predates the promises of run files"
         raise InvalidContentError(f"it has format version {version}, {why}")
 
@@ -254,15 +259,15 @@ def _refuse_external_storage(dataset: h5py.Dataset, name: str) -> None:
 
 
 def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
-    """Raise ``InvalidContentError`` for chunks that are too large or filters other than bitshuffle."""
+    """Raise ``InvalidContentError`` for chunks that are too large or filters other than bitshuffle and Fletcher-32."""
     if dataset.chunks is not None and math.prod(dataset.chunks) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
         raise InvalidContentError(f"/{name} has chunks of {dataset.chunks}, larger than any run file's")
     plist = dataset.id.get_create_plist()
     filters = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
-    if filters not in ([], [BITSHUFFLE]):
+    if [number for number in filters if number != h5z.FILTER_FLETCHER32] not in ([], [BITSHUFFLE]):
         raise InvalidContentError(
             f"/{name} went through filters {filters[:5]}, of which a run file knows {BITSHUFFLE} only"
         )
-    if filters:
+    if BITSHUFFLE in filters:
         with extra("compression"):
             import hdf5plugin  # noqa: F401, registers the filter

@@ -18,7 +18,8 @@ from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound, ki
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.json_checksum import read_sealed
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
-from hpe_rig.store.validation import CheckedFile, InvalidContentError, open_checked
+from hpe_rig.store.source import open_checked
+from hpe_rig.store.validation import CheckedFile, InvalidContentError
 
 TEXT_KINDS: Final = ("queue", "marks", "study", "summary")
 """Kinds of files of text with a checksum."""
@@ -86,7 +87,8 @@ def verify(path: Path) -> Verification:
     stored = read_run(path)
     damage = [Damage(text) for text in stored.damage if not text.startswith("shot ")]
     with open_checked(path) as checked:
-        damage += _damaged_datasets(checked.file, path)
+        if checked.codes is None:
+            damage += _damaged_datasets(checked.file, path)
     records = 0
     for shot in range(stored.shot_complete.size):
         records += int(stored.records.recorded(shot).sum())

@@ -1,0 +1,386 @@
+"""Log of a run -> its run file in HDF5, and a log as an HDF5 file in memory for readers.
+
+The HDF5 library never works on a file that a run depends on: it fills a draft, which replaces the log when it is
+complete. Each chunk of echoes goes from its frames into the draft unchanged, together with the checksum that was
+computed when the records arrived.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Final, final
+
+import h5py
+import numpy as np
+from h5py import h5d, h5f, h5fd, h5p, h5s
+from numpy.typing import NDArray
+
+from hpe_rig.arrays import Int16Array
+from hpe_rig.store.atomic import atomic_file
+from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, blank, crc
+from hpe_rig.store.format import STATUS_BYTES, STATUSES, StoreError
+from hpe_rig.store.layout import LIBVER
+from hpe_rig.store.log import (
+    CODES,
+    STATUS,
+    SYNCED,
+    TRIGGER_TIMES,
+    Frame,
+    Log,
+    LogWriter,
+    is_log,
+    payload,
+    read_log,
+)
+from hpe_rig.store.records import MISSING
+from hpe_rig.store.validation import CheckedFile, InvalidContentError
+
+KILLED: Final = "aborted"
+"""Status of a run whose program was killed: its log has none."""
+MAX_VIEWS: Final = 2
+"""Number of logs whose content stays in memory, except for the echoes."""
+LIBRARY_ERRORS: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
+
+Rows = dict[str, dict[int, Frame]]
+Chunks = dict[tuple[str, int, int], list[Frame]]
+
+
+class DamagedLogError(Exception):
+    """A log of which synced frames are damaged: it is read as it is and not replaced."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogContent:
+    """Frames of a log by their place: the last one of each row, and all those of each chunk of records."""
+
+    rows: Rows
+    chunks: Chunks
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame], chunk_rows: int) -> LogContent:
+        """Sort the ``frames`` of a log; ``chunk_rows``: records in a chunk of echoes."""
+        rows, chunks = Rows(), Chunks()
+        for frame in frames:
+            if frame.name in (*CODES, TRIGGER_TIMES):
+                chunks.setdefault((frame.name, frame.shot, frame.first // chunk_rows), []).append(frame)
+            else:
+                rows.setdefault(frame.name, {})[frame.shot] = frame
+        return cls(rows, chunks)
+
+    def codes(
+        self, stream: IO[bytes], name: str, shot: int, number: int, shape: tuple[int, int], first: int
+    ) -> tuple[Int16Array, int] | None:
+        """Return the codes of chunk ``number`` of ``shot``, (record, sample), and their checksum; None if damaged.
+
+        ``shape``: of the chunk, ``first``: its first record in the shot. Missing records hold ``MISSING``.
+        """
+        codes, checksum = np.full((0, shape[1]), MISSING), 0
+        for frame in self.chunks.get((name, shot, number), ()):
+            content, is_intact = payload(stream, frame, (shot, number))
+            start, records = frame.first - first, len(content) // (2 * shape[1])
+            if not is_intact or len(content) != 2 * shape[1] * records or start + records > shape[0]:
+                return None
+            values = np.frombuffer(content, "<i2").reshape(records, shape[1])
+            if records == shape[0]:
+                # The usual case: one frame holds the whole chunk, and its checksum is the chunk's.
+                codes, checksum = values, frame.checksum
+                continue
+            codes = codes.copy() if codes.size else np.full(shape, MISSING)
+            codes[start : start + records], checksum = values, 0
+        codes = codes if codes.size else np.full(shape, MISSING)
+        return codes, checksum or crc(name, (shot, number), codes.data)
+
+
+@dataclass(frozen=True, slots=True)
+class LogView:
+    """A log as an HDF5 file in memory, ``file``, which holds everything but the echoes; those are in ``content``."""
+
+    file: h5py.File
+    content: LogContent
+    log: Log
+
+
+_views: dict[tuple[object, ...], LogView] = {}
+
+
+def view_of(path: Path, stream: IO[bytes]) -> LogView:
+    """Return the content of the log ``path``, open as ``stream``; raise ``InvalidContentError`` if it is damaged."""
+    status = os.fstat(stream.fileno())
+    key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+    if key not in _views:
+        log = read_log(stream)
+        if log is None:
+            raise InvalidContentError("the start of the log is damaged")
+        file = h5py.File(io.BytesIO(log.image), "r+", libver=LIBVER)
+        view = LogView(file, _fill(CheckedFile(file), log.frames, stream, STATUSES[0]), log)
+        while len(_views) >= MAX_VIEWS:
+            # Another thread may still read it: it is closed with its last reference.
+            _views.pop(next(iter(_views)), None)
+        _views[key] = view
+    return _views[key]
+
+
+def assemble(path: Path, release: Callable[[], None], proceed: Callable[[], None] = lambda: None) -> None:
+    """Replace the log ``path`` by the run file in HDF5; leave the log as it is if that fails.
+
+    ``release``: closes the log before it is replaced. ``proceed``: called between the chunks, may raise to stop.
+    Raises ``OSError`` or ``MemoryError``, ``InvalidContentError`` for a log that hpe_rig did not write, and
+    ``DamagedLogError`` for damage that is no consequence of a crash.
+    """
+    with path.open("rb", buffering=0) as stream:
+        log = read_log(stream)
+        if log is None or not log.is_torn:
+            raise DamagedLogError
+        frames = _without_torn_frames(log, stream)
+        with atomic_file(path) as draft:
+            _write_draft(draft, log.image, frames, stream, proceed)
+            stream.close()
+            release()
+
+
+def recover(path: Path) -> None:
+    """Replace ``path`` by its run file in HDF5 if it is the log of a run whose program was killed.
+
+    Does nothing if another program is writing it, if it holds no records, and if it cannot be replaced.
+    """
+    with contextlib.suppress(*LIBRARY_ERRORS, StoreError, InvalidContentError, DamagedLogError):
+        if not is_log(path):
+            return
+        with path.open("rb", buffering=0) as stream:
+            log = read_log(stream)
+        # A new run locks its log before it writes the second frame: it must not find the log locked here.
+        if log is None or not log.frames:
+            return
+        writer = LogWriter(path)
+        try:
+            if writer.locked:
+                assemble(path, writer.close)
+        finally:
+            writer.close()
+
+
+def _write_draft(
+    draft: BinaryIO, image: bytes, frames: Sequence[Frame], stream: IO[bytes], proceed: Callable[[], None]
+) -> None:
+    """Write the run file with ``frames`` of the log ``stream`` to ``draft``."""
+    draft.write(image)
+    draft.flush()
+    output = _Output(draft)
+    try:
+        file = _open_on(output)
+        try:
+            checked = CheckedFile(file)
+            content = _fill(checked, frames, stream, KILLED)
+            _write_codes(checked, content, stream, proceed)
+        finally:
+            # Without effect on the disk after an error of it.
+            file.close()
+    except LIBRARY_ERRORS:
+        output.refuse_failure()
+        raise
+    output.refuse_failure()
+
+
+@final
+class _Output:
+    """Draft as a file-like object for HDF5, which may crash if it meets an error of the disk.
+
+    The first error is stored, and the library's further writes are discarded.
+    """
+
+    def __init__(self, draft: BinaryIO) -> None:
+        self._draft = draft
+        self._failure: BaseException | None = None
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        return self._attempt(self._draft.seek, offset, whence)
+
+    def tell(self) -> int:
+        return self._attempt(self._draft.tell)
+
+    def readinto(self, buffer: memoryview) -> int:
+        filled = 0
+        while filled < len(buffer) and (content := self._draft.read(len(buffer) - filled)):
+            buffer[filled : filled + len(content)] = content
+            filled += len(content)
+        buffer[filled:] = bytes(len(buffer) - filled)
+        return len(buffer)
+
+    def write(self, data: memoryview) -> int:
+        self._attempt(self._draft.write, data)
+        return len(data)
+
+    def truncate(self, size: int) -> int:
+        self._attempt(self._draft.truncate, size)
+        return size
+
+    def flush(self) -> None:
+        pass
+
+    def _attempt(self, call: Callable[..., int], *arguments: Any) -> int:
+        """Return the result of ``call``; 0 after the first error."""
+        if self._failure is None:
+            try:
+                return call(*arguments)
+            except (OSError, MemoryError) as error:
+                self._failure = error
+        return 0
+
+    def refuse_failure(self) -> None:
+        """Raise the first error of the disk."""
+        if self._failure is not None:
+            raise self._failure
+
+
+def _open_on(output: _Output) -> h5py.File:
+    """Return the draft behind ``output``, opened with the HDF5 library."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(*(h5f.LIBVER_V110 for _ in LIBVER))
+    access.set_fileobj_driver(h5fd.fileobj_driver, output)
+    try:
+        return h5py.File(h5f.open(b"draft", h5f.ACC_RDWR, access))
+    finally:
+        # Closed when the program ends, it would call into Python after Python has ended.
+        access.close()
+
+
+def _without_torn_frames(log: Log, stream: IO[bytes]) -> Sequence[Frame]:
+    """Return the frames of ``log`` up to the first one after the last sync that is damaged.
+
+    What was written after the last sync may be incomplete after a power loss.
+    """
+    synced = max((number + 1 for number, frame in enumerate(log.frames) if frame.name in SYNCED), default=0)
+    chunk_rows = _chunk_rows(log.image)
+    for number in range(synced, len(log.frames)):
+        if not payload(stream, log.frames[number], _index(log.frames[number], chunk_rows))[1]:
+            return log.frames[:number]
+    return log.frames
+
+
+def _fill(checked: CheckedFile, frames: Sequence[Frame], stream: IO[bytes], status: str) -> LogContent:
+    """Write everything in ``frames`` but the codes into the empty run file ``checked``; return the frames by place.
+
+    ``status``: of the run, unless the frames state it.
+    """
+    echo = checked.dataset("records/echo", "<i2", (None, None, None))
+    if echo.chunks is None or echo.chunks[0] != 1 or echo.chunks[2] != echo.shape[2]:
+        raise InvalidContentError(f"/records/echo has chunks of {echo.chunks}")
+    content = LogContent.of(frames, echo.chunks[1])
+    for name in (*BY_SHOT, *AT_ONCE):
+        if checked.has(name):
+            _fill_rows(checked, name, content.rows.get(name, {}), stream)
+    _fill_arrivals(checked, echo, content.chunks, stream)
+    if ended := content.rows.get(STATUS, {}).get(-1):
+        text, is_intact = payload(stream, ended, ())
+        status = text.decode("ascii", "replace") if is_intact else status
+    checked.file.attrs.modify("status", np.array(status.encode(), f"S{STATUS_BYTES}"))
+    checked.file.flush()
+    return content
+
+
+def _fill_rows(checked: CheckedFile, name: str, frames: Mapping[int, Frame], stream: IO[bytes]) -> None:
+    """Write the rows of dataset ``name`` and the checksums of all of its rows; ``frames``: by shot, -1 for all."""
+    dataset = checked.stored_here(name)
+    shape = dataset.shape if name in AT_ONCE else dataset.shape[1:]
+    empty = blank(dataset.dtype, shape).tobytes()
+    rows = [-1] if name in AT_ONCE else list(range(dataset.shape[0]))
+    sums = np.zeros(len(rows), "<u8")
+    for number, row in enumerate(rows):
+        index = () if name in AT_ONCE else (row,)
+        if (frame := frames.get(row)) is None:
+            sums[number] = crc(name, index, empty)
+            continue
+        # A damaged row is written too: readers compare it with the checksum of its frame.
+        content, _ = payload(stream, frame, index)
+        if len(content) != len(empty):
+            raise InvalidContentError(f"a row of /{name} has {len(content)} bytes, not {len(empty)}")
+        _write(dataset, index, np.frombuffer(content, dataset.dtype).reshape(shape))
+        sums[number] = frame.checksum
+    stored_sums = checked.stored_here(f"{GROUP}/{name}")
+    _write(stored_sums, (), sums.reshape(stored_sums.shape))
+
+
+def _fill_arrivals(checked: CheckedFile, echo: h5py.Dataset, chunks: Chunks, stream: IO[bytes]) -> None:
+    """Write the marks and trigger times of all records, and their checksums by chunk."""
+    shots, records, chunk_rows = echo.shape[0], echo.shape[1], echo.chunks[1]
+    recorded, trigger_time = checked.stored_here("records/recorded"), checked.stored_here(TRIGGER_TIMES)
+    sums = np.zeros((shots, -(-records // chunk_rows)), "<u8")
+    for shot in range(shots):
+        marks, time_s = np.zeros(records, "u1"), np.full(records, np.nan)
+        is_damaged, has_records = np.zeros(sums.shape[1], bool), False
+        for number in range(sums.shape[1]):
+            for frame in chunks.get((TRIGGER_TIMES, shot, number), ()):
+                content, is_intact = payload(stream, frame, (shot, number))
+                rows = slice(frame.first, frame.first + len(content) // 8)
+                if len(content) % 8 or rows.stop > min(records, (number + 1) * chunk_rows):
+                    raise InvalidContentError(f"the log has trigger times of records {rows.start} to {rows.stop}")
+                marks[rows], time_s[rows] = 1, np.frombuffer(content, "<f8")
+                has_records, is_damaged[number] = True, is_damaged[number] or not is_intact
+        for number in range(sums.shape[1]):
+            rows = slice(number * chunk_rows, (number + 1) * chunk_rows)
+            checksum = crc("records/recorded", (shot, number), marks[rows].data, time_s[rows].data)
+            # Marks of damaged trigger times get a checksum that they do not match.
+            sums[shot, number] = checksum + 1 if is_damaged[number] else checksum
+        if has_records:
+            _write(recorded, (shot,), marks)
+            _write(trigger_time, (shot,), time_s)
+    _write(checked.stored_here(f"{GROUP}/records/recorded"), (), sums)
+
+
+def _write_codes(checked: CheckedFile, content: LogContent, stream: IO[bytes], proceed: Callable[[], None]) -> None:
+    """Write the echoes, chunk by chunk, and their checksums; raise ``DamagedLogError`` if one is damaged."""
+    names = [name for name in CODES if checked.has(name)]
+    echoes = {name: _uncached(checked, name) for name in names}
+    sums = {name: checked.stored_here(f"{GROUP}/{name}")[()] for name in names}
+    for name, shot, number in sorted(content.chunks, key=lambda place: (place[1], place[2], place[0])):
+        if name in echoes:
+            proceed()
+            _, records, samples = echoes[name].shape
+            first = number * echoes[name].chunks[1]
+            shape = (min(echoes[name].chunks[1], records - first), samples)
+            found = content.codes(stream, name, shot, number, shape, first)
+            if found is None:
+                raise DamagedLogError
+            codes, sums[name][shot, number] = found
+            _write(echoes[name], (shot, first), codes)
+    for name in names:
+        _write(checked.stored_here(f"{GROUP}/{name}"), (), sums[name])
+
+
+def _uncached(checked: CheckedFile, name: str) -> h5py.Dataset:
+    """Return dataset ``name`` opened without the library's cache of chunks: each chunk is written once, whole."""
+    checked.stored_here(name)
+    access = h5p.create(h5p.DATASET_ACCESS)
+    access.set_chunk_cache(0, 0, 1.0)
+    return h5py.Dataset(h5d.open(checked.file.id, name.encode(), access))
+
+
+def _write(dataset: h5py.Dataset, start: tuple[int, ...], values: NDArray[Any]) -> None:
+    """Write ``values`` into ``dataset``; they begin at ``start`` along the first axes and at 0 along the others.
+
+    Uses the library's low-level interface: h5py takes ten times as long to interpret an index as to write.
+    """
+    count = (1,) * (len(dataset.shape) - values.ndim) + values.shape
+    memory, selection = dataset.id.get_space(), dataset.id.get_space()
+    if count:
+        memory = h5s.create_simple(count)
+        selection.select_hyperslab(start + (0,) * (len(count) - len(start)), count)
+    dataset.id.write(memory, selection, np.ascontiguousarray(values.reshape(count)))
+
+
+def _chunk_rows(image: bytes) -> int:
+    """Return the number of records in a chunk of echoes of the empty run file ``image``."""
+    with h5py.File(io.BytesIO(image), "r") as file:
+        return int(CheckedFile(file).dataset("records/echo", "<i2", (None, None, None)).chunks[1])
+
+
+def _index(frame: Frame, chunk_rows: int) -> tuple[int, ...]:
+    """Return the row or chunk of ``frame``, which its checksum includes."""
+    if frame.name in (*CODES, TRIGGER_TIMES):
+        return frame.shot, frame.first // chunk_rows
+    return () if frame.shot < 0 else (frame.shot,)
