@@ -87,6 +87,9 @@ class RunRecorder:
     ) -> None:
         """Wait for the records so far, close the run file in a thread, and note in ``error`` what the file holds."""
         limit_s = DISK_TIMEOUT_S if error is None or isinstance(error, Exception) else GIVE_UP_S
+        if limit_s == GIVE_UP_S and self._writer is None:
+            # A file that is being created is given up at once.
+            self._cancelled.set()
         is_closed = not self._is_stuck and self._wait_for(self._storage, error, limit_s)
         closing = BackgroundTasks("close")
         if is_closed and self._writer is not None:

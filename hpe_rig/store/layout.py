@@ -186,7 +186,8 @@ def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
 def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
     """Create dataset ``name`` (shot, pulse), filled with ``fill``."""
     shape = (len(plan.shots), plan.shots[0].capture.record_count)
-    chunks = (1, min(shape[1], ROW_CHUNK))
+    # Marks and trigger times belong to a chunk of echoes: damage of one of them costs the same records.
+    chunks = (1, chunk_records(plan.shots[0].capture) if group.name == "/records" else min(shape[1], ROW_CHUNK))
     group.create_dataset(name, shape, dtype, chunks=chunks, fillvalue=fill, fletcher32=True)
 
 

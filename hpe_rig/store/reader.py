@@ -330,7 +330,7 @@ class StoredRecords(Sequence[ShotRecords]):
     def unverified(self, shot: int) -> BoolArray:
         """Return which records of ``shot`` are marked as recorded but have no checksum, (pulse,)."""
         with open_checked(self.path) as checked:
-            marked: BoolArray = _rows(checked, "records/recorded", self.shape, "u1")[shot] == 1
+            marked: BoolArray = stored_values(_rows(checked, "records/recorded", self.shape, "u1"), (shot,)) == 1
             arrival = _arrival(checked, self.shape, shot)
             return marked & ~arrival.recorded & ~arrival.damaged
 

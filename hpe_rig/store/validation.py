@@ -142,13 +142,13 @@ class CheckedFile:
 
 
 def stored_values(dataset: h5py.Dataset, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
-    """Return the values of ``dataset`` at ``index``; zero where HDF5's own checksum does not match."""
+    """Return the values of ``dataset`` at ``index``; bytes 255, which no run has, where HDF5's checksum is wrong."""
     try:
         return np.asarray(dataset[index], dataset.dtype)
     except OSError:
         if dataset.chunks is None:
             raise
-    values = np.zeros(dataset.shape, dataset.dtype)
+    values = np.full(dataset.nbytes, 255, "u1").view(dataset.dtype).reshape(dataset.shape)
     for chunk in dataset.iter_chunks():
         with contextlib.suppress(OSError):
             values[chunk] = dataset[chunk]
@@ -215,6 +215,8 @@ def refuse_format(checked: CheckedFile) -> None:
     if not OLDEST_VERSION <= version <= FORMAT_VERSION:
         why = newer if version > FORMAT_VERSION else "which predates the promises of run files"
         raise InvalidContentError(f"it has format version {version}, {why}")
+    if checked.is_written_once and not checked.has_checksums:
+        raise InvalidContentError("its checksums are absent")
 
 
 def _refuse_no_text(holder: Any, where: str) -> None:

@@ -10,6 +10,7 @@ import contextlib
 import json
 import logging
 import math
+import os
 import shutil
 import threading
 import time
@@ -94,7 +95,7 @@ class RunWriter:
         self._frequencies = max(len(point.scene.wanted_frequencies_hz) for point in scene.scene.points)
         self._recorded = np.zeros(0, bool)
         self._shot = -1
-        self._is_broken = self._is_lost = False
+        self._is_broken = False
         try:
             image = empty_run(
                 scene, bench, plan, options.compress, options.predecessor, options.run_id, options.provenance
@@ -243,27 +244,37 @@ class RunWriter:
         """Write the end of the run and ``status``, and replace the log by the run file; raise the first error."""
         failure = None
         try:
+            if not self._is_broken:
+                self._write_end(status)
+        except StoreError as error:
+            failure = error
+        try:
             if self._is_broken:
                 self._log.cut_back()
-                status = "failed"
-            elif self._provenance is not None and self._provenance.started:
-                # Start plus duration by the monotonic clock, which is never adjusted.
-                duration = timedelta(seconds=round(self._clock() - self._started_s))
-                ended = datetime.fromisoformat(self._provenance.started) + duration
-                self._put("provenance/ended", -1, _padded(ended.isoformat(timespec="seconds"), TIME_BYTES))
-            self._put(STATUS, -1, status.encode("ascii"))
-            with self._writing():
-                self._log.sync()
+                self._is_broken = False
+                self._write_status("failed")
+            self._assemble()
         except (StoreError, OSError, MemoryError) as error:
-            failure = self._cannot_be_written(error)
-        try:
-            if failure is None:
-                self._assemble()
+            failure = failure or self._cannot_be_written(error)
         finally:
             with contextlib.suppress(OSError):
                 self._log.close()
         if failure is not None:
             raise failure
+
+    def _write_end(self, status: str) -> None:
+        """Write the end time of the run and ``status``."""
+        if self._provenance is not None and self._provenance.started:
+            # Start plus duration by the monotonic clock, which is never adjusted.
+            duration = timedelta(seconds=round(self._clock() - self._started_s))
+            ended = datetime.fromisoformat(self._provenance.started) + duration
+            self._put("provenance/ended", -1, _padded(ended.isoformat(timespec="seconds"), TIME_BYTES))
+        self._write_status(status)
+
+    def _write_status(self, status: str) -> None:
+        self._put(STATUS, -1, status.encode("ascii"))
+        with self._writing():
+            self._log.sync()
 
     def _assemble(self) -> None:
         """Replace the log by the run file; raise ``StoreError`` if that fails, and leave the log as it is."""
@@ -297,6 +308,8 @@ class RunWriter:
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
         """Delay signals in the block, which would leave half a frame; after an error refuse all further writes."""
+        if self._is_broken:
+            raise StoreError(f"{self.path} is not written any further after an error.")
         try:
             with uninterrupted():
                 yield
@@ -353,6 +366,8 @@ def _new_log(image: bytes, path: Path, overwrite: bool, record_bytes: int, cance
             refuse_to_replace(path)
         with atomic_file(path, overwrite) as draft:
             draft.write(new_log(image))
+            draft.flush()
+            os.fsync(draft.fileno())
             if cancelled.is_set():
                 raise InterruptedError
         return LogWriter(path)

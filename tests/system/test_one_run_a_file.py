@@ -27,7 +27,7 @@ from hpe_rig.measurement import (
 from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.measurement.stop_request import clear_stop, with_stop_requests
 from hpe_rig.runs.run import process
-from hpe_rig.store import StoreError, WriteOptions, journal, read_run, result_path
+from hpe_rig.store import StoreError, WriteOptions, read_run, result_path, task
 
 Prepare = Callable[..., Setup]
 SMALL = (
@@ -109,14 +109,14 @@ def test_a_disk_that_hangs_under_the_result_is_left_by_ctrl_c_or_after_a_minute_
     before = result_path(path, "coherent").read_bytes()
 
     def hangs(number: int) -> None:
-        if journal.STEP_TIMEOUT_S == 60.0:
+        if task.STEP_TIMEOUT_S == 60.0:
             threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
         assert answers.wait(20)
 
     monkeypatch.setattr(os, "fsync", hangs)
     with pytest.raises(KeyboardInterrupt):
         process(path)
-    monkeypatch.setattr(journal, "STEP_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(task, "STEP_TIMEOUT_S", 0.05)
     with pytest.raises(StoreError, match=r"has not answered for 0\.05 s.*The run file is as it was.*Try:"):
         process(path)
     answers.set()

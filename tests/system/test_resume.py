@@ -205,13 +205,13 @@ def test_a_sigterm_between_the_file_and_the_bench_leaves_no_file(
 def test_a_sigterm_while_the_file_appears_waits_until_it_can_be_closed(
     prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    opened = store_writer.open_on
+    opened = store_writer.LogWriter
 
-    def interrupted(journal: Any) -> Any:
+    def interrupted(path: Path) -> Any:
         terminated()
-        return opened(journal)
+        return opened(path)
 
-    monkeypatch.setattr(store_writer, "open_on", interrupted)
+    monkeypatch.setattr(store_writer, "LogWriter", interrupted)
     with pytest.raises(Terminated):
         record_run(prepared("table-1"), tmp_path / "run.h5")
     assert not list(tmp_path.glob("*.h5"))

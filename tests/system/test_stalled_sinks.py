@@ -50,7 +50,7 @@ from drivers.alazar.digitizer import AlazarDigitizer
 from hpe_rig.bench import opening
 from hpe_rig.cli.app import main
 from hpe_rig.measurement import sequencer, stop_request
-from hpe_rig.store import journal
+from hpe_rig.store import log
 import hpe_rig, hpe_rig.measurement.log, hpe_rig.runs, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables
 import rich.progress, scipy.linalg
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -114,7 +114,7 @@ def answering(function):
             time.sleep(0.01)
         return function(*arguments)
     return call
-journal.Journal._write_at = answering(journal.Journal._write_at)
+log.LogWriter._write = answering(log.LogWriter._write)
 stop_request.read_request = answering(stop_request.read_request)
 sys.modules["hpe_rig.measurement.pause"].read_request = stop_request.read_request
 

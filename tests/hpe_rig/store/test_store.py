@@ -48,8 +48,8 @@ from hpe_rig.store import (
     writer as writer_module,
 )
 from hpe_rig.store.format import STAGES, reason, versions
-from hpe_rig.store.journal import Journal
 from hpe_rig.store.layout import empty_run
+from hpe_rig.store.log import LogWriter
 from hpe_rig.store.records import MISSING
 
 
@@ -211,21 +211,6 @@ def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp
     assert read_run(tmp_path / "run.h5").status == "failed"
 
 
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_file_that_cannot_be_opened_once_it_is_there_is_not_left_behind(
-    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool
-) -> None:
-    path = written(setup, tmp_path / "run.h5") if overwrite else tmp_path / "run.h5"
-
-    def no_room(_: Journal) -> h5py.File:
-        raise MemoryError
-
-    monkeypatch.setattr(writer_module, "open_on", no_room)
-    with pytest.raises(StoreError, match=r"cannot be created \(.*memory"):
-        RunWriter(path, setup.scene, setup.bench, setup.plan, WriteOptions(overwrite=overwrite))
-    assert not path.exists()
-
-
 def test_an_empty_run_is_the_same_bytes_every_time(setup: Setup) -> None:
     images = [empty_run(setup.scene, setup.bench, setup.plan) for _ in range(2)]
     assert images[0] == images[1]
@@ -306,8 +291,8 @@ def test_too_little_memory_for_one_write_ends_the_run_with_a_message_and_a_whole
         number += 1
         path = tmp_path / f"{number}.h5"
         writer = RunWriter(path, setup.scene, setup.bench, setup.plan)
-        journal = vars(writer)["_journal"]
-        disk = vars(journal)["_file"] = ShortOfMemory(vars(journal)["_file"], number)
+        log = vars(writer)["_log"]
+        disk = vars(log)["_file"] = ShortOfMemory(vars(log)["_file"], number)
         message = ""
         try:
             with writer:
@@ -333,17 +318,17 @@ def test_a_file_whose_making_is_interrupted_is_closed_before_it_is_removed(
     """Windows removes no file that is open; an open one is locked."""
     path, unlink, locked = tmp_path / "run.h5", Path.unlink, list[bool | None]()
 
-    def interrupted(made: Path) -> Journal:
-        journal = Journal(made)
+    def interrupted(made: Path) -> LogWriter:
+        log = LogWriter(made)
         os.kill(os.getpid(), signal.SIGINT)
-        return journal
+        return log
 
     def noted(file: Path, missing_ok: bool = False) -> None:
         if file == path:
             locked.append(is_locked(file))
         unlink(file, missing_ok)
 
-    monkeypatch.setattr(writer_module, "Journal", interrupted)
+    monkeypatch.setattr(writer_module, "LogWriter", interrupted)
     monkeypatch.setattr(Path, "unlink", noted)
     with pytest.raises(KeyboardInterrupt), uninterrupted():
         RunWriter(path, setup.scene, setup.bench, setup.plan)
@@ -376,7 +361,7 @@ def test_compressed_records_are_the_same_records(setup: Setup, tmp_path: Path) -
     plain = record_run(setup, tmp_path / "plain.h5")
     packed = record_run(setup, tmp_path / "packed.h5", options=WriteOptions(compress=True))
     with h5py.File(packed) as file:
-        assert [item[0] for item in _filters(file["records/echo"])] == [32008]
+        assert [item[0] for item in _filters(file["records/echo"])] == [32008, 3]
     for one, other in zip(read_run(plain).records, read_run(packed).records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)
 

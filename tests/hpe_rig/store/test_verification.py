@@ -96,30 +96,6 @@ def test_one_bit_of_an_echo_costs_its_chunk_and_is_listed_by_shot_and_record(pat
     assert not any("triggers were lost" in text for text in found.shots[1].warnings)
 
 
-@pytest.mark.parametrize("repaired_after", [1, 2, 3])
-def test_records_of_a_run_that_goes_on_are_read_three_times_before_they_count_as_damaged(
-    path: Path, monkeypatch: pytest.MonkeyPatch, repaired_after: int
-) -> None:
-    place, pauses = ("records/echo", (1, 130, 7)), list[float]()
-
-    def pause(duration_s: float) -> None:
-        pauses.append(duration_s)
-        if len(pauses) == repaired_after:
-            # As where the writer was in the middle of a change.
-            flipped(path, *place)
-
-    monkeypatch.setattr("hpe_rig.store.reader.time.sleep", pause)
-    flipped(path, *place)
-    assert read_run(path).records[1].damaged.sum() == 123
-    assert not pauses
-    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
-        file.attrs.modify("status", np.bytes_("running"))
-    records = read_run(path).records[1]
-    assert pauses == [0.02] * min(repaired_after, 2)
-    assert records.damaged.sum() == (123 if repaired_after == 3 else 0)
-    assert records.valid.all() == (repaired_after < 3)
-
-
 def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:
     flipped(path, "records/echo", (2, 130, 7))
     assert (RunSource(path).poll() or {})["why"] == "123 records of this shot fail their checksums and are excluded"
