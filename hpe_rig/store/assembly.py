@@ -11,7 +11,9 @@ import contextlib
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, final
 
@@ -47,7 +49,9 @@ MAX_VIEWS: Final = 2
 LIBRARY_ERRORS: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
 
 Rows = dict[str, dict[int, Frame]]
-Chunks = dict[tuple[str, int, int], list[Frame]]
+Place = tuple[str, int, int]
+"""Dataset, shot and number of a chunk of records."""
+Chunks = dict[Place, list[Frame]]
 
 
 class DamagedLogError(Exception):
@@ -337,17 +341,26 @@ def _write_codes(checked: CheckedFile, content: LogContent, stream: IO[bytes], p
     names = [name for name in CODES if checked.has(name)]
     echoes = {name: _uncached(checked, name) for name in names}
     sums = {name: checked.stored_here(f"{GROUP}/{name}")[()] for name in names}
-    for name, shot, number in sorted(content.chunks, key=lambda place: (place[1], place[2], place[0])):
-        if name in echoes:
+
+    def read(place: Place) -> tuple[Int16Array, int] | None:
+        name, shot, number = place
+        rows, (_, records, samples) = echoes[name].chunks[1], echoes[name].shape
+        return content.codes(stream, name, shot, number, (min(rows, records - number * rows), samples), number * rows)
+
+    places = [place for place in content.chunks if place[0] in echoes]
+    places.sort(key=lambda place: (place[1], place[2], place[0]))
+    # The next chunk is read while the library writes one.
+    with ThreadPoolExecutor(1, "log") as reader:
+        chunks = [reader.submit(read, place) for place in places[:1]]
+        for (name, shot, number), following in zip_longest(places, places[1:]):
             proceed()
-            _, records, samples = echoes[name].shape
-            first = number * echoes[name].chunks[1]
-            shape = (min(echoes[name].chunks[1], records - first), samples)
-            found = content.codes(stream, name, shot, number, shape, first)
+            found = chunks.pop().result()
             if found is None:
                 raise DamagedLogError
+            if following is not None:
+                chunks.append(reader.submit(read, following))
             codes, sums[name][shot, number] = found
-            _write(echoes[name], (shot, first), codes)
+            _write(echoes[name], (shot, number * echoes[name].chunks[1]), codes)
     for name in names:
         _write(checked.stored_here(f"{GROUP}/{name}"), (), sums[name])
 

@@ -112,14 +112,14 @@ class StoredShot:
 
     def _block(self, records: slice) -> Int16Array:
         """Return the codes of consecutive ``records``, (record, sample)."""
-        codes: Int16Array
+        first, last, _ = records.indices(self.valid.size)
         if self.copy is not None and self.copy.complete:
-            codes = self.copy.block(*records.indices(self.valid.size)[:2])
-        else:
-            with open_checked(self.path) as checked:
-                echo = checked.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
-                arrival = _Arrival(self.valid, np.full(self.valid.size, np.nan), self.damaged)
-                codes, _ = _codes(checked, echo, f"records/{self.name}", self.shot, arrival, self.samples, records)
+            return self.copy.block(first, last)
+        with open_checked(self.path) as checked:
+            echo = checked.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
+            arrival = _Arrival(self.valid, np.full(self.valid.size, np.nan), self.damaged)
+            rows = slice(first, max(first, last))
+            codes, _ = _codes(checked, echo, f"records/{self.name}", self.shot, arrival, self.samples, rows)
         return codes
 
 
