@@ -8,11 +8,12 @@ computed when the records arrived.
 from __future__ import annotations
 
 import contextlib
-import io
 import os
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from io import FileIO
 from itertools import zip_longest
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, final
@@ -120,7 +121,7 @@ def view_of(path: Path, stream: IO[bytes]) -> LogView:
         log = read_log(stream)
         if log is None:
             raise InvalidContentError("the start of the log is damaged")
-        file = h5py.File(io.BytesIO(log.image), "r+", libver=LIBVER)
+        file = _open_image(log.image)
         view = LogView(file, _fill(CheckedFile(file), log.frames, stream, STATUSES[0]), log)
         while len(_views) >= MAX_VIEWS:
             # Another thread may still read it: it is closed with its last reference.
@@ -174,19 +175,16 @@ def _write_draft(
     """Write the run file with ``frames`` of the log ``stream`` to ``draft``."""
     draft.write(image)
     draft.flush()
-    output = _Output(draft)
-    try:
-        file = _open_on(output)
-        try:
-            checked = CheckedFile(file)
-            content = _fill(checked, frames, stream, KILLED)
-            _write_codes(checked, content, stream, proceed)
-        finally:
-            # Without effect on the disk after an error of it.
-            file.close()
-    except LIBRARY_ERRORS:
+    output = _Output(draft.fileno())
+
+    def step() -> None:
         output.refuse_failure()
-        raise
+        proceed()
+
+    with _open_on(output) as file:
+        checked = CheckedFile(file)
+        content = _fill(checked, frames, stream, KILLED)
+        _write_codes(checked, content, stream, step)
     output.refuse_failure()
 
 
@@ -194,46 +192,69 @@ def _write_draft(
 class _Output:
     """Draft as a file-like object for HDF5, which may crash if it meets an error of the disk.
 
-    The first error is stored, and the library's further writes are discarded.
+    The first error is stored; what the library writes after it stays in memory, so that it can close the file.
     """
 
-    def __init__(self, draft: BinaryIO) -> None:
-        self._draft = draft
+    def __init__(self, number: int) -> None:
+        """Write to the file with the descriptor ``number``."""
+        self._disk = FileIO(number, "r+", closefd=False)
+        self._position = 0
+        self._end = os.fstat(number).st_size
         self._failure: BaseException | None = None
+        self._unwritten: list[tuple[int, bytes]] = []
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        return self._attempt(self._draft.seek, offset, whence)
+        """Move the position of the next read or write to ``offset`` from the start, the current position or the end."""
+        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: self._end}[whence]
+        self._position = start + offset
+        return self._position
 
     def tell(self) -> int:
-        return self._attempt(self._draft.tell)
+        """Return the position in the file."""
+        return self._position
 
     def readinto(self, buffer: memoryview) -> int:
-        filled = 0
-        while filled < len(buffer) and (content := self._draft.read(len(buffer) - filled)):
-            buffer[filled : filled + len(content)] = content
-            filled += len(content)
-        buffer[filled:] = bytes(len(buffer) - filled)
+        """Fill ``buffer`` from the current position; zeros beyond the end of the file."""
+        first, last = self._position, self._position + len(buffer)
+        buffer[:] = bytes(len(buffer))
+        with contextlib.suppress(OSError, MemoryError):
+            self._disk.seek(first)
+            buffer[:] = self._disk.read(len(buffer)).ljust(len(buffer), b"\0")
+        for offset, data in self._unwritten:
+            start, stop = max(offset, first), min(offset + len(data), last)
+            if start < stop:
+                buffer[start - first : stop - first] = data[start - offset : stop - offset]
+        self._position = last
         return len(buffer)
 
     def write(self, data: memoryview) -> int:
-        self._attempt(self._draft.write, data)
+        """Write ``data`` at the current position."""
+        try:
+            if self._failure is None:
+                self._disk.seek(self._position)
+                remaining = data
+                while remaining:
+                    remaining = remaining[self._disk.write(remaining) :]
+        except (OSError, MemoryError) as error:
+            self._failure = error
+        if self._failure is not None:
+            self._unwritten.append((self._position, bytes(data)))
+        self._position += len(data)
+        self._end = max(self._end, self._position)
         return len(data)
 
     def truncate(self, size: int) -> int:
-        self._attempt(self._draft.truncate, size)
+        """Set the length of the file."""
+        self._end = size
+        try:
+            if self._failure is None:
+                self._disk.truncate(size)
+        except OSError as error:
+            self._failure = error
         return size
 
     def flush(self) -> None:
-        pass
-
-    def _attempt(self, call: Callable[..., int], *arguments: Any) -> int:
-        """Return the result of ``call``; 0 after the first error."""
-        if self._failure is None:
-            try:
-                return call(*arguments)
-            except (OSError, MemoryError) as error:
-                self._failure = error
-        return 0
+        """Do nothing: the draft is synced when it is complete."""
 
     def refuse_failure(self) -> None:
         """Raise the first error of the disk."""
@@ -243,14 +264,31 @@ class _Output:
 
 def _open_on(output: _Output) -> h5py.File:
     """Return the draft behind ``output``, opened with the HDF5 library."""
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_libver_bounds(*(h5f.LIBVER_V110 for _ in LIBVER))
+    access = _access_properties()
     access.set_fileobj_driver(h5fd.fileobj_driver, output)
     try:
         return h5py.File(h5f.open(b"draft", h5f.ACC_RDWR, access))
     finally:
         # Closed when the program ends, it would call into Python after Python has ended.
         access.close()
+
+
+def _open_image(image: bytes) -> h5py.File:
+    """Return the HDF5 file with the bytes ``image``, opened in memory for reading and writing.
+
+    The library's own driver is safe if the file is still open when the program ends, one with a Python object is not.
+    """
+    access = _access_properties()
+    access.set_fapl_core(backing_store=False)
+    access.set_file_image(image)
+    # The library takes two files in memory with one name for the same file.
+    return h5py.File(h5f.open(secrets.token_hex().encode(), h5f.ACC_RDWR, access))
+
+
+def _access_properties() -> h5p.PropFAID:
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(*(h5f.LIBVER_V110 for _ in LIBVER))
+    return access
 
 
 def _without_torn_frames(log: Log, stream: IO[bytes]) -> Sequence[Frame]:
@@ -388,7 +426,7 @@ def _write(dataset: h5py.Dataset, start: tuple[int, ...], values: NDArray[Any]) 
 
 def _chunk_rows(image: bytes) -> int:
     """Return the number of records in a chunk of echoes of the empty run file ``image``."""
-    with h5py.File(io.BytesIO(image), "r") as file:
+    with _open_image(image) as file:
         return int(CheckedFile(file).dataset("records/echo", "<i2", (None, None, None)).chunks[1])
 
 

@@ -52,7 +52,7 @@ def test_every_way_to_capture_gives_the_same_echoes_with_a_second_channel(
     assert np.max(np.abs(monitor.codes * monitor.volts_per_code + monitor.volts_offset)) <= HALF_A_CODE_V
     setup = prepare("table-1", bench(tmp_path, *lines))
     with RunWriter(tmp_path / "next.h5", setup.scene, setup.bench, setup.plan) as writer:
-        writer.copy_shots(run, 1)
+        writer.copy_shot(run, 0)
     taken_over = read_run(tmp_path / "next.h5").records.monitor(0)
     assert taken_over is not None
     np.testing.assert_array_equal(taken_over.codes, monitor.codes)

@@ -45,6 +45,7 @@ def small_run_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
         text = text.replace(old, new)
     path = record_run(prepare_text("table-1", text), tmp_path_factory.mktemp("tampered") / "run.h5")
     _delete(path, "checksum")
+    attribute("format_version", 2)(path)
     return path.read_bytes()
 
 
@@ -332,6 +333,7 @@ def test_mutated_run_files_end_in_a_result_or_a_message(small: Path, tmp_path: P
 
     outcomes = outcomes_of(calls(), tmp_path)
     assert sum(outcomes.values()) == cases
-    # A changed echo is valid, most other changes are not. Without both outcomes the test would test nothing.
-    assert outcomes["success"] >= cases // 5
+    # Most changes are detected by HDF5's own checksums; some bytes have no effect. Without both outcomes the test would
+    # test nothing.
+    assert outcomes["success"] >= cases // 30
     assert outcomes["message"] >= cases // 5
