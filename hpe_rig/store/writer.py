@@ -10,7 +10,6 @@ import contextlib
 import json
 import logging
 import math
-import os
 import shutil
 import threading
 import time
@@ -29,7 +28,7 @@ from hpe_rig.plan import Plan, Shot
 from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
 from hpe_rig.store.assembly import DamagedLogError, assemble
-from hpe_rig.store.atomic import atomic_file
+from hpe_rig.store.atomic import atomic_file, synchronise
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, TIME_BYTES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, chunk_records, empty_run, volts_of_codes
 from hpe_rig.store.lock import is_locked
@@ -366,8 +365,7 @@ def _new_log(image: bytes, path: Path, overwrite: bool, record_bytes: int, cance
             refuse_to_replace(path)
         with atomic_file(path, overwrite) as draft:
             draft.write(new_log(image))
-            draft.flush()
-            os.fsync(draft.fileno())
+            synchronise(draft)
             if cancelled.is_set():
                 raise InterruptedError
         return LogWriter(path)
