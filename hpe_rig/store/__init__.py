@@ -1,4 +1,4 @@
-"""Run files and result files in HDF5: written during a run, readable at any moment, verified when read.
+"""Run files and result files: a log during a run, HDF5 afterwards; readable at any moment, verified when read.
 
     format.py        names, versions, limits and file names; ``StoreError``; ``extra``: a missing optional package
     checksum.py      the checksum of every dataset, row and chunk
@@ -6,15 +6,16 @@
     placement.py     trigger times -> the pulse of each record
     records.py       blocks of records -> codes by pulse
     atomic.py        atomic writing of files
+    task.py          a task on a disk that may not respond
     lock.py          one writer for each file
-    journal.py       writes of HDF5 -> the disk, in transactions; handles disk errors
-    writer.py        ``RunWriter``: creates the file; writes records, settings, ground truth and status
+    log.py           the log of a run in progress: frames with checksums, appended
     validation.py    validation of a file of unknown origin
-    reader.py        ``read_run``: the run file, shot by shot on demand
-    json_checksum.py JSON files with a checksum
+    assembly.py      log -> run file in HDF5
+    source.py        ``open_checked``: opens a run file or a log
+    reader.py        ``read_run``: the run, shot by shot on demand
+    writer.py        ``RunWriter``: appends records, settings, ground truth and status to the log
     marks.py         verdicts on shots after the run, in a file of their own
     result_file.py   ``write_result``: the result file
-    map_file.py      ``write_map``: a motion map as NetCDF
     listing.py       the runs of a folder, with title, result and notes
     verification.py  ``verify``: compares every checksum of a file
 
