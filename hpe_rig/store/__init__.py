@@ -7,6 +7,7 @@
     records.py       blocks of records -> codes by pulse
     atomic.py        atomic writing of files
     task.py          a task on a disk that may not respond
+    json_checksum.py JSON files with a checksum
     lock.py          one writer for each file
     log.py           the log of a run in progress: frames with checksums, appended
     validation.py    validation of a file of unknown origin
@@ -16,6 +17,7 @@
     writer.py        ``RunWriter``: appends records, settings, ground truth and status to the log
     marks.py         verdicts on shots after the run, in a file of their own
     result_file.py   ``write_result``: the result file
+    map_file.py      ``write_map``: a motion map as NetCDF
     listing.py       the runs of a folder, with title, result and notes
     verification.py  ``verify``: compares every checksum of a file
 
