@@ -1,4 +1,4 @@
-"""Errors of one shot's complex values by source, with what is common to frequencies and to other shots.
+"""Errors of one shot's complex values by source, with their covariance over frequencies and shots.
 
 The budget (budget.py) states the uncertainty of each value alone. Here every source gets its covariance over all
 frequencies, as influences of independent variables (result/covariance.py):
@@ -8,7 +8,7 @@ frequencies, as influences of independent variables (result/covariance.py):
     beam averaging           deviation in each medium of the ensemble: the variables of aliasing
     speckle                  scatterers at one position; to second order as well
     time base                the clocks, common to a run; noise of a shot's displacement
-    other sources            of the budget: `COMMON_TO` states what they are common to
+    other sources            of the budget, common to the shots in `COMMON_TO`
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ COMMON_TO: dict[str, Scope] = {
     "beam shape": "run",
     "first pulse": "shot",
 }
-"""Shots that have an error in common, for sources whose error has the same sign at all frequencies of a shot."""
+"""Shots that have an error in common, for sources with errors of the same sign at all frequencies of a shot."""
 
 
 def error_influences(
@@ -65,8 +65,8 @@ def error_influences(
 
 def _noise_influences(fit: HarmonicFit, estimates: Sequence[Estimate], factor: ComplexArray) -> Iterator[Influence]:
     """Yield the influences of drift, noise and trigger jitter: the covariance of the fit, divided as in the budget."""
-    wanted = slice(2 * factor.size)
-    covariance_m2 = fit.state_covariance[wanted, wanted]
+    states = slice(2 * factor.size)
+    covariance_m2 = fit.state_covariance[states, states]
     if fit.aliasing_causes is not None:
         covariance_m2 = covariance_m2 - fit.aliasing_causes.total_m2
     if fit.drift_m2 is not None:
@@ -119,7 +119,7 @@ def _budget_influence(source: str, estimates: Sequence[Estimate]) -> Influence:
     Amplitude and phase have different variables.
     """
     absent = Component(source, 0.0, 0.0)
-    components = [next((item for item in each.budget if item.source == source), absent) for each in estimates]
+    components = [next((item for item in estimate.budget if item.source == source), absent) for estimate in estimates]
     phasor_m = np.array([estimate.phasor_m for estimate in estimates])
     direction = np.exp(1j * np.angle(phasor_m))
     along_m = np.array([item.amplitude_m for item in components]) * direction

@@ -27,7 +27,7 @@ from hpe_rig.result.values import ShotResult
 PARTS: Final = ("in-phase", "quadrature")
 """Parts of a complex value A exp(j phase): A cos(phase) and A sin(phase)."""
 NO_VARIABLE: Final = -1
-"""Number in place of a variable where a column has no influence."""
+"""Variable number of a column without influence on a shot."""
 NEGLIGIBLE_VARIANCE = 1e-8
 """Part of each variance that may be lost when the influences of many variables are stored as those of few."""
 
@@ -99,9 +99,9 @@ class Covariance:
     def combined(self, weights: ComplexArray, sources: Iterable[str] | None = None) -> Combination:
         """Return the uncertainty of the sum of ``weights`` (row, frequency) times values.
 
-        Weights are derivatives of a function of the values: 1 and -1 for a difference; -1 / y_1 and 1 / y_2 for the
-        logarithm of y_2 / y_1, whose real part is the relative amplitude ratio and whose imaginary part the phase
-        difference, rad. ``sources``: only these sources of uncertainty; by default all.
+        Weights are derivatives of a function of the values: 1 and -1 for a difference; -1 / y_1 and 1 / y_2 for
+        ln(y_2 / y_1). Its real part is the relative amplitude ratio, its imaginary part the phase difference, rad.
+        ``sources``: only these sources of uncertainty; by default all.
         """
         columns, weights = self._columns(sources), np.asarray(weights, np.complex128)
         if weights.shape != self.phasor_m.shape:
