@@ -25,7 +25,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from interval_coverage import PAGE, draw_scene, thinned
+from interval_coverage import PAGE, WRAPS, draw_scene, thinned
 
 import hpe_rig as hpe
 from hpe_rig.arrays import FloatArray
@@ -72,7 +72,10 @@ def main() -> None:
 
 
 def measured_ratios(name: str, seed: int) -> dict[str, dict[str, list[list[list[float]]]]]:
-    """Return the ratios of ``combination_ratios`` of one run by estimator; empty if the drive is refused."""
+    """Return the ratios of ``combination_ratios`` of one run by estimator.
+
+    A run with too strong a drive, refused or with a warning, is left out, as in ``interval_coverage.py``.
+    """
     scene = draw_scene(thinned(with_default_specimen(hpe.load_scene(name))), seed)
     values: dict[str, object] = {"acquisition.repeats": 2}
     if scene.sweep.lateral_offset_m:
@@ -84,7 +87,11 @@ def measured_ratios(name: str, seed: int) -> dict[str, dict[str, list[list[list[
         except PlanError:
             return {}
         results = {estimator: run.estimate(estimator) for estimator in estimators}
-    return {estimator: combination_ratios(result) for estimator, result in results.items()}
+    return {
+        estimator: combination_ratios(result)
+        for estimator, result in results.items()
+        if not any(WRAPS in text for shot in result.shots for text in shot.warnings)
+    }
 
 
 def combination_ratios(result: Result) -> dict[str, list[list[list[float]]]]:
