@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,6 +48,7 @@ from hpe_rig.processing.shot_warnings import (
     setting_warnings,
 )
 from hpe_rig.processing.time_base import TimeBase, clocks_of, phasor_influence_m, timed_motion
+from hpe_rig.processing.tracking_rate import TrackingRate
 from hpe_rig.result import MAX_INFLUENCE_BYTES, MOST_PULSES, Averaging, ShotResult
 from hpe_rig.scene import Scene
 
@@ -190,9 +191,8 @@ def _estimate_window(
 ) -> ShotResult:
     """Return amplitude and phase of every wanted frequency, with uncertainty budget and warnings, in one window.
 
-    The window of slow time is that of ``scene``. ``records``: codes of the shot. ``true_m`` (frequency, 2): ground
-    truth, A cos(phase) and A sin(phase), None if unknown. ``complete``: the shot was recorded to its end. ``control``:
-    motion without tonebursts, which is subtracted.
+    The window of slow time is that of ``scene``. ``true_m`` (frequency, 2): true A cos(phase) and A sin(phase), m,
+    None if unknown. ``complete``: the shot was recorded to its end. ``control``: motion without tonebursts, subtracted.
     """
     spec, selection = settings.spec, select(scene, shot)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
@@ -216,21 +216,13 @@ def _estimate_window(
             for late_fit in late_fits
         ]
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
-    recorded = records.gate.valid[selection.window]
     line = _line(motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
     return ShotResult(
-        shot=shot.index,
-        repeat=shot.repeat,
-        burst_length_s=shot.timeline.burst_length_s or None,
-        force_fraction=shot.force_fraction,
+        **_settings_of(scene, shot, records.tracking_rate),
         pulses_used=int(motion.echoes.valid.sum()),
-        pulses_missing=int((~recorded).sum()),
+        pulses_missing=int((~records.gate.valid[selection.window]).sum()),
         residual_m=residual_m,
-        pulse_rate_hz=shot.tracking_train.rate_hz,
-        window_length_s=scene.processing.window_length_s,
-        lateral_offset_m=shot.lateral_offset_m,
-        axial_offset_m=shot.axial_offset_m,
         estimates=estimates,
         control=() if control is None else estimates_of(control.fit, reference=reference),
         warnings=(
@@ -243,14 +235,28 @@ def _estimate_window(
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),
             *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s, scene.excitation is not None),
         ),
-        pulse_rate_error=rate.error if (rate := records.tracking_rate) else None,
-        pulse_rate_uncertainty=rate.uncertainty if rate else None,
         frequency_error=time_base.by_pulses.value if time_base.is_uncertain else None,
         frequency_error_uncertainty=time_base.by_pulses.uncertainty if time_base.is_uncertain else None,
         complete=complete,
         influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
+
+
+def _settings_of(scene: Scene, shot: Shot, rate: TrackingRate | None) -> dict[str, Any]:
+    """Return the fields of a shot's result that do not depend on its echoes; ``rate``: measured rate of the pulses."""
+    return {
+        "shot": shot.index,
+        "repeat": shot.repeat,
+        "burst_length_s": shot.timeline.burst_length_s or None,
+        "force_fraction": shot.force_fraction,
+        "pulse_rate_hz": shot.tracking_train.rate_hz,
+        "window_length_s": scene.processing.window_length_s,
+        "lateral_offset_m": shot.lateral_offset_m,
+        "axial_offset_m": shot.axial_offset_m,
+        "pulse_rate_error": rate.error if rate else None,
+        "pulse_rate_uncertainty": rate.uncertainty if rate else None,
+    }
 
 
 def _error_sources(
