@@ -18,6 +18,7 @@ from hpe_rig.cli.options import (
     ResultOptions,
     RunFile,
     SceneName,
+    Settings,
     WatchOptions,
     file_option,
 )
@@ -32,6 +33,7 @@ def run(
     scene: SceneName,
     result: ResultOptions,
     watch: WatchOptions,
+    settings: Settings = None,
     bench: BenchPath = None,
     output: Annotated[
         Path | None, file_option("Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
@@ -50,9 +52,11 @@ def run(
         from hpe_rig.measurement import prepare, provenance_now, record_run
         from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
         from hpe_rig.runs import chosen_estimator, process
+        from hpe_rig.scene import parse_settings
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
-    setup = prepare(scene, bench, stages, control=control)
+    changes = parse_settings(settings or ()) | ({"acquisition.control": True} if control else {})
+    setup = prepare(scene, bench, stages, changes=changes)
     estimator = chosen_estimator(result.estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     # An unwritable folder is an error before the measurement, not after it.

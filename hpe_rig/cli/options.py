@@ -48,6 +48,10 @@ ProfileStep = Annotated[
     str | None, typer.Option("--gate-profile-step", help="Add gates over depth with this step, such as 0.5mm.")
 ]
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Value instead of the scene's, by its full key; repeatable."),
+]
 Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 

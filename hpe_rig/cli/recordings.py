@@ -92,6 +92,6 @@ def _parts(path: Path) -> list[str]:
 
 def _parsed(options: RecordingOptions) -> dict[str, Any]:
     """Return the settings of --set and --lines."""
-    from hpe_rig.recordings import parse_options
+    from hpe_rig.scene import parse_settings
 
-    return parse_options(options.setting or []) | ({} if options.lines is None else {"lines": options.lines})
+    return parse_settings(options.setting or []) | ({} if options.lines is None else {"lines": options.lines})

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import EXIT_MISTAKE, guarded, print_json
-from hpe_rig.cli.options import BenchPath, SceneName
+from hpe_rig.cli.options import BenchPath, Json, SceneName, Settings
 
 scene_commands = typer.Typer()
 
@@ -25,26 +25,36 @@ def check(
         ),
     ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="List the checks that passed as well.")] = False,
+    settings: Settings = None,
+    json: Json = False,
 ) -> None:
     """Say whether a scene can be measured, with timeline, conflicts and expected errors. No instrument is opened."""
     from hpe_rig.cli.terminal import terminal_columns, wrapped
     from hpe_rig.runs import check as check_scene
+    from hpe_rig.scene import parse_settings
 
-    checked = check_scene(scene, bench, target)
+    checked = check_scene(scene, bench, target, parse_settings(settings or ()))
     columns = terminal_columns()
-    typer.echo(wrapped(checked.in_words(columns, verbose), columns))
+    if json:
+        print_json(checked.as_dict())
+    else:
+        typer.echo(wrapped(checked.in_words(columns, verbose), columns))
     if checked.refused:
         raise typer.Exit(EXIT_MISTAKE)
 
 
 @scene_commands.command()
 @guarded
-def scenes() -> None:
+def scenes(json: Json = False) -> None:
     """List the shipped scenes."""
     from hpe_rig.scene import parse_scene, shipped_scenes
 
-    for name, text in shipped_scenes().items():
-        typer.echo(f"{name:26} {parse_scene(name, text).scene.title}")
+    titles = {name: parse_scene(name, text).scene.title for name, text in shipped_scenes().items()}
+    if json:
+        print_json([{"name": name, "title": title} for name, title in titles.items()])
+        return
+    for name, title in titles.items():
+        typer.echo(f"{name:26} {title}")
 
 
 @scene_commands.command()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import date, datetime
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import (
     BenchFile,
@@ -35,6 +36,7 @@ from hpe_rig.scene import (
     SettingsError,
     edited_text,
     parse_scene,
+    path_of,
     scene_text,
     with_default_specimen,
 )
@@ -63,21 +65,21 @@ def prepare(
     bench: BenchSource = None,
     stages: Stages | None = None,
     refuse: bool = True,
-    control: bool = False,
+    changes: Mapping[str, Any] | None = None,
 ) -> Setup:
     """Return the planned measurement of ``scene`` on ``bench``.
 
-    If ``scene`` is the path of a run file, its scene is planned again by the current rules for scenes. With ``control``
-    each shot is followed by its control, as by ``acquisition.control`` of the scene.
+    If ``scene`` is the path of a run file, its scene is planned again by the current rules for scenes. ``changes``:
+    values that replace those of the scene, by their path, such as "tracking.pulse_rate_hz".
     Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is False, and
     ``TypeError`` if ``scene`` or ``bench`` has another type.
     """
     bench_path = as_path(bench, "the path of a bench file")
     name, text = source_text(scene)
-    if control:
+    if changes:
         # Mistakes are reported of the text as written.
         parse_scene(name, text)
-        text = edited_text(text, {("acquisition", "control"): True})
+        text = edited_text(text, {path_of(key): value for key, value in changes.items()})
     return prepare_text(name, text, bench_path, stages, refuse)
 
 

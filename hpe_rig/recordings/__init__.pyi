@@ -8,6 +8,5 @@ from .recording import (
 )
 from .settings import (
     RecordingSettings as RecordingSettings,
-    parse_options as parse_options,
     read_settings as read_settings,
 )

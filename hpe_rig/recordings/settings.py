@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -175,24 +174,6 @@ def _read_sidecar(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "it is no UTF-8 text"
         raise SettingsError(f"sidecar {path}", [Mistake("", f"cannot be read ({why})", "its path")]) from None
-
-
-def parse_options(texts: Sequence[str]) -> dict[str, Any]:
-    """Return the settings in texts KEY=VALUE; a value that is not valid TOML is a string."""
-    options: dict[str, Any] = {}
-    mistakes = []
-    for text in texts:
-        key, equals, value = text.partition("=")
-        if not equals:
-            mistakes.append(Mistake(text, "this is no setting", "KEY=VALUE, such as sample_rate_hz=50e6"))
-            continue
-        try:
-            options[key.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except (tomllib.TOMLDecodeError, ValueError):
-            options[key.strip()] = value.strip()
-    if mistakes:
-        raise SettingsError("--set", mistakes)
-    return options
 
 
 def _default_sidecar(recording: Path | None) -> Path | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from hpe_rig.bench import BenchFile, twin_of
 from hpe_rig.extensions import ESTIMATORS, MEDIA, origin
@@ -46,6 +47,24 @@ class CheckedScene:
         """Whether a conflict forbids the measurement."""
         return any(finding.level == "refused" for finding in self.findings)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return verdict, plan, findings and predictions as plain values for JSON."""
+        plan = self.setup.plan
+        shot = plan.shots[0]
+        return {
+            "scene": self.setup.scene.name,
+            "title": self.setup.scene.scene.title,
+            "can_be_measured": not self.refused,
+            "instruments": list(plan.roles),
+            "shots": len(plan.shots),
+            "pulse_rate_hz": shot.tracking_train.rate_hz,
+            "pulses": shot.tracking_train.count,
+            "duration_s": plan.duration_s,
+            "record_bytes": plan.record_bytes,
+            "findings": [asdict(finding) for finding in self.findings],
+            "predictions": list(self.foreseen),
+        }
+
     def __str__(self) -> str:
         return self.text
 
@@ -62,11 +81,16 @@ class CheckedScene:
         return f"{plan}\n<pre>{foreseen}</pre>"
 
 
-def check(scene: SceneSource, bench: BenchSource = None, target: str | None = None) -> CheckedScene:
+def check(
+    scene: SceneSource,
+    bench: BenchSource = None,
+    target: str | None = None,
+    changes: Mapping[str, Any] | None = None,
+) -> CheckedScene:
     """Return the plan of ``scene`` with every conflict and the expected bias and jitter; no instrument is opened.
 
-    ``target`` is a wanted uncertainty such as "20nm": the text then states settings that reach it. Raises
-    ``SettingsError`` as ``measure``.
+    ``target`` is a wanted uncertainty such as "20nm": the text then states settings that reach it. ``changes``: values
+    that replace those of the scene, by their path. Raises ``SettingsError`` as ``measure``.
 
     >>> checked = check("bovine-muscle")
     >>> checked.refused
@@ -75,7 +99,7 @@ def check(scene: SceneSource, bench: BenchSource = None, target: str | None = No
     """
     from hpe_rig.scene import length_m
 
-    setup = prepare(scene, bench, refuse=False)
+    setup = prepare(scene, bench, refuse=False, changes=changes)
     target_m = None if target is None else length_m(target, "--target")
     return CheckedScene(setup, tuple(_predictions(setup, target_m)))
 

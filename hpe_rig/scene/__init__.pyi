@@ -70,6 +70,7 @@ from .sections import (
 from .settings_file import (
     MAX_TEXT_BYTES as MAX_TEXT_BYTES,
     named_text as named_text,
+    parse_settings as parse_settings,
     parse_toml as parse_toml,
     read_settings_text as read_settings_text,
     unreadable as unreadable,

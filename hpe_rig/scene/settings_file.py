@@ -8,7 +8,7 @@ import io
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -150,3 +150,21 @@ def unreadable(error: OSError | ValueError) -> Mistake:
     else:
         cause = "no file can have that name"
     return Mistake("", f"it cannot be read ({cause})", remedy)
+
+
+def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
+    """Return the settings in texts KEY=VALUE; a value that is not valid TOML is a string."""
+    options: dict[str, Any] = {}
+    mistakes = []
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not equals:
+            mistakes.append(Mistake(text, "this is no setting", "KEY=VALUE, such as tracking.pulse_rate_hz=3990.0"))
+            continue
+        try:
+            options[key.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except (tomllib.TOMLDecodeError, ValueError):
+            options[key.strip()] = value.strip()
+    if mistakes:
+        raise SettingsError("--set", mistakes)
+    return options

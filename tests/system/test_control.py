@@ -83,7 +83,7 @@ def test_a_control_is_the_same_shot_with_the_toneburst_output_off(
         if progress.step is Step.COLLECT:
             on[progress.shot.index] = {role for role, is_on in worlds[-1].outputs_on().items() if is_on}
 
-    setup = prepare(SCENE.with_({"acquisition.repeats": 1}), control=True)
+    setup = prepare(SCENE.with_({"acquisition.repeats": 1}), changes={"acquisition.control": True})
     shot, control = setup.plan.shots
     assert (shot.is_control, control.is_control) == (False, True)
     assert (shot.toneburst, shot.timeline) == (control.toneburst, control.timeline)
