@@ -36,7 +36,7 @@ MIN_ASCENDING = 0.9
 """Part of the steps of a first column that ascend if it holds times, some of them spoilt."""
 SETTING = re.compile(r"([A-Za-z][\w .()/-]*?)[\"']?\s*[=:,;\t ]\s*[\"']?([-+]?\d[\d.eE+-]*)[ \"']*([A-Za-zµμ/]*)")
 """Name, number and unit in a header, such as "PRF: 4 kHz" or "Sample Interval,4e-08,s"."""
-SEGMENT_TIME = re.compile(r"#\d+[,;\t].*[,;\t]\s*([-+\d.eE]+)\s*$")
+SEGMENT_TIME = re.compile(r"#\d+[,;\s].*[,;\s]\s*([-+\d.eE]+)\s*$")
 """Line of a header with the time of the trigger of a segment."""
 CHANNEL = re.compile(r"\bc(?:h|hannel)?[ _]?([1-8a-d])\b")
 X_UNIT = re.compile(r"(?:horizontal|\bx)[ _-]?units?\W+([a-zµμ]+)")
