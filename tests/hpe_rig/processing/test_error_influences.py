@@ -28,7 +28,8 @@ def covariance_of_draw(rng: np.random.Generator) -> Covariance:
         valid=np.ones(time_s.size, bool),
     )
     fit = least_squares(motion, FREQUENCY_HZ)
-    estimates = estimates_of(fit, ErrorSources(sound_speed_uncertainty=0.005))
+    sources = ErrorSources(sound_speed_uncertainty=0.005)
+    estimates = estimates_of(fit, sources)
     shot = ShotResult(
         shot=0,
         repeat=0,
@@ -39,7 +40,7 @@ def covariance_of_draw(rng: np.random.Generator) -> Covariance:
         residual_m=NOISE_M,
         estimates=estimates,
         warnings=(),
-        influences=error_influences(fit, estimates, (None,) * FREQUENCY_HZ.size, False),
+        influences=error_influences(fit, estimates, (None,) * FREQUENCY_HZ.size, False, sources),
     )
     return covariance_of([[shot]])
 
