@@ -39,6 +39,8 @@ from hpe_rig.processing import (
 )
 from hpe_rig.scene import Scene
 
+PULSES_PER_BLOCK = 32_768
+"""Pulses of which the harmonics are added up at once."""
 LOBES = 10
 """Lobes of the force spectrum, each 1/T_b wide, in the simulated motion; the motion falls as their square."""
 
@@ -227,7 +229,11 @@ def _displacement_m(time_bytes: bytes, frequency_bytes: bytes, quadrature_bytes:
     (frequency,), Hz; and A cos(phase), A sin(phase) of each harmonic (2 * frequency,), m. Cached, because the forecast
     of every estimator needs the same motion.
     """
-    columns = harmonic_columns(np.frombuffer(time_bytes), np.frombuffer(frequency_bytes))
-    displacement_m = np.asarray(columns @ np.frombuffer(quadrature_bytes))
+    time_s, frequency_hz = np.frombuffer(time_bytes), np.frombuffer(frequency_bytes)
+    quadratures_m = np.frombuffer(quadrature_bytes)
+    # In blocks: with hundreds of harmonics the columns of a long train take gigabytes.
+    starts = range(0, time_s.size, PULSES_PER_BLOCK)
+    blocks = (harmonic_columns(time_s[start : start + PULSES_PER_BLOCK], frequency_hz) for start in starts)
+    displacement_m = np.concatenate([columns @ quadratures_m for columns in blocks])
     displacement_m.setflags(write=False)
     return displacement_m

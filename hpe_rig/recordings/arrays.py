@@ -18,12 +18,22 @@ from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.matlab import PREFIX, TEMPORARY_REMEDY, matlab_to_npz
 from hpe_rig.recordings.names import key_of, setting_of
 from hpe_rig.recordings.settings import Dimension, RecordingSettings
+from hpe_rig.store import (
+    InvalidContentError,
+    bytes_in_memory,
+    max_bytes_of,
+    objects,
+    refuse_elsewhere,
+    refuse_expansion,
+)
 
 MIN_VECTOR = 8
 """Values of a vector that may be a record."""
 MAX_STATED_ENTRIES = 1_000_000
 """Largest array that may be a stated setting, such as the times of the pulses."""
 
+PLAIN_FILE = "an HDF5 or NPZ file without compression, with all values in it"
+"""Remedy for a file that is not read because of what it may refer or expand to."""
 LIST_KEYS = ("pulse_time_s", "line_position_m")
 
 
@@ -36,7 +46,12 @@ def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
             if isinstance(loaded, np.ndarray):
                 return contents({path.stem: loaded})
             with loaded:
+                # The archive states the size of each array, and NumPy reads no more.
+                size = sum(entry.file_size for entry in loaded.zip.infolist())
+                refuse_expansion(size, max_bytes_of(path), "its content")
                 return contents({name: loaded[name] for name in loaded.files})
+    except InvalidContentError as error:
+        raise ValueError(f"{error}: {PLAIN_FILE}") from None
     except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         kind, function = ("NPZ", "savez") if path.suffix.lower() == ".npz" else ("NPY", "save")
         if "Object arrays" in str(error):
@@ -61,7 +76,7 @@ def read_matlab(path: Path, settings: RecordingSettings) -> Contents:
         raise ValueError(f"no temporary file can be made for its numbers ({why}): {TEMPORARY_REMEDY}") from error
     with folder:
         converted = Path(folder.name) / "variables.npz"
-        matlab_to_npz(path, converted)
+        matlab_to_npz(path, converted, max_bytes_of(path))
         with np.load(converted) as loaded:
             return contents({name.removeprefix(PREFIX): loaded[name] for name in loaded.files})
 
@@ -74,30 +89,45 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
     import h5py
 
     values: dict[str, NDArray[Any]] = {}
-    variable = settings.variable
+    variable, max_bytes, bytes_read = settings.variable, max_bytes_of(path), 0
+
+    def read(dataset: Any) -> Any:
+        """Return the values of a dataset; raise ``InvalidContentError`` if all together expand to too many bytes."""
+        nonlocal bytes_read
+        refuse_elsewhere(dataset)
+        bytes_read += bytes_in_memory(dataset)
+        refuse_expansion(bytes_read, max_bytes, dataset.name)
+        return dataset[()]
 
     def visit(name: str, item: Any) -> None:
         if name.startswith("#"):
             # Elements of cells, which are read by their references.
             return
-        for key, value in item.attrs.items():
-            values.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
-        if isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference:
+        for key in item.attrs:
+            # Texts are no settings: one in a damaged file can trap the HDF5 library in an endless loop.
+            if _is_numbers(item.attrs.get_id(key).dtype):
+                values.setdefault(f"{name}.{key}" if name else key, np.asarray(item.attrs[key]))
+        if not isinstance(item, h5py.Dataset) or item.shape is None:
+            return
+        if h5py.check_ref_dtype(item.dtype) is h5py.Reference:
             # A cell or a field of a MATLAB array of structures refers to its elements.
-            elements = [item.file[reference] for reference in np.ravel(item[()]) if reference]
+            elements = [item.file[reference] for reference in np.ravel(read(item)) if reference]
             if elements and all(isinstance(element, h5py.Dataset) for element in elements):
-                arrays = [_plain(element[()], reverse) for element in elements if _is_numbers(element.dtype)]
+                arrays = [_plain(read(element), reverse) for element in elements if _is_numbers(element.dtype)]
                 if len(arrays) == len(elements) and len({array.shape for array in arrays}) == 1:
                     values[name] = np.stack(arrays)
-        elif isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
+        elif _is_numbers(item.dtype):
             is_large = item.size > MAX_STATED_ENTRIES
             if variable is None or not is_large or name.strip("/") == variable.strip("/"):
-                values[name] = _plain(item[()], reverse)
+                values[name] = _plain(read(item), reverse)
 
     try:
         with h5py.File(path, "r") as file:
             visit("", file)
-            file.visititems(visit)
+            for name, item in objects(file):
+                visit(name, item)
+    except InvalidContentError as error:
+        raise ValueError(f"{error}: {PLAIN_FILE}") from None
     except (OSError, RuntimeError, KeyError) as error:
         raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
     return contents(values)

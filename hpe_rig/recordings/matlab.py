@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 TIMEOUT_S = 60.0
 """Longest time of the reader, plus one second per megabyte."""
+MEMORY_RATIO = 3
+"""Memory of the reader relative to its numbers: bytes, array and stacked array."""
 EXIT_NOT_WRITTEN, EXIT_OUT_OF_MEMORY = 3, 4
 """Exit codes of the reader for errors that are not in the file."""
 EXIT_KILLED = -9
@@ -26,12 +28,13 @@ PREFIX = "of "
 """Prefix of every name in the NPZ file: `numpy.savez` reserves some names."""
 
 
-def matlab_to_npz(path: Path, npz: Path) -> None:
+def matlab_to_npz(path: Path, npz: Path, max_bytes: int) -> None:
     """Write the arrays of ``path``, including those in structures, to ``npz``.
 
-    Raises ``ValueError`` if the file is damaged, or too large for the memory or the disk of ``npz``.
+    Raises ``ValueError`` if the file is damaged, if its numbers expand to more than ``max_bytes``, or if they are too
+    large for the memory or the disk of ``npz``.
     """
-    command = [sys.executable, "-P", __file__, str(path), str(npz)]
+    command = [sys.executable, "-P", __file__, str(path), str(npz), str(MEMORY_RATIO * max_bytes)]
     timeout_s = TIMEOUT_S + path.stat().st_size / 1e6
     try:
         # The command runs this module by this interpreter. The content of the file is no part of it.
@@ -44,7 +47,10 @@ def matlab_to_npz(path: Path, npz: Path) -> None:
             f"its numbers cannot be written to temporary files in {npz.parent.parent} ({why}): {TEMPORARY_REMEDY}"
         )
     if done.returncode == EXIT_OUT_OF_MEMORY:
-        raise ValueError(f"its numbers do not fit in memory ({why}): part of them, or more memory")
+        raise ValueError(
+            f"its numbers take more memory than is available, or than the {max_bytes / 1e6:.0f} MB that this file may "
+            f"expand to ({why}): part of them, or a file without compression"
+        )
     if done.returncode == 1:
         raise ValueError(f"it is no whole MATLAB file of version 5 or 7.3 ({why}): save it anew")
     if done.returncode == EXIT_KILLED:
@@ -53,9 +59,10 @@ def matlab_to_npz(path: Path, npz: Path) -> None:
         raise ValueError("it is a damaged MATLAB file (SciPy's reader crashed on it): save it anew")
 
 
-def _convert(path: str, npz: str) -> None:
+def _convert(path: str, npz: str, max_bytes: str) -> None:
     from scipy.io import loadmat
 
+    _limit_memory(int(max_bytes))
     variables = loadmat(path, struct_as_record=True, squeeze_me=False)
     values = {name: value for name, value in variables.items() if not name.startswith("__")}
     # Text and cells hold no samples.
@@ -64,6 +71,15 @@ def _convert(path: str, npz: str) -> None:
         np.savez(npz, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         _exit(EXIT_NOT_WRITTEN, error.strerror or str(error))
+
+
+def _limit_memory(max_bytes: int) -> None:
+    """Limit the memory of this process to ``max_bytes`` more than it has, where the system can (Linux)."""
+    if sys.platform == "linux":
+        import resource
+
+        in_use = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (in_use + max_bytes, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
 def _exit(code: int, why: str) -> NoReturn:

@@ -12,6 +12,8 @@ from hpe_rig.measurement import BenchSource, Setup, prepare
 from hpe_rig.plan import CheckResult, Shot
 from hpe_rig.scene import BUILT_IN_ESTIMATORS, Scene, SceneSource
 
+MAX_REFUSED_PULSES = 100_000
+"""Pulses in a shot up to which a scene that is refused has predictions."""
 MAX_COLUMNS = 114
 """Width of the drawing of a plan, unless the terminal is narrower."""
 
@@ -117,6 +119,10 @@ def _predictions(setup: Setup, target_m: float | None) -> Iterator[str]:
         return
     if any(finding.check == "fit size" for finding in setup.findings):
         yield "prediction: omitted, the fit is larger than memory"
+        return
+    if any(finding.level == "refused" for finding in setup.findings) and shot.capture.record_count > MAX_REFUSED_PULSES:
+        pulses = f"more than {MAX_REFUSED_PULSES} pulses in a shot"
+        yield f"prediction: omitted, the scene is refused and has {pulses}, which may take minutes"
         return
     yield from prediction.detection_text(scene, bench.simulated, shot)
     yield from prediction.aliasing_text(scene, shot, bench.simulated)

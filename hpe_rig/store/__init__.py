@@ -1,6 +1,7 @@
 """Run files and result files: a log during a run, HDF5 afterwards; readable at any moment, verified when read.
 
     format.py        names, versions, limits and file names; ``StoreError``; ``extra``: a missing optional package
+    foreign_hdf5.py  bounded reading of HDF5 files of unknown origin
     checksum.py      the checksum of every dataset, row and chunk
     layout.py        the empty run file: every group, dataset and attribute at its final size
     placement.py     trigger times -> the pulse of each record

@@ -8,6 +8,14 @@ from .atomic import (
     unwritable as unwritable,
     write_file as write_file,
 )
+from .foreign_hdf5 import (
+    InvalidContentError as InvalidContentError,
+    bytes_in_memory as bytes_in_memory,
+    max_bytes_of as max_bytes_of,
+    objects as objects,
+    refuse_elsewhere as refuse_elsewhere,
+    refuse_expansion as refuse_expansion,
+)
 from .format import (
     StoreError as StoreError,
     extra as extra,
@@ -44,7 +52,6 @@ from .records import (
 )
 from .result_file import read_covariance as read_covariance, write_result as write_result
 from .source import open_checked as open_checked
-from .validation import InvalidContentError as InvalidContentError
 from .verification import (
     Damage as Damage,
     Verification as Verification,

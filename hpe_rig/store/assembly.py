@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import Int16Array
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, blank, crc
+from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import STATUS_BYTES, STATUSES, StoreError
 from hpe_rig.store.layout import LIBVER
 from hpe_rig.store.log import (
@@ -41,7 +42,7 @@ from hpe_rig.store.log import (
     read_log,
 )
 from hpe_rig.store.records import MISSING
-from hpe_rig.store.validation import CheckedFile, InvalidContentError
+from hpe_rig.store.validation import CheckedFile
 
 KILLED: Final = "aborted"
 """Status of a run whose program was killed: its log has none."""

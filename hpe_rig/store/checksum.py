@@ -25,6 +25,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.store.foreign_hdf5 import objects
+
 GROUP: Final = "checksum"
 ATTRIBUTE: Final = "checksum"
 HEAP: Final = "heap_checksum"
@@ -175,13 +177,5 @@ def kind_of(path: Path) -> str | None:
 
 
 def datasets(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield path and dataset of every dataset in ``file``, sorted by path."""
-    by_path: dict[str, h5py.Dataset] = {}
-
-    # ``visititems`` visits every object once and follows no link to another file; returning None continues it.
-    def collect(path: str, item: Any) -> None:
-        if isinstance(item, h5py.Dataset):
-            by_path[path] = item
-
-    file.visititems(collect)
-    yield from sorted(by_path.items())
+    """Yield path and dataset of every dataset in ``file``, sorted by path; raises as ``objects``."""
+    yield from sorted((path, item) for path, item in objects(file) if isinstance(item, h5py.Dataset))

@@ -10,16 +10,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
 from hpe_rig.store.checksum import ATTRIBUTE, kind_of
+from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.marks import MARKED_BAD
 from hpe_rig.store.reader import StoredRun, read_run
-from hpe_rig.store.validation import CheckedFile, InvalidContentError
+from hpe_rig.store.validation import CheckedFile
 
 MAX_JSON_BYTES = 64_000_000
 """Maximum size of a result's JSON that the listing reads."""
@@ -189,7 +189,7 @@ def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
         return None
     latest = max(results, key=lambda path: path.stat().st_mtime)
     try:
-        with h5py.File(latest, "r") as file:
+        with open_bounded(latest) as file:
             text = file["json"]
             if ATTRIBUTE in text.attrs and not CheckedFile(file).matches_checksum("json", text):
                 raise InvalidContentError("it fails its checksum")

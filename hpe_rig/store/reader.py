@@ -27,6 +27,7 @@ from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
 from hpe_rig.scene import printable
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
+from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import (
     BITSHUFFLE,
     CONDITION_BYTES,
@@ -44,7 +45,7 @@ from hpe_rig.store.marks import identity_of, read_marks, write_marks
 from hpe_rig.store.placement import Placement, place_records
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.source import open_checked
-from hpe_rig.store.validation import CheckedFile, InvalidContentError, stored_values
+from hpe_rig.store.validation import CheckedFile, stored_values
 
 Shape = tuple[int, int, int]
 CODE_LIMITS_UNSTATED: Final = (-8192, 8191)

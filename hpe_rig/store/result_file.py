@@ -17,6 +17,7 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.result import MOTION_UNITS, PARTS, UNITS, Covariance, Result, ShotResult, covariance_grid, result_grid
 from hpe_rig.store.atomic import atomic_file, synchronise
 from hpe_rig.store.checksum import kind_of, seal, seal_heap
+from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.layout import LIBVER, name_axes
 from hpe_rig.store.task import make_or_undo
@@ -127,12 +128,12 @@ def read_covariance(path: Path | str) -> Covariance:
     """
     names = "shot", "frequency_hz", "phasor_m", "influence_m", "variable", "source", "common_to", "degrees_of_freedom"
     try:
-        with h5py.File(path, "r") as file:
+        with open_bounded(Path(path)) as file:
             group = file["covariance"]
             arrays = {
                 name: group[name].asstr()[()] if group[name].dtype.kind == "S" else group[name][()] for name in names
             }
-    except (OSError, KeyError, ValueError, RuntimeError) as error:
+    except (OSError, KeyError, ValueError, RuntimeError, InvalidContentError) as error:
         raise StoreError(
             f"{path}: no covariance can be read ({reason(error)}). It is no result file, or one of an earlier version. "
             "Try: hpe-rig process with the run file, which writes the result file again."

@@ -8,11 +8,11 @@ from functools import partial
 from pathlib import Path
 
 from hpe_rig.store.assembly import view_of
+from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.log import is_log
 from hpe_rig.store.validation import (
     CheckedFile,
-    InvalidContentError,
     declared_size,
     open_hdf5,
     refuse_format,

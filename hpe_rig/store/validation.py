@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import Int16Array
 from hpe_rig.scene import MAX_TEXT_BYTES, control_character, printable
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, crc, digest, stored_bytes
+from hpe_rig.store.foreign_hdf5 import InvalidContentError, bytes_in_memory, refuse_elsewhere, refuse_expansion
 from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, OLDEST_VERSION, StoreError, extra
 
 MAX_CHUNK_BYTES: Final = 64_000_000
@@ -32,10 +33,6 @@ SUPERBLOCK: Final = 3
 END_OFFSET: Final = 28
 """Offset in the superblock of the file's length, 8 bytes."""
 METADATA_ATTEMPTS: Final = 20
-
-
-class InvalidContentError(Exception):
-    """Content that no run file has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +65,7 @@ class CheckedFile:
     def text(self, name: str) -> str:
         """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is damaged or no text."""
         dataset = self._dataset(name)
-        _refuse_external_storage(dataset, name)
+        refuse_elsewhere(dataset)
         _refuse_no_text(dataset, f"/{name}")
         self.refuse_damaged(name, dataset)
         return _text(dataset[()], f"/{name}")
@@ -81,13 +78,15 @@ class CheckedFile:
     def matches_checksum(self, name: str, dataset: h5py.Dataset) -> bool:
         """Return whether ``dataset``, which never changes after the start, matches the checksum in its attribute."""
         stated = dataset.attrs.get(ATTRIBUTE)
+        # Such a dataset is stored whole and uncompressed.
+        refuse_expansion(bytes_in_memory(dataset), self.file.id.get_filesize(), f"/{name}")
         content = stored_bytes(stored_values(dataset), dataset.dtype)
         return isinstance(stated, np.uint64) and int(stated) == digest(name, (), content)
 
     def stored_here(self, name: str) -> h5py.Dataset:
         """Return dataset ``name`` if the file itself holds its values."""
         dataset = self._dataset(name)
-        _refuse_external_storage(dataset, name)
+        refuse_elsewhere(dataset)
         return dataset
 
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
@@ -252,12 +251,6 @@ def _text(value: Any, where: str) -> str:
     if control_character(text):
         raise InvalidContentError(f"{where} holds control characters")
     return text
-
-
-def _refuse_external_storage(dataset: h5py.Dataset, name: str) -> None:
-    """Raise ``InvalidContentError`` if the values of ``dataset`` lie in another file."""
-    if dataset.is_virtual or dataset.external:
-        raise InvalidContentError(f"/{name} keeps its values in another file, which no run file does")
 
 
 def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:

@@ -15,11 +15,12 @@ import numpy as np
 from hpe_rig.arrays import BoolArray
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound, kind_of
+from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.json_checksum import read_sealed
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
 from hpe_rig.store.source import open_checked
-from hpe_rig.store.validation import CheckedFile, InvalidContentError
+from hpe_rig.store.validation import CheckedFile
 
 TEXT_KINDS: Final = ("queue", "marks", "study", "summary")
 """Kinds of files of text with a checksum."""
@@ -150,14 +151,15 @@ def _verified_text(path: Path) -> Verification:
 def _verified_result(path: Path, kind: str) -> Verification:
     """Return the damage in a result file or map; raise ``StoreError`` if it cannot be read."""
     try:
-        with h5py.File(path, "r") as file:
+        with open_bounded(path) as file:
             shots = int(file["results/shot"].shape[0]) if kind == "result" else 0
             lead = file["results/amplitude_m" if kind == "result" else "amplitude_m"]
             checksums = ATTRIBUTE in lead.attrs
             damage = tuple(_damaged_datasets(file, path))
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, InvalidContentError) as error:
+        why = error if isinstance(error, InvalidContentError) else reason(error)
         raise StoreError(
-            f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
+            f"{path} is not a readable result file ({why}). Try: hpe-rig process, which writes it anew."
         ) from error
     return Verification(path, kind, "complete", shots, shots, 0, checksums, damage)
 

@@ -198,4 +198,10 @@ def _hdf5(path: Path) -> dict[str, Any]:
     import h5py
 
     with h5py.File(path) as file:
-        return {name: item[()] for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        if any(isinstance(file.get(name, getlink=True), h5py.ExternalLink) for name in file):
+            raise ValueError("it has links to other files")
+        datasets = {name: item for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        for name, item in datasets.items():
+            if item.is_virtual or item.external:
+                raise ValueError(f"/{name} keeps its values in another file")
+        return {name: item[()] for name, item in datasets.items()}

@@ -498,7 +498,7 @@ def test_a_matlab_file_that_takes_too_long_to_read_is_refused(tmp_path: Path, mo
     monkeypatch.setattr(matlab, "TIMEOUT_S", 0.0)
     (tmp_path / "a.mat").write_bytes(mat_of_another_type())
     with pytest.raises(ValueError, match=r"not read within 0 s\): save it anew"):
-        matlab.matlab_to_npz(tmp_path / "a.mat", tmp_path / "a.npz")
+        matlab.matlab_to_npz(tmp_path / "a.mat", tmp_path / "a.npz", 1_000_000)
 
 
 @pytest.mark.parametrize("case", MALFORMED)
