@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Final
 from uuid import uuid4
 
+from hpe_rig.store.foreign_hdf5 import InvalidContentError
+
 GIT_TIMEOUT_S: Final = 5.0
 FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 3
@@ -122,6 +124,8 @@ def result_path(run_path: Path, estimator: str) -> Path:
 def reason(error: BaseException) -> str:
     """Return the cause of ``error`` in the operating system's words or plain words, not in the HDF5 library's."""
     text = str(error)
+    if isinstance(error, InvalidContentError):
+        return text
     if system_message := re.search(r"error message = '([^']*)'", text):
         return system_message.group(1)
     if isinstance(error, OSError) and error.strerror and "nable to" not in error.strerror:

@@ -157,9 +157,8 @@ def _verified_result(path: Path, kind: str) -> Verification:
             checksums = ATTRIBUTE in lead.attrs
             damage = tuple(_damaged_datasets(file, path))
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, InvalidContentError) as error:
-        why = error if isinstance(error, InvalidContentError) else reason(error)
         raise StoreError(
-            f"{path} is not a readable result file ({why}). Try: hpe-rig process, which writes it anew."
+            f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
         ) from error
     return Verification(path, kind, "complete", shots, shots, 0, checksums, damage)
 
