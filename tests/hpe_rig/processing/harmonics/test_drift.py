@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, least_squares
+from hpe_rig.processing.harmonics import drift as drift_module
 from hpe_rig.processing.harmonics.drift import DELAY_SD_S, DEVIATION, GROWTH_SD, MAX_ITERATIONS, drift_of, with_drift
 
 FloatArray = NDArray[np.float64]
@@ -48,8 +49,9 @@ def test_a_common_drift_is_detected_where_no_single_harmonic_shows_it() -> None:
     assert together > alone + 0.3
 
 
-def test_values_at_the_first_pulse_are_within_their_u() -> None:
+def test_values_at_the_first_pulse_are_within_their_u(monkeypatch: pytest.MonkeyPatch) -> None:
     """Growths and delays are drawn from the prior, so that NEV is 1, of each value and of all states together."""
+    monkeypatch.setattr(drift_module, "NONLINEARITY", 0.0)  # the change is exactly linear
     rng, squares, joint = np.random.default_rng(7), list[float](), list[float]()
     for seed in range(60):
         growth, delay_s = (
@@ -66,6 +68,17 @@ def test_values_at_the_first_pulse_are_within_their_u() -> None:
         joint.append(error_m @ np.linalg.solve(fit.state_covariance[:10, :10], error_m) / 10)
     for values in (squares, joint):
         assert np.mean(values) == pytest.approx(1.0, abs=3 * np.std(values) / np.sqrt(len(values)))
+
+
+def test_u_holds_a_warming_that_slows_down() -> None:
+    """The temperature grows as log(1 + 2 t / 0.8 s): in 0.2 s the line through it is off by 4 % of half of it."""
+    law = np.log1p(0.5 * PART) / np.log1p(0.5)
+    waves = np.exp(0.1 * law) * (PHASORS_M[:, None] * np.exp(2j * np.pi * HZ[:, None] * (TIME_S - 1e-4 * law))).imag
+    motion = replace(moving(), displacement_m=waves.sum(axis=0))
+    drift = drift_of(motion, HZ, max_iterations=MAX_ITERATIONS)
+    fit = with_drift(least_squares(replace(motion, displacement_m=waves.sum(axis=0) - drift.change_m), HZ), drift)
+    phase_errors = np.angle(np.exp(1j * fit.phase_rad) / PHASORS_M) / np.sqrt(fit.covariance[:, 1, 1])
+    assert 0.3 < np.abs(phase_errors).max() < 2
 
 
 def test_a_motion_that_stops_halfway_is_significant_in_every_harmonic() -> None:
