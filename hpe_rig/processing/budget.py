@@ -161,7 +161,7 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     return (
         *noise,
         *_control_components(sources.control, index, amplitude_m, averaging),
-        _tracked("quantisation", np.minimum(rounding**2, (np.inf, PHASE_VARIANCE_LIMIT)), averaging),
+        _tracked("quantisation", np.minimum(rounding, (np.inf, math.sqrt(PHASE_VARIANCE_LIMIT))) ** 2, averaging),
         _tracked("aliasing", aliasing, averaging),
         Component("speckle", averaging.speckle_relative * peak_m, averaging.speckle_phase_rad),
         _tracked("beam averaging", averaging_variance, averaging),

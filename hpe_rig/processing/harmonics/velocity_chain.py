@@ -22,7 +22,7 @@ from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.processing.echo.conditioning import hann
 from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, fit_from_state
 from hpe_rig.processing.harmonics.kalman_filter import PRIOR, filter_constant
-from hpe_rig.processing.harmonics.model import LinearModel, harmonic_columns, linear_model
+from hpe_rig.processing.harmonics.model import MAX_CONDITION, LinearModel, harmonic_columns, linear_model
 from hpe_rig.processing.motion.displacement import Velocity
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 49)])
@@ -61,7 +61,7 @@ def velocity_to_harmonics(
     band-pass removes a background except for the difference between the ends of the series; from ``background_order``
     (of the displacement) 2 on, its polynomial is fitted and subtracted first. The covariance is the velocities' noise
     carried through all steps. Band-pass and Hann window in slow time can be left out. Raises ``ValueError`` for
-    unevenly spaced pulses, and if the pulses cannot resolve the frequencies.
+    unevenly spaced pulses, and if the pulses or the band-pass cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
@@ -131,6 +131,11 @@ def _one_frequency(
     columns = harmonic_columns(velocity.time_s, np.array([f]))
     solver = np.linalg.pinv(columns[valid])
     response = solver @ (band_passed(columns.T) * window)[:, valid].T
+    if not np.linalg.cond(response) < MAX_CONDITION:
+        raise ValueError(
+            f"the band-pass of {f:g} Hz, +-{half_width_hz:g} Hz, passes no line of {valid.size * interval_s:.3g} s: "
+            f"try a window of at least {1 / half_width_hz:.3g} s, or the estimator 'coherent'"
+        )
     # From (in-phase, quadrature) of v/w to those of D: -90 degrees, over the gain of the difference.
     to_displacement = np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
     correction = to_displacement @ np.linalg.inv(response) / (2 * np.pi * f)

@@ -296,6 +296,12 @@ def test_uneven_pulses_are_refused_by_the_velocity_chain() -> None:
         velocity_to_harmonics(uneven, [200.0])
 
 
+def test_a_train_too_short_for_the_band_pass_is_refused_by_the_velocity_chain() -> None:
+    """Fifteen intervals of 3.75 ms have a line at 267 Hz and one at 533 Hz, none within 100 Hz of 400 Hz."""
+    with pytest.raises(ValueError, match=r"400 Hz.*at least 0\.01 s"):
+        velocity_to_harmonics(_velocity(np.zeros(16), 4000), [200.0, 400.0, 600.0])
+
+
 def test_further_harmonics_up_to_half_the_pulse_rate_are_not_in_the_residual() -> None:
     time_s = np.arange(400) / 2000
     displacement = _sum_of_sines(time_s)  # its tenth harmonic is half the pulse rate: an alternating sign
