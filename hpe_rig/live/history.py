@@ -9,9 +9,10 @@ from typing import final
 import numpy as np
 
 from hpe_rig.live.state import State, harmonic_state
-from hpe_rig.plan import Shot, scene_of_shot
-from hpe_rig.prediction import beam_widths
-from hpe_rig.processing import estimates_of, shot_fit
+from hpe_rig.plan import Shot, off_axis_offsets_m, phase_reference_of, scene_of_shot
+from hpe_rig.prediction import beam_widths, predicted_averaging
+from hpe_rig.processing import HarmonicFit, error_sources_of, estimates_of, shot_averaging, shot_fit
+from hpe_rig.result import Estimate
 from hpe_rig.runs import Run
 
 MAX_SHOTS = 2_000
@@ -21,9 +22,21 @@ UPDATE_TIME_S = 0.25
 """Time for estimates in one state; further complete shots wait for the next state."""
 
 
+def estimates_with_sources(run: Run, shot: Shot, fit: HarmonicFit, estimator: str) -> tuple[Estimate, ...]:
+    """Return the estimates of ``fit`` with beam averaging and the scene's error sources, as in a result.
+
+    The sources that need all records are missing: ends of the gate, rounding to codes, and lost first pulses.
+    """
+    scene = scene_of_shot(run.scene, shot)
+    predicted = predicted_averaging(scene, estimator, off_axis_offsets_m(run.plan))
+    sources = error_sources_of(scene, run.stored.simulated)
+    averaging = shot_averaging(scene, fit, predicted)
+    return estimates_of(fit, sources, averaging, reference=phase_reference_of(scene, shot))
+
+
 @final
 class ShotHistory:
-    """Tracked estimates of the complete shots, each computed once, without the correction for beam averaging."""
+    """Estimates of the complete shots, each computed once."""
 
     def __init__(self) -> None:
         self._next = 0
@@ -49,7 +62,7 @@ class ShotHistory:
         except ValueError:
             # A shot without an estimate leaves a gap in the curve.
             return
-        harmonics = harmonic_state(estimates_of(fit))[:MAX_HARMONICS]
+        harmonics = harmonic_state(estimates_with_sources(run, shot, fit, estimator))[:MAX_HARMONICS]
         self._states.append(
             {"shot": shot.index + 1, **{key: [item[key] for item in harmonics] for key in ("hz", "nm", "u_nm")}}
         )

@@ -7,12 +7,12 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.live.history import RemainingTime, ShotHistory, setting_of, warnings_of
+from hpe_rig.live.history import RemainingTime, ShotHistory, estimates_with_sources, setting_of, warnings_of
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.measurement import awaited_offset_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
-from hpe_rig.plan import phase_reference_of, scene_of_shot
+from hpe_rig.plan import scene_of_shot
 from hpe_rig.prediction import beam_widths
-from hpe_rig.processing import estimates_of, fit_motion, options_of, shot_prior
+from hpe_rig.processing import fit_motion, options_of, shot_prior
 from hpe_rig.report import echo_view, motion_view, selected_pulses, tracked_motion
 from hpe_rig.runs import Run, open_run
 from hpe_rig.store import ShotRecords, StoredRun, StoreError, is_locked, read_run
@@ -148,7 +148,7 @@ class RunSource:
             selection = selected_pulses(scene, shot)
             options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))
             fit = fit_motion(motion, selection.wanted_hz, "coherent", selection.driven_hz, options)
-            estimates = estimates_of(fit, reference=phase_reference_of(scene, shot))
+            estimates = estimates_with_sources(run, shot, fit, "coherent")
             state["motion"] = motion_state(motion_view(scene, shot, motion, estimates))
         except ValueError as error:
             # Too few pulses so far: the page states it and displays the echoes.

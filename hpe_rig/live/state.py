@@ -60,14 +60,14 @@ def motion_state(view: MotionView) -> State:
 
 
 def harmonic_state(estimates: Sequence[Estimate]) -> list[State]:
-    """Return amplitude in nm and phase in degrees of every harmonic, with standard uncertainties."""
+    """Return amplitude in nm and phase in degrees of every harmonic, with the standard uncertainties of a result."""
     return [
         {
             "hz": item.frequency_hz,
-            "nm": _number(item.amplitude_m * 1e9),
-            "u_nm": _number(item.amplitude_uncertainty_m * 1e9),
-            "deg": _number(math.degrees(item.phase_rad)),
-            "u_deg": _number(math.degrees(item.phase_uncertainty_rad)),
+            "nm": _number(item.headline.amplitude_m * 1e9),
+            "u_nm": _number(item.headline.amplitude_uncertainty_m * 1e9),
+            "deg": _number(math.degrees(item.headline.phase_rad)),
+            "u_deg": _number(math.degrees(item.headline.phase_uncertainty_rad)),
         }
         for item in estimates
     ]

@@ -1,4 +1,8 @@
-from .budget import estimates_of as estimates_of, with_second_order_speckle as with_second_order_speckle
+from .budget import (
+    error_sources_of as error_sources_of,
+    estimates_of as estimates_of,
+    with_second_order_speckle as with_second_order_speckle,
+)
 from .burst_period import burst_period_motion as burst_period_motion, displacement_residual_m as displacement_residual_m
 from .echo.band import Band as Band, band_frequencies_hz as band_frequencies_hz, band_of as band_of
 from .echo.conditioning import hann as hann
@@ -47,6 +51,7 @@ from .motion_model import fitted_motion as fitted_motion
 from .shot_controls import estimate_controls as estimate_controls
 from .shot_fitting import (
     options_of as options_of,
+    shot_averaging as shot_averaging,
     shot_model as shot_model,
     shot_prior as shot_prior,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import itertools
 import json
+import math
 import socket
 import subprocess
 import sys
@@ -240,8 +241,13 @@ def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
     assert state is not None
     (estimate,) = process(run_file).shots[0].estimates
     (harmonic,) = state["harmonics"]
-    assert harmonic["nm"] == pytest.approx(estimate.amplitude_m * 1e9, rel=1e-5)
-    assert harmonic["u_nm"] == pytest.approx(estimate.amplitude_uncertainty_m * 1e9, rel=1e-5)
+    headline = estimate.headline
+    assert headline.corrected
+    assert harmonic["nm"] == pytest.approx(headline.amplitude_m * 1e9, rel=1e-5)
+    # The page has no ends of the gate in u, 1e-4 of the amplitude.
+    assert harmonic["u_nm"] == pytest.approx(headline.amplitude_uncertainty_m * 1e9, rel=1e-4)
+    assert harmonic["deg"] == pytest.approx(math.degrees(headline.phase_rad), rel=1e-5)
+    assert harmonic["u_deg"] == pytest.approx(math.degrees(headline.phase_uncertainty_rad), rel=1e-4)
     assert (state["records"], state["records_planned"], state["status"]) == (101, 101, "complete")
     assert state["simulated"] is True
     (shot,) = state["over_shots"]
