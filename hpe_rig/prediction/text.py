@@ -95,6 +95,8 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
             f"  smallest noise and aliasing together: {prediction.expected[best].estimator}, "
             f"{prediction.error_m(best) * 1e9:.3g} nm"
         )
+    if scene.processing.drift == "linear":
+        yield "  without the u of a linear drift (processing.drift), up to 1.7 times the noise"
     if target_m is not None:
         yield _target_line(prediction, target_m, scene.acquisition.gate_depth_m, scene.processing.estimator)
 
