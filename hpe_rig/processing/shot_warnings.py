@@ -227,6 +227,6 @@ def drift_warnings(
         f"{np.expm1(-change.real) * 100:+.2g} % and the phase by {-np.degrees(change.imag):+.2g} deg. Tissue warms, "
         "clocks differ, tonebursts are missing, or the start-up is in the window: set "
         'processing.drift = "linear" for the results at the first pulse, lower the drive, connect a common 10 MHz '
-        "reference, compare the bench's burst count with excitation.burst_count, or move processing.window_start_s past "
-        "the start-up"
+        "reference, compare the bench's burst count with excitation.burst_count, or move "
+        "processing.window_start_s past the start-up"
     )
