@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -28,17 +28,24 @@ stored_runs = typer.Typer()
 
 @stored_runs.command()
 @guarded
-def process(run_file: RunFile, result: ResultOptions, points: SweepOptions) -> None:
+def process(
+    run_file: RunFile,
+    result: ResultOptions,
+    points: SweepOptions,
+    drift: Annotated[
+        Literal["none", "linear"] | None, typer.Option(help="As processing.drift. Default: the scene's.")
+    ] = None,
+) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.runs import estimate_points, open_run, points_over, process as process_run
     from hpe_rig.scene import parse_axes
 
     _refuse_conflicts(points)
     if points.sweep:
-        run_points = points_over(open_run(run_file), parse_axes(points.sweep), points.together)
+        run_points = points_over(open_run(run_file).with_drift(drift), parse_axes(points.sweep), points.together)
         estimates = estimate_points(run_points, result.estimator)
     else:
-        estimates = process_run(run_file, result.estimator, Stages(), _step_m(points.gate_profile_step))
+        estimates = process_run(run_file, result.estimator, Stages(), _step_m(points.gate_profile_step), drift)
     show(estimates, result)
 
 

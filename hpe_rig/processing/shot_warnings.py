@@ -226,7 +226,7 @@ def drift_warnings(
         f"means over the window; at its first pulse the amplitude at {frequency_hz:g} Hz differs by "
         f"{np.expm1(-change.real) * 100:+.2g} % and the phase by {-np.degrees(change.imag):+.2g} deg. Tissue warms, "
         "clocks differ, tonebursts are missing, or the start-up is in the window: set "
-        'processing.drift = "linear" for the results at the first pulse, lower the drive, connect a common 10 MHz '
-        "reference, compare the bench's burst count with excitation.burst_count, or move "
-        "processing.window_start_s past the start-up"
+        'processing.drift = "linear" for the results at the first pulse (hpe-rig process RUN.h5 --drift linear), lower '
+        "the drive, connect a common 10 MHz reference, compare the bench's burst count with excitation.burst_count, or "
+        "move processing.window_start_s past the start-up"
     )

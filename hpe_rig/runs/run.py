@@ -155,6 +155,10 @@ class Run:
         points = points_over(self, [Axis.of_key(key, values) for key, values in axes.items()], together)
         return estimate_points(points, estimator)
 
+    def with_drift(self, drift: str | None) -> Run:
+        """Return the run with another processing.drift, "none" or "linear"; None returns it unchanged."""
+        return self if drift is None else replace(self, scene=self.scene.with_({"processing.drift": drift}))
+
     def with_profile(self, step_m: float | None) -> Run:
         """Return the run with gates every ``step_m`` over the depth of its records; None returns it unchanged.
 
@@ -255,15 +259,20 @@ def _with_stored_times(plan: Plan, stored: StoredRun) -> Plan:
 
 
 def process(
-    path: Path, estimator: str | None = None, stages: Stages | None = None, profile_step_m: float | None = None
+    path: Path,
+    estimator: str | None = None,
+    stages: Stages | None = None,
+    profile_step_m: float | None = None,
+    drift: str | None = None,
 ) -> Result:
     """Return the result of the run in ``path`` and write it to the folder of the run file.
 
-    ``profile_step_m``: step of additional gates over depth; it replaces the gates of the scene.
+    ``profile_step_m``: step of additional gates over depth; it replaces the gates of the scene. ``drift``:
+    processing.drift instead of the scene's.
     """
     stages = stages or Stages()
     with stages("read"):
-        run = open_run(path).with_profile(profile_step_m)
+        run = open_run(path).with_profile(profile_step_m).with_drift(drift)
     result = run.estimate(estimator, stages)
     with stages("write result"):
         run.save(result)

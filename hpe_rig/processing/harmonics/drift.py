@@ -14,6 +14,7 @@ harmonics have in common, and one of each harmonic alone. Derivation: docs/expla
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -144,14 +145,14 @@ def drift_of(
             break
     sensitivity = harmonics.sensitivity[: frequency_hz.size]
     real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)
-    log_change = sensitivity @ unknowns
+    log_change, common_u = sensitivity @ unknowns, np.hypot(np.sqrt(np.diag(covariance)), RELATIVE_U * unknowns)
     # Errors along and across the change, in common to all harmonics.
     relative = RELATIVE_U * np.stack([log_change, 1j * log_change]).view(np.float64)
     return Drift(
-        growth=float(np.expm1(GROWTH_SD * unknowns[0])),
-        growth_u=GROWTH_SD * float(np.sqrt(covariance[0, 0]) * np.exp(GROWTH_SD * unknowns[0])),
+        growth=math.expm1(GROWTH_SD * unknowns[0]),
+        growth_u=GROWTH_SD * float(common_u[0]) * math.exp(GROWTH_SD * unknowns[0]),
         delay_s=DELAY_SD_S * float(unknowns[1]),
-        delay_u_s=DELAY_SD_S * float(np.sqrt(covariance[1, 1])),
+        delay_u_s=DELAY_SD_S * float(common_u[1]),
         log_change=log_change,
         covariance=real_imaginary @ covariance @ real_imaginary.T + relative.T @ relative,
         probability=probability,

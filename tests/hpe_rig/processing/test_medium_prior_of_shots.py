@@ -204,8 +204,7 @@ def test_a_motion_that_weakens_is_distinguished_from_a_steady_one() -> None:
 
 def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None:
     (steady,) = run().estimate().shots
-    linear = replace(run(), scene=run().scene.with_({"processing.drift": "linear"}))
-    (at_first_pulse,) = linear.estimate().shots
+    (at_first_pulse,) = run().with_drift("linear").estimate().shots
     assert not steady.warnings
     assert "removed" in " ".join(at_first_pulse.warnings)
     for mean, first in zip(steady.estimates, at_first_pulse.estimates, strict=True):
