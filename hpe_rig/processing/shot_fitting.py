@@ -11,7 +11,7 @@ from hpe_rig.medium import BeamWidths, RigidSphere
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.budget import with_second_order_speckle
 from hpe_rig.processing.estimators import Harmonic, Options, fit_motion, spec_of
-from hpe_rig.processing.harmonics.drift import Drift, drift_of
+from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, Drift, drift_of
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, MediumPosterior
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
 from hpe_rig.processing.harmonics.model import LinearModel, linear_model
@@ -45,7 +45,9 @@ class HarmonicFitter:
         return fit_motion(motion, self.wanted_hz, self.estimator, self.driven_hz, self.options)
 
 
-def shot_drift(motion: WindowMotion, selection: Selection, options: Options, max_iterations: int = 1) -> Drift:
+def shot_drift(
+    motion: WindowMotion, selection: Selection, options: Options, max_iterations: int = MAX_ITERATIONS
+) -> Drift:
     """Return the change of a shot's ``motion`` over the window; raise ``ValueError`` if it cannot be fitted.
 
     It is that of the coherent displacement, which has least noise, if there is one.

@@ -20,7 +20,7 @@ from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.first_pulse import PulseAssignment
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
-from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, Drift, with_drift
+from hpe_rig.processing.harmonics.drift import Drift, with_drift
 from hpe_rig.processing.harmonics.fit_checks import Line, residual_line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.quantisation import quantisation_m
@@ -336,13 +336,13 @@ def _drift(
     for the removal of a drift that cannot be estimated.
     """
     if scene.processing.drift == "linear":
-        return shot_drift(motion, selection, options, MAX_ITERATIONS)
+        return shot_drift(motion, selection, options)
     if motion.coherent is not None:
         with suppress(ValueError):
-            drift = shot_drift(motion, selection, options)
+            drift = shot_drift(motion, selection, options, max_iterations=1)
             # A drift that is reported needs its full size.
             significant = drift.probability < max_probability
-            return shot_drift(motion, selection, options, MAX_ITERATIONS) if significant else drift
+            return shot_drift(motion, selection, options) if significant else drift
     return None
 
 

@@ -25,7 +25,7 @@ from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Shot, select
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.estimators import spec_of
-from hpe_rig.processing.harmonics.drift import MAX_ITERATIONS, with_drift
+from hpe_rig.processing.harmonics.drift import with_drift
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, estimate_rate_error, with_rate_error
 from hpe_rig.processing.shot_fitting import HarmonicFitter, available_prior, options_of, shot_drift, shot_prior
@@ -203,7 +203,7 @@ def shot_fit(
     if scene.processing.drift == "none":
         fit = fitter(motion.tracked)
     else:
-        drift = shot_drift(motion, selection, options, MAX_ITERATIONS)
+        drift = shot_drift(motion, selection, options)
         fit = with_drift(fitter(motion.without(drift.change_m).tracked), drift)
     if time_base.by_pulses.uncertainty:
         influence_m = state_influence_m(fitter, motion, time_base)

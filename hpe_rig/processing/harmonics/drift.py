@@ -120,12 +120,12 @@ def drift_of(
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
     prior: MediumPrior | None = None,
-    max_iterations: int = 1,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> Drift:
     """Return the change of a ``motion`` (pulse,) over its train, with a test of whether there is any.
 
     The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
-    further frequencies of the motion. One iteration suffices for the test and for small changes. Raises ``ValueError``
+    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError``
     if the fit does, and for too few pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)

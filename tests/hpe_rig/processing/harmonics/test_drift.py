@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.processing.harmonics import drift as drift_module
-from hpe_rig.processing.harmonics.drift import DELAY_SD_S, DEVIATION, GROWTH_SD, MAX_ITERATIONS, drift_of, with_drift
+from hpe_rig.processing.harmonics.drift import DELAY_SD_S, DEVIATION, GROWTH_SD, drift_of, with_drift
 
 FloatArray = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def moving(
 
 
 def test_a_steady_motion_is_called_drifting_as_often_as_stated() -> None:
-    probabilities = np.array([drift_of(moving(seed=seed), HZ).probability for seed in range(200)])
+    probabilities = np.array([drift_of(moving(seed=seed), HZ, max_iterations=1).probability for seed in range(200)])
     for stated in (0.05, 0.2):
         # The bound adds up six tests, nearly independent: the rate is below it by less than its square. 3 binomial sd.
         alarms, sd = np.mean(probabilities < stated), np.sqrt(stated * (1 - stated) / 200)
@@ -43,7 +43,7 @@ def test_a_steady_motion_is_called_drifting_as_often_as_stated() -> None:
 
 def test_a_common_drift_is_detected_where_no_single_harmonic_shows_it() -> None:
     """20 dB lower echoes: the delay of all harmonics together is five of its sd, that of each at most three."""
-    drifts = [drift_of(moving(0.05, 40e-6, noise_m=119e-9, seed=seed), HZ) for seed in range(40)]
+    drifts = [drift_of(moving(0.05, 40e-6, noise_m=119e-9, seed=seed), HZ, max_iterations=1) for seed in range(40)]
     together = np.mean([drift.probability < 0.01 for drift in drifts])
     alone = np.mean([drift.harmonic_probability.min() < 0.01 for drift in drifts])
     assert together > alone + 0.3
@@ -58,7 +58,7 @@ def test_values_at_the_first_pulse_are_within_their_u(monkeypatch: pytest.Monkey
             sd * (rng.standard_normal() + DEVIATION * rng.standard_normal(HZ.size)) for sd in (GROWTH_SD, DELAY_SD_S)
         )
         motion = moving(growth, delay_s, seed=seed)
-        drift = drift_of(motion, HZ, max_iterations=MAX_ITERATIONS)
+        drift = drift_of(motion, HZ)
         steady = replace(motion, displacement_m=motion.displacement_m - drift.change_m)
         fit = with_drift(least_squares(steady, HZ), drift)
         amplitude = (fit.amplitude_m - np.abs(PHASORS_M)) / np.sqrt(fit.covariance[:, 0, 0])
@@ -75,7 +75,7 @@ def test_u_holds_a_warming_that_slows_down() -> None:
     law = np.log1p(0.5 * PART) / np.log1p(0.5)
     waves = np.exp(0.1 * law) * (PHASORS_M[:, None] * np.exp(2j * np.pi * HZ[:, None] * (TIME_S - 1e-4 * law))).imag
     motion = replace(moving(), displacement_m=waves.sum(axis=0))
-    drift = drift_of(motion, HZ, max_iterations=MAX_ITERATIONS)
+    drift = drift_of(motion, HZ)
     fit = with_drift(least_squares(replace(motion, displacement_m=waves.sum(axis=0) - drift.change_m), HZ), drift)
     phase_errors = np.angle(np.exp(1j * fit.phase_rad) / PHASORS_M) / np.sqrt(fit.covariance[:, 1, 1])
     assert 0.2 < np.abs(phase_errors).max() < 2
@@ -84,7 +84,7 @@ def test_u_holds_a_warming_that_slows_down() -> None:
 def test_a_motion_that_stops_halfway_is_significant_in_every_harmonic() -> None:
     motion = moving()
     halved = replace(motion, displacement_m=np.where(PART < 0.5, 1.0, 0.5) * motion.displacement_m)
-    drift = drift_of(halved, HZ)
+    drift = drift_of(halved, HZ, max_iterations=1)
     assert np.all(drift.harmonic_probability < 1e-6)
     # The line through a step of -0.5 has 1.5 times its height, relative to the mean of 0.75.
     assert 2 * drift.log_change.real == pytest.approx(-1.0, rel=0.15)
