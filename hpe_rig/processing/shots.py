@@ -210,10 +210,9 @@ def _estimate_window(
     averaging = shot_averaging(scene, fit, settings.averaging)
     estimates = estimates_of(fit, sources, averaging, true_m, reference)
     if max(records.assignment.shifts):
-        late_fits = [fit_of(motion.delayed(late_s)) for late_s in records.assignment.alternatives_s(shot)]
         alternatives = [
             estimates_of(late_fit, sources, shot_averaging(scene, late_fit, settings.averaging), None, reference)
-            for late_fit in late_fits
+            for late_fit in map(fit_of, map(motion.delayed, records.assignment.alternatives_s(shot)))
         ]
         estimates = with_first_pulse(estimates, alternatives, records.assignment.late_part_s(shot))
     line = _line(motion, selection, options)

@@ -59,13 +59,33 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
 
 
-@pytest.fixture
-def tree(tmp_path: Path) -> Path:
-    """Return a copy of packages and scripts that a test may change."""
+@pytest.fixture(scope="module")
+def copied_tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a copy of packages and scripts."""
+    folder = tmp_path_factory.mktemp("tree")
     for name in (*PACKAGES, "scripts"):
-        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    return tmp_path
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    return folder
+
+
+@pytest.fixture
+def tree(copied_tree: Path) -> Iterator[Path]:
+    """Yield a copy of packages and scripts that a test may change; its changes are undone after the test."""
+    before = file_states(copied_tree)
+    yield copied_tree
+    for path in {path for path, _ in before ^ file_states(copied_tree)}:
+        original = ROOT / path.relative_to(copied_tree)
+        if original.exists():
+            shutil.copy(original, path)
+        else:
+            path.unlink()
+
+
+def file_states(folder: Path) -> set[tuple[Path, tuple[int, int]]]:
+    """Return every file in ``folder`` with its time of change and its size."""
+    states = ((path, path.stat()) for path in folder.rglob("*.*") if path.is_file())
+    return {(path, (state.st_mtime_ns, state.st_size)) for path, state in states}
 
 
 def test_the_import_contracts_hold(tree: Path) -> None:
@@ -147,7 +167,9 @@ def imports(text: str) -> list[tuple[int, str, list[str]]]:
 
 
 def _imports(text: str) -> Iterator[tuple[int, str, list[str]]]:
-    for node in ast.walk(parsed(text)):
+    tree = parsed(text)
+    # Imports are statements; only calls are inside expressions.
+    for node in ast.walk(tree) if "import_module" in text else statements(tree):
         match node:
             case ast.ImportFrom(module=str(module), level=0, names=names):
                 yield node.lineno, module, [alias.name for alias in names]
@@ -157,6 +179,14 @@ def _imports(text: str) -> Iterator[tuple[int, str, list[str]]]:
                 name = first.values[0] if isinstance(first, ast.JoinedStr) and first.values else first
                 if isinstance(name, ast.Constant):
                     yield node.lineno, str(name.value), []
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the statements in ``node``, at any depth."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.stmt | ast.ExceptHandler | ast.match_case):
+            yield child
+            yield from statements(child)
 
 
 def package_of(module: str, packages: dict[str, set[str]]) -> str:
