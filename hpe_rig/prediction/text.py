@@ -15,6 +15,7 @@ from hpe_rig.prediction.forecast import Prediction, forecast_of, remedies
 from hpe_rig.prediction.linear_fit import fitted_over_true
 from hpe_rig.prediction.output_text import dose_text
 from hpe_rig.prediction.scene_physics import tracking_gate
+from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
 
 
@@ -24,9 +25,11 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
     if floor.quadrature_m == 0:
         yield "detection floor: none, neither noise nor trigger jitter is known"
     else:
+        # Jumps of a peak are rarer and larger than normal noise of their variance: fewer amplitudes exceed the floor.
+        at_most = "at most " if spec_of(scene.processing.estimator).reads_peak else ""
         yield (
-            f"detection floor: {floor.detected_m * 1e9:.3g} nm ({100 * FALSE_ALARMS:g} % false alarms), from noise "
-            f"({floor.noise_m * 1e9:.3g} nm in each quadrature of the worst wanted frequency) and trigger jitter "
+            f"detection floor: {floor.detected_m * 1e9:.3g} nm ({at_most}{100 * FALSE_ALARMS:g} % false alarms), from "
+            f"noise ({floor.noise_m * 1e9:.3g} nm in each quadrature of the worst wanted frequency) and trigger jitter "
             f"({floor.trigger_jitter_m * 1e9:.3g} nm)"
         )
     if simulated:

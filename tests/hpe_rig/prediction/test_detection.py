@@ -152,3 +152,9 @@ def test_an_output_scaled_from_another_drive_reports_the_change_by_shocks() -> N
     # too weak for shocks: nothing worth a line
     assert list(extrapolation_text(aperture, calibrated(bench, 0.5, 1e3))) == []
     assert list(extrapolation_text(scene, calibrated(bench, 0.5, 1e3, simulated=True))) == []
+
+
+def test_the_floor_of_an_estimator_that_reads_a_peak_states_an_upper_bound_of_false_alarms() -> None:
+    by_peak = scene("table-1").with_({"processing.estimator": "cross_spectrum"})
+    assert "(at most 5 % false alarms)" in next(detection_text(by_peak))
+    assert "(5 % false alarms)" in next(detection_text(scene("table-1")))
