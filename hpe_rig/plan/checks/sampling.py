@@ -79,8 +79,9 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
         text += "larger errors without a warning"
     else:
         text += f", and u does not include their error ({scene.without_prior})"
-    remedy = f'tracking.pulse_rate_hz = {rate_hz - burst_rate_hz / 10:g} with disturbed = "skip", '
-    remedy += "so that the pulses shift from burst to burst"
+    remedy = f'tracking.pulse_rate_hz = {rate_hz - burst_rate_hz / 10:g} with disturbed = "skip"'
+    remedy += " and processing.synchronous = false" if scene.processing.synchronous else ""
+    remedy += ", so that the pulses shift from burst to burst"
     yield CheckResult("aliasing harmonics", "warning", text, remedy)
 
 

@@ -187,6 +187,15 @@ def test_aliasing_harmonics_are_warned_of_unless_the_pulses_shift_from_burst_to_
     assert found(3990.0) == "passed"
 
 
+def test_the_remedy_for_aliasing_harmonics_removes_the_warning_and_causes_no_conflict() -> None:
+    remedy = {"tracking.pulse_rate_hz": 3990.0, "tracking.disturbed": "skip", "processing.synchronous": False}
+    aliased = check_plan(MUSCLE, BENCH, make_plan(MUSCLE, BENCH))
+    text = next(item.remedy for item in aliased if item.check == "aliasing harmonics")
+    assert text.startswith('tracking.pulse_rate_hz = 3990 with disturbed = "skip" and processing.synchronous = false')
+    changed = MUSCLE.with_(remedy)
+    assert {item.level for item in check_plan(changed, BENCH, make_plan(changed, BENCH))} == {"passed"}
+
+
 def test_u_of_synchronous_pulses_is_said_to_hold_for_smooth_media_or_without_prior_not_at_all() -> None:
     def text(scene: Scene) -> str:
         results = check_plan(scene, BENCH, make_plan(scene, BENCH))
