@@ -1,6 +1,6 @@
 """Coverage of the intervals of fits with the medium prior where a medium or burst is not what the prior assumes.
 
-Usage: python scripts/validation/prior_limits.py [--seeds 200]     replaces the table of docs/validation/prior-limits.md
+Usage: python scripts/validation/prior_limits.py [--seeds 100]     replaces the table of docs/validation/prior-limits.md
 
 A seed draws the noise and the unknown of the case: the phase of a resonance, the distance of a wall, or a medium.
 Motions are those of media with 1000 harmonics. "Before" takes the deviation from the ensemble as the prior states it,
@@ -149,7 +149,7 @@ CASES = (
 def main() -> None:
     """Compute the table and replace that of the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--output", type=Path, default=PAGE)
     arguments = parser.parse_args()
     rows = list[str]()
