@@ -157,7 +157,7 @@ def _suggestion(array: NDArray[Any], default: tuple[Dimension, ...]) -> str:
         return f'axes = "{signal}" and record_samples for a signal of several channels, or another array'
     similarity = [_similarity(array, axis) for axis in range(array.ndim)]
     best = max(orders, key=lambda order: (similarity[order.index("pulse")], array.shape[order.index("sample")]))
-    return f'such as axes = "{",".join(best)}", along whose axis pulse neighbours are most alike'
+    return f'such as axes = "{",".join(best)}" (its neighbouring pulses are most alike)'
 
 
 def _is_possible(order: tuple[Dimension, ...], shape: tuple[int, ...]) -> bool:

@@ -45,6 +45,11 @@ def _as_float(value: Any) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
+def _as_text(value: Any) -> Any:
+    values = value if isinstance(value, list | tuple) else [value]
+    return ",".join(map(str, values)) if all(type(item) is int for item in values) else value
+
+
 Positive = Annotated[int, Field(ge=1, le=2**40, strict=True)]
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 
@@ -92,7 +97,7 @@ class RecordingSettings(Section):
     """Treatment of records with values that are not finite: refuse them, or count them as missing."""
     skip_rows: Annotated[int, Field(ge=0, le=10**9, strict=True)] = 0
     """Lines of a text file to skip; the lines before the first numbers are skipped in any case."""
-    columns: str | None = None
+    columns: Annotated[str, BeforeValidator(_as_text)] | None = None
     """Columns of a text file with samples, counted from 1, such as "2-61" or "2,4"; default: all but times."""
     delimiter: Annotated[str, Field(min_length=1, max_length=10)] | None = None
     """Delimiter of a text file: comma, semicolon, tab, blank, or another character; default: inferred."""

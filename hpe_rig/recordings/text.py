@@ -344,7 +344,8 @@ def _state_sample_times(table: Table, coordinate: Coordinate, name: str, unit_s:
     """State sampling rate and time of the first sample; they take precedence over those of the header."""
     table.stated["sample_rate_hz"] = (float(f"{1 / (coordinate.step * (unit_s or 1.0)):.9g}"), name)
     table.stated["first_sample_s"] = (float(coordinate.starts[0]) * (unit_s or 1.0), name)
-    table.inferred.append(f"{name} holds the times of the samples, {'s' if unit_s is None else f'unit {unit_s:g} s'}")
+    unit = "s (no unit is stated)" if unit_s is None else f"units of {unit_s:g} s" if unit_s < 1 else "s"
+    table.inferred.append(f"{name} holds the times of the samples in {unit}")
     table.inferred.append("time 0 of the file counts as the onset of the pulse")
 
 

@@ -101,6 +101,8 @@ def test_a_column_that_is_named_is_a_pulse(tmp_path: Path) -> None:
     some = read(tmp_path / "b.csv", rows(), columns="3,5-10")
     np.testing.assert_array_equal(some.values[0, 0], RF[[1, 3, 4, 5, 6, 7, 8]])
     assert some.sample_rate_hz == 40e6
+    listed = read(tmp_path / "c.csv", rows(), columns=[3, 5, 6, 7, 8, 9, 10])
+    np.testing.assert_array_equal(listed.values, some.values)
 
 
 def test_rows_may_be_pulses_with_their_times(tmp_path: Path) -> None:
