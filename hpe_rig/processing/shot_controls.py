@@ -30,7 +30,7 @@ class Controls:
 
 
 def estimate_controls(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> Controls:
-    """Return the motion in all controls of ``plan``, whose shots have one position of the tracking transducer."""
+    """Return the motion in all controls of ``plan``; its shots have one position of the tracking transducer."""
     fits, failures = dict[int, list[HarmonicFit]](), dict[int, str]()
     for index, control in control_shots(plan).items():
         try:
