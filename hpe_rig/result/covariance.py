@@ -6,7 +6,7 @@ x_k are independent variables of mean 0 and variance 1. c_k, complex, is the inf
 in-phase value A cos(phase), its imaginary part on the quadrature A sin(phase). Values with a common error have
 influences of the same variable. Influences of all sources on all values form B; the covariance is B B'.
 
-Source: Guide to the expression of uncertainty in measurement (GUM), supplement 2 (JCGM 102:2011), 6.2 and 6.3.
+Source: Guide to the expression of uncertainty in measurement (GUM), supplement 2 (JCGM 102:2011), 6.2.
 """
 
 from __future__ import annotations
