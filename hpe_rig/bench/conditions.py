@@ -154,17 +154,17 @@ def _of_plugin(name: str, timeout_s: float) -> float:
     except TimeoutError:
         what = f"no answer of the plug-in {name} within {timeout_s:g} s"
         raise TimeoutError(f"{what}; check the sensor, or state a longer timeout_s") from None
-    if isinstance(outcome, Exception):
+    if isinstance(outcome, BaseException):
         what = f"the plug-in {name} failed ({type(outcome).__name__}: {_quoted(str(outcome))})"
         raise ValueError(f"{what}; check the sensor and the plug-in")
     return outcome
 
 
-def _outcome_of_plugin(name: str) -> float | Exception:
+def _outcome_of_plugin(name: str) -> float | Exception | SystemExit:
     # An exception is returned, because a plug-in's own TimeoutError is another failure than no answer in time.
     try:
         return float(load(CONDITIONS, name)())
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return error
     finally:
         _BUSY.discard(name)

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import contextvars
+import threading
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Final
+from queue import Empty, SimpleQueue
+from typing import Any, Final, TypeVar, cast
 
 ESTIMATORS: Final = "hpe_rig.estimators"
 MEDIA: Final = "hpe_rig.media"
 IMPORTERS: Final = "hpe_rig.importers"
 CONDITIONS: Final = "hpe_rig.conditions"
+
+
+TIMEOUT_S: Final = 60.0
+"""Longest duration of one call of another package's code, unless its data are large."""
+VALUES_PER_S: Final = 1e6
+"""Slowest processing of large data that is awaited: samples or bytes per second."""
+Outcome = TypeVar("Outcome")
+_HANGING: Final[set[str]] = set()
+"""Extensions that have not returned in time."""
 
 
 class ExtensionError(ValueError):
@@ -41,14 +54,46 @@ def named(group: str, name: str) -> str:
 @cache
 def load(group: str, name: str) -> Any:
     """Return the object at the entry point ``name``; raise ``ExtensionError`` if it does not load."""
+    source, remedy = f"extension {origin(group, name)}", "its newest version, or uninstall it"
+    return call(source, _group(group)[name].load, remedy=remedy, failure="does not load")
+
+
+def call(
+    source: str,
+    function: Callable[[], Outcome],
+    timeout_s: float = TIMEOUT_S,
+    expected: tuple[type[Exception], ...] = (),
+    remedy: str = "report it there",
+    failure: str = "failed",
+) -> Outcome:
+    """Return ``function()``, code of the package that ``source`` names, which runs in a thread.
+
+    Raises its ``expected`` exceptions and ``MemoryError`` as they are. Raises ``ExtensionError`` for all others, for an
+    attempt to end the program, and if it lasts longer than ``timeout_s``; then it is not called again.
+    """
+    if source in _HANGING:
+        raise ExtensionError(f"{source} has not returned since an earlier call. Try: {remedy}")
+    outcomes = SimpleQueue[tuple[Outcome | None, BaseException | None]]()
+
+    def run() -> None:
+        try:
+            outcomes.put((function(), None))
+        except BaseException as error:
+            outcomes.put((None, error))
+
+    # The context has NumPy's settings of floating-point errors.
+    threading.Thread(target=contextvars.copy_context().run, args=(run,), daemon=True, name=source).start()
     try:
-        return _group(group)[name].load()
-    except Exception as error:
-        # Any exception may come from the code of another package.
-        raise ExtensionError(
-            f"extension {origin(group, name)} does not load ({type(error).__name__}: {error}). "
-            "Try: its newest version, or uninstall it"
-        ) from error
+        outcome, error = outcomes.get(timeout=timeout_s)
+    except Empty:
+        _HANGING.add(source)
+        raise ExtensionError(f"{source} has not returned within {timeout_s:.0f} s. Try: {remedy}") from None
+    if error is None:
+        return cast("Outcome", outcome)
+    if isinstance(error, (MemoryError, *expected)):
+        raise error
+    what = "tried to end the program" if isinstance(error, SystemExit) else failure
+    raise ExtensionError(f"{source} {what} ({type(error).__name__}: {error}). Try: {remedy}") from error
 
 
 def _package(point: EntryPoint) -> str:

@@ -37,22 +37,37 @@ IDLE_RATIO = 2.0
 REQUEST_TIMEOUT_S, CHECK_PERIOD_S = 5.0, 1.0
 """Time limit of a complete request, which ends half-open connections, and period of its check."""
 MAX_CONNECTIONS = 64
-"""Limit on connections, since each costs memory and file handles."""
+"""Limit on connections without the page's token, and on viewers, since each costs memory and file handles."""
+TOKEN_TIME_S = 0.2
+"""Time after which a connection without the token may be closed: its request may not have been read yet."""
 ENDED = ("complete", "aborted", "failed")
 
 
 @final
 class LimitedProtocol(H11Protocol):
-    """HTTP with a limit on connections; a connection without a complete request in ``REQUEST_TIMEOUT_S`` is closed."""
+    """HTTP with a limit on connections; a connection without a complete request in ``REQUEST_TIMEOUT_S`` is closed.
+
+    The limit applies to connections that have not sent the page's token: nobody else can keep its holder from the stop
+    button.
+    """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Accept a connection, or close it above ``MAX_CONNECTIONS``."""
+        """Accept a connection; after ``TOKEN_TIME_S`` those without the token are limited to ``MAX_CONNECTIONS``."""
         super().connection_made(transport)
-        if len(self.connections) > MAX_CONNECTIONS:
-            transport.abort()
-            return
-        self._waits_since_s = self.loop.time()
+        self._made_s = self._waits_since_s = self.loop.time()
         self._check_timeout()
+        self.loop.call_later(TOKEN_TIME_S, self._close_oldest)
+
+    def _close_oldest(self) -> None:
+        """Close the oldest connections without the token that are too many."""
+        strangers = [item for item in self.connections if isinstance(item, LimitedProtocol) and not item.has_token]
+        for item in sorted(strangers, key=lambda item: item._made_s)[:-MAX_CONNECTIONS]:
+            item.transport.abort()
+
+    @property
+    def has_token(self) -> bool:
+        """Whether the latest request of the connection has the page's token in its path."""
+        return self.scope is not None and self.scope["path"].startswith(self.app_state["base"])
 
     def _check_timeout(self) -> None:
         """Close the connection after the time limit of a request; else schedule the next check."""
@@ -143,11 +158,12 @@ class LivePage:
         return guarded
 
     @contextlib.asynccontextmanager
-    async def _reading(self, application: Starlette) -> AsyncIterator[None]:
+    async def _reading(self, application: Starlette) -> AsyncIterator[dict[str, str]]:
+        """Read the source while the application runs; yield its state, which the connections get."""
         self._changed = asyncio.Condition()
         reader = asyncio.create_task(self._read())
         try:
-            yield
+            yield {"base": f"/{self._token}/"}
         finally:
             reader.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -212,7 +228,7 @@ class LivePage:
 
     async def _watch(self, viewer: WebSocket) -> None:
         """Send the latest state to a viewer whenever it is ready for one."""
-        if not self._is_allowed(viewer.headers):
+        if not self._is_allowed(viewer.headers) or len(self._sent) >= MAX_CONNECTIONS:
             await viewer.close(code=1008)
             return
         await viewer.accept()

@@ -44,8 +44,12 @@ class RunSource:
     def __init__(self, path: Path) -> None:
         """Follow ``path``; the file need not exist yet."""
         self._path = path
-        self._fingerprint: tuple[int, int, bool, bool] | None = None
         self._run: Run | None = None
+        self._start_anew()
+
+    def _start_anew(self) -> None:
+        """Forget what was derived from the records of a run."""
+        self._fingerprint: tuple[int, int, int, bool, bool] | None = None
         self._shot = 0
         self._earlier_records = 0
         self._history: list[State] = []
@@ -57,13 +61,15 @@ class RunSource:
             fingerprint = self._read_fingerprint()
             if fingerprint == self._fingerprint and not self._pending:
                 return None
-            # Scene and plan stay the same while records arrive.
-            self._run = open_run(self._path) if self._run is None else self._run.refreshed()
+            run = open_run(self._path) if self._run is None else self._run.refreshed()
         except (OSError, StoreError) as error:
             # The file may be incomplete or still missing: the page waits.
             return self._waiting(str(error))
-        self._fingerprint = fingerprint
-        return self._state(self._run)
+        if self._run is not None and run.identity != self._run.identity:
+            # Another run has replaced the file, as with --overwrite.
+            self._start_anew()
+        self._run, self._fingerprint = run, fingerprint
+        return self._state(run)
 
     def stop(self) -> None:
         """Request a stop through the run's stop file; raise ``StoreError`` if the run is not active."""
@@ -80,16 +86,17 @@ class RunSource:
             raise StoreError(f"the run in {self._path} has ended: there is nothing to pause. Try: reload the page.")
         toggle_pause(self._path, stored.run_id)
 
-    def _read_fingerprint(self) -> tuple[int, int, bool, bool]:
+    def _read_fingerprint(self) -> tuple[int, int, int, bool, bool]:
         """Return values that change with every new state, without opening the file."""
         status = self._path.stat()
-        return status.st_mtime_ns, status.st_size, stop_path(self._path).exists(), pause_requested(self._path)
+        requests = stop_path(self._path).exists(), pause_requested(self._path)
+        return status.st_ino, status.st_mtime_ns, status.st_size, *requests
 
     def _waiting(self, reason: str) -> State | None:
         paused = pause_requested(self._path)
-        if self._fingerprint == (0, 0, False, paused):
+        if self._fingerprint == (0, 0, 0, False, paused):
             return None
-        self._fingerprint = (0, 0, False, paused)
+        self._fingerprint = (0, 0, 0, False, paused)
         position = {"pause_requested": paused, "place_mm": _place_mm(self._path)}
         return {"mode": "run", "status": "waiting", "title": self._path.name, "why": reason, **position}
 
@@ -100,6 +107,7 @@ class RunSource:
         running = stored.status == "running" and not pause_requested(self._path, stored.run_id)
         state: State = {
             "mode": "run",
+            "run": run.identity,
             "title": run.scene.title,
             "file": self._path.name,
             "simulated": stored.simulated,

@@ -20,7 +20,7 @@ from functools import cache
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.extensions import MEDIA, ExtensionError, installed, load, origin
+from hpe_rig.extensions import MEDIA, ExtensionError, call, installed, load, origin
 
 MediumLaw = str
 """Name of a law: one of ``LAWS`` or one of an installed package."""
@@ -244,16 +244,15 @@ def _with_shape_check(modulus: Modulus, parameters: int, source: str) -> Modulus
 
     def checked(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the result of ``modulus``; raise ``ExtensionError`` if it fails."""
-        try:
-            value, slopes = modulus(s, values)
-        except Exception as error:
-            raise ExtensionError(f"{source} failed ({type(error).__name__}: {error}). Try: report it there") from error
+        value, slopes = call(source, lambda: modulus(s, values))
         shape = (*values.shape[:-1], *s.shape)
         if np.shape(value) != shape or np.shape(slopes) != (*shape, parameters):
             raise ExtensionError(
                 f"{source} returned shapes {np.shape(value)} and {np.shape(slopes)}, not {shape} and "
                 f"{(*shape, parameters)}. Try: report it there"
             )
+        if not (np.isfinite(value).all() and np.isfinite(slopes).all()):
+            raise ExtensionError(f"{source} returned values that are not finite. Try: report it there")
         return value, slopes
 
     return checked

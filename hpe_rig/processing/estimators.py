@@ -6,6 +6,7 @@ with its functions and properties, from the table of this package or from anothe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, wraps
@@ -15,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.extensions import ESTIMATORS as ENTRY_POINTS, ExtensionError, load, origin
+from hpe_rig.extensions import ESTIMATORS as ENTRY_POINTS, TIMEOUT_S, VALUES_PER_S, ExtensionError, call, load, origin
 from hpe_rig.processing.echo.band import Band
 from hpe_rig.processing.echo.gate import EchoGate
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, least_squares
@@ -55,6 +56,8 @@ class Options:
 
 
 PLAIN = Options()
+MAX_VALUE = 10.0
+"""Largest displacement (m) and phase (rad) of another package that is possible."""
 
 
 FitMotion = Callable[[Motion, Frequencies, Frequencies, Options], HarmonicFit]
@@ -176,21 +179,43 @@ def _checked(function: Callable[..., Any], result_type: type, package: str) -> C
     @wraps(function)
     def checked(*args: Any, **kwargs: Any) -> Any:
         """Return the checked result of the plug-in's function."""
+        values = args[0].volts if isinstance(args[0], EchoGate) else args[0].displacement_m
+        timeout_s = TIMEOUT_S + math.prod(values.shape) / VALUES_PER_S
         try:
-            result = function(*args, **kwargs)
-        except (MemoryError, KeyboardInterrupt):
+            result = call(package, lambda: function(*args, **kwargs), timeout_s, (ValueError,))
+        except ExtensionError:
             raise
         except ValueError as error:
             raise ValueError(f"{package}: {error}") from error
-        except Exception as error:
-            raise ExtensionError(f"{package} failed ({type(error).__name__}: {error}). Try: report it there") from error
         if not isinstance(result, result_type):
             raise ExtensionError(f"{package} returned {type(result).__name__} instead of {result_type.__name__}")
         if isinstance(result, Motion):
             _refuse_misfit(result, args[0], package)
+        elif isinstance(result, HarmonicFit):
+            variances = np.diagonal(result.covariance, axis1=-2, axis2=-1)
+            _refuse_impossible("amplitude_m", result.amplitude_m, variances[..., 0], package)
+            # The phase of a small amplitude has any variance.
+            _refuse_impossible("phase_rad", result.phase_rad, np.minimum(variances[..., 1], 0.0), package)
         return result
 
     return checked
+
+
+def _refuse_impossible(name: str, values: FloatArray, variances: FloatArray, package: str) -> None:
+    """Raise ``ExtensionError`` for ``values`` or ``variances`` of them that no echo can have; NaN is no value.
+
+    ``name`` of the values.
+    """
+    is_value = ~np.isnan(values)
+    values, variances = values[is_value], variances[is_value]
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > MAX_VALUE:
+        what = f"returned {name} up to {largest:g}, more than {MAX_VALUE:g}"
+        raise ExtensionError(f"{package} {what}. Try: report it there")
+    # A variance that is not a number fails both comparisons.
+    if not ((variances >= 0) & (variances <= MAX_VALUE**2)).all():
+        what = f"returned a variance of {name} that is negative, not finite or above {MAX_VALUE**2:g}"
+        raise ExtensionError(f"{package} {what}. Try: report it there")
 
 
 def _refuse_misfit(motion: Motion, echoes: EchoGate, package: str) -> None:
@@ -199,5 +224,10 @@ def _refuse_misfit(motion: Motion, echoes: EchoGate, package: str) -> None:
     for name, values in (("displacement_m", motion.displacement_m), ("variance_m2", motion.variance_m2)):
         if np.shape(values) != shape:
             raise ExtensionError(f"{package} returned {name} of shape {np.shape(values)}, {shape} is needed")
-    if not np.isfinite(motion.displacement_m[..., motion.valid]).all(axis=-1).any():
+    valid = np.asarray(motion.valid)
+    if valid.dtype != np.bool_ or valid.shape != shape[-1:] or not np.array_equal(motion.time_s, echoes.pulse_time_s):
+        raise ExtensionError(f"{package} returned other pulses than those of the echoes. Try: report it there")
+    displacement_m, variance_m2 = motion.displacement_m[..., valid], motion.variance_m2[..., valid]
+    _refuse_impossible("displacement_m", displacement_m, variance_m2, package)
+    if not np.isfinite(displacement_m).all(axis=-1).any():
         raise ValueError(f"{package} returned no displacement: noise without echo, or the wrong gate or carrier")

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Callable
 from pathlib import Path
 
-from hpe_rig.extensions import IMPORTERS, ExtensionError, installed, load, origin
+from hpe_rig.extensions import IMPORTERS, TIMEOUT_S, VALUES_PER_S, ExtensionError, call, installed, load, origin
 from hpe_rig.recordings import alazar, arrays, oscilloscope, text
 from hpe_rig.recordings.contents import Contents, Importer
 from hpe_rig.recordings.settings import RecordingSettings
@@ -42,16 +42,14 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
             f"format {name!r} is not known: {f'did you mean {close[0]}? ' if close else ''}"
             f"one of {', '.join(importer_names())}"
         )
-    importer = foreign_importer(name)
+    importer, source = foreign_importer(name), f"importer {origin(IMPORTERS, name)}"
+    timeout_s = TIMEOUT_S + path.stat().st_size / VALUES_PER_S
     try:
-        contents = importer.read(path, settings)
-    except (OSError, MemoryError):
-        raise
+        contents = call(source, lambda: importer.read(path, settings), timeout_s, (OSError, ValueError))
+    except ExtensionError as error:
+        raise ExtensionError(str(error).replace(". Try: ", ": ")) from error
     except ValueError as error:
-        raise ValueError(f"importer {origin(IMPORTERS, name)}: {error}") from error
-    except Exception as error:
-        why = f"{type(error).__name__}: {error}"
-        raise ExtensionError(f"importer {origin(IMPORTERS, name)} failed ({why}): report it to its authors") from error
+        raise ValueError(f"{source}: {error}") from error
     if not isinstance(contents, Contents):
         raise ExtensionError(
             f"importer {origin(IMPORTERS, name)} returned {type(contents).__name__} instead of Contents: "
@@ -63,7 +61,7 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
 def foreign_importer(name: str) -> Importer:
     """Return the importer of another package; raise ``ExtensionError`` if it does not load or is no importer."""
     loaded = load(IMPORTERS, name)
-    importer = loaded() if isinstance(loaded, type) else loaded
+    importer = call(f"importer {origin(IMPORTERS, name)}", loaded) if isinstance(loaded, type) else loaded
     if not isinstance(importer, Importer):
         raise ExtensionError(f"importer {origin(IMPORTERS, name)} has no suffixes or no read(path, settings)")
     return importer

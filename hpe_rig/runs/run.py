@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -215,10 +216,24 @@ class Run:
         records = self.records.gated(shot, samples, margin=margin_needed(scene, planned_shot), placement=placement)
         return shot_echoes(unwindowed, planned_shot, records, select(unwindowed, planned_shot))
 
+    @property
+    def identity(self) -> str:
+        """Hexadecimal digits that differ between two runs, also of one scene into one file."""
+        return _identity(self.stored)
+
     def refreshed(self) -> Run:
-        """Read the run file again, for a run that is still being written."""
+        """Read the run file again, for a run that is still being written; another run in its place is opened."""
         stored = read_run(self.path)
+        if _identity(stored) != self.identity:
+            return open_run(self.path)
+        # Scene and plan stay the same while records arrive.
         return replace(self, stored=stored, plan=_with_stored_forces(self.plan, stored))
+
+
+def _identity(stored: StoredRun) -> str:
+    # Runs of scripts may have neither an identifier nor a start.
+    parts = (stored.run_id, stored.provenance.started, stored.scene_toml, stored.bench_toml)
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:

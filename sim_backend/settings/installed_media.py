@@ -55,10 +55,12 @@ def modulus_of(medium: str, parameters: Mapping[str, float], s_per_s: ComplexArr
         # The derivatives are not used, and may not exist at s = 0.
         with np.errstate(divide="ignore", invalid="ignore"):
             modulus_pa = np.asarray(law.modulus(s.reshape(-1), values)[0], np.complex128)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{_description(medium)} failed ({type(error).__name__}: {error}): report it there") from error
     if modulus_pa.shape != (s.size,):
         raise ValueError(f"{_description(medium)} gave a modulus of shape {modulus_pa.shape}: one of {(s.size,)}")
+    if not np.isfinite(modulus_pa[s.reshape(-1) != 0]).all():
+        raise ValueError(f"{_description(medium)} gave a modulus that is not finite: report it there")
     return modulus_pa.reshape(s.shape)
 
 
@@ -75,7 +77,7 @@ def _law(medium: str) -> Any:
     """
     try:
         law = _installed()[medium].load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(
             f"{_description(medium)} does not load ({type(error).__name__}: {error}): uninstall it"
         ) from error

@@ -144,11 +144,20 @@ def test_an_installed_importer_reads_its_files_and_names_itself_where_it_cannot(
 
 
 BROKEN = {
-    "hpe_rig.estimators": {"raises": "broken:RAISES", "shapes": "broken:SHAPES", "absent": "broken:NOTHING"},
+    "hpe_rig.estimators": {
+        "raises": "broken:RAISES",
+        "shapes": "broken:SHAPES",
+        "absent": "broken:NOTHING",
+        "leaves": "broken:LEAVES",
+        "negative": "broken:NEGATIVE",
+        "huge": "broken:HUGE",
+        "moved": "broken:MOVED",
+    },
     "hpe_rig.media": {"slopes": "broken:SLOPES", "number": "broken:NUMBER"},
     "hpe_rig.importers": {"gives": "broken:GIVES"},
 }
 CODE = """
+import sys
 import numpy as np
 from hpe_rig.medium import Law, Parameter
 from hpe_rig.processing import EstimatorSpec, Motion
@@ -158,6 +167,21 @@ def fails(echoes):
 
 def short(echoes):
     return Motion(echoes.pulse_time_s, np.zeros(3), np.zeros(3), echoes.valid)
+
+def leaves(echoes):
+    sys.exit(0)
+
+def constant(displacement_m, variance_m2, late_s=0.0):
+    def motion(echoes):
+        shape = echoes.volts.shape[:-1]
+        time_s = echoes.pulse_time_s + late_s
+        return Motion(time_s, np.full(shape, displacement_m), np.full(shape, variance_m2), echoes.valid)
+    return motion
+
+LEAVES = EstimatorSpec("leaves", leaves)
+NEGATIVE = EstimatorSpec("negative", constant(1e-6, -1e-18))
+HUGE = EstimatorSpec("huge", constant(1e300, 1e-18))
+MOVED = EstimatorSpec("moved", constant(1e-6, 1e-18, 1.0))
 
 class GIVES:
     suffixes = (".gv",)
@@ -193,7 +217,7 @@ def test_an_extension_that_fails_names_itself_and_costs_no_other(tmp_path: Path)
                 return f"{type(error).__name__}: {error}"
         rf = np.random.default_rng(1).normal(size=(40, 64))
         known = dict(sample_rate_hz=5e7, pulse_rate_hz=4e3, carrier_hz=5e6, frequencies_hz=[200.0])
-        names = "raises", "shapes", "absent"
+        names = "raises", "shapes", "absent", "leaves", "negative", "huge", "moved"
         said = {name: message(lambda: hpe.estimate(rf, estimator=name, **known)) for name in names}
         Path("a.gv").write_bytes(b"12345678")
         said["gives"] = message(lambda: hpe.import_records("a.gv", "table-1", "x.h5"))
@@ -206,9 +230,13 @@ def test_an_extension_that_fails_names_itself_and_costs_no_other(tmp_path: Path)
     )
     assert not said["sound"]
     whose = {name: f"{name} ({group}, of broken 0.1)" for group, points in BROKEN.items() for name in points}
-    for name in ("raises", "shapes", "absent", "gives", "number"):
+    for name in ("raises", "shapes", "absent", "gives", "number", "leaves", "negative", "huge", "moved"):
         assert whose[name] in said["said"][name], said["said"][name]
     assert "KeyError" in said["said"]["raises"]
+    assert "tried to end the program (SystemExit: 0)" in said["said"]["leaves"]
+    assert "a variance of displacement_m that is negative" in said["said"]["negative"]
+    assert "displacement_m up to 1e+300, more than 10" in said["said"]["huge"]
+    assert "other pulses than those of the echoes" in said["said"]["moved"]
     for name in ("absent", "slopes", "number"):
         assert any(line.startswith("FAILS") and whose[name] in line for line in said["lines"])
     assert said["fine"] == 1

@@ -37,7 +37,7 @@ from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_stop, stop_path, with_stop_requests
 from hpe_rig.runs.run import process
 from hpe_rig.scene import SettingsError, load_scene, scene_text
-from hpe_rig.store import StoreError, WriteOptions, read_run
+from hpe_rig.store import StoreError, WriteOptions, new_run_id, read_run
 
 
 class Counter:
@@ -190,20 +190,31 @@ def test_a_viewer_stays_though_it_says_nothing(page: LivePage, monkeypatch: pyte
             pass
 
 
-def test_only_so_many_connections_are_open_at_once(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "MAX_CONNECTIONS", 3)
-    some = [half_open(page, b"GET / HT") for _ in range(3)]
-    assert is_ended(half_open(page, b""))
-    for connection in some:
-        connection.close()
-    # Once these are gone there is room again, as soon as the server has noticed.
-    for _ in range(100):
-        with suppress(ConnectionError, http.client.HTTPException):
-            assert asked(page, urlsplit(page.address).path)[0] == 200
-            break
-        time.sleep(0.05)
-    else:
-        pytest.fail("no room was made")
+@pytest.mark.parametrize("start", [b"", b"GET / HT", WHOLE])
+def test_connections_without_the_token_give_way_to_newer_ones_and_to_its_holder(
+    page: LivePage, counter: Counter, start: bytes
+) -> None:
+    base = urlsplit(page.address).path
+    with connect(watch(page), max_size=None) as viewer, ExitStack() as stack:
+        strangers = [stack.enter_context(half_open(page, start)) for _ in range(200)]
+        # Long before the time limit of a request.
+        start_s = time.monotonic()
+        assert asked(page, base)[0] == 200
+        assert asked(page, base + "stop", "POST")[0] == 200
+        assert time.monotonic() - start_s < server.REQUEST_TIMEOUT_S / 2
+        assert counter.stopped
+        # The oldest are closed, and the viewer stays.
+        assert is_ended(strangers[0])
+        viewer.recv(timeout=10)
+
+
+def test_the_number_of_viewers_is_limited_too(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
+    with connect(watch(page), max_size=None) as viewer:
+        viewer.recv(timeout=10)
+        monkeypatch.setattr(server, "MAX_CONNECTIONS", 1)
+        with pytest.raises(InvalidStatus, match="403"), connect(watch(page)):
+            pass
+        assert asked(page, urlsplit(page.address).path)[0] == 200
 
 
 def test_a_run_that_has_ended_is_not_asked_to_stop(run_file: Path) -> None:
@@ -315,6 +326,37 @@ def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path, run_file: Pa
     state = source.poll()
     assert state is not None
     assert state["status"] == "complete"
+
+
+def last_state(source: RunSource) -> State:
+    """Return the state that the source reaches: estimates of many shots take several states."""
+    state: State = {}
+    while (newer := source.poll()) is not None:
+        state = newer
+    return state
+
+
+@pytest.mark.parametrize("has_run_id", [True, False])
+def test_the_page_of_a_replaced_file_is_that_of_the_new_run(has_run_id: bool, tmp_path: Path) -> None:
+    path, runs = tmp_path / "run.h5", [("first", 0.13e-3, 1, 20), ("second", 0.15e-3, 3, 24)]
+    source, states = RunSource(path), list[State]()
+    for title, delay_s, repeats, pulses in runs:
+        scene = load_scene("table-1").with_(
+            {
+                "tracking.delay_s": delay_s,
+                "acquisition.repeats": repeats,
+                "tracking.pulse_count": pulses,
+                "simulation.seed": repeats,
+            }
+        )
+        setup = prepare_text(title, scene_text(scene)[1].replace("title = ", f'title = "{title}" # ', 1))
+        run_id = new_run_id() if has_run_id else ""
+        record_run(setup, path, options=WriteOptions(overwrite=True, run_id=run_id))
+        states.append(last_state(source))
+    fresh = last_state(RunSource(path))
+    assert states[1] == fresh
+    assert states[0]["run"] != fresh["run"]
+    assert (fresh["title"], fresh["shots"]) == ("second", 3)
 
 
 def test_the_command_refuses_a_file_that_is_no_run_file(tmp_path: Path) -> None:
