@@ -37,7 +37,7 @@ from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_stop, stop_path, with_stop_requests
 from hpe_rig.runs.run import process
 from hpe_rig.scene import SettingsError, load_scene, scene_text
-from hpe_rig.store import StoreError, WriteOptions, new_run_id, read_run
+from hpe_rig.store import StoreError, WriteOptions, read_run
 
 
 class Counter:
@@ -204,7 +204,9 @@ def test_connections_without_the_token_give_way_to_newer_ones_and_to_its_holder(
         assert time.monotonic() - start_s < server.REQUEST_TIMEOUT_S / 2
         assert counter.stopped
         # The oldest are closed, and the viewer stays.
-        assert is_ended(strangers[0])
+        with suppress(ConnectionError):
+            while strangers[0].recv(1000):
+                pass
         viewer.recv(timeout=10)
 
 
@@ -336,9 +338,8 @@ def last_state(source: RunSource) -> State:
     return state
 
 
-@pytest.mark.parametrize("has_run_id", [True, False])
-def test_the_page_of_a_replaced_file_is_that_of_the_new_run(has_run_id: bool, tmp_path: Path) -> None:
-    path, runs = tmp_path / "run.h5", [("first", 0.13e-3, 1, 20), ("second", 0.15e-3, 3, 24)]
+def test_the_page_of_a_replaced_file_is_that_of_the_new_run(tmp_path: Path) -> None:
+    path, runs = tmp_path / "run.h5", [("first", 0.13e-3, 1, 20), ("second", 0.15e-3, 2, 24)]
     source, states = RunSource(path), list[State]()
     for title, delay_s, repeats, pulses in runs:
         scene = load_scene("table-1").with_(
@@ -350,13 +351,12 @@ def test_the_page_of_a_replaced_file_is_that_of_the_new_run(has_run_id: bool, tm
             }
         )
         setup = prepare_text(title, scene_text(scene)[1].replace("title = ", f'title = "{title}" # ', 1))
-        run_id = new_run_id() if has_run_id else ""
-        record_run(setup, path, options=WriteOptions(overwrite=True, run_id=run_id))
+        record_run(setup, path, options=WriteOptions(overwrite=True))
         states.append(last_state(source))
     fresh = last_state(RunSource(path))
     assert states[1] == fresh
     assert states[0]["run"] != fresh["run"]
-    assert (fresh["title"], fresh["shots"]) == ("second", 3)
+    assert (fresh["title"], fresh["shots"]) == ("second", 2)
 
 
 def test_the_command_refuses_a_file_that_is_no_run_file(tmp_path: Path) -> None:
