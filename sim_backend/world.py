@@ -112,6 +112,8 @@ def _generator(clock: SimulatedClock, instruments: Instruments, model: str, role
     serial = f"MY4400000{number}" if instruments.serial_numbers else "0"
     clock_error: float = getattr(instruments.clock_error, role)
     generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial), clock_error)
+    # A clock without an error is locked to the reference of the bench.
+    generator.status.has_external_reference = clock_error == 0
     if instruments.serial_numbers:
         generator.states.rename(("4", f"SIM_BOX_{number}"))
     return generator

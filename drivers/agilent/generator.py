@@ -30,6 +30,9 @@ NO_SERIAL: Final = ("", "0")
 LABEL: Final = "MEM:STAT:NAME"
 """Name of a stored state. It is kept without power and through ``*RST``, whether or not a state is stored."""
 LABEL_LOCATION: Final = 4
+QUESTIONABLE: Final = "STAT:QUES:COND?"
+LOOP_UNLOCKED, EXTERNAL_REFERENCE = 1 << 5, 1 << 9
+"""Bits of the questionable condition (from memory of the manual)."""
 UNLABELLED: Final = ("", f"STATE_{LABEL_LOCATION}")
 """Names of a location without a label: none, or the manual's default."""
 
@@ -39,16 +42,23 @@ class Agilent33250A:
     """Driver of one generator behind ``connection``.
 
     ``role`` names it in messages. ``series`` is the expected model or series of ``MODELS``; empty accepts all.
-    ``max_vpp`` is the largest swing into the declared load that the connected device tolerates. A ``with`` statement
-    first identifies the instrument, and ends with the output verified off and the connection closed.
+    ``max_vpp`` is the largest swing into the declared load that the connected device tolerates. With
+    ``external_reference`` the clock must be locked to the 10 MHz input, which is verified with all settings. A ``with``
+    statement first identifies the instrument, and ends with the output verified off and the connection closed.
     """
 
     def __init__(
-        self, connection: Connection, role: str = "generator", series: str = "", max_vpp: float = math.inf
+        self,
+        connection: Connection,
+        role: str = "generator",
+        series: str = "",
+        max_vpp: float = math.inf,
+        external_reference: bool = False,
     ) -> None:
         self._role = role
         self._series = series
         self._max_vpp = max_vpp
+        self._external_reference = external_reference
         self._session = ScpiSession(connection, role)
         self._model = AGILENT_33250A
         self._identity: Identity | None = None
@@ -168,6 +178,7 @@ class Agilent33250A:
                 self.role,
             )
         self._programmed = registers
+        self._verify_reference()
 
     def sine(self, frequency_hz: float, amplitude_vpp: float, load_ohm: float = 50.0) -> None:
         """Switch on a continuous sine without offset, verified; it lasts until ``make_safe``."""
@@ -217,6 +228,7 @@ class Agilent33250A:
                     if isinstance(error, DroppedError):
                         self._session.reopen()
                     self._session.verify("settings after the shot", expected)
+                self._verify_reference()
         except RefusedError as error:
             # The next shot starts from the reset state, whatever was changed.
             self._programmed = ()
@@ -293,6 +305,21 @@ class Agilent33250A:
         """Send ``command``; raise ``RefusedError`` if the instrument queues an error."""
         self._session.write(command)
         self._session.verify(group, ())
+
+    def _verify_reference(self) -> None:
+        """Raise ``InstrumentError`` if the clock must be locked to the 10 MHz input and is not."""
+        if not self._external_reference:
+            return
+        reply = self._session.query(QUESTIONABLE)
+        condition = int(self._decoded(Readable("questionable condition", QUESTIONABLE[:-1], whole_number), reply))
+        if condition & LOOP_UNLOCKED or not condition & EXTERNAL_REFERENCE:
+            raise InstrumentError(
+                self.role,
+                f"its clock is not locked to the 10 MHz input ({QUESTIONABLE} was answered with {condition})",
+                "no reference is connected, it is too weak, or the internal one is selected",
+                "connect the reference, or change common_reference in the bench file; it is "
+                '"source" for the instrument that gives the reference',
+            )
 
     def _switched_off(self) -> str:
         self.switch_off()

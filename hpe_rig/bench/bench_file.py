@@ -122,8 +122,9 @@ class Generator(Section):
     """Lowest and highest carrier that the transducer at this output may be driven with; default: not limited."""
     clock_accuracy: ClockAccuracy | None = None
     """Relative standard uncertainty of its internal clock's rate; default: the limit in the model's data sheet."""
-    common_reference: Annotated[bool, Field(strict=True)] = False
-    """Whether its clock is locked to the 10 MHz reference that the instruments with this key share."""
+    common_reference: Annotated[bool, Field(strict=True)] | Literal["source"] = False
+    """Whether its clock is locked to a shared reference at its 10 MHz input, which is verified before and after each
+    shot; "source": its 10 MHz output is that reference."""
 
     @property
     def clock_uncertainty(self) -> float:
@@ -188,7 +189,7 @@ class DigitizerBoard(Section):
     clock_accuracy: ClockAccuracy | None = None
     """Relative standard uncertainty of its internal clock's rate; default: the limit in the model's data sheet."""
     common_reference: Annotated[bool, Field(strict=True)] = False
-    """Whether its clock is locked to the 10 MHz reference that the instruments with this key share."""
+    """Whether its clock is locked to the reference of the generators; refused, as the driver cannot lock a board."""
 
     @property
     def clock_uncertainty(self) -> float:

@@ -35,7 +35,7 @@ def clock_covariance(scene: Scene, bench: BenchFile) -> FloatArray:
     source = generators.burst_train if scene.excitation is not None else None
     clocks = (source, generators.tracking_train, bench.digitizer)
     accuracy = np.array([UNSTATED_FREQUENCY_ACCURACY if clock is None else clock.clock_uncertainty for clock in clocks])
-    is_locked = np.array([clock is not None and clock.common_reference for clock in clocks])
+    is_locked = np.array([clock is not None and bool(clock.common_reference) for clock in clocks])
     covariance = np.diag(accuracy**2)
     # Locked clocks have one rate, so that its error cancels in their differences; it is at most that of the worst.
     covariance[np.ix_(is_locked, is_locked)] = np.max(accuracy[is_locked] ** 2, initial=0.0)

@@ -301,7 +301,9 @@ class Connections:
         max_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):
             max_vpp = min(max_vpp, bench.limits.max_drive_vpp or math.inf)
-        return Agilent33250A(connection, role, generator.model, max_vpp)
+        # The instrument that gives the reference runs on its internal clock.
+        is_locked = generator.common_reference is True
+        return Agilent33250A(connection, role, generator.model, max_vpp, is_locked)
 
 
 def _connect(world: World | None, bench: BenchFile, stack: ExitStack, answers: Answers, lock: bool) -> Connections:

@@ -14,6 +14,10 @@ def wrong_values(bench: BenchFile) -> Iterator[Mistake]:
     """Yield limits in the wrong order, serial numbers that no instrument has, and a calibration that ends too early."""
     yield from _reversed_bands(bench)
     yield from _impossible_serials(bench)
+    if bench.digitizer.common_reference:
+        what = f"the driver cannot lock an {bench.digitizer.model} to a 10 MHz reference"
+        remedy = "no such key: common_reference of burst_train and tracking_train suffices"
+        yield Mistake("digitizer.common_reference", what, remedy)
     calibration = bench.calibration
     if calibration is None or calibration.date is None or calibration.valid_until is None:
         return

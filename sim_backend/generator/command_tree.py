@@ -132,7 +132,7 @@ SYSTEM: Mapping[str, Action] = {
     "SYSTem:LOCal": Action(lambda instrument, arguments: instrument.set_local(True)),
     "SYSTem:REMote": Action(lambda instrument, arguments: instrument.set_local(False)),
     "SYSTem:RWLock": Action(lambda instrument, arguments: instrument.set_local(False)),
-    "STATus:QUEStionable:CONDition": Action(query=_fixed("+0")),
+    "STATus:QUEStionable:CONDition": Action(query=lambda instrument, arguments: instrument.status.questionable()),
     "STATus:QUEStionable[:EVENt]": Action(query=_fixed("+0")),
     "STATus:QUEStionable:ENABle": _register("QUES", 32767),
     "STATus:PRESet": Action(lambda instrument, arguments: instrument.status.enable("QUES", 0)),

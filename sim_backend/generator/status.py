@@ -17,6 +17,7 @@ class Status:
         self._events = ESR_POWER_ON
         self._enabled = {"ESE": 0, "SRE": 0, "QUES": 0}
         self.cleared_at_power_on = True
+        self.has_external_reference = False
 
     def queue(self, number: int, text: str) -> None:
         """Append an error; the 21st turns the newest into -350 and is lost."""
@@ -45,6 +46,10 @@ class Status:
         """Return and clear the event register."""
         value, self._events = self._events, 0
         return f"{value:+d}"
+
+    def questionable(self) -> str:
+        """Return the condition register of the questionable status: bit 9 if locked to the 10 MHz input."""
+        return "+512" if self.has_external_reference else "+0"
 
     def byte(self, message_waiting: bool) -> str:
         """Return the status byte (*STB?): the presence of errors, replies and events, and the request for service."""
