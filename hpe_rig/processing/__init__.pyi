@@ -34,6 +34,11 @@ from .harmonics.medium_prior import (
 )
 from .harmonics.model import aliased_hz as aliased_hz, harmonic_columns as harmonic_columns
 from .harmonics.projected_prior import project_prior as project_prior
+from .harmonics.rate_error import (
+    RateError as RateError,
+    estimate_rate_error as estimate_rate_error,
+    with_rate_error as with_rate_error,
+)
 from .harmonics.velocity_chain import velocity_to_harmonics as velocity_to_harmonics
 from .maps.motion_map import MapSettings as MapSettings, map_pixels as map_pixels
 from .motion.displacement import (

@@ -17,10 +17,14 @@ import numpy as np
 import hpe_rig as hpe
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import BeamWidths, HarmonicMedium, tracked_motion
-from hpe_rig.processing import medium_prior
-from hpe_rig.processing.harmonics.medium_fit import medium_fit
-from hpe_rig.processing.harmonics.rate_error import RateError, estimate_rate_error, with_rate_error
-from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing import (
+    Motion,
+    RateError,
+    estimate_rate_error,
+    medium_fit,
+    medium_prior,
+    with_rate_error,
+)
 
 WINDOWS_S, ACCURACIES = (0.2, 1.0, 10.0, 250.0), (2e-6, 10e-6, 20e-6, 50e-6)
 BURST_HZ, BURST_S, PULSE_HZ, NOISE_M, RMS_M = 100.0, 100e-6, 3990.0, 77e-9, 0.7e-6
