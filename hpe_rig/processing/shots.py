@@ -201,7 +201,7 @@ def _estimate_window(
     drift = _drift(scene, motion, selection, options, settings.false_alarm)
     removed_drift = drift if scene.processing.drift == "linear" else None
     if removed_drift is not None:
-        motion = motion.without(removed_drift.change_m)
+        motion = motion.without(removed_drift.change_m(motion.tracked.time_s))
     fit_of = partial(_fit_with_aliasing, scene, shot, selection=selection, options=options, settings=settings)
     fit = fit_of(motion) if removed_drift is None else with_drift(fit_of(motion), removed_drift)
     time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base)

@@ -204,7 +204,7 @@ def shot_fit(
         fit = fitter(motion.tracked)
     else:
         drift = shot_drift(motion, selection, options)
-        fit = with_drift(fitter(motion.without(drift.change_m).tracked), drift)
+        fit = with_drift(fitter(motion.without(drift.change_m(motion.tracked.time_s)).tracked), drift)
     if time_base.by_pulses.uncertainty:
         influence_m = state_influence_m(fitter, motion, time_base)
         fit = replace(fit, state_covariance=fit.state_covariance + np.outer(influence_m, influence_m))

@@ -1,4 +1,4 @@
-"""Measure what a drift within a train does to results, how often it is reported, and how well it is removed.
+"""Measure the effect of a drift within a train on results, how often it is reported, and how well it is removed.
 
 The displacement is that of a Voigt medium (9 kPa, 2 Pa s) with 1000 harmonics, in the white noise of echoes of 15, 40
 and 60 dB. It is steady; or it grows by 5 % and comes later by 83 us, linearly over the train of 0.15 s; or the medium
@@ -57,8 +57,8 @@ def changed_phasors(change: str, position: float) -> ComplexArray:
     steady = responses(0.0)
     scale_m = RMS_M / np.sqrt(np.sum(np.abs(steady) ** 2) / 2)
     if change == CHANGES[1]:
-        late = np.exp(-2j * np.pi * RATE_HZ * HARMONIC * DELAY_S * position)
-        return np.asarray(scale_m * steady * late * (1 + GROWTH * position))
+        delay_factor = np.exp(-2j * np.pi * RATE_HZ * HARMONIC * DELAY_S * position)
+        return np.asarray(scale_m * steady * delay_factor * (1 + GROWTH * position))
     return scale_m * responses(SOFTENING * position if change == CHANGES[2] else 0.0)
 
 
@@ -67,8 +67,8 @@ def displacement_m(change: str, time_s: FloatArray) -> FloatArray:
     position = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
     first, middle, last = (changed_phasors(change, at) for at in (0.0, 0.5, 1.0))
     # Between the three the logarithm of each phasor is a parabola.
-    half, whole = np.log(middle / first), np.log(middle / first) + np.log(last / middle)
-    slope, curvature = 4 * half - whole, 2 * whole - 4 * half
+    to_middle, to_last = np.log(middle / first), np.log(middle / first) + np.log(last / middle)
+    slope, curvature = 4 * to_middle - to_last, 2 * to_last - 4 * to_middle
     exponent = np.outer(position, slope) + np.outer(position**2, curvature)
     return np.asarray((first * np.exp(exponent + 2j * np.pi * RATE_HZ * np.outer(time_s, HARMONIC))).imag.sum(axis=1))
 
@@ -91,7 +91,7 @@ def trial(motion: Motion, change: str) -> Trial:
         np.abs(tested.log_change.real) * mean.amplitude_m / np.sqrt(mean.covariance[:, 0, 0]),
         np.abs(tested.log_change.imag) / np.sqrt(mean.covariance[:, 1, 1]),
     ]
-    steady = replace(motion, displacement_m=motion.displacement_m - drift.change_m)
+    steady = replace(motion, displacement_m=motion.displacement_m - drift.change_m(motion.time_s))
     linear = with_drift(medium_fit(steady, WANTED_HZ, prior, background_order=1).fit, drift)
     u_ratio = np.sqrt(np.diagonal(linear.covariance / mean.covariance, axis1=-2, axis2=-1).T)
     # The mean of a phasor that is a parabola in its logarithm, by Simpson's rule.

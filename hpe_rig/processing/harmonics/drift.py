@@ -53,45 +53,17 @@ PULSES_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
-    """Change of the motion over a train.
-
-    ``log_change``, complex (frequency,): g_n, half of the change of the logarithm of each wanted phasor from the first
-    pulse to the last. ``covariance`` (2 * frequency, 2 * frequency): of its real and imaginary parts, interleaved.
-    ``growth``, exp(a) - 1, and ``delay_s``, tau: the change that all motion has in common, with standard uncertainties
-    ``growth_u`` and ``delay_u_s``.
-
-    ``probability``: upper bound of the probability that a steady motion changes as significantly in any of the tests.
-    ``harmonic_probability`` (frequency,): the same, of a change of this harmonic.
-
-    ``change_m`` (pulse,): displacement minus that of a steady motion with the phasors of the first pulse.
-    """
-
-    growth: float
-    growth_u: float
-    delay_s: float
-    delay_u_s: float
-    log_change: ComplexArray
-    covariance: FloatArray
-    probability: float
-    harmonic_probability: FloatArray
-    change_m: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Harmonics:
+class Harmonics:
     """Harmonics of a motion, fitted to a train, as a function of the unknowns of its drift.
 
     ``frequency_hz`` and ``phasor_m``, complex: (harmonic,), the wanted ones first. ``sensitivity``, complex (harmonic,
     unknown): derivative of g_n by the unknowns, which are a, tau, and for each wanted harmonic the deviations of growth
-    and delay, all over their prior standard deviations. ``basis`` (valid pulse, column): Q, orthonormal columns of the
-    fit.
+    and delay, all over their prior standard deviations.
     """
 
     frequency_hz: FloatArray
     phasor_m: ComplexArray
     sensitivity: ComplexArray
-    basis: FloatArray
 
     def displacement_m(self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray) -> FloatArray:
         """Return the displacement (pulse,) at ``time_s`` of a motion that has changed to ``s`` (pulse,)."""
@@ -113,6 +85,39 @@ class _Harmonics:
             yield self.phasor_m * np.exp(exponent), at
 
 
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Change of the motion over a train.
+
+    ``log_change``, complex (frequency,): g_n, half of the change of the logarithm of each wanted phasor from the first
+    pulse to the last. ``covariance`` (2 * frequency, 2 * frequency): of its real and imaginary parts, interleaved.
+    ``growth``, exp(a) - 1, and ``delay_s``, tau: the change that all motion has in common, with standard uncertainties
+    ``growth_u`` and ``delay_u_s``.
+
+    ``probability``: upper bound of the probability that a steady motion changes as significantly in any of the tests.
+    ``harmonic_probability`` (frequency,): the same, of a change of this harmonic.
+
+    ``harmonics`` and ``unknowns``: the motion that changes.
+    """
+
+    growth: float
+    growth_u: float
+    delay_s: float
+    delay_u_s: float
+    log_change: ComplexArray
+    covariance: FloatArray
+    probability: float
+    harmonic_probability: FloatArray
+    harmonics: Harmonics
+    unknowns: FloatArray
+
+    def change_m(self, time_s: FloatArray) -> FloatArray:
+        """Return the displacement (pulse,) at ``time_s`` minus that of a steady motion with the first phasors, m."""
+        positions = _positions(time_s), np.full_like(time_s, -1.0)
+        changed_m, steady_m = (self.harmonics.displacement_m(time_s, s, self.unknowns) for s in positions)
+        return np.asarray(changed_m - steady_m)
+
+
 def drift_of(
     motion: Motion,
     frequencies_hz: FloatArray | Sequence[float],
@@ -125,24 +130,25 @@ def drift_of(
     """Return the change of a ``motion`` (pulse,) over its train, with a test of whether there is any.
 
     The harmonics are fitted by least squares or, with a ``prior`` of media, by the fit with that prior. ``also_hz``:
-    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError``
-    if the fit does, and for too few pulses.
+    further frequencies of the motion. One iteration suffices for the test. Raises ``ValueError`` if the fit does, and
+    for too few pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
-    s = 2 * (time_s - time_s[0]) / (time_s[-1] - time_s[0]) - 1
     for iteration in range(max_iterations):
-        harmonics = _fitted(steady, frequency_hz, also_hz, background_order, prior)
-        products, moments, degrees = _normal_equations(harmonics, steady, s, unknowns)
+        harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
+        products, moments, degrees = _normal_equations(harmonics, basis, steady, unknowns)
         if iteration == 0:
             probability, harmonic_probability = _significance(products, moments, degrees)
         # Posterior of the unknowns, which have a prior variance of one.
         previous, covariance = unknowns, np.linalg.inv(products + np.eye(unknowns.size))
         unknowns = covariance @ moments
-        moved_m, middle_m = (harmonics.displacement_m(time_s, at, unknowns) for at in (s, np.zeros_like(s)))
-        steady = replace(motion, displacement_m=motion.displacement_m - (moved_m - middle_m))
-        if np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance))):
+        converged = np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance)))
+        if converged or iteration == max_iterations - 1:
             break
+        positions = _positions(time_s), np.zeros_like(time_s)
+        changed_m, middle_m = (harmonics.displacement_m(time_s, s, unknowns) for s in positions)
+        steady = replace(motion, displacement_m=motion.displacement_m - (changed_m - middle_m))
     sensitivity = harmonics.sensitivity[: frequency_hz.size]
     real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)
     log_change, common_u = sensitivity @ unknowns, np.hypot(np.sqrt(np.diag(covariance)), RELATIVE_U * unknowns)
@@ -157,8 +163,14 @@ def drift_of(
         covariance=real_imaginary @ covariance @ real_imaginary.T + relative.T @ relative,
         probability=probability,
         harmonic_probability=harmonic_probability,
-        change_m=moved_m - harmonics.displacement_m(time_s, np.full_like(s, -1.0), unknowns),
+        harmonics=harmonics,
+        unknowns=unknowns,
     )
+
+
+def _positions(time_s: FloatArray) -> FloatArray:
+    """Return s (pulse,), from -1 at the first pulse to 1 at the last."""
+    return np.asarray(2 * (time_s - time_s[0]) / (time_s[-1] - time_s[0]) - 1)
 
 
 def with_drift(fit: HarmonicFit, drift: Drift) -> HarmonicFit:
@@ -187,8 +199,11 @@ def _fitted(
     also_hz: FloatArray | Sequence[float],
     background_order: int,
     prior: MediumPrior | None,
-) -> _Harmonics:
-    """Return the harmonics of a ``motion`` and the columns of their fit; arguments as of ``drift_of``."""
+) -> tuple[Harmonics, FloatArray]:
+    """Return the harmonics of a ``motion``, and Q (valid pulse, column), orthonormal columns of their fit.
+
+    The arguments are those of ``drift_of``.
+    """
     wanted, all_hz = frequency_hz.size, frequency_hz
     if prior is None:
         times = motion.time_s, motion.valid
@@ -211,27 +226,27 @@ def _fitted(
     sensitivity[:, :2] = common
     for n in range(wanted):
         sensitivity[n, 2 + 2 * n : 4 + 2 * n] = DEVIATION * common[n]
-    return _Harmonics(all_hz, phasor_m, sensitivity, basis)
+    return Harmonics(all_hz, phasor_m, sensitivity), basis
 
 
 def _normal_equations(
-    harmonics: _Harmonics, steady: Motion, s: FloatArray, unknowns: FloatArray
+    harmonics: Harmonics, basis: FloatArray, steady: Motion, unknowns: FloatArray
 ) -> tuple[FloatArray, FloatArray, int]:
     """Return the linear model of the unknowns in units of the noise, and the degrees of freedom of the noise.
 
-    It is linear about ``unknowns``; ``steady`` is the motion without the change that they describe. The first value
-    (unknown, unknown) holds the products of the derivatives, the second (unknown,) those of derivatives and data.
-    Raises ``ValueError`` if no degree of freedom is left.
+    It is linear about ``unknowns``; ``steady`` is the motion without the change that they describe, ``basis`` Q of its
+    fit. The first value (unknown, unknown) holds the products of the derivatives, the second (unknown,) those of
+    derivatives and data. Raises ``ValueError`` if no degree of freedom is left.
     """
-    columns = harmonics.columns_m(steady.time_s, s, unknowns)[:, steady.valid]
+    columns = harmonics.columns_m(steady.time_s, _positions(steady.time_s), unknowns)[:, steady.valid]
     data = steady.displacement_m[steady.valid]
     # Project the columns of the fit out of data and derivatives, in place: no second copy of a long train.
     for row in (data, *columns):
-        row -= (row @ harmonics.basis) @ harmonics.basis.T
+        row -= (row @ basis) @ basis.T
     data += unknowns @ columns
     products, moments = columns @ columns.T, columns @ data
     explained_m2, rank = _explained(products, moments)
-    degrees = data.size - harmonics.basis.shape[1] - rank
+    degrees = data.size - basis.shape[1] - rank
     if degrees < 1:
         raise ValueError(f"{data.size} valid pulses: too few for a change within the train; use a longer window")
     noise_m2 = max((float(data @ data) - explained_m2) / degrees, np.finfo(np.float64).tiny)

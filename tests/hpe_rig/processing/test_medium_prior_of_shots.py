@@ -37,6 +37,7 @@ JITTER = "simulation.instruments.trigger_jitter_s"
 
 
 FOLDER = TemporaryDirectory()
+RANDOM_SOURCES = ("drift", "noise", "aliasing")
 
 
 @cache
@@ -214,6 +215,31 @@ def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None
         assert abs(first.headline.amplitude_m - mean.headline.amplitude_m) < 3 * drift.amplitude_m
         assert abs(first.headline.phase_rad - mean.headline.phase_rad) < 3 * drift.phase_rad
         assert first.true_amplitude_m is None
+
+
+@pytest.mark.slow
+def test_results_at_the_first_pulse_are_those_of_the_medium_before_it_warmed() -> None:
+    """The twin's motion grows by 30 % and comes 270 us later per second; the window starts 50 ms after the first burst.
+
+    The same scatterers and noise: errors are compared with the u of drift, noise and aliasing of both runs.
+    """
+    changes = {"simulation.specimen.growth_per_s": 0.3, "simulation.specimen.delay_growth_s_per_s": 270e-6}
+    warming = hpe.measure(hpe.load_scene("bovine-muscle").with_(changes), path=Path(FOLDER.name) / "warming.h5")
+    assert any("the motion changes" in warning for warning in warming.estimate().shots[0].warnings)
+    for name in ("coherent", "cross_spectrum"):
+        results = run().estimate(name), warming.with_drift("linear").estimate(name)
+        pairs = zip(*(result.shots[0].estimates for result in results), strict=True)
+        for steady, first in pairs:
+            expected_rad = steady.headline.phase_rad - 2 * np.pi * steady.frequency_hz * 270e-6 * 0.05
+            error = (
+                first.headline.amplitude_m / steady.headline.amplitude_m - 1.015,
+                first.headline.phase_rad - expected_rad,
+            )
+            sources = [item for each in (steady, first) for item in each.budget if item.source in RANDOM_SOURCES]
+            u_rad = np.linalg.norm([item.phase_rad for item in sources])
+            u_m = np.linalg.norm([item.amplitude_m for item in sources])
+            assert abs(error[0]) < 3 * u_m / steady.headline.amplitude_m
+            assert abs(np.angle(np.exp(1j * error[1]))) < 3 * u_rad
 
 
 @pytest.mark.parametrize(("estimator", "parts"), [("coherent", 2), ("cross_spectrum", 1)])
