@@ -95,7 +95,7 @@ def resume_run(folder: Path, mark: Callable[[int], None]) -> None:
 
 
 def import_run(folder: Path, mark: Callable[[int], None]) -> None:
-    codes = np.random.default_rng(1).integers(-1000, 1000, (24, 256), np.int16)
+    codes = np.random.default_rng(1).integers(-1000, 1000, (24, 9216), np.int16)
     setup = shots(1)
     (folder.parent / "scene.toml").write_text(setup.scene.text, encoding="utf-8")
     rates = {"sample_rate_hz": setup.plan.shots[0].capture.sample_rate_hz, "pulse_rate_hz": 4e3, "carrier_hz": 9e6}
@@ -268,9 +268,9 @@ def after_power_loss(before: Disk, trace: list[Event], rng: np.random.Generator)
     for number, event in enumerate(trace):
         if event.kind in NAMES and (number not in unsynced or number < last_name):
             disk.rename(event)
-        elif event.kind == "cut" and (number < synced.get(event.inode, -1) or rng.random() < chance):
-            disk.change(event)
-        elif event.kind == "write" and number < synced.get(event.inode, -1):
+        elif event.kind in DATA and (
+            number < synced.get(event.inode, -1) or (event.kind == "cut" and rng.random() < chance)
+        ):
             disk.change(event)
         elif event.kind == "write":
             # Sectors of the file, not of the write.
@@ -282,15 +282,13 @@ def after_power_loss(before: Disk, trace: list[Event], rng: np.random.Generator)
 
 
 def folder_of(event: Event) -> str:
-    return os.path.dirname(event.second or event.path)
+    return str(Path(event.second or event.path).parent)
 
 
 # Checks of a state.
 
 
-def problems_of(
-    folder: Path, name: str, disk: Disk, stored: int, expected: dict[str, list[bytes]], number: int
-) -> list[str]:
+def problems_of(folder: Path, disk: Disk, stored: int, expected: dict[str, list[bytes]], number: int) -> list[str]:
     """Return what breaks a rule in the state ``disk``, whose last mark is ``stored``."""
     shutil.rmtree(folder, ignore_errors=True)
     problems = []
@@ -312,7 +310,7 @@ def problems_of(
             )
         elif target.read_bytes() not in (contents[-1:] if stored == END else contents):
             problems.append(f"{target.name} is none of its versions")
-    return [f"{name}: {problem}" for problem in problems]
+    return problems
 
 
 def run_problems(path: Path, final: bytes, stored: int, number: int) -> list[str]:
@@ -376,7 +374,7 @@ def check_states(name: str, count: int, folder: Path, library: ctypes.CDLL) -> t
         mark = marks[moment - 1]
         stored = -2 if mark is None else END if mark == END % 2**64 else mark
         disk = after_power_loss(before, recorded[:moment], rng)
-        for problem in problems_of(folder, name, disk, stored, expected, number):
+        for problem in problems_of(folder, disk, stored, expected, number):
             broken[problem] += 1
     return broken, len(moments)
 

@@ -5,8 +5,8 @@
     python scripts/robustness/survival.py full --sizes 50        (as root: mounts a tmpfs of each size)
 
 stream      measures a simulated scene into FOLDER, prints resident memory as the file grows, then does `throughput`
-throughput  writes the same records with the run file's writer and with plain h5py, without checksums and with the same
-            checksums, alternately
+throughput  appends records to the log of a run, makes the run file from it, and writes the same records with plain h5py
+            and its checksum Fletcher-32, alternately
 full        measures onto each disk, moves the remaining file to a larger disk, resumes there, and compares the result
             with that of an undisturbed run
 """
@@ -14,15 +14,16 @@ full        measures onto each disk, moves the remaining file to a larger disk, 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import os
 import shutil
 import statistics
 import subprocess
 import tempfile
 import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -82,69 +83,59 @@ def stream(folder: Path, gigabytes: float) -> None:
 
 
 def throughput(folder: Path, gigabytes: float = 1.0, rounds: int = 5) -> None:
-    """Write the same records with each writer alternately; print median and range of the rate, MB/s.
+    """Append records to a log, make the run file, and write them with h5py; print median and range of each rate, MB/s.
 
-    Then the speed of the run file's writer relative to the others, medians over the rounds, by elapsed and by processor
-    time. A busy machine changes the latter less.
+    Then the rate of making the run file relative to plain h5py, by elapsed and by processor time. A busy machine
+    changes the latter less.
     """
     setup = large_setup(gigabytes)
     # Every shot has the records of the first, so that computing echoes does not count.
     first = replace(setup.plan, shots=setup.plan.shots[:1])
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
         blocks = [event.block for event in acquire(first, bench) if isinstance(event, ShotBlock)]
-    writers = {
-        "run file": write_run,
-        "h5py, checksums": partial(write_plain, checksums=True),
-        "plain h5py": write_plain,
-    }
-    elapsed_s, processor_s = ({name: list[float]() for name in writers} for _ in range(2))
+    elapsed_s, processor_s = (defaultdict[str, list[float]](list) for _ in range(2))
+
+    @contextmanager
+    def timed(name: str) -> Iterator[None]:
+        start_s, start_processor_s = time.monotonic(), time.process_time()
+        yield
+        elapsed_s[name].append(time.monotonic() - start_s)
+        processor_s[name].append(time.process_time() - start_processor_s)
+
     for _ in range(rounds):
-        for name, write in writers.items():
-            path = folder / "throughput.h5"
-            start_s, start_processor_s = time.monotonic(), time.process_time()
-            write(path, setup, blocks)
-            elapsed_s[name].append(time.monotonic() - start_s)
-            processor_s[name].append(time.process_time() - start_processor_s)
-            path.unlink()
+        path = folder / "throughput.h5"
+        with ExitStack() as stack:
+            with timed("log, synced after each shot"):
+                writer = stack.enter_context(RunWriter(path, setup.scene, setup.bench, setup.plan))
+                for shot in setup.plan.shots:
+                    for block in blocks:
+                        writer.append(shot, block)
+                    writer.finish(shot)
+            with timed("run file from the log"):
+                stack.close()
+        path.unlink()
+        with timed("plain h5py, Fletcher-32"):
+            write_plain(path, setup, blocks)
+        path.unlink()
     megabytes = len(setup.plan.shots) * SHOT_BYTES / 1e6
     for name, times_s in elapsed_s.items():
         rate, low, high = (megabytes / statistic(times_s) for statistic in (statistics.median, max, min))
-        print(f"{name:15}  {rate:6.0f} MB/s ({low:.0f} to {high:.0f}), {rounds} times {megabytes:.0f} MB, synced")
-    for name in list(writers)[1:]:
-        elapsed_ratio, processor_ratio = (
-            statistics.median(np.array(times_s[name]) / np.array(times_s["run file"]))
-            for times_s in (elapsed_s, processor_s)
-        )
-        print(f"run file over {name}: {elapsed_ratio:.2f} by elapsed time, {processor_ratio:.2f} by processor time")
+        print(f"{name:27}  {rate:6.0f} MB/s ({low:.0f} to {high:.0f}), {rounds} times {megabytes:.0f} MB, synced")
+    _, ours, plain = elapsed_s
+    ratios = [statistics.median(np.array(times[plain]) / np.array(times[ours])) for times in (elapsed_s, processor_s)]
+    print(f"{ours} over {plain}: {ratios[0]:.2f} by elapsed time, {ratios[1]:.2f} by processor time")
+    print(f"resident memory {resident_mb():.0f} MB")
 
 
-def write_run(path: Path, setup: Setup, blocks: list[RecordBlock]) -> None:
-    """Write every shot in blocks as from the digitizer, and print resident memory in the middle and at the end."""
-    memory_mb = []
-    with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
-        for shot in setup.plan.shots:
-            for block in blocks:
-                writer.append(shot, block)
-            writer.finish(shot)
-            memory_mb.append(resident_mb())
-    print(
-        f"run file: {memory_mb[len(memory_mb) // 2]:.0f} MB of memory in the middle, {memory_mb[-1]:.0f} MB at the end"
-    )
-
-
-def write_plain(path: Path, setup: Setup, blocks: list[RecordBlock], checksums: bool = False) -> None:
+def write_plain(path: Path, setup: Setup, blocks: list[RecordBlock]) -> None:
     """Write the same codes into one chunked dataset, without flushes between shots, synced at the end."""
-    digests = []
     shots = len(setup.plan.shots)
     with h5py.File(path, "w", libver="v110") as file:
-        echo = file.create_dataset("echo", (shots, RECORDS, SAMPLES), "<i2", chunks=(1, 50, SAMPLES))
+        shape, chunks = (shots, RECORDS, SAMPLES), (1, 50, SAMPLES)
+        echo = file.create_dataset("echo", shape, "<i2", chunks=chunks, fletcher32=True, fillvalue=-32768)
         for shot in range(shots):
             for block in blocks:
                 echo[shot, block.first_record : block.first_record + block.codes.shape[0]] = block.codes
-                if checksums:
-                    digests.append(hashlib.blake2b(block.codes.tobytes(), digest_size=8).digest())
-        if checksums:
-            file["checksum"] = np.frombuffer(b"".join(digests), "<u8")
         file.flush()
         os.fsync(file.id.get_vfd_handle())
 
