@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import io
 import os
 import shutil
 import struct
@@ -28,15 +29,16 @@ import tempfile
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from edited_scenes import prepare_edited
-from typer.testing import CliRunner
 
-from hpe_rig.cli.app import app
+from hpe_rig.cli import main as main_command
 from hpe_rig.measurement import Progress, Setup, Step, prepare_resumption, record_run, resume
 from hpe_rig.plan import PlanError
 from hpe_rig.report import write_report
@@ -105,15 +107,23 @@ def import_run(folder: Path, mark: Callable[[int], None]) -> None:
 def measure_queue(folder: Path, mark: Callable[[int], None]) -> None:
     scene = folder.parent / "small.toml"
     scene.write_text(shots(2).scene.text, encoding="utf-8")
-    done = CliRunner().invoke(app, ["queue", str(scene), str(scene), "--output", str(folder / "queue")])
-    assert done.exit_code == 0, done.output
+    run_command("queue", str(scene), str(scene), "--output", str(folder / "queue"))
 
 
 def run_study(folder: Path, mark: Callable[[int], None]) -> None:
     study = folder.parent / "small-study.toml"
     study.write_text(STUDY, encoding="utf-8")
-    done = CliRunner().invoke(app, ["study", str(study), "--output", str(folder / "study"), "--workers", "1"])
-    assert done.exit_code == 0, done.output
+    run_command("study", str(study), "--output", str(folder / "study"), "--workers", "1")
+
+
+def run_command(*arguments: str) -> None:
+    """Run a command of ``hpe-rig`` in this process; raise ``SystemExit`` with its exit code unless that is 0."""
+    with patch.object(sys, "argv", ["hpe-rig", *arguments]), redirect_stdout(io.StringIO()):
+        try:
+            main_command()
+        except SystemExit as end:
+            if end.code:
+                raise
 
 
 @dataclass(frozen=True)
