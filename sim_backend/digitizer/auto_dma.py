@@ -208,7 +208,7 @@ def timestamps(
     arming: Arming, triggers: AcceptedTriggers, records: slice, reset_ps: int, faults: TriggerFaults
 ) -> Int64Array:
     """Return the time stamps of consecutive ``records`` in counts of some samples: int64 (record,)."""
-    period_ps = arming.settings.board.samples_per_count * arming.settings.sample_period_ps
+    period_ps = arming.settings.board.samples_per_count * arming.settings.clock_period_ps
     number = np.arange(records.start, records.stop)
     # A frozen counter repeats the time of its first record.
     first, last = faults.frozen_stamps or (0, 0)
@@ -216,7 +216,12 @@ def timestamps(
     time_ps = tick_ps - arming.by_clock(np.array(reset_ps))
     for jump in faults.stamp_jumps:
         time_ps[number >= jump.record] += to_ps(jump.jump_s)
-    return time_ps // period_ps & ((1 << faults.stamp_bits) - 1)
+    if period_ps.denominator == 1:
+        counts = time_ps // int(period_ps)
+    else:
+        # A tick is rounded to a whole picosecond: half of one keeps its count.
+        counts = np.floor((time_ps + 0.5) / float(period_ps)).astype(np.int64)
+    return np.asarray(counts & ((1 << faults.stamp_bits) - 1))
 
 
 def clipped_status(arming: Arming, peak_v: float) -> int:

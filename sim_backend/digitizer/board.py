@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,8 +79,21 @@ class BoardSettings:
 
     @property
     def sample_period_ps(self) -> int:
-        """Period of the sample clock."""
+        """Period of the samples in a record, in whole picoseconds."""
         return round(PS_PER_S / self.sample_rate_hz)
+
+    @property
+    def clock_period_ps(self) -> Fraction:
+        """Exact period of the sample clock: triggers and time stamps have no rounding that adds up."""
+        return Fraction(PS_PER_S) / Fraction(self.sample_rate_hz)
+
+    def next_ticks_ps(self, time_ps: Int64Array) -> Int64Array:
+        """Return the first tick of the sample clock at or after each time, in whole picoseconds."""
+        period_ps = self.clock_period_ps
+        if period_ps.denominator == 1:
+            whole_ps = int(period_ps)
+            return np.asarray(-(-time_ps // whole_ps) * whole_ps)
+        return np.rint(np.ceil(time_ps / float(period_ps)) * float(period_ps)).astype(np.int64)
 
     @property
     def record_samples(self) -> int:
@@ -163,14 +177,14 @@ def accepted_triggers(
     edge_ps = _with_faults(edge_ps[edge_ps >= ready_ps], faults)
     edge_ps = np.sort(np.concatenate([edge_ps[(edge_ps >= ready_ps) & (edge_ps < stop_ps)], forced_ps]))
     # The sample clock registers an edge at its next tick.
-    tick_ps = -(-edge_ps // period_ps) * period_ps
+    tick_ps = settings.next_ticks_ps(edge_ps)
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
     busy_ps = to_end_ps + settings.pre_samples * period_ps
     if settings.timeout_ticks:
         accepted_ps, cause = _with_timeout(tick_ps, ready_ps, busy_ps, settings, horizon_ps)
     else:
         accepted_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
-        forced = np.isin(accepted_ps, -(-forced_ps // period_ps) * period_ps)
+        forced = np.isin(accepted_ps, settings.next_ticks_ps(forced_ps))
         cause = np.where(forced, codes.TRIGGERED_BY_SOFTWARE, codes.TRIGGERED_BY_EXTERNAL)
     # Triggers after the last record are not counted as ignored.
     is_full = accepted_ps.size == settings.record_count
@@ -280,7 +294,7 @@ def _with_timeout(
         trigger_ps = timeout_ps if timed_out else int(tick_ps[index])
         if trigger_ps >= last_ps:
             break
-        accepted_ps.append(-(-trigger_ps // settings.sample_period_ps) * settings.sample_period_ps)
+        accepted_ps.append(int(settings.next_ticks_ps(np.array(trigger_ps))))
         cause.append(codes.TRIGGERED_BY_TIMEOUT if timed_out else codes.TRIGGERED_BY_EXTERNAL)
         ready_ps = accepted_ps[-1] + busy_ps
     return np.array(accepted_ps, np.int64), np.array(cause, np.int64)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hpe_rig as hpe
+from hpe_rig.bench import read_bench
 
 CLOCKS = "simulation.instruments.clock_error"
 
@@ -71,4 +72,17 @@ def test_clocks_of_one_reference_leave_no_row_and_no_error(tmp_path: Path) -> No
     (shot,) = hpe.measure(scene, path=tmp_path / "run.h5").estimate().shots
     assert shot.frequency_error is None
     assert not [item for estimate in shot.estimates for item in estimate.budget if item.source == "time base"]
+    assert not [text for text in shot.warnings if "clock" in text]
+
+
+def test_a_board_whose_period_is_no_whole_picosecond_has_an_exact_clock(tmp_path: Path) -> None:
+    """At 180 MS/s a period of 5556 ps would be 80 ppm too long."""
+    bench = tmp_path / "bench.toml"
+    bench.write_text(read_bench().text.replace('model = "ATS460"', 'model = "ATS9462"'), encoding="utf-8")
+    changes = {"acquisition.sample_rate_hz": 180e6, "excitation.burst_count": 10}
+    run = hpe.measure(hpe.load_scene("bovine-muscle").with_(changes), bench=bench, path=tmp_path / "run.h5")
+    (shot,) = run.estimate().shots
+    assert shot.pulse_rate_error is not None
+    assert shot.pulse_rate_uncertainty is not None
+    assert abs(shot.pulse_rate_error) < 3 * shot.pulse_rate_uncertainty < 1e-6
     assert not [text for text in shot.warnings if "clock" in text]
