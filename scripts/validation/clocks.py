@@ -1,6 +1,6 @@
 """Coverage of the 95 % intervals with clocks that differ, with and without the rate error as an unknown.
 
-Usage: python scripts/validation/clocks.py [--draws 20] [--window 1.0 ...]
+Usage: python scripts/validation/clocks.py [--draws 20] [--window 1.0 ...] [--clocks 2e-6 ...]
 
 Rows: windows of 0.2, 1, 10 and 250 s, and clocks of 2, 10, 20 and 50 ppm, with a rate error drawn for each. The motion
 is that of a Voigt medium (9 kPa, 2 Pa s) under tonebursts at 100 Hz, with 77 nm of noise a pulse, fitted with the prior
@@ -148,10 +148,10 @@ def row(window_s: float, accuracy: float, draws: list[Draw]) -> str:
     return f"| {window_s:g} | {accuracy * 1e6:g} | {' | '.join(cells)} | {rate:.2f} | {phase:.2g} | {said} |"
 
 
-def rows(windows_s: list[float], count: int) -> Iterator[str]:
+def rows(windows_s: list[float], accuracies: list[float], count: int) -> Iterator[str]:
     """Yield the rows of the table."""
     for window_s in windows_s:
-        for accuracy in ACCURACIES:
+        for accuracy in accuracies:
             draws = [
                 long_draw(accuracy, seed) if window_s == LONG_S else medium_draw(window_s, accuracy, seed)
                 for seed in range(count)
@@ -164,10 +164,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--draws", type=int, default=20, help="draws of clocks, noise and echoes a row")
     parser.add_argument("--window", type=float, nargs="+", default=list(WINDOWS_S), help="windows, s")
+    parser.add_argument("--clocks", type=float, nargs="+", default=list(ACCURACIES), help="accuracies, such as 2e-6")
     arguments = parser.parse_args()
     print("| window, s | clocks, ppm | A 95 % | phase 95 % | NEV | A 95 % | phase 95 % | NEV | NEV of e | deg | said |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
-    for line in rows(arguments.window, arguments.draws):
+    for line in rows(arguments.window, arguments.clocks, arguments.draws):
         print(line, flush=True)
 
 
