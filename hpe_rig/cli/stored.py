@@ -46,12 +46,14 @@ def print_verification(verification: Verification, json: bool = False) -> None:
 
 
 def _verdict(verification: Verification) -> str:
+    if verification.damage and verification.kind == "text":
+        return "the file is refused. Try: another copy of it, or the command that wrote it."
     if verification.damage:
         command = {
             "run": "hpe-rig resume, which measures damaged shots again",
             "result": "hpe-rig process",
             "map": "hpe-rig map",
-        }.get(verification.kind, "the command that wrote it")
+        }[verification.kind]
         return f"damaged data count as missing and enter no result. Try: another copy of the file, or {command}."
     if not verification.checksums:
         return "the file of an earlier release has no checksums: changed values cannot be detected"

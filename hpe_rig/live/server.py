@@ -47,8 +47,7 @@ ENDED = ("complete", "aborted", "failed")
 class LimitedProtocol(H11Protocol):
     """HTTP with a limit on connections; a connection without a complete request in ``REQUEST_TIMEOUT_S`` is closed.
 
-    The limit applies to connections that have not sent the page's token: nobody else can keep its holder from the stop
-    button.
+    The limit applies to connections that have not sent the page's token, so that its holder reaches the stop button.
     """
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

@@ -34,7 +34,6 @@ from hpe_rig.scene import (
     SceneSource,
     SceneText,
     SettingsError,
-    edited_text,
     parse_scene,
     path_of,
     scene_text,
@@ -79,6 +78,9 @@ def prepare(
     if changes:
         # Mistakes are reported of the text as written.
         parse_scene(name, text)
+        # Loads the editor of TOML files, which no other run needs.
+        from hpe_rig.scene import edited_text
+
         text = edited_text(text, {path_of(key): value for key, value in changes.items()})
     return prepare_text(name, text, bench_path, stages, refuse)
 

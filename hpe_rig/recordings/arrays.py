@@ -33,7 +33,7 @@ MAX_STATED_ENTRIES = 1_000_000
 """Largest array that may be a stated setting, such as the times of the pulses."""
 
 PLAIN_FILE = "an HDF5 or NPZ file without compression, with all values in it"
-"""Remedy for a file that is not read because of what it may refer or expand to."""
+"""Remedy for a file that refers to other files or expands too much."""
 LIST_KEYS = ("pulse_time_s", "line_position_m")
 
 

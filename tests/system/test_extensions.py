@@ -118,7 +118,7 @@ def test_an_installed_estimator_is_predicted_measured_and_compared_like_ours(fou
     assert (
         "of other packages: demodulated (hpe_rig.estimators, of hpe-example 1.0), fractional_voigt (" in found["check"]
     )
-    assert any("demodulated" in way for way in found["ways"])
+    assert any("demodulated" in way for way in found["variants"])
     # Both ways of the same records of the foreign medium: a few per cent of its true amplitudes, of which 2 seeds tell.
     assert [setting for setting, _ in found["rows"]] == ["demodulated", "coherent"]
     assert all(0 < error < 0.2 for _, error in found["rows"])
@@ -139,7 +139,7 @@ def test_an_installed_medium_moves_the_twin_and_is_fitted(found: Any) -> None:
 @pytest.mark.slow
 def test_an_installed_importer_reads_its_files_and_names_itself_where_it_cannot(found: Any) -> None:
     assert found["imported"] == [True, "bench_x"]
-    assert "rf.bx, read as bench_x (hpe_rig.importers, of hpe-example 1.0)" in found["of_import"]
+    assert "rf.bx, format bench_x (hpe_rig.importers, of hpe-example 1.0)" in found["of_import"]
     assert "importer bench_x (hpe_rig.importers, of hpe-example 1.0): this is not a file of bench X" in found["refused"]
 
 
