@@ -5,6 +5,7 @@ Samples at the rate F_s hold a frequency f at f - m F_s, with an integer m: the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,8 +58,9 @@ def echo_band(values: NDArray[Any], rate_hz: float, demodulation_hz: float, carr
     Real samples have ``demodulation_hz`` 0. Complex samples determine a frequency up to multiples of the rate: the one
     nearest to ``carrier_hz`` counts.
     """
-    records = values.reshape(-1, values.shape[-1])
-    records = records[:: max(1, len(records) // MAX_RECORDS)]
+    count = math.prod(values.shape[:-1])
+    # A reshaped view of transposed values would be a copy of all of them.
+    records = values[np.unravel_index(np.arange(0, count, max(1, count // MAX_RECORDS)), values.shape[:-1])]
     records = records[np.isfinite(records).all(axis=-1)]
     if not len(records):
         return None
