@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,6 +128,7 @@ def estimate(
     estimator: str = "coherent",
     margin: tuple[int, int] = (0, 0),
     frequency_accuracy: float = 50e-6,
+    drift: Literal["none", "linear"] = "none",
 ) -> Result:
     """Return amplitude and phase of the motion in gated echoes of any program.
 
@@ -136,12 +137,14 @@ def estimate(
     16 bits is reported. ``margin``: number of samples before and after the gate; six carrier periods on either side
     avoid edge effects. ``frequency_accuracy``: relative standard uncertainty of the frequencies by the clock of the
     pulses; the default is that of two quartz clocks, and 0 states that both have one clock. The error is estimated from
-    the motion and corrected, and its uncertainty is part of u. A pulse with a sample that is not finite is missing, and
-    one with a deviating energy is omitted. Budget and warnings are those of the same echoes after ``import_records``.
-    Each entry of the leading axes becomes a shot of the result, in C order. Phases are those of sin(2 pi f t + phase)
-    with t from the first pulse; displacement is positive away from the transducer. An entry without an estimate is left
-    out, with a warning that states the reason. Raises ``TypeError`` if ``rf`` is not real, ``SettingsError`` for an
-    unknown estimator, and ``ValueError`` for invalid settings and if no entry has an estimate.
+    the motion and corrected, and its uncertainty is part of u. ``drift``: "linear" for a motion that changes, as in
+    tissue that warms; amplitude and phase are then those at the first pulse, otherwise means. A pulse with a sample
+    that is not finite is missing, and one with a deviating energy is omitted. Budget and warnings are those of the same
+    echoes after ``import_records``. Each entry of the leading axes becomes a shot of the result, in C order. Phases are
+    those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer. An
+    entry without an estimate is left out, with a warning that states the reason. Raises ``TypeError`` if ``rf`` is not
+    real, ``SettingsError`` for an unknown estimator, and ``ValueError`` for invalid settings and if no entry has an
+    estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
@@ -166,6 +169,7 @@ def estimate(
         sound_speed_m_per_s=sound_speed_m_per_s,
         margin=(margin[0], margin[1]),
         frequency_accuracy=frequency_accuracy,
+        drift=drift,
     )
     with stages("process"):
         estimates = estimate_trains(samples.reshape(-1, *samples.shape[-2:]), settings, estimator_name)

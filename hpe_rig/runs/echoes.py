@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,7 @@ class EchoSettings:
     sound_speed_m_per_s: float
     margin: tuple[int, int]
     frequency_accuracy: float
+    drift: Literal["none", "linear"]
 
     def refuse_mistakes(self, samples: int) -> None:
         """Raise ``ValueError`` with every setting that is not positive, or if no gate is left of the ``samples``."""
@@ -49,6 +50,8 @@ class EchoSettings:
             raise ValueError(f"{', '.join(mistakes)}: each must be positive and finite")
         if not 0 <= self.frequency_accuracy <= 1e-2:
             raise ValueError(f"frequency_accuracy is {self.frequency_accuracy:g}: a relative value from 0 to 0.01")
+        if self.drift not in ("none", "linear"):
+            raise ValueError(f"drift is {self.drift!r}: 'none' or 'linear'")
         if min(self.margin) < 0 or sum(self.margin) >= samples:
             raise ValueError(f"margins of {self.margin} samples leave no gate in records of {samples}")
 
@@ -114,6 +117,7 @@ def _scene(settings: EchoSettings, pulses: int, samples: int, estimator: Estimat
         processing=Processing.model_construct(
             frequencies_hz=tuple(settings.frequencies_hz),
             frequency_accuracy=settings.frequency_accuracy,
+            drift=settings.drift,
             estimator=estimator,
         ),
     )
