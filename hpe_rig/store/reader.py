@@ -528,7 +528,7 @@ def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
     damage += [] if times_intact else ["/run_time fails its checksum: the run times are left out"]
     provenance, end_intact = _provenance(checked)
     damage += [] if end_intact else ["/provenance/ended fails its checksum: when the run ended is left out"]
-    damage += _damaged_truth(checked, shape) if simulated else []
+    damage += _damaged_rows(checked, shape)
     return StoredRun(
         path=path,
         scene_name=checked.attribute("scene_name", str),
@@ -658,13 +658,18 @@ def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
     return Provenance(**texts, ended=text if text.isprintable() else ""), intact
 
 
-def _damaged_truth(checked: CheckedFile, shape: Shape) -> Iterator[str]:
-    """Yield a message for each shot and dataset of the simulated truth that fails its checksum."""
+def _damaged_rows(checked: CheckedFile, shape: Shape) -> Iterator[str]:
+    """Yield a message for each shot and dataset of planned onsets or simulated truth that fails its checksum."""
+    consequences = {
+        "records/pulse_onset_s": "its records are counted in the order of arrival",
+        "truth/displacement_m": "its truth is left out",
+        **{f"true_harmonics/{name}": "its truth is left out" for name in TRUE_HARMONICS},
+    }
     for name, dataset in _datasets_by_shot(checked, shape):
-        if name.startswith(("truth/", "true_harmonics/")):
+        if name in consequences:
             _, intact = _all_rows(checked, name, dataset)
             for shot in np.flatnonzero(~intact):
-                yield f"shot {shot + 1}: /{name} fails its checksum: its truth is left out"
+                yield f"shot {shot + 1}: /{name} fails its checksum: {consequences[name]}"
 
 
 def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
