@@ -38,14 +38,14 @@ SAMPLES, SAMPLE_HZ, CARRIER_HZ = 64, 50e6, 9e6
 class Draw:
     """Errors of one draw over their u, amplitude and phase of every frequency: without and with the unknown.
 
-    ``unknown_error``: error of the rate error over its u. ``said``: a sentence names the clocks.
+    ``unknown_error``: error of the rate error over its u. ``is_named``: a sentence names the clocks.
     """
 
     without: FloatArray
     corrected: FloatArray
     unknown_error: float
     phase_error_deg: float
-    said: bool
+    is_named: bool
 
 
 def medium_draw(window_s: float, accuracy: float, seed: int) -> Draw:
@@ -74,14 +74,14 @@ def medium_draw(window_s: float, accuracy: float, seed: int) -> Draw:
     nominal_m, nominal_variance = fitted(0.0)
     without = errors(nominal_m, truth_m[:10]) / np.sqrt(nominal_variance)
     shift_rad = 2 * np.pi * WANTED_HZ * abs(rate.value) * time_s.mean()
-    said = abs(rate.value) > 3 * rate.uncertainty and bool(np.any(shift_rad > u[:, 1]))
+    is_named = abs(rate.value) > 3 * rate.uncertainty and bool(np.any(shift_rad > u[:, 1]))
     corrected = errors(phasor_m, truth_m[:10])
     return Draw(
         without=without,
         corrected=corrected / u,
         unknown_error=(rate.value - error) / rate.uncertainty,
         phase_error_deg=float(np.degrees(corrected[-1, 1])),
-        said=said,
+        is_named=is_named,
     )
 
 
@@ -91,8 +91,8 @@ def voigt_motion() -> ComplexArray:
     number = np.arange(1, 301)
     medium = HarmonicMedium(BURST_HZ * number, 9e3 + 2j * np.pi * BURST_HZ * number * 2.0)
     duty = BURST_HZ * BURST_S
-    moved = tracked_motion(medium, BEAMS)[0] * 1j * np.sinc(number * duty) * np.exp(-1j * np.pi * number * duty)
-    return np.asarray(moved * RMS_M / np.sqrt(np.sum(np.abs(moved) ** 2) / 2))
+    phasor = tracked_motion(medium, BEAMS)[0] * 1j * np.sinc(number * duty) * np.exp(-1j * np.pi * number * duty)
+    return np.asarray(phasor * RMS_M / np.sqrt(np.sum(np.abs(phasor) ** 2) / 2))
 
 
 def errors(estimate_m: ComplexArray, truth_m: ComplexArray) -> FloatArray:
@@ -105,8 +105,8 @@ def long_draw(accuracy: float, seed: int) -> Draw:
     rng = np.random.default_rng(seed)
     error, phase_rad = accuracy * rng.standard_normal(), rng.uniform(-np.pi, np.pi)
     time_s = np.arange(round(LONG_S * LONG_PULSE_HZ)) / LONG_PULSE_HZ
-    moved_m = LONG_M * np.sin(2 * np.pi * LONG_HZ * (1 + error) * time_s + phase_rad)
-    delay_s = np.arange(SAMPLES) / SAMPLE_HZ - 2 * moved_m[:, None] / 1540.0
+    motion_m = LONG_M * np.sin(2 * np.pi * LONG_HZ * (1 + error) * time_s + phase_rad)
+    delay_s = np.arange(SAMPLES) / SAMPLE_HZ - 2 * motion_m[:, None] / 1540.0
     centred_s = delay_s - SAMPLES / SAMPLE_HZ / 2
     echoes = np.exp(-((centred_s / 0.2e-6) ** 2)) * np.cos(2 * np.pi * CARRIER_HZ * centred_s)
     echoes += 0.01 * np.sqrt(np.mean(echoes**2)) * rng.standard_normal(echoes.shape)
@@ -130,7 +130,7 @@ def long_draw(accuracy: float, seed: int) -> Draw:
         corrected=scores[1],
         unknown_error=((shot.frequency_error or 0.0) - error) / uncertainty,
         phase_error_deg=float(np.degrees(error_rad)),
-        said=any("clock of the motion" in text for text in shot.warnings),
+        is_named=any("clock of the motion" in text for text in shot.warnings),
     )
 
 
@@ -138,14 +138,14 @@ def row(window_s: float, accuracy: float, draws: list[Draw]) -> str:
     """Return the row of the table for the draws of one window and accuracy."""
     cells = []
     for scores in ([draw.without for draw in draws], [draw.corrected for draw in draws]):
-        every = np.array(scores)
-        inside = np.mean(np.abs(every) < 1.96, axis=(0, 1)) * 100
-        cells += [f"{inside[0]:.0f}", f"{inside[1]:.0f}", f"{np.mean(every[..., 1] ** 2):.3g}"]
+        ratios = np.array(scores)
+        inside = np.mean(np.abs(ratios) < 1.96, axis=(0, 1)) * 100
+        cells += [f"{inside[0]:.0f}", f"{inside[1]:.0f}", f"{np.mean(ratios[..., 1] ** 2):.3g}"]
     wrong = [draw for draw in draws if np.abs(draw.without[:, 1]).max() > 3]
     rate = np.mean(np.square([draw.unknown_error for draw in draws]))
     phase = np.sqrt(np.mean(np.square([draw.phase_error_deg for draw in draws])))
-    said = f"{sum(draw.said for draw in wrong)} of {len(wrong)}"
-    return f"| {window_s:g} | {accuracy * 1e6:g} | {' | '.join(cells)} | {rate:.2f} | {phase:.2g} | {said} |"
+    named = f"{sum(draw.is_named for draw in wrong)} of {len(wrong)}"
+    return f"| {window_s:g} | {accuracy * 1e6:g} | {' | '.join(cells)} | {rate:.2f} | {phase:.2g} | {named} |"
 
 
 def rows(windows_s: list[float], accuracies: list[float], count: int) -> Iterator[str]:
@@ -166,7 +166,7 @@ def main() -> None:
     parser.add_argument("--window", type=float, nargs="+", default=list(WINDOWS_S), help="windows, s")
     parser.add_argument("--clocks", type=float, nargs="+", default=list(ACCURACIES), help="accuracies, such as 2e-6")
     arguments = parser.parse_args()
-    print("| window, s | clocks, ppm | A 95 % | phase 95 % | NEV | A 95 % | phase 95 % | NEV | NEV of e | deg | said |")
+    print("| window, s | clocks, ppm | A 95 % | phase 95 % | NEV | A 95 % | phase 95 % | NEV | NEV e | deg | named |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     for line in rows(arguments.window, arguments.clocks, arguments.draws):
         print(line, flush=True)

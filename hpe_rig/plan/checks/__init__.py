@@ -9,6 +9,7 @@
     acoustic_output   estimated output at the focus against its limits
     timing            periods, record and depth
     sampling          aliasing, window, resolution and size of the fit
+    clocks            accuracies of the clocks, and the phase shift that they may cause
     commissioning     whether the cables of a real bench were proven
     digitizer         records against the limits of the board
     depth_gates       gates over depth: in the record, undisturbed, with echoes

@@ -9,6 +9,7 @@ from typing import Final
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
+from hpe_rig.plan.checks.clocks import clocks
 from hpe_rig.plan.checks.commissioning import commissioned
 from hpe_rig.plan.checks.depth_gates import gates_over_depth
 from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory, trigger_times
@@ -45,6 +46,7 @@ ESTIMATE: Final[tuple[Check, ...]] = (
     gate_in_record,
     gates_over_depth,
     background,
+    clocks,
 )
 BOARD: Final[tuple[Check, ...]] = (board, capture_mode, trigger_times, memory, periods, commissioned)
 CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, *BOARD)

@@ -10,6 +10,7 @@ import numpy as np
 
 import hpe_rig as hpe
 from hpe_rig.bench import clock_covariance, parse_bench, read_bench
+from hpe_rig.measurement import prepare
 
 SHIPPED = resources.files("hpe_rig.bench") / "shipped"
 FREE, SYNCHRONISED = hpe.load_scene("free-running-clocks"), hpe.load_scene("bovine-muscle")
@@ -36,6 +37,15 @@ def test_accuracies_of_the_bench_file_replace_those_of_the_models_and_locked_clo
     difference = np.array([1.0, -1.0, 0.0])
     assert difference @ covariance @ difference == 0
     assert covariance[0, 2] == 0
+
+
+def test_check_prints_accuracies_and_the_shift_that_they_allow() -> None:
+    """2 and 2 ppm are 2.8 ppm: 360 deg x 1000 Hz x 2.83e-6 x 1 s = 1.02 deg."""
+    texts = {str(result) for result in prepare("free-running-clocks").findings if result.check == "clocks"}
+    (text,) = texts
+    assert "motion 2 ppm, pulses 2 ppm, digitizer 25 ppm (clock_accuracy)" in text
+    assert "shift 1000 Hz by 1 deg" in text
+    assert not [result for result in prepare("bovine-muscle").findings if result.check == "clocks"]
 
 
 def test_a_source_of_motion_that_is_not_on_the_bench_has_an_unknown_clock() -> None:
