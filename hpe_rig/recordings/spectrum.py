@@ -58,23 +58,22 @@ def echo_band(values: NDArray[Any], rate_hz: float, demodulation_hz: float, carr
     Real samples have ``demodulation_hz`` 0. Complex samples determine a frequency up to multiples of the rate: the one
     nearest to ``carrier_hz`` counts.
     """
-    count = math.prod(values.shape[:-1])
-    # A reshaped view of transposed values would be a copy of all of them.
-    records = values[np.unravel_index(np.arange(0, count, max(1, count // MAX_RECORDS)), values.shape[:-1])]
-    records = records[np.isfinite(records).all(axis=-1)]
-    if not len(records):
-        return None
-    if np.isrealobj(records):
-        records = records - records.mean(axis=-1, keepdims=True)
-    power = np.mean(np.abs(np.fft.fft(records * np.hanning(records.shape[-1]), axis=-1)) ** 2, axis=0)
+    count, power, is_real = math.prod(values.shape[:-1]), np.zeros(values.shape[-1]), np.isrealobj(values)
+    window = np.hanning(power.size)
+    # One record at a time: the spectra of long records take more memory than all samples.
+    for index in range(0, count, max(1, count // MAX_RECORDS)):
+        record = values[np.unravel_index(index, values.shape[:-1])]
+        if np.isfinite(record).all():
+            power += np.abs(np.fft.fft((record - record.mean() if is_real else record) * window)) ** 2
     frequency_hz = np.asarray(np.fft.fftfreq(power.size, 1 / rate_hz), np.float64)
-    if np.isrealobj(records):
+    if is_real:
         frequency_hz, power = frequency_hz[: power.size // 2], power[: power.size // 2]
     else:
         nearest = np.round((carrier_hz - demodulation_hz - frequency_hz) / rate_hz)
         frequency_hz = demodulation_hz + frequency_hz + rate_hz * nearest
     width = max(1, power.size // SMOOTHING_BINS)
-    floor = np.convolve(power, np.full(width, 1 / width), "valid").min()
+    sums = np.concatenate([[0.0], np.cumsum(power)])
+    floor = (sums[width:] - sums[:-width]).min() / width
     energy = np.maximum(power - floor, 0.0)
     return EchoBand(frequency_hz, energy / energy.sum()) if energy.sum() > 0 else None
 
