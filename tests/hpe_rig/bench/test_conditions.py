@@ -116,6 +116,7 @@ def test_a_plugin_that_fails_or_is_absent_is_not_read(plugin: Callable[[Callable
     absent = Condition(name="temperature", plugin="no_such_plugin")
     assert "no_such_plugin in the group hpe_rig.conditions" in read_conditions([absent])[0].why
     assert "division by zero" in read_conditions([plugin(lambda: 1 / 0)])[0].why
+    assert "failed (SystemExit: 0)" in read_conditions([plugin(lambda: sys.exit(0))])[0].why
 
 
 @pytest.mark.parametrize(
