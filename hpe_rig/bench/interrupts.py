@@ -28,7 +28,7 @@ CONSOLE_CLOSING: Final = frozenset({2, 5, 6})
 
 # SIGHUP and SIGQUIT exist on POSIX systems only, SIGBREAK (Ctrl-Break) on Windows only.
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
-END_SIGNALS: Final = tuple(signal.Signals[name] for name in _NAMES if hasattr(signal, name))
+END_SIGNALS: Final[tuple[int, ...]] = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 """Signals that end the program."""
 
 
