@@ -81,7 +81,7 @@ def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
 @cache
 def commands() -> set[str]:
     """Return the commands that ``hpe-rig --help`` lists."""
-    return set(re.findall(r"^  (\w+)  ", output_of("--help").partition("Commands:")[2], flags=re.MULTILINE))
+    return set(re.findall(r"^  ([\w-]+)  ", output_of("--help").partition("Commands:")[2], flags=re.MULTILINE))
 
 
 @cache
