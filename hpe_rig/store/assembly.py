@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ from hpe_rig.store.log import (
     read_log,
 )
 from hpe_rig.store.records import MISSING
+from hpe_rig.store.task import make_or_undo
 from hpe_rig.store.validation import CheckedFile
 
 KILLED: Final = "aborted"
@@ -131,10 +133,16 @@ def view_of(path: Path, stream: IO[bytes]) -> LogView:
     return _views[key]
 
 
-def assemble(path: Path, release: Callable[[], None], proceed: Callable[[], None] = lambda: None) -> None:
+def assemble(
+    path: Path,
+    release: Callable[[], None],
+    proceed: Callable[[], None] = lambda: None,
+    cancelled: threading.Event | None = None,
+) -> None:
     """Replace the log ``path`` by the run file in HDF5; leave the log as it is if that fails.
 
-    ``release``: closes the log before it is replaced. ``proceed``: called between the chunks, may raise to stop.
+    ``release``: closes the log before it is replaced. ``proceed``: called between the chunks, may raise to stop. As
+    soon as ``cancelled`` is set, a disk that does not answer is not waited for.
     Raises ``OSError`` or ``MemoryError``, ``InvalidContentError`` for a log that hpe_rig did not write, and
     ``DamagedLogError`` for damage that is no consequence of a crash.
     """
@@ -144,7 +152,7 @@ def assemble(path: Path, release: Callable[[], None], proceed: Callable[[], None
             raise DamagedLogError
         frames = _without_torn_frames(log, stream)
         with atomic_file(path) as draft:
-            _write_draft(draft, log.image, frames, stream, proceed)
+            _write_draft(draft, log.image, frames, stream, proceed, cancelled or threading.Event())
             stream.close()
             release()
 
@@ -171,12 +179,17 @@ def recover(path: Path) -> None:
 
 
 def _write_draft(
-    draft: BinaryIO, image: bytes, frames: Sequence[Frame], stream: IO[bytes], proceed: Callable[[], None]
+    draft: BinaryIO,
+    image: bytes,
+    frames: Sequence[Frame],
+    stream: IO[bytes],
+    proceed: Callable[[], None],
+    cancelled: threading.Event,
 ) -> None:
     """Write the run file with ``frames`` of the log ``stream`` to ``draft``."""
     draft.write(image)
     draft.flush()
-    output = _Output(draft.fileno())
+    output = _Output(draft.fileno(), cancelled)
 
     def step() -> None:
         output.refuse_failure()
@@ -196,8 +209,9 @@ class _Output:
     The first error is stored; what the library writes after it stays in memory, so that it can close the file.
     """
 
-    def __init__(self, number: int) -> None:
-        """Write to the file with the descriptor ``number``."""
+    def __init__(self, number: int, cancelled: threading.Event) -> None:
+        """Write to the file with the descriptor ``number`` until ``cancelled`` is set."""
+        self._cancelled = cancelled
         self._disk = FileIO(number, "r+", closefd=False)
         self._position = 0
         self._end = os.fstat(number).st_size
@@ -230,32 +244,37 @@ class _Output:
 
     def write(self, data: memoryview) -> int:
         """Write ``data`` at the current position."""
-        try:
-            if self._failure is None:
-                self._disk.seek(self._position)
-                remaining = data
-                while remaining:
-                    remaining = remaining[self._disk.write(remaining) :]
-        except (OSError, MemoryError) as error:
-            self._failure = error
+        # A copy: a disk that does not answer may still write it when the library has released its buffer.
+        position, content = self._position, bytes(data)
+        self._attempt(lambda: self._write_at(position, content))
         if self._failure is not None:
-            self._unwritten.append((self._position, bytes(data)))
-        self._position += len(data)
+            self._unwritten.append((position, content))
+        self._position += len(content)
         self._end = max(self._end, self._position)
-        return len(data)
+        return len(content)
 
     def truncate(self, size: int) -> int:
         """Set the length of the file."""
         self._end = size
-        try:
-            if self._failure is None:
-                self._disk.truncate(size)
-        except OSError as error:
-            self._failure = error
+        self._attempt(lambda: self._disk.truncate(size))
         return size
 
     def flush(self) -> None:
         """Do nothing: the draft is synced when it is complete."""
+
+    def _attempt(self, change: Callable[[], object]) -> None:
+        """Do ``change`` in a thread: the library, locked meanwhile, must not wait for a disk that does not answer."""
+        if self._failure is None:
+            try:
+                make_or_undo(lambda _: change(), lambda _: None, self._cancelled)
+            except BaseException as error:
+                self._failure = error
+
+    def _write_at(self, position: int, content: bytes) -> None:
+        self._disk.seek(position)
+        remaining = memoryview(content)
+        while remaining:
+            remaining = remaining[self._disk.write(remaining) :]
 
     def refuse_failure(self) -> None:
         """Raise the first error of the disk."""

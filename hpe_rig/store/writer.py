@@ -278,7 +278,7 @@ class RunWriter:
     def _assemble(self) -> None:
         """Replace the log by the run file; raise ``StoreError`` if that fails, and leave the log as it is."""
         try:
-            assemble(self.path, self._log.close, self._proceed)
+            assemble(self.path, self._log.close, self._proceed, self._cancelled)
             self._log.moved_to(self.path)
         except (OSError, MemoryError, DamagedLogError, RuntimeError) as error:
             why = "its records were read back with errors" if isinstance(error, DamagedLogError) else reason(error)

@@ -233,7 +233,6 @@ def one_fault(faulty: FaultyDisk, reference: Path, arm: Callable[[], None]) -> s
     if code < 0:
         return "HANG" if code == -signal.SIGKILL else f"CRASH by signal {-code}"
     if code == 0 and output.endswith(f"{NO_FAULT}\n"):
-        # A faster run than the one that was counted synchronises less often.
         return NO_FAULT
     if code != 2 or "Try:" not in output or "Traceback" in output or "outputs on" in output:
         return f"exit {code}: {output[-300:]!r}"
@@ -265,9 +264,8 @@ def hangs(compress: bool, stride: int) -> Counter[str]:
     outcomes: Counter[str] = Counter()
     with faulty_disk(compress) as faulty:
         operations = faulty.operations()
-        # Omitted: operations before the bench is opened, and those that close the run file, which wait 60 s. The last
-        # two write the result.
-        for number in (*range(3, operations - 8, stride), operations - 1, operations):
+        # Omitted: operations that create the log, before the bench is opened. The last two write the result.
+        for number in (*range(8, operations - 1, stride), operations - 1, operations):
             code, output = faulty.run(partial(hang, faulty, number))
             safe_after_s = float(output.partition("safe after ")[2].split()[0]) if "safe after" in output else math.inf
             good = code == EXIT_INTERRUPTED and safe_after_s < SAFE_WITHIN_S and "outputs on" not in output
