@@ -42,16 +42,16 @@ from hpe_rig.cli import main as main_command
 from hpe_rig.measurement import Progress, Setup, Step, prepare_resumption, record_run, resume
 from hpe_rig.plan import PlanError
 from hpe_rig.report import write_report
-from hpe_rig.runs import import_records, open_run, process
+from hpe_rig.runs import import_records, process
 from hpe_rig.scene import SettingsError
-from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, verify
+from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, recover, verify
 
 EVENT = struct.Struct("<8sQQQII")
 """Kind, inode, offset, size of the data, lengths of both paths; as in disk_trace.c."""
 SECTORS = (512, 4096)
 END = -1
 """Mark at the end of a command. The other marks are numbers of shots that are stored."""
-RECOVER_EVERY, RESUME_EVERY = 3, 40
+RECOVER_EVERY, RESUME_EVERY = 3, 100
 """A log becomes an HDF5 file, and a run is resumed, in every n-th state: both take long."""
 SCENE = ("table-1", ("pulse_count = 101", "pulse_count = 24"))
 STUDY = """title = "one case"
@@ -341,8 +341,8 @@ def run_problems(path: Path, final: bytes, stored: int, number: int) -> list[str
 
 
 def recovery(path: Path, reference: Path, stored: int) -> Iterator[str]:
-    """Open the run, which makes an HDF5 file of its log, and yield what is wrong."""
-    open_run(path)
+    """Make an HDF5 file of the log, as opening the run does, and yield what is wrong."""
+    recover(path)
     yield from differences(path, reference, stored)
     if path.read_bytes()[:4] == b"\x89HDF":
         yield from (str(damage) for damage in verify(path).damage)
