@@ -82,11 +82,14 @@ def _noise_influences(fit: HarmonicFit, estimates: Sequence[Estimate], factor: C
 
 def _time_base_influences(sources: ErrorSources, factor: ComplexArray) -> Iterator[Influence]:
     """Yield the influences of the rate error: that of the clocks, and that of the displacement which narrows it."""
-    if sources.time_base_m is not None:
-        influence_m, fraction = (sources.time_base_m * factor)[:, None], sources.time_base_clock_fraction
-        yield Influence("time base", influence_m * math.sqrt(fraction), "run", "clocks")
-        of_shot_m = influence_m * math.sqrt(1 - fraction)
-        yield Influence("time base", of_shot_m, "shot", "time base", sources.time_base_freedom)
+    if sources.time_base_m is None:
+        return
+    influence_m, noise_fraction = (sources.time_base_m * factor)[:, None], 1 - sources.time_base_clock_fraction
+    yield Influence("time base", influence_m * math.sqrt(1 - noise_fraction), "run", "clocks")
+    if noise_fraction > 0:
+        # The degrees of freedom are those of the whole variance; the noise is only this fraction of it.
+        degrees_of_freedom = sources.time_base_freedom * noise_fraction**2
+        yield Influence("time base", influence_m * math.sqrt(noise_fraction), "shot", "time base", degrees_of_freedom)
 
 
 def _media_influences(
@@ -127,7 +130,8 @@ def _budget_influence(source: str, estimates: Sequence[Estimate]) -> Influence:
     if source in COMMON_TO:
         return Influence(source, np.stack([along_m, across_m], axis=1), COMMON_TO[source], source)
     scope: Scope = "shot" if source in INDEPENDENT_SOURCES else "setting"
-    return Influence(source, np.hstack([np.diag(along_m), np.diag(across_m)]), scope, source)
+    degrees_of_freedom = min(item.degrees_of_freedom for item in components)
+    return Influence(source, np.hstack([np.diag(along_m), np.diag(across_m)]), scope, source, degrees_of_freedom)
 
 
 def _root(covariance_m2: FloatArray) -> ComplexArray:

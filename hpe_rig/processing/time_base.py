@@ -22,12 +22,14 @@ import numpy as np
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.bench import clock_covariance, parse_bench
 from hpe_rig.medium import BeamWidths
-from hpe_rig.plan import Shot, select
+from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.estimators import spec_of
 from hpe_rig.processing.harmonics.drift import with_drift
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, estimate_rate_error, with_rate_error
+from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_fitting import HarmonicFitter, available_prior, options_of, shot_drift, shot_prior
 from hpe_rig.processing.shot_tracking import MotionFunction, ShotRecords, WindowMotion, read_shot, window_motion
 from hpe_rig.processing.tracking_rate import TrackingRate
@@ -139,26 +141,37 @@ def timed_motion(
         # A growing delay is the same motion as a rate error; the drift is far less limited and contains it.
         by_clocks = replace(by_clocks, uncertainty=0.0)
     error = by_clocks
-    # The coherent displacement has the least noise. A prior of media that is not applicable is left out.
-    for prior in dict.fromkeys((available_prior(scene, shot, beams), None)):
-        if window.coherent is None or not by_clocks.uncertainty:
-            break
-        with suppress(ValueError):
-            error = estimate_rate_error(
-                window.coherent,
-                selection.wanted_hz,
-                by_clocks,
-                also_hz=selection.driven_hz,
-                background_order=scene.processing.background_order,
-                prior=prior,
-            )
-            break
+    # The coherent displacement has the least noise.
+    if window.coherent is not None and by_clocks.uncertainty:
+        prior = available_prior(scene, shot, beams)
+        error = _narrowed(by_clocks, window.coherent, selection, scene.processing.background_order, prior)
     if error.value:
         coherent = None if window.coherent is None else with_rate_error(window.coherent, error.value)
         window = replace(window, tracked=with_rate_error(window.tracked, error.value), coherent=coherent)
     rate = records.tracking_rate
     differs = rate is not None and clocks is not None and differs_from_bench(clocks, rate)
     return window, TimeBase(error, by_clocks, rate, differs)
+
+
+def _narrowed(
+    by_clocks: RateError, motion: Motion, selection: Selection, background_order: int, prior: MediumPrior | None
+) -> RateError:
+    """Return the rate error that ``by_clocks`` and the displacement ``motion`` (pulse,) give together.
+
+    If the fit with the ``prior`` of media fails, least squares replaces it; if that fails too, ``by_clocks`` is the
+    result.
+    """
+    for fit_prior in dict.fromkeys((prior, None)):
+        with suppress(ValueError):
+            return estimate_rate_error(
+                motion,
+                selection.wanted_hz,
+                by_clocks,
+                also_hz=selection.driven_hz,
+                background_order=background_order,
+                prior=fit_prior,
+            )
+    return by_clocks
 
 
 def state_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> FloatArray:

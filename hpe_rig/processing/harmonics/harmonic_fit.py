@@ -333,13 +333,13 @@ def _conditional_variance(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(covariance[..., 0, 0] - covariance[..., 0, 1] ** 2 / across, 0.0))
 
 
-def _polar_factors(_along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
+def _polar_factors(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
     """Return factors (..., frequency, 2, 2) from covariance along and across a phasor to that of amplitude and phase.
 
-    ``_along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
+    ``along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
     That across it, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
     """
-    across, tiny = _along_phasor[..., 1, 1], np.finfo(np.float64).tiny
+    across, tiny = along_phasor[..., 1, 1], np.finfo(np.float64).tiny
     radians_per_metre = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))
     diagonal = np.stack([np.ones_like(radians_per_metre), radians_per_metre], axis=-1)
     return np.asarray(diagonal[..., :, None] * diagonal[..., None, :])

@@ -182,9 +182,8 @@ def _model(
         numbers = np.cumsum(sizes)
         numbers = numbers[(numbers >= states) & (numbers <= states + (pulses - states) // 2)]
         lengths = _lengths(products, sizes)
-        every_pulse = every_pulse[
-            :, : _resolved_columns(products / np.outer(lengths, lengths), numbers, largest_condition)
-        ]
+        count = _resolved_columns(products / np.outer(lengths, lengths), numbers, largest_condition)
+        every_pulse = every_pulse[:, :count]
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
     root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))

@@ -7,6 +7,7 @@ import pytest
 
 from hpe_rig.processing import Motion, estimates_of, least_squares
 from hpe_rig.processing.budget import ErrorSources
+from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.result import Covariance, ShotResult
 from hpe_rig.result.covariance import covariance_of
@@ -64,3 +65,28 @@ def test_intervals_of_ratios_between_harmonics_hold_the_truth() -> None:
     assert by_ratio == pytest.approx(0.95, abs=3 * np.sqrt(0.95 * 0.05 / DRAWS))
     # Sums of variances would be wrong by far.
     assert np.abs(np.log(np.reshape(independent, (DRAWS, 4)).mean(axis=0))).max() > 0.3
+
+
+def test_every_error_has_the_degrees_of_freedom_of_its_scatter() -> None:
+    """A variance of which half is noise with 11 degrees of freedom has 11 / 0.5^2 (Welch-Satterthwaite)."""
+    time_s = np.arange(60) / 1990
+    motion_m = (np.exp(2j * np.pi * np.outer(time_s, FREQUENCY_HZ)) @ TRUE_M).imag
+    rng = np.random.default_rng(2)
+    fit, control = (
+        least_squares(
+            Motion(time_s, size * motion_m + NOISE_M * rng.standard_normal(60), np.ones(60), np.ones(60, bool)),
+            FREQUENCY_HZ,
+        )
+        for size in (1.0, 0.1)
+    )
+    sources = ErrorSources(
+        control=ControlMotion(control, np.full(3, NOISE_M**2), 2.0),
+        time_base_m=1j * NOISE_M * FREQUENCY_HZ / 100,
+        time_base_freedom=11 / 0.5**2,
+        time_base_clock_fraction=0.5,
+    )
+    errors = error_influences(fit, estimates_of(fit, sources), (None,) * 3, False, sources)
+    of_shot = {error.source: error.degrees_of_freedom for error in errors if error.common_to == "shot"}
+    residual_freedom = 60 - 7  # pulses - unknowns
+    of_sources = {"noise": residual_freedom, "control": residual_freedom, "control scatter": 2, "time base": 11}
+    assert of_shot == {**of_sources, "trigger jitter": np.inf}
