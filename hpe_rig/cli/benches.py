@@ -55,11 +55,16 @@ def bench_command(
             mistake = Mistake("", "it only writes serial numbers into a bench file", "hpe-rig bench BENCH --identify")
             raise SettingsError("--identify", [mistake])
         raise typer.Exit(identify_instruments(bench))
-    from hpe_rig.cli.bench import bench_state, compare_with, print_calibration, print_conditions, print_report
-
     if bench is not None and is_run_file and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
+    _show_bench(bench, compare, self_test=self_test, wide=wide)
+
+
+def _show_bench(bench: Path | None, compare: Path | None, *, self_test: bool, wide: bool) -> None:
+    """Print the state of a bench and its comparison; exit with a code if an instrument is not ready."""
+    from hpe_rig.cli.bench import bench_state, compare_with, print_calibration, print_conditions, print_report
+
     state = bench_state(bench, self_test)
     ready = True
     if state.report is not None and state.bench is not None:

@@ -18,7 +18,7 @@ from hpe_rig.cli.options import (
     ResultOptions,
     RunFile,
     SceneName,
-    Settings,
+    SceneOptions,
     WatchOptions,
     file_option,
 )
@@ -33,16 +33,13 @@ def run(
     scene: SceneName,
     result: ResultOptions,
     watch: WatchOptions,
-    settings: Settings = None,
+    change: SceneOptions,
     bench: BenchPath = None,
     output: Annotated[
         Path | None, file_option("Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
     ] = None,
     compress: Compress = False,
     overwrite: Overwrite = False,
-    control: Annotated[
-        bool, typer.Option("--control", help="Repeat each shot with tonebursts off, and subtract that motion.")
-    ] = False,
     report: Annotated[bool, typer.Option("--report", help="Write the report too, as hpe-rig report does.")] = False,
 ) -> None:
     """Measure a scene, from the plan to the printed result. SCENE may be a run file: its scene is measured again."""
@@ -52,11 +49,9 @@ def run(
         from hpe_rig.measurement import prepare, provenance_now, record_run
         from hpe_rig.processing import estimate_run  # noqa: F401, used after the measurement
         from hpe_rig.runs import chosen_estimator, process
-        from hpe_rig.scene import parse_settings
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
-    changes = parse_settings(settings or ()) | ({"acquisition.control": True} if control else {})
-    setup = prepare(scene, bench, stages, changes=changes)
+    setup = prepare(scene, bench, stages, changes=change.changes)
     estimator = chosen_estimator(result.estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     # An unwritable folder is an error before the measurement, not after it.

@@ -81,6 +81,23 @@ class ResultOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class SceneOptions:
+    """Changes of the scene to be measured."""
+
+    settings: Settings = None
+    control: Annotated[
+        bool, typer.Option("--control", help="Repeat each shot with tonebursts off, and subtract that motion.")
+    ] = False
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Values that replace those of the scene, by their key."""
+        from hpe_rig.scene import parse_settings
+
+        return parse_settings(self.settings or ()) | ({"acquisition.control": True} if self.control else {})
+
+
+@dataclass(frozen=True, slots=True)
 class WatchOptions:
     """Log, confirmations and live page of a run."""
 

@@ -64,11 +64,7 @@ def print_result(result: Result, wide: bool = False) -> None:
     if len(result.shots) > 1 and not wide:
         _print_shots(result, printer)
     else:
-        for shot in result.shots:
-            printer.text(f"\n{_shot_title(shot)}", bold=True)
-            printer.table(_shot_table(shot, printer))
-            if shot.estimates:
-                printer.text(_budget_line(shot))
+        _print_every_shot(result, printer)
     if text := control_text(result.shots):
         printer.text(text)
     _print_profile(result, printer)
@@ -85,6 +81,15 @@ def print_result(result: Result, wide: bool = False) -> None:
     total_s = sum(result.run_time_s.values())
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= MIN_STAGE_S)
     printer.text(f"run time: {total_s:.2f} s ({stages})")
+
+
+def _print_every_shot(result: Result, printer: Printer) -> None:
+    """Print a table and the sources of uncertainty of every shot."""
+    for shot in result.shots:
+        printer.text(f"\n{_shot_title(shot)}", bold=True)
+        printer.table(_shot_table(shot, printer))
+        if shot.estimates:
+            printer.text(_budget_line(shot))
 
 
 @final
