@@ -168,7 +168,7 @@ def clock_warnings(
             "clock_accuracy and common_reference of the two explain: correct them in the bench file, or check the "
             "10 MHz reference"
         )
-    if abs(error.value) <= SIGNIFICANT * error.uncertainty:
+    if not time_base.is_uncertain or abs(error.value) <= SIGNIFICANT * error.uncertainty:
         return
     # Times that are wrong by e t shift a phase by 2 pi f e t, on average that of the mean time.
     per_hz = 2 * np.pi * abs(error.value * float(pulse_time_s.mean()))

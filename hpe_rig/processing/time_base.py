@@ -64,8 +64,8 @@ class TimeBase:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether the clocks of motion and pulses may differ."""
-        return bool(self.by_pulses.uncertainty or self.by_pulses.value)
+        """Whether the rate error has an uncertainty; not for one common clock, nor if a linear drift contains it."""
+        return self.by_pulses.uncertainty > 0
 
     @property
     def by_digitizer(self) -> RateError | None:
@@ -189,7 +189,7 @@ def phasor_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: 
 
     None if the rate error is known exactly.
     """
-    if not time_base.by_pulses.uncertainty:
+    if not time_base.is_uncertain:
         return None
     states = state_influence_m(fitter, motion, time_base)[: 2 * len(fitter.wanted_hz)]
     return np.asarray(states[::2] + 1j * states[1::2])
@@ -218,7 +218,7 @@ def shot_fit(
     else:
         drift = shot_drift(motion, selection, options)
         fit = with_drift(fitter(motion.without(drift.change_m(motion.tracked.time_s)).tracked), drift)
-    if time_base.by_pulses.uncertainty:
+    if time_base.is_uncertain:
         influence_m = state_influence_m(fitter, motion, time_base)
         fit = replace(fit, state_covariance=fit.state_covariance + np.outer(influence_m, influence_m))
     return fit if control is None else control.with_error(fit)

@@ -42,6 +42,13 @@ def test_the_result_states_the_rate_error_of_the_train(run: hpe.Run) -> None:
     assert not [text for text in result.shots[0].warnings if "clock" in text]
 
 
+def test_no_rate_error_is_claimed_where_a_linear_drift_contains_it(run: hpe.Run) -> None:
+    """Its u is part of the drift's: a rate error would be stated with u = 0."""
+    (shot,) = run.with_drift("linear").estimate().shots
+    assert (shot.frequency_error, shot.frequency_error_uncertainty) == (None, None)
+    assert not [text for text in shot.warnings if "burst generator's clock" in text]
+
+
 def test_phases_follow_clocks_that_differ_by_more_than_stated_and_warnings_say_so(tmp_path: Path) -> None:
     """60 ppm in 0.3 s shift 1 kHz by 3.2 degrees at the mean time of the pulses, 0.15 s."""
     errors = dict.fromkeys(("master", "toneburst", "tracking_pulser", "digitizer"), 0.0)
