@@ -99,7 +99,7 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
             f"{prediction.error_m(best) * 1e9:.3g} nm"
         )
     if scene.processing.drift == "linear":
-        yield "  without the u of a linear drift (processing.drift), up to 1.7 times the noise"
+        yield "  without the u of a linear drift (processing.drift), about 1.7 times the noise"
     if target_m is not None:
         yield _target_line(prediction, target_m, scene.acquisition.gate_depth_m, scene.processing.estimator)
 
