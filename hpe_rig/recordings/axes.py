@@ -25,7 +25,8 @@ DEFAULT_AXES: Mapping[int, tuple[Dimension, ...]] = {
 
 def select_array(statements: Statements) -> tuple[str, NDArray[Any] | None]:
     """Return name and array of the samples: the stated one, or the largest. None and a mistake if ambiguous."""
-    arrays, variable = statements.contents.arrays, statements.settings.variable
+    variable = statements.settings.variable
+    arrays = {name: array for name, array in statements.contents.arrays.items() if array.size}
     if variable is None:
         # Vectors are samples only if there is nothing else: most are times or positions.
         arrays = {name: array for name, array in arrays.items() if _is_table(array)} or arrays

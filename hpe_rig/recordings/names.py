@@ -36,6 +36,9 @@ FACTORS: Mapping[str, float] = {
     **TIME_UNITS,
 }
 """SI units in a unit of a rate or a time."""
+LENGTH_UNITS = ("m", "cm", "mm", "um", "µm", "μm")
+MIN_RECORD = 8
+"""Samples below which a number is no length of a record."""
 
 
 def key_of(name: str) -> str | None:
@@ -57,6 +60,9 @@ def setting_of(name: str, number: str | float, unit: str = "") -> tuple[str, flo
     try:
         value = float(number) * FACTORS.get((unit or (in_parentheses[1] if in_parentheses else "")).lower(), 1.0)
     except ValueError:
+        return None
+    if key == "record_samples" and (unit.lower() in LENGTH_UNITS or value < MIN_RECORD or not value.is_integer()):
+        # "Length" alone may be that of a probe or a path.
         return None
     if key == "sample_interval_s":
         return ("sample_rate_hz", float(f"{1 / value:.9g}")) if value > 0 else None

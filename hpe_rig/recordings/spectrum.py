@@ -53,11 +53,13 @@ class EchoBand:
 
 
 def echo_band(values: NDArray[Any], rate_hz: float, demodulation_hz: float, carrier_hz: float) -> EchoBand | None:
-    """Return the band of ``values`` (line, shot, pulse, sample); None if no record is finite and has echoes.
+    """Return the band of ``values`` (line, shot, pulse, sample); None without finite echoes of two samples or more.
 
     Real samples have ``demodulation_hz`` 0. Complex samples determine a frequency up to multiples of the rate: the one
     nearest to ``carrier_hz`` counts.
     """
+    if values.shape[-1] < 2:
+        return None
     count, power, is_real = math.prod(values.shape[:-1]), np.zeros(values.shape[-1]), np.isrealobj(values)
     window = np.hanning(power.size)
     # One record at a time: the spectra of long records take more memory than all samples.

@@ -156,6 +156,7 @@ def estimate(
         pulse_rate_hz=pulse_rate_hz,
         carrier_hz=carrier_hz,
         sound_speed_m_per_s=sound_speed_m_per_s,
+        frequency_accuracy=frequency_accuracy,
     )
     if not isinstance(margin, Sequence) or len(margin) != 2:
         raise TypeError(f"estimate expects margin as two whole numbers, such as (64, 64), not {margin!r}")

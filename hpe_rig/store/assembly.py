@@ -59,7 +59,7 @@ Chunks = dict[Place, list[Frame]]
 
 
 class DamagedLogError(Exception):
-    """A log of which synced frames are damaged: it is read as it is and not replaced."""
+    """A log with damage in frames that were synced: it is read as it is and not replaced."""
 
 
 @dataclass(frozen=True, slots=True)

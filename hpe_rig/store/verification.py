@@ -79,7 +79,7 @@ def verification_schema() -> dict[str, Any]:
 def verify(path: Path) -> Verification:
     """Return the damage in a file of this program, by comparison of its content with its checksums.
 
-    It needs little memory for any file. Raises ``StoreError`` if it is neither kind of file or cannot be opened.
+    It needs little memory for any file. Raises ``StoreError`` if it is no such file or cannot be opened.
     """
     if path.suffix in (".json", ".csv"):
         return _verified_text(path)

@@ -9,10 +9,6 @@ The files are no part of this repository. Folder HPE_RIG_PUBLIC_FILES holds clon
 * Lars27/ultrasound-measurements at fab0a202: echoes of a PicoScope and calibrations of hydrophones. The MATLAB file
   (30000, 2) states step and start; the axes of its two channels are asked for. The .wfm files of its program in LabVIEW
   are raw values behind a header. The calibrations are tables of frequencies, which are asked for their unit of time.
-
-Also tried as text: tables of integers with semicolons of kelu124/echomods (croaker/data/examples/20160928-151602), read
-as (row, column); include/s3/counter/IMAG008.CSV with numbers such as 060, where commas might be decimal signs, is asked
-for its delimiter.
 """
 
 from __future__ import annotations

@@ -191,3 +191,9 @@ def test_suggested_axes_fit_lengths_and_echoes(array: np.ndarray[Any, Any], said
     with pytest.raises(SettingsError) as refused:
         read(array)
     assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("shape", [(5, 0), (0, 5), (40, 1), (1, 1)])
+def test_an_array_without_records_is_refused(shape: tuple[int, int]) -> None:
+    with pytest.raises(SettingsError, match=r"no array of numbers|carry no motion"):
+        read(np.ones(shape), RATES | {"axes": "pulse,sample"})

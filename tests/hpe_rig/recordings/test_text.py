@@ -237,3 +237,9 @@ def test_a_changed_file_is_read_or_refused_but_never_fails_otherwise(tmp_path: P
                 messages.append(str(error))
     assert len(messages) > 3 * len(LAYOUTS)
     assert all("Try: " in message for message in messages)
+
+
+@pytest.mark.parametrize("header", ["Length: 0.5 m", "Length: 15 mm", "nt = 0", "Record Length,1e999"])
+def test_a_header_that_states_no_length_of_a_record_is_ignored(header: str, tmp_path: Path) -> None:
+    recording = read(tmp_path / "a.csv", f"{header}\n{rows()}")
+    np.testing.assert_array_equal(recording.values[0, 0], RF)
