@@ -29,7 +29,7 @@ DEVIATION_FACTORS = np.geomspace(1 / 3, 10.0, 30)
 """Possible deviations of a medium from the ensemble, relative to those that the prior states.
 
 For a wanted harmonic they are 1 % (a homogeneous medium) to 30 % (a wall that reflects a third). The prior probability
-of each is proportional to one over the factor."""
+of each is proportional to one over the factor g. As their logarithms are evenly spaced, the density is that of 1/g²."""
 LOG_SCALES = np.arange(0.0, 9.0, 0.1) * np.log(10)
 """Natural logarithms of the scanned r, relative to the r whose strongest direction equals the noise of a pulse."""
 
