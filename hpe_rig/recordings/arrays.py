@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.matlab import PREFIX, TEMPORARY_REMEDY, matlab_to_npz
 from hpe_rig.recordings.names import key_of, setting_of
+from hpe_rig.recordings.scanners import scanner_contents
 from hpe_rig.recordings.settings import Dimension, RecordingSettings
 from hpe_rig.store import (
     InvalidContentError,
@@ -78,7 +79,8 @@ def read_matlab(path: Path, settings: RecordingSettings) -> Contents:
         converted = Path(folder.name) / "variables.npz"
         matlab_to_npz(path, converted, max_bytes_of(path))
         with np.load(converted) as loaded:
-            return contents({name.removeprefix(PREFIX): loaded[name] for name in loaded.files})
+            values = {name.removeprefix(PREFIX): loaded[name] for name in loaded.files}
+            return scanner_contents(values, settings.variable) or contents(values)
 
 
 def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) -> Contents:
@@ -118,7 +120,7 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
                     values[name] = np.stack(arrays)
         elif _is_numbers(item.dtype):
             is_large = item.size > MAX_STATED_ENTRIES
-            if variable is None or not is_large or name.strip("/") == variable.strip("/"):
+            if variable is None or not is_large or f"{name}/".startswith(f"{variable.strip('/')}/"):
                 values[name] = _plain(read(item), reverse)
 
     try:
@@ -130,7 +132,7 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
         raise ValueError(f"{error}: {PLAIN_FILE}") from None
     except (OSError, RuntimeError, KeyError) as error:
         raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
-    return contents(values)
+    return scanner_contents(values, variable) or contents(values)
 
 
 def read_raw(path: Path, settings: RecordingSettings) -> Contents:

@@ -16,7 +16,7 @@ BUILT_IN: dict[str, tuple[tuple[str, ...], Callable[[Path, RecordingSettings], C
     "npy": ((".npy",), arrays.read_numpy),
     "npz": ((".npz",), arrays.read_numpy),
     "mat": ((".mat",), arrays.read_matlab),
-    "hdf5": ((".h5", ".hdf5", ".hdf"), arrays.read_hdf5),
+    "hdf5": ((".h5", ".hdf5", ".hdf", ".uff"), arrays.read_hdf5),
     "csv": ((".csv", ".txt", ".tsv", ".asc"), text.read_text),
     "wav": ((".wav",), arrays.read_wav),
     "oscilloscope": ((".trc", ".wfm", ".isf"), oscilloscope.read_oscilloscope),

@@ -1,0 +1,167 @@
+"""Layouts of research scanners in MATLAB and HDF5 files: UFF of USTB, and zea.
+
+UFF stores samples as (frame, wave, channel, sample) and pixels as (frame, wave, channel, pixel), the depth fastest; zea
+as (frame, transmit, sample, element, component). A file with one transmit per frame has the frames as pulses. Otherwise
+the transmits are the pulses and the frames are the shots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.recordings.contents import Contents
+from hpe_rig.recordings.settings import Dimension
+
+Values = Mapping[str, NDArray[Any]]
+"""Numbers and arrays of a file by their path."""
+Stated = dict[str, tuple[Any, str]]
+"""Settings by key, each with its name in the file."""
+SAME_RATIO = 1e-3
+"""Largest relative difference between times that count as equal."""
+
+
+def scanner_contents(values: Values, variable: str | None) -> Contents | None:
+    """Return the samples of a file in the layout of a scanner, None for another layout.
+
+    ``variable``: path of the samples if the file holds several. Raises ``ValueError`` "mistake: remedy".
+    """
+    layouts: tuple[tuple[str, tuple[int, ...], Callable[[Values, str], Contents]], ...] = (
+        ("data/raw_data", (5,), _zea),
+        ("data/real", (3, 4), _uff),
+    )
+    for suffix, axis_counts, read in layouts:
+        names = [name for name in values if name == suffix or name.endswith(f"/{suffix}")]
+        names = [name for name in names if values[name].ndim in axis_counts]
+        if variable is not None:
+            names = [name for name in names if variable.strip("/") in (name, name.removesuffix("/real"))]
+        if len(names) > 1:
+            listed = [name.removesuffix("/real") for name in names]
+            raise ValueError(f'it holds the samples {", ".join(listed)}: variable = "{listed[0]}"')
+        if names:
+            return read(values, names[0])
+    return None
+
+
+def _zea(values: Values, name: str) -> Contents:
+    """Return the samples of a zea file."""
+    array, scan = values[name], name.removesuffix("data/raw_data") + "scan"
+    stated = _numbers(
+        values,
+        (
+            ("sample_rate_hz", f"{scan}/sampling_frequency"),
+            ("carrier_hz", f"{scan}/center_frequency"),
+            ("demodulation_hz", f"{scan}/demodulation_frequency"),
+            ("sound_speed_m_per_s", f"{scan}/sound_speed"),
+            ("first_sample_s", f"{scan}/initial_times"),
+        ),
+    )
+    component: tuple[Dimension, ...] = () if array.shape[-1] == 1 else ("iq",)
+    array = array if component else array[..., 0]
+    array, axes, text = _pulses(array, ("sample", "line", *component), "transmit")
+    interval = f"{scan}/time_to_next_transmit"
+    if interval in values and array.shape[axes.index("pulse")] > 1:
+        # Each interval follows its pulse, so the last one of a train is not needed.
+        trains = np.atleast_2d(np.asarray(values[interval], np.float64))
+        interval_s = trains.reshape(-1) if "shot" not in axes else trains[0]
+        if "shot" in axes and not np.allclose(trains, interval_s, rtol=SAME_RATIO):
+            raise ValueError(f"{interval} differs between frames: one file per frame, or pulse_rate_hz")
+        stated["pulse_time_s"] = (tuple(np.cumsum([0.0, *interval_s[:-1]]).tolist()), interval)
+    return Contents({name: array}, stated, axes, inferred=(f"zea: {text}",))
+
+
+def _uff(values: Values, name: str) -> Contents:
+    """Return the samples or the pixels of an object in a UFF file of USTB."""
+    data = name.removesuffix("/real")
+    owner = data.removesuffix("/data")
+    real, imag = values[name], values.get(f"{data}/imag")
+    if imag is not None and imag.shape != real.shape:
+        raise ValueError(
+            f"{data} has a real part of {real.shape} and an imaginary part of {imag.shape}: the whole file"
+        )
+    stated = _numbers(
+        values,
+        (
+            ("sample_rate_hz", f"{owner}/sampling_frequency"),
+            ("pulse_rate_hz", f"{owner}/PRF"),
+            ("pulse_rate_hz", f"{owner}/prf"),
+            ("pulse_rate_hz", f"{owner}/frame_rate"),
+            ("carrier_hz", f"{owner}/pulse/center_frequency"),
+            ("carrier_hz", f"{owner}/modulation_frequency"),
+            ("demodulation_hz", f"{owner}/modulation_frequency"),
+            ("sound_speed_m_per_s", f"{owner}/sound_speed"),
+            ("first_sample_s", f"{owner}/initial_time"),
+        ),
+    )
+    array = real if imag is None or not imag.any() else real + 1j * imag
+    # MATLAB omits trailing axes of length 1, which come first in HDF5.
+    array = array.reshape((1,) * (4 - array.ndim) + array.shape)
+    if np.isrealobj(array):
+        stated.pop("demodulation_hz", None)
+    if stated.get("carrier_hz", (1.0, ""))[0] == 0:
+        del stated["carrier_hz"]
+    array = _with_pixels(values, owner, array, stated)
+    array, axes, text = _pulses(array, ("line", "sample"), "wave")
+    return Contents({data: array}, stated, axes, inferred=(f"UFF: {text}",))
+
+
+def _with_pixels(values: Values, owner: str, array: NDArray[Any], stated: Stated) -> NDArray[Any]:
+    """Return pixels (..., 1, pixel) of a linear scan as (..., line, depth), and state their rate; samples unchanged."""
+    scan = f"{owner}/scan"
+    x_m, z_m = (np.ravel(values.get(f"{scan}/{axis}_axis", ())) for axis in "xz")
+    if not x_m.size or z_m.size < 2 or x_m.size * z_m.size != array.shape[-1]:
+        return array
+    if "sound_speed_m_per_s" not in stated:
+        raise ValueError(f"{owner} states depths of pixels and no sound_speed: sound_speed in the file, or its samples")
+    speed_m_per_s = stated["sound_speed_m_per_s"][0]
+    depths = f"{scan}/z_axis"
+    rate_hz = speed_m_per_s * (z_m.size - 1) / (2 * float(z_m[-1] - z_m[0]))
+    stated["sample_rate_hz"] = (float(f"{rate_hz:.9g}"), depths)
+    stated["first_sample_s"] = (2 * float(z_m[0]) / speed_m_per_s, depths)
+    stated["line_position_m"] = (tuple(x_m.astype(float).tolist()), f"{scan}/x_axis")
+    return array.reshape(*array.shape[:2], x_m.size, z_m.size)
+
+
+def _pulses(
+    array: NDArray[Any], axes: tuple[Dimension, ...], transmit: str
+) -> tuple[NDArray[Any], tuple[Dimension, ...], str]:
+    """Return (frame, transmit, ...) with the pulses on one axis, the names of all axes, and a sentence about them."""
+    frames, transmits = array.shape[:2]
+    if transmits == 1:
+        return array[:, 0], ("pulse", *axes), f"{frames} frames of one {transmit} are the pulses"
+    if frames == 1:
+        return array[0], ("pulse", *axes), f"{transmits} {transmit}s are the pulses"
+    text = f"{transmits} {transmit}s of each frame are the pulses, {frames} frames are the shots"
+    return array, ("shot", "pulse", *axes), text
+
+
+def _numbers(values: Values, paths: Iterable[tuple[str, str]]) -> Stated:
+    """Return the numbers at ``paths`` (key, path) by key; the first that exists counts."""
+    stated: Stated = {}
+    for key, path in paths:
+        if key not in stated and (number := _number(values, path)) is not None:
+            stated[key] = (number, path)
+    return stated
+
+
+def _number(values: Values, path: str) -> float | None:
+    """Return the number at ``path``, which is the same for all transmits; None if it is absent."""
+    column = _column(values, path)
+    if column is None:
+        return None
+    if not np.allclose(column, column[0], rtol=SAME_RATIO, atol=0):
+        raise ValueError(
+            f"{path} differs between transmits ({column.min():g} to {column.max():g}): transmits of one kind alone"
+        )
+    return float(column[0])
+
+
+def _column(values: Values, path: str) -> NDArray[np.float64] | None:
+    """Return the numbers at ``path``, with a dot or a slash between its parts; None if it is absent."""
+    for name in (path, path.replace(".", "/")):
+        if name in values and values[name].size:
+            return np.real(values[name]).astype(np.float64).reshape(-1)
+    return None

@@ -1,0 +1,198 @@
+"""Files in the layouts of USTB, zea and Verasonics come in with what they state, and damaged ones with one message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from hpe_rig.recordings import Recording, as_source, read_recording, read_settings
+from hpe_rig.scene import SettingsError
+
+PULSES, LINES, SAMPLES, RATE_HZ, PULSE_RATE_HZ, CARRIER_HZ = 12, 3, 64, 40e6, 4e3, 5e6
+TIME_S = np.arange(SAMPLES) / RATE_HZ
+WEIGHTS = np.random.default_rng(4).normal(size=(PULSES, LINES, 3))
+ENVELOPES = np.exp(-(((TIME_S - np.array([[0.5], [0.8], [1.1]]) * 1e-6) / 0.2e-6) ** 2))
+"""Three echoes, (echo, sample); narrow enough in frequency for I and Q at the carrier's rate."""
+RF = WEIGHTS @ (ENVELOPES * np.cos(2 * np.pi * CARRIER_HZ * TIME_S))
+
+
+def read(source: Path, **options: Any) -> Recording:
+    settings, origins = read_settings(None, None, {"lines": "2"} | options)
+    return read_recording(as_source(source), settings, origins)
+
+
+def write(path: Path, values: Mapping[str, Any]) -> Path:
+    with h5py.File(path, "w") as file:
+        for name, value in values.items():
+            if value is not None:
+                file[name] = value
+    return path
+
+
+def uff(array: Any, **changed: Any) -> dict[str, Any]:
+    """Return channel data of USTB: (frame, wave, channel, sample), numbers as matrices of one value."""
+    numbers = {
+        "sampling_frequency": RATE_HZ,
+        "initial_time": 1e-6,
+        "modulation_frequency": 0.0,
+        "sound_speed": 1540.0,
+        "PRF": PULSE_RATE_HZ,
+        "pulse/center_frequency": CARRIER_HZ,
+    } | changed
+    values = {name: None if value is None else np.full((1, 1), value, "f4") for name, value in numbers.items()}
+    arrays = {"data/real": array.real.astype("f4"), "data/imag": array.imag.astype("f4")}
+    return {f"channel_data/{name}": value for name, value in (values | arrays).items()}
+
+
+def zea(array: Any, **changed: Any) -> dict[str, Any]:
+    """Return a zea file: (frame, transmit, sample, element, component)."""
+    scan = {
+        "sampling_frequency": RATE_HZ,
+        "center_frequency": CARRIER_HZ,
+        "demodulation_frequency": 0.0,
+        "sound_speed": 1540.0,
+        "initial_times": np.full(array.shape[1], 1e-6),
+        "time_to_next_transmit": np.full(array.shape[:2], 1 / PULSE_RATE_HZ),
+    } | changed
+    return {"data/raw_data": array.astype("f4")} | {f"scan/{name}": value for name, value in scan.items()}
+
+
+def zea_frames(values: Any) -> Any:
+    """Return samples (pulse, line, sample) as frames of one transmit."""
+    return values.transpose(0, 2, 1)[:, None, :, :, None]
+
+
+@pytest.mark.parametrize("transmits_are_pulses", [False, True])
+@pytest.mark.parametrize("layout", ["uff", "zea"])
+def test_real_samples_come_in_with_every_rate_that_the_file_states(
+    layout: str, transmits_are_pulses: bool, tmp_path: Path
+) -> None:
+    array = RF[:, None] if layout == "uff" else zea_frames(RF)
+    array = array.swapaxes(0, 1) if transmits_are_pulses else array
+    path = write(tmp_path / f"a.{layout}", uff(array) if layout == "uff" else zea(array))
+    recording = read(path, **({} if layout == "uff" else {"format": "hdf5"}))
+    np.testing.assert_allclose(recording.values[0, 0], RF[:, 1], rtol=1e-6, atol=1e-6)
+    stated = (recording.sample_rate_hz, recording.carrier_hz, recording.pulse_rate_hz, recording.first_sample_s)
+    assert stated == pytest.approx((RATE_HZ, CARRIER_HZ, PULSE_RATE_HZ, 1e-6))
+    assert recording.sound_speed_m_per_s == 1540.0
+    assert "are the pulses" in recording.inferred[0]
+
+
+def test_transmits_of_several_frames_are_pulses_of_several_shots(tmp_path: Path) -> None:
+    frames = zea_frames(RF).swapaxes(0, 1)
+    both = np.concatenate([frames, -frames])
+    recording = read(write(tmp_path / "a.hdf5", zea(both)))
+    np.testing.assert_allclose(recording.values[0], [RF[:, 1], -RF[:, 1]], rtol=1e-6, atol=1e-6)
+    assert recording.inferred[0] == "zea: 12 transmits of each frame are the pulses, 2 frames are the shots"
+
+
+def test_demodulated_samples_come_in_as_i_and_q(tmp_path: Path) -> None:
+    iq = (WEIGHTS @ ENVELOPES)[..., ::4] * np.exp(0.3j)
+    components = np.stack([iq.real, iq.imag], axis=-1).transpose(0, 2, 1, 3)[:, None]
+    files = (
+        write(
+            tmp_path / "a.hdf5",
+            zea(components, sampling_frequency=RATE_HZ / 4, demodulation_frequency=CARRIER_HZ),
+        ),
+        write(
+            tmp_path / "a.uff",
+            uff(
+                iq[:, None],
+                sampling_frequency=RATE_HZ / 4,
+                modulation_frequency=CARRIER_HZ,
+                **{"pulse/center_frequency": None},
+            ),
+        ),
+    )
+    for path in files:
+        settings, origins = read_settings(None, None, {})
+        recording = read_recording(path, settings, origins, for_map=True)
+        np.testing.assert_allclose(recording.values[:, 0], iq.transpose(1, 0, 2), rtol=1e-5, atol=1e-5)
+        assert (recording.demodulation_hz, recording.carrier_hz) == (CARRIER_HZ, CARRIER_HZ)
+
+
+def test_pixels_of_a_linear_scan_are_lines_and_depths(tmp_path: Path) -> None:
+    x_m, z_m = np.array([-1e-3, 0.0, 1e-3]), 1540.0 * (1e-6 + TIME_S) / 2
+    pixels = uff(RF.reshape(PULSES, 1, 1, -1), sampling_frequency=None, initial_time=None)
+    path = write(tmp_path / "a.uff", pixels | {"channel_data/scan/x_axis": x_m, "channel_data/scan/z_axis": z_m})
+    recording = read(path, lines="all")
+    np.testing.assert_allclose(recording.values[:, 0], RF.transpose(1, 0, 2), rtol=1e-6, atol=1e-6)
+    assert (recording.sample_rate_hz, recording.first_sample_s) == pytest.approx((RATE_HZ, 1e-6))
+    np.testing.assert_allclose(recording.line_position_m, x_m)
+
+
+UFF, ZEA = uff(RF[:, None]), zea(zea_frames(RF))
+TRAINS = zea(np.concatenate([zea_frames(RF).swapaxes(0, 1)] * 2))
+DAMAGED: dict[str, tuple[dict[str, Any], str]] = {
+    "zea of four axes": (ZEA | {"data/raw_data": RF[:, None]}, "(12, 3, 64) is not stated"),
+    "zea of three components": (ZEA | {"data/raw_data": np.ones((12, 1, 64, 1, 3))}, "axis iq has a length of 3"),
+    "zea without rate": (ZEA | {"scan/sampling_frequency": None}, "sample_rate_hz: neither options"),
+    "zea with a wrong rate": (
+        ZEA | {"scan/sampling_frequency": -1.0},
+        "'scan/sampling_frequency' of the file states -1",
+    ),
+    "zea without carrier": (ZEA | {"scan/center_frequency": None}, "carrier_hz: neither options"),
+    "zea without intervals": (ZEA | {"scan/time_to_next_transmit": None}, "pulse_rate_hz: neither options"),
+    "zea with too few intervals": (ZEA | {"scan/time_to_next_transmit": np.ones((5, 1))}, "5 times"),
+    "zea with intervals of zero": (ZEA | {"scan/time_to_next_transmit": np.zeros((12, 1))}, "do not ascend"),
+    "zea with intervals that are not finite": (
+        ZEA | {"scan/time_to_next_transmit": np.full((12, 1), np.nan)},
+        "do not ascend",
+    ),
+    "zea with other intervals per frame": (
+        TRAINS | {"scan/time_to_next_transmit": np.array([[1e-3], [2e-3]]) * np.ones(12)},
+        "differs between frames",
+    ),
+    "zea of transmits with other starts": (
+        TRAINS | {"scan/initial_times": np.arange(12) * 1e-6},
+        "scan/initial_times differs between transmits (0 to 1.1e-05)",
+    ),
+    "zea of transmits with other frequencies": (
+        TRAINS | {"scan/center_frequency": np.linspace(4e6, 6e6, 12)},
+        "scan/center_frequency differs between transmits",
+    ),
+    "zea of one pulse": (zea(zea_frames(RF[:1])), "1 pulses"),
+    "zea of two tracks": (
+        {f"tracks/{track}/{name}": value for track in "ab" for name, value in ZEA.items()},
+        'holds the samples tracks/a/data/raw_data, tracks/b/data/raw_data. Try: variable = "tracks/a/data/raw_data"',
+    ),
+    "UFF with half the imaginary part": (UFF | {"channel_data/data/imag": np.ones((6, 1, 3, 64))}, "real part of"),
+    "UFF without rate": (UFF | {"channel_data/sampling_frequency": None}, "sample_rate_hz: neither options"),
+    "UFF without pulse rate": (UFF | {"channel_data/PRF": None}, "pulse_rate_hz: neither options"),
+    "UFF without carrier": (UFF | {"channel_data/pulse/center_frequency": None}, "carrier_hz: neither options"),
+    "UFF with a pulse rate of zero": (UFF | {"channel_data/PRF": 0.0}, "'channel_data/PRF' of the file states 0"),
+    "UFF with an impossible sound speed": (UFF | {"channel_data/sound_speed": 1.54}, "of the file states 1.54"),
+    "UFF with a late first sample": (UFF | {"channel_data/initial_time": 1e9}, "of the file states 1e+09"),
+    "UFF with values that are not finite": (uff(np.where(RF > 0, RF, np.nan)[:, None]), "not finite"),
+    "UFF of zeros": (uff(0 * RF[:, None]), "same value everywhere"),
+    "UFF of five axes": (uff(RF[:, None, None]), "several arrays may be the samples"),
+    "UFF of pixels without sound speed": (
+        UFF
+        | {"channel_data/sound_speed": None}
+        | {"channel_data/scan/x_axis": [0.0, 1.0], "channel_data/scan/z_axis": np.arange(32.0)},
+        "states depths of pixels and no sound_speed",
+    ),
+    "UFF of two objects": (
+        UFF | {name.replace("channel", "b"): value for name, value in UFF.items()},
+        'Try: variable = "b_data/data"',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_file_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
+    values, said = DAMAGED[name]
+    with pytest.raises(SettingsError) as refused:
+        read(write(tmp_path / "a.h5", values))
+    assert said in str(refused.value)
+
+
+def test_one_of_several_objects_is_selected_by_its_name(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.uff", UFF | {name.replace("channel", "b"): value for name, value in UFF.items()})
+    recording = read(path, variable="/channel_data/data")
+    np.testing.assert_allclose(recording.values[0, 0], RF[:, 1], rtol=1e-6, atol=1e-6)
