@@ -11,7 +11,7 @@ from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, Candidate, Problem
 from hpe_rig.design.search import DesignResult
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.plan import highest_output
-from hpe_rig.prediction import EstimatorErrors, as_averaged, detection_text, predict, predicted_averaging
+from hpe_rig.prediction import EstimatorErrors, detection_text, predict, predicted_averaging, with_beam_averaging
 from hpe_rig.result import text_table
 from hpe_rig.study import Errors
 
@@ -87,7 +87,7 @@ def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> d
         return {}
     # Bias and jitter have the beam averaging of ``hpe-rig check`` and of a result's budget.
     averaging = predicted_averaging(scene, scene.processing.estimator)[0]
-    prediction = as_averaged(candidate.predict(FINAL_DRAWS, FINAL_SEED), setting, averaging)
+    prediction = with_beam_averaging(candidate.predict(FINAL_DRAWS, FINAL_SEED), setting, averaging)
     # The noise is that of ``hpe-rig check``, from the same draws.
     quadrature_m = predict(setting, (scene.processing.estimator,)).expected[0].quadrature_m
     output = None if problem.bench.calibration is None else highest_output(problem.bench, plan.shots)

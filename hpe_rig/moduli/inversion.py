@@ -269,17 +269,17 @@ def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
 
 
 def _contributions(
-    labels: Sequence[str], part_of_datum: IndexArray, problem: Problem, jacobian: FloatArray, variances: FloatArray
+    labels: Sequence[str], label_of_datum: IndexArray, problem: Problem, jacobian: FloatArray, variances: FloatArray
 ) -> tuple[Contribution, ...]:
-    """Return, for each gate or frequency, the factor on the uncertainties if its data are left out.
+    """Return, for each gate or frequency, the factor on the parameters' uncertainties if its data are left out.
 
-    ``labels`` name the gates or frequencies; ``part_of_datum`` (datum,) is the index of each datum's. ``variances``
-    (parameter,): those with all data.
+    ``labels``: names of the gates, or of the frequencies. ``label_of_datum`` (datum,): index of the label that each
+    datum, a phasor, belongs to. ``variances`` (parameter,): of the fit to all data. Empty for fewer than two labels.
     """
     if len(labels) < 2:
         return ()
     # The Jacobian at the minimum gives the variances without another fit.
-    without = (problem.variances_without(part_of_datum == index, jacobian) for index in range(len(labels)))
+    without = (problem.variances_without(label_of_datum == index, jacobian) for index in range(len(labels)))
     growth = [np.sqrt(values / variances).tolist() for values in without]
     return tuple(Contribution(label, tuple(factors)) for label, factors in zip(labels, growth, strict=True))
 

@@ -15,9 +15,9 @@ from .error_model import (
 )
 from .forecast import (
     MIN_PULSES_PER_CYCLE as MIN_PULSES_PER_CYCLE,
-    as_averaged as as_averaged,
     conditions_of as conditions_of,
     predict as predict,
+    with_beam_averaging as with_beam_averaging,
 )
 from .linear_fit import fitted_over_true as fitted_over_true, noise_gain as noise_gain
 from .output_text import (

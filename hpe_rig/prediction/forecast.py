@@ -109,7 +109,9 @@ def forecast_of(
         return None
     index = scene.wanted_frequencies_hz.index(by_estimator[0].frequency_hz)
     errors = tuple(
-        as_averaged(predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[index])
+        with_beam_averaging(
+            predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[index]
+        )
         for name, conditions in zip(estimators, by_estimator, strict=True)
     )
     ratios = fitted_over_true_by_estimator(scene, shot, estimators, simulated)
@@ -119,10 +121,14 @@ def forecast_of(
     return Prediction(conditions, errors, aliasing if len(aliasing) == len(estimators) else ())
 
 
-def as_averaged(errors: EstimatorErrors, conditions: Conditions, averaging: Averaging | None) -> EstimatorErrors:
-    """Return ``errors`` with bias and speckle jitter taken from ``averaging``, as in the error budget of a result.
+def with_beam_averaging(
+    errors: EstimatorErrors, conditions: Conditions, averaging: Averaging | None
+) -> EstimatorErrors:
+    """Return ``errors`` with the bias and speckle jitter of ``averaging``, as in the error budget of a result.
 
-    The error model's own bias and speckle are those of a Gaussian motion and of a finite number of draws.
+    ``averaging``: effect of averaging the motion over the tracking beam; None leaves ``errors`` unchanged. The values
+    replaced are those of the error model, which assumes a Gaussian motion and has a finite number of draws. The jitter
+    includes the variation of the echoes' mean frequency, for an estimator that divides by the carrier.
     """
     if averaging is None:
         return errors

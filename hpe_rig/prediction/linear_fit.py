@@ -173,17 +173,17 @@ def fitted_over_true_by_estimator(
     motion = _steady_motion(scene, shot, simulated)
     if motion is None:
         return (None,) * len(estimators)
-    return tuple(_over_true(scene, shot, name, *motion) for name in estimators)
+    return tuple(_aliasing_ratio(scene, shot, name, *motion) for name in estimators)
 
 
-def _over_true(
+def _aliasing_ratio(
     scene: Scene, shot: Shot, estimator: str, true_m: ComplexArray, displacement_m: FloatArray
 ) -> ComplexArray | None:
-    """Return the phasors fitted by one estimator over the true phasors ``true_m`` (frequency,); None without a fit.
+    """Return the phasors fitted by one estimator over the true phasors ``true_m``, (frequency,); None without a fit.
 
     ``displacement_m`` (pulse,) is the noise-free motion at the pulses: the ratio differs from 1 by aliasing alone.
     """
-    # A plan with conflicts may have no fit.
+    # In a plan with conflicts, the pulses may not resolve the frequencies; the fit then raises ValueError.
     with suppress(ValueError):
         return np.asarray(fit_noise_free(scene, shot, spec_of(estimator), displacement_m) / true_m)
     return None

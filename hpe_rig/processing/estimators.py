@@ -128,10 +128,11 @@ def fit_motion(
 def _fit_displacement(
     motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options
 ) -> HarmonicFit:
-    """Return amplitude and phase of a displacement by the fit that ``options`` select.
+    """Return amplitude and phase of a displacement by the fit that ``options.harmonic`` names.
 
-    This is a fit with the prior of media, in closed form or as a Kalman filter, a Kalman filter without prior, or least
-    squares.
+    - "medium_prior": in closed form with the prior of media; least squares if ``options`` have no prior.
+    - "kalman": Kalman filter with the prior of media; without prior if there is none, or with process noise.
+    - "least_squares".
     """
     order, prior, noise = options.background_order, options.prior, options.process_noise
     # The prior contains every harmonic of the tonebursts, also_hz among them.

@@ -121,10 +121,10 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
 def window_motion(
     scene: Scene, shot: Shot, records: ShotRecords, selection: Selection, motion: MotionFunction
 ) -> WindowMotion:
-    """Return the displacement of the selected pulses, measured by the function ``motion`` of the echoes.
+    """Return the displacement of the tissue at the selected pulses; ``motion`` computes it from their echoes.
 
     With a reference gate, its apparent motion (trigger jitter) is subtracted. The displacement by the estimator
-    "coherent" is returned as well, for checks. Raises ``ValueError`` if the echoes have no displacement.
+    "coherent" is returned as well, for checks. Raises ``ValueError`` if the echoes yield no displacement.
     """
     echoes = shot_echoes(scene, shot, records.gate, selection, records.statistics)
     reference = None

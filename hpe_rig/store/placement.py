@@ -203,12 +203,12 @@ class _Train:
 
         Records that fit into no segment come from stray triggers and are omitted.
         """
-        pieces = list(self._pieces())
-        # Of each segment the pieces that it is joined from.
+        runs = list(self._regular_runs())
+        # Each segment as a list of the runs that it is joined from.
         segments = list[list[_Segment]]()
         # Without a regular series, the first record is assumed to be part of the train.
-        irregular = all(stop - start < MIN_SEGMENT for start, stop in pieces)
-        for start, stop in pieces:
+        irregular = all(stop - start < MIN_SEGMENT for start, stop in runs)
+        for start, stop in runs:
             pulse = np.round(self.period[start:stop] - self.period[start]).astype(np.int64)
             piece = _Segment(np.arange(start, stop), pulse)
             previous = segments[-1][-1] if segments else None
@@ -240,9 +240,13 @@ class _Train:
         fits = rounded >= self._min_periods(segment, start) and abs(periods - rounded) < TOLERANCE
         return rounded if fits else None
 
-    def _pieces(self) -> Iterator[tuple[int, int]]:
-        """Yield start and end of every series of records that are whole periods apart."""
-        # A break: no whole number of periods, or fewer than the untimed records in between need.
+    def _regular_runs(self) -> Iterator[tuple[int, int]]:
+        """Yield start and end of every run of consecutive records that are whole pulse periods apart.
+
+        Runs also end at resets and at stray records, which belong to no run.
+        """
+        # A time between two records is a break if it is no whole number of periods, or too short for the records
+        # without trigger time in between, which take one period each.
         step = np.diff(self.period)
         untimed = np.diff(self.record) - 1
         periods = np.round(step)

@@ -617,7 +617,11 @@ def _texts_by_shot(checked: CheckedFile, shape: Shape, name: str) -> dict[int, s
 
 
 def _conditions(checked: CheckedFile, shots: int) -> dict[str, FloatArray]:
-    """Return the conditions by name, each (shot, 2) before and after; NaN for values not read or damaged."""
+    """Return the readings of each condition by name, (shot, 2): before and after each shot.
+
+    A condition is a quantity that may affect the measurement, such as the water's temperature. NaN: not read, or
+    damaged.
+    """
     if not checked.has("conditions"):
         return {}
     names = checked.dataset("conditions/condition", f"S{CONDITION_BYTES}", (None,))

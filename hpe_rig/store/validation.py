@@ -66,7 +66,7 @@ class CheckedFile:
         """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is damaged or no text."""
         dataset = self._dataset(name)
         refuse_elsewhere(dataset)
-        _refuse_no_text(dataset, f"/{name}")
+        _require_fixed_text(dataset, f"/{name}")
         self.refuse_damaged(name, dataset)
         return _text(dataset[()], f"/{name}")
 
@@ -110,7 +110,7 @@ class CheckedFile:
         if identity.shape != ():
             raise InvalidContentError(f"{where} is not a single value")
         if kind is str:
-            _refuse_no_text(identity, where)
+            _require_fixed_text(identity, where)
             return printable(_text(owner.attrs[name], where))
         if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
             raise InvalidContentError(f"{where} is not of type {kind.__name__}")
@@ -218,10 +218,10 @@ def refuse_format(checked: CheckedFile) -> None:
         raise InvalidContentError("its checksums are absent")
 
 
-def _refuse_no_text(holder: Any, where: str) -> None:
-    """Raise ``InvalidContentError`` unless ``holder``, a dataset or attribute, is one text of fixed, bounded length.
+def _require_fixed_text(holder: Any, where: str) -> None:
+    """Raise ``InvalidContentError`` unless ``holder`` is a single text of fixed length, up to ``MAX_TEXT_BYTES``.
 
-    ``where`` names it in the message.
+    ``holder``: dataset or attribute of HDF5. ``where``: its name in the message.
     """
     if holder.shape != ():
         raise InvalidContentError(f"{where} is not a single text")

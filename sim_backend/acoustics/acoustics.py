@@ -235,12 +235,15 @@ class Acoustics:
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
 
     def _passage(self, onset_ps: Int64Array, capture: Capture) -> _FocusPassage:
-        """Return when bursts with ``onset_ps`` (burst,) pass the focus, and the delay of their echoes by background."""
+        """Return when bursts with ``onset_ps`` (burst,) pass the focus.
+
+        The result includes the delay of their echoes by the specimen's background motion.
+        """
         time_ps = onset_ps + to_ps(self._travel_s)
         if self._background_m is None:
             return _FocusPassage(onset_ps, time_ps, None)
-        # The background moves the specimen, so that a burst reaches the focus some us later or earlier. In that time
-        # the background moves by less than a sample.
+        # The background moves the specimen, so that a burst reaches the focus some us later or earlier. One correction
+        # suffices: the background is slow, and in these us moves by far less than the sound does in a sample period.
         moved_m = self._background_m(time_ps - capture.origin_ps)
         later_s = moved_m / self._settings.sound_speed_m_per_s
         time_ps = time_ps + np.rint(later_s * PS_PER_S).astype(np.int64)
@@ -412,21 +415,22 @@ def _add_to_records(volts: FloatArray, block: FloatArray, group: Int64Array, str
 
 
 def transmitted_fraction(amplitude_vpp: FloatArray, settings: SimulationSettings) -> FloatArray:
-    """Return the amplitude of tracking pulses (burst,) after the transmit path, over that of the reference pulse.
+    """Return the gain of the transmit path for tracking pulses (burst,), over its gain for the reference pulse.
 
-    The path is hybrid, amplifier and diodes, which saturate. Both pulses have the same amplitude at the generator, and
-    only their carrier counts: its harmonics are outside the receive band. A separate tracking transducer has a linear
-    path.
+    The path is hybrid, amplifier and diodes, which saturate: its gain depends on the amplitude. The gain is that of the
+    carrier, since its harmonics are outside the receive band. A separate tracking transducer has a linear path. Zeros
+    if the reference pulse does not pass the diodes.
     """
     if settings.transmitter.linear or settings.beams.tracking_focus_depth_m is not None:
         return np.ones_like(amplitude_vpp)
     from sim_backend.motion import harmonic_v
 
     reference_vpp = settings.receiver.reference_pulse_vpp
-    fraction, reference_fraction = (
+    # By default ``harmonic_v`` returns the amplitude of the carrier itself.
+    gain, reference_gain = (
         harmonic_v(vpp, settings.transmitter) / vpp for vpp in (amplitude_vpp, np.array([reference_vpp]))
     )
-    return fraction / reference_fraction if reference_fraction[0] > 0 else np.zeros_like(amplitude_vpp)
+    return gain / reference_gain if reference_gain[0] > 0 else np.zeros_like(amplitude_vpp)
 
 
 def burst_record_pairs(start_ps: Int64Array, end_ps: Int64Array, capture: Capture) -> tuple[Int64Array, Int64Array]:

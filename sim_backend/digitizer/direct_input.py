@@ -18,9 +18,10 @@ BURST_DIVIDER = 1 / 3
 def direct_volts(
     cables: Sequence[Cable], emissions: Mapping[str, Emission], capture: Capture, records: slice
 ) -> FloatArray:
-    """Return the sum of the voltages that ``cables`` bring in consecutive ``records``: (record, sample).
+    """Return the voltage at an input, V (record, sample), in consecutive ``records``: the sum over its ``cables``.
 
-    The steps of ``emissions`` are those of outputs that feed the 50 ohm of this input (`propagate`).
+    ``emissions``: voltage steps and bursts of every output, by role. The steps are already halved for the 50 ohm of
+    the input (by `propagate`); the bursts are not.
     """
     since_first_ps = elapsed_ps(np.arange(capture.samples) * capture.sample_period_ps, capture.clock_error)
     sample_ps = capture.first_sample_ps[records, None] + since_first_ps

@@ -71,12 +71,13 @@ def synthesise(
     tolerance: float = DEFAULT_TOLERANCE,
     method: Method | None = None,
 ) -> Synthesis:
-    """Return the sum of all scatterers' echoes, float64 (echo, sample), with an error within ``tolerance`` (both rms).
+    """Return the echoes, float64 (echo, sample), and their evaluation; an echo is a sum over all scatterers.
 
-    ``weight`` (scatterer,), any sign; ``sample_time_s`` (sample,), ascending, with the origin of the delays. Without
-    ``method`` the faster one is used, at tolerance 0 the exact one. Raises ValueError, with the argument's name, for
-    numbers that are not finite, arrays that do not fit, sample times that do not ascend or undersample the pulse, and
-    a method that cannot meet the tolerance.
+    Each scatterer adds a delayed and weighted pulse. The rms error is at most ``tolerance`` times the rms of the
+    echoes. ``weight`` (scatterer,), any sign. ``sample_time_s`` (sample,), ascending, counted from the same instant as
+    the delays. Without ``method`` the faster evaluation is used, at tolerance 0 the exact one. Raises ValueError, with
+    the argument's name, for numbers that are not finite, arrays that do not fit, sample times that do not ascend or
+    undersample the pulse, and a method that cannot meet the tolerance.
     """
     weight, sample_time_s = np.asarray(weight), np.asarray(sample_time_s, dtype=np.float64)
     check_delays(delays, weight, sample_time_s, tolerance)

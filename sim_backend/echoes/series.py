@@ -150,7 +150,7 @@ def series(
     leave = sample_time_s.searchsorted(scatterer_rows.rest_s + pulse.end_s)
     # Term a is a sum U_a(t) over the scatterers at rest, times the amplitudes b_k^a / a! of echo k.
     sums = _rest_sums(scatterer_rows, enter, leave, steps, np.array(degrees), tables, pulse)
-    np.matmul(_coefficients(scatterer_rows.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
+    np.matmul(_amplitude_factors(scatterer_rows.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
     # The series moves the pulses but not their ends: correct the samples that a moving end crosses.
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     budget = _CROSSING_FRACTION * tolerance * rms * math.sqrt(len(sample_time_s))
@@ -230,17 +230,19 @@ def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int)
     return derivatives
 
 
-def _coefficients(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatArray:
-    """Return the amplitude factors b_k^a / a! of the series, (row, echo, term).
+def _amplitude_factors(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatArray:
+    """Return the factors b_k^a / a! of the power series in the motion's amplitudes, (row, echo, term).
 
-    ``amplitude_rad`` (row, echo, shape): motion b_kr of echo k in shape r, times the pulse's highest angular frequency.
-    Each term is a lower one times b_kr / a_r, as ``steps`` say.
+    A term has a multi-index a, an exponent a_r for each shape r of the motion: b_k^a / a! is the product over r of
+    b_kr^a_r / a_r!. ``amplitude_rad`` (row, echo, shape): b_kr times the pulse's highest angular frequency. A row is a
+    draw of scatterers or a gate.
     """
-    coefficients = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
-    coefficients[0] = 1.0
+    # Term 0 has exponents 0. Each further term is a lower one times b_kr / a_r.
+    factors = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
+    factors[0] = 1.0
     for term, step in enumerate(steps, 1):
-        np.multiply(coefficients[step.lower_term], amplitude_rad[..., step.shape] / step.power, out=coefficients[term])
-    return np.ascontiguousarray(np.moveaxis(coefficients, 0, -1))
+        np.multiply(factors[step.lower_term], amplitude_rad[..., step.shape] / step.power, out=factors[term])
+    return np.ascontiguousarray(np.moveaxis(factors, 0, -1))
 
 
 def _moments(weight: FloatArray, shape: FloatArray, steps: list[_PowerStep]) -> FloatArray:

@@ -64,7 +64,10 @@ def _ends_hz(state: Registers) -> tuple[float, float]:
 
 
 def _centre_limits_hz(state: Registers) -> tuple[float, float]:
-    """Return the limits of the sweep's centre that keep start and stop, at the present span, within the function's."""
+    """Return the limits of the sweep's centre frequency at the present span.
+
+    Within them, start and stop stay within the frequency limits of the selected waveform.
+    """
     low_hz, high_hz = frequency_limits_hz(state)
     start_hz, stop_hz = _ends_hz(state)
     half_span_hz = abs(stop_hz - start_hz) / 2
@@ -72,7 +75,10 @@ def _centre_limits_hz(state: Registers) -> tuple[float, float]:
 
 
 def _span_limits_hz(state: Registers) -> tuple[float, float]:
-    """Return the limits of the sweep's span that keep start and stop, at the present centre, within the function's."""
+    """Return the limits of the sweep's span at the present centre frequency.
+
+    Within them, start and stop stay within the frequency limits of the selected waveform.
+    """
     low_hz, high_hz = frequency_limits_hz(state)
     start_hz, stop_hz = _ends_hz(state)
     centre_hz = (start_hz + stop_hz) / 2

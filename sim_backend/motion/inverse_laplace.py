@@ -125,13 +125,15 @@ def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
     return s, step / np.pi * contour.height * np.cos(1j * x - contour.alpha) / s
 
 
-def _chebyshev_sum(coefficient: FloatArray, panel: Int64Array, position: FloatArray) -> FloatArray:
-    """Return the value of each panel's Chebyshev series at ``position`` (-1 to 1), (*panel, response).
+def _chebyshev_sum(coefficient: FloatArray, panel_index: Int64Array, position: FloatArray) -> FloatArray:
+    """Return the value of a Chebyshev series for each time, (*time, response): that of the panel the time is in.
 
-    ``coefficient`` (degree, panel, response), ``panel``: index of the panel for each position. By Clenshaw's
-    recurrence, degree by degree, since numpy's chebval would need (degree, time, response) at once.
+    ``coefficient`` (degree, panel, response). ``panel_index`` (*time,): panel of each time. ``position`` (*time, 1):
+    position of the time in its panel, -1 to 1.
     """
-    upper, second_upper, doubled = np.zeros_like(position), np.zeros_like(position), 2 * position
-    for row in coefficient[:0:-1]:
-        upper, second_upper = row[panel] + doubled * upper - second_upper, upper
-    return np.asarray(coefficient[0][panel] + position * upper - second_upper)
+    # Clenshaw's recurrence b_n = c_n + 2 x b_n+1 - b_n+2, degree by degree: numpy's chebval would need all coefficients
+    # of all times, (degree, *time, response), at once.
+    one_above, two_above, doubled = np.zeros_like(position), np.zeros_like(position), 2 * position
+    for degree_coefficient in coefficient[:0:-1]:
+        one_above, two_above = degree_coefficient[panel_index] + doubled * one_above - two_above, one_above
+    return np.asarray(coefficient[0][panel_index] + position * one_above - two_above)

@@ -390,9 +390,11 @@ class SimulationSettings(Section):
         return self.scatterers.attenuation_db_per_cm_mhz
 
     def loss_to_focus_db(self, frequency_hz: float) -> float:
-        """Return the loss of a pulse to the focus and back, dB.
+        """Return the two-way loss of a pulse, from the tracking transducer to the focus and back, dB.
 
-        It is proportional to frequency in the specimen, to its square in water.
+        The path is water, then the specimen for the last ``specimen.depth_m`` before the focus. The loss is
+        proportional to frequency in the specimen, to its square in water. Without that depth, the loss of
+        ``scatterers`` acts all the way.
         """
         mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.tracked_from_m
         if self.specimen is None or self.specimen.depth_m is None:

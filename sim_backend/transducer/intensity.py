@@ -125,11 +125,14 @@ def push_extent(transducer: Transducer, frequency_hz: float, sound_speed_m_per_s
 
     Beyond the reach the force is neglected.
     """
-    # Intensity FWHM along the axis of a focused piston: 7.1 wavelengths times the f-number squared.
+    # Intensity FWHM along the axis of a focused piston: 7.1 wavelengths times the f-number squared; 2.3548 sigma.
     f_number = transducer.focal_length_m / transducer.diameter_m
     sigma_m = 7.1 * sound_speed_m_per_s / frequency_hz * f_number**2 / 2.3548
+    # Limited to half the focal length, since a weakly focused beam is so long that it reaches the bowl.
     reach_m = min(REACH * sigma_m, 0.5 * transducer.focal_length_m)
     width_m = diffraction_width_m(transducer, frequency_hz, sound_speed_m_per_s)
+    # Radius of the cone from the rim to the focus at the outermost depth (``half_aperture`` is radius over distance),
+    # with a fifth of it and four diffraction widths as margin. Limited as well for a weakly focused beam.
     lateral_reach_m = 1.2 * transducer.half_aperture * reach_m + 4 * width_m
     return sigma_m, reach_m, min(lateral_reach_m, 0.6 * transducer.focal_length_m)
 

@@ -211,8 +211,8 @@ class _March:
         # Shocks take ``shock_loss`` (node,), W/m², from the intensity.
         after_pa, shock_loss = before_pa.copy(), np.zeros(len(self.r))
         after_pa[in_front], shock_loss[in_front] = advance(before_pa[in_front], step_m, self.frequency_hz, self.layer)
-        # Transformed to spectra by quadrature over the nodes. The taper ends the change smoothly at the window's edge.
-        self._add_change((after_pa - before_pa) * (self.taper * self.weight)[:, None])
+        # Transformed to spectra by quadrature over the radius. The taper ends the change smoothly at the window's edge.
+        self._add_steepening((after_pa - before_pa) * (self.taper * self.weight)[:, None])
         self._record(before_pa, shock_heat_w_per_m3=shock_loss / step_m, step_m=step_m)
         self._diffract(step_m / 2)
         # More harmonics once the highest active one, relative to the first, exceeds the threshold.
@@ -269,14 +269,16 @@ class _March:
         higher = (self.bessel @ spectra.view(np.float32)).view(np.complex64)
         return np.column_stack([first, higher.astype(np.complex128)])
 
-    def _add_change(self, change: ComplexArray) -> None:
-        """Add the change of pressure by steepening, (node, harmonic), to the spectra of the harmonics.
+    def _add_steepening(self, weighted_change_pa: ComplexArray) -> None:
+        """Add a step's steepening of the wave to the spectra of the harmonics.
 
-        ``change`` is multiplied by the weights of the integral over nodes. An oblique wave has a path longer by
-        k / kz, over which it steepens more.
+        ``weighted_change_pa`` (radial node, harmonic): change of pressure, already times the nodes' quadrature weights.
+        In one step along the axis an oblique plane wave travels k / kz times the step, and steepens as much more.
         """
-        self.first += (self.bessel1.T @ change[:, 0]) * (self.k[0] / self.kz1)
-        higher = np.ascontiguousarray(change[:, 1:], dtype=np.complex64).view(np.float32)
+        # Tables of J0 turn pressures over the radius into spectra. The fundamental has its own table and kz.
+        self.first += (self.bessel1.T @ weighted_change_pa[:, 0]) * (self.k[0] / self.kz1)
+        # A real table times complex pressures, as a product of real matrices.
+        higher = np.ascontiguousarray(weighted_change_pa[:, 1:], dtype=np.complex64).view(np.float32)
         spectra = (self.bessel.T @ higher).view(np.complex64)
         for n in range(1, self.active_harmonics):
             self.higher[n] += spectra[: self.length[n], n - 1] * (self.k[n] / self.kz[n])

@@ -23,7 +23,10 @@ class PrologixAdapter:
     """The adapter with the instruments of ``ports`` by GPIB address; ``++addr`` selects one."""
 
     def __init__(self, ports: Mapping[int, Port]) -> None:
-        """Listen on the loopback interface; ``ports``: instruments by GPIB address."""
+        """Accept TCP connections of programs to the adapter, on the loopback interface.
+
+        ``ports``: connections to the instruments, by GPIB address. The system chooses the adapter's TCP port.
+        """
         self._ports = ports
         listener = Listener(self._converse)
         self.close = listener.close

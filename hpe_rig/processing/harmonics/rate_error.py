@@ -107,7 +107,7 @@ def estimate_rate_error(
             return _least_squares(timed, frequencies_hz, also_hz, background_order)
         return _with_medium_prior(timed, frequencies_hz, prior, background_order)
 
-    start = _start(motion, frequencies_hz, prior_error, background_order)
+    start = _initial_error(motion, frequencies_hz, prior_error, background_order)
     if prior is not None:
         # Least squares of the wanted harmonics is far faster, and close enough to save iterations with the prior.
         def wanted_only(timed: Motion) -> Linearisation:
@@ -185,23 +185,30 @@ def _with_medium_prior(
     )
 
 
-def _start(motion: Motion, frequency_hz: FloatArray, prior_error: RateError, background_order: int) -> float:
-    """Return the start of the iteration, for which it converges: the mean of the prior, or the maximum of a scan."""
+def _initial_error(motion: Motion, frequency_hz: FloatArray, prior_error: RateError, background_order: int) -> float:
+    """Return a rate error at which the Gauss-Newton iteration can start so that it converges.
+
+    It is the mean of ``prior_error``, the rate error's prior. If the prior is so wide that the iteration might not
+    converge from there, rate errors are scanned, and a significant maximum of the posterior is the start.
+    """
     mean, std = prior_error.value, prior_error.uncertainty
     time_s, data_m = motion.time_s[motion.valid], motion.displacement_m[motion.valid]
+    # Cycles of the highest frequency over the train; a rate error e shifts its phase by e times as many turns.
     turns = float(frequency_hz.max() * (time_s[-1] - time_s[0]))
     if turns * std < MAX_TURNS:
         return mean
     basis = np.linalg.qr(background_columns(time_s, background_order))[0]
     data_m = data_m - basis @ (basis.T @ data_m)
-    errors = mean + np.arange(-SCANNED_STDS * std, SCANNED_STDS * std, SCAN_STEP_TURNS / turns)
-    power_m2 = _power_by_error(time_s, data_m, frequency_hz, errors)
-    # Likelihood with the best noise variance for each e, times the prior.
+    scanned_errors = mean + np.arange(-SCANNED_STDS * std, SCANNED_STDS * std, SCAN_STEP_TURNS / turns)
+    power_m2 = _power_by_error(time_s, data_m, frequency_hz, scanned_errors)
+    # Likelihood with the best noise variance for each scanned error, times the prior.
     unexplained_m2 = np.maximum(data_m @ data_m - power_m2, np.finfo(np.float64).tiny)
-    log_posterior = -data_m.size / 2 * np.log(unexplained_m2) - ((errors - mean) / std) ** 2 / 2
-    best, middle = int(np.argmax(log_posterior)), int(np.argmin(np.abs(errors - mean)))
-    is_significant = log_posterior[best] - log_posterior[middle] > MIN_LOG_GAIN + math.log(errors.size)
-    return float(errors[best]) if is_significant else mean
+    log_posterior = -data_m.size / 2 * np.log(unexplained_m2) - ((scanned_errors - mean) / std) ** 2 / 2
+    best, at_mean = int(np.argmax(log_posterior)), int(np.argmin(np.abs(scanned_errors - mean)))
+    # The more values are scanned, the higher is the largest by chance: their number raises the threshold.
+    min_gain = MIN_LOG_GAIN + math.log(scanned_errors.size)
+    is_significant = log_posterior[best] - log_posterior[at_mean] > min_gain
+    return float(scanned_errors[best]) if is_significant else mean
 
 
 def _power_by_error(time_s: FloatArray, data_m: FloatArray, frequency_hz: FloatArray, errors: FloatArray) -> FloatArray:

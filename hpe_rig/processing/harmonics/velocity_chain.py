@@ -184,15 +184,15 @@ def _filled(velocity: Velocity, model: LinearModel, fill: FloatArray) -> FloatAr
 def velocity_noise(
     velocity: Velocity, model: LinearModel, frequency_hz: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return the variances (...) of one pulse's displacement and of one interval's velocity, and degrees of freedom.
+    """Return two noise variances of the velocities (...), and the degrees of freedom of the first.
 
-    The degrees of freedom are those of the first. All are estimated from the residual of ``model``.
+    1. Displacement noise of a pulse, m²: it enters the velocities before and after the pulse with opposite sign, and
+       cancels in their sum. Echo noise is of this kind.
+    2. Velocity noise of an interval, (m/s)²: it does not cancel in the next interval. It arises if the peak of the
+       cross-spectrum jumps between two of equal height, and is 0 unless it is significant.
 
-    Echo noise is white over pulses, so neighbouring velocities share it with opposite sign. If the peak of the
-    cross-spectrum jumps between two of equal height, a velocity has noise that does not cancel in the next interval:
-    the second variance. It is estimated from the residual's spectrum outside ``frequency_hz`` (Whittle likelihood), and
-    is 0 unless it is significant. Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite,
-    1946).
+    Both come from the residual of ``model``, the second from its spectrum outside ``frequency_hz`` (Whittle
+    likelihood). Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite, 1946).
     """
     # Pulse noise only: white noise, differenced, minus the part that the fit absorbs. The expected energy is the trace
     # over the complement of the orthonormal columns q of the model.

@@ -286,14 +286,17 @@ def _products_with_next(
 ) -> ComplexArray:
     """Return the inner products over the gate of each echo with the next, plain and weighted by frequency.
 
-    ``echo`` (..., bin, pulse), ``weights`` (2, bin): ones and frequencies. Result (..., 2, pulse - 1). The products
-    over all samples lose the part in the margins: ``margin`` (..., column, pulse) is that part of the echo,
-    ``weighted_margin`` the same weighted by frequency.
+    ``echo`` (..., bin, pulse), ``weights`` (2, bin): ones and frequencies. Result (..., 2, pulse - 1). ``margin``
+    (..., column, pulse): components of the echo in the margins of the gate, one for each column of the band's
+    ``margin_root``. ``weighted_margin``: components of the echo times frequency.
     """
+    # Products over all samples, with the margins; their part in the margins is then subtracted.
     product = real_matmul(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
     product[..., 0, :] -= _product_with_next(margin, margin)
-    crossed = _product_with_next(margin, weighted_margin) + _product_with_next(weighted_margin, margin)
-    product[..., 1, :] -= crossed / 2
+    # Frequency may weight the first or the second echo. The margins mix frequencies, so that the two differ: their mean
+    # is used, which treats both echoes alike.
+    weighted_product = _product_with_next(margin, weighted_margin) + _product_with_next(weighted_margin, margin)
+    product[..., 1, :] -= weighted_product / 2
     return product
 
 
