@@ -162,8 +162,10 @@ def read_wav(path: Path, settings: RecordingSettings) -> Contents:
         with warnings.catch_warnings():
             # Chunks of notes hold no samples.
             warnings.simplefilter("ignore", wavfile.WavFileWarning)
+            warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
             rate_hz, samples = wavfile.read(path)
-    except (ValueError, EOFError, struct.error) as error:
+    except (ValueError, EOFError, struct.error, wavfile.WavFileWarning, NameError, ArithmeticError) as error:
+        # SciPy raises the last two for a damaged header.
         raise ValueError(f"it is no whole WAV file ({_first_line(error)}): an undamaged copy") from error
     axes: tuple[Dimension, ...] = ("sample", "line") if samples.ndim > 1 else ("sample",)
     return Contents({path.stem: samples}, {"sample_rate_hz": (float(rate_hz), "the header")}, axes=axes)

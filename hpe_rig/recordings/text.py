@@ -34,12 +34,14 @@ MIN_SAMPLE_RATE_HZ = 1e5
 """Rate of a time column above which rows are samples; below, they are pulses."""
 MIN_ASCENDING = 0.9
 """Part of the steps of a first column that ascend if it holds times, some of them spoilt."""
-SETTING = re.compile(r"([A-Za-z][\w .()/-]{0,60}?)[\"']?\s*[=:,;\t ]\s*[\"']?([-+]?\d[\d.eE+-]*)[ \"']*([A-Za-zµμ/]*)")
+SETTING = re.compile(
+    r"([A-Za-z][\w .()/-]{0,60}?)[\"']?\s{0,20}[=:,;\t ]\s{0,20}[\"']?([-+]?\d[\d.eE+-]*)[ \"']*([A-Za-zµμ/]*)"
+)
 """Name, number and unit in a header, such as "PRF: 4 kHz" or "Sample Interval,4e-08,s".
 
-Names of unlimited length would take minutes to match in a line with thousands of columns.
+Names and gaps of unlimited length would take minutes to match in a line with thousands of columns or blanks.
 """
-SEGMENT_TIME = re.compile(r"#\d+[,;\s].*[,;\s]\s*([-+\d.eE]+)\s*$")
+SEGMENT_TIME = re.compile(r"#\d+[,;\s].*[,;\s]([-+\d.eE]+)\s*$")
 """Line of a header with the time of the trigger of a segment."""
 CHANNEL = re.compile(r"\bc(?:h|hannel)?[ _]?([1-8a-d])\b")
 X_UNIT = re.compile(r"(?:horizontal|\bx)[ _-]?units?\W+([a-zµμ]+)")
@@ -202,7 +204,8 @@ def _values(lines: Sequence[str], layout: Layout, skipped: int) -> NDArray[Any]:
             quotechar='"' if '"' in data[0] else None,
             ndmin=2,
         )
-    except ValueError:
+    except (ValueError, TypeError):
+        # NumPy refuses delimiters of several characters, and names no line.
         values = np.array(_checked_rows(lines, layout, skipped, dtype is float), dtype)
     return values
 

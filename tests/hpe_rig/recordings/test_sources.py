@@ -197,3 +197,18 @@ def test_suggested_axes_fit_lengths_and_echoes(array: np.ndarray[Any, Any], said
 def test_an_array_without_records_is_refused(shape: tuple[int, int]) -> None:
     with pytest.raises(SettingsError, match=r"no array of numbers|carry no motion"):
         read(np.ones(shape), RATES | {"axes": "pulse,sample"})
+
+
+def test_a_damaged_wav_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.wav"
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(48_000)
+        file.writeframes(bytes(1000))
+    whole = path.read_bytes()
+    # Cut within the samples; zero channels; no chunk of samples.
+    for damaged in (whole[:-100], whole[:22] + b"\0" + whole[23:], whole[:36] + b"D" + whole[37:]):
+        path.write_bytes(damaged)
+        with pytest.raises(SettingsError, match="no whole WAV file"):
+            read(path)

@@ -243,3 +243,9 @@ def test_a_changed_file_is_read_or_refused_but_never_fails_otherwise(tmp_path: P
 def test_a_header_that_states_no_length_of_a_record_is_ignored(header: str, tmp_path: Path) -> None:
     recording = read(tmp_path / "a.csv", f"{header}\n{rows()}")
     np.testing.assert_array_equal(recording.values[0, 0], RF)
+
+
+def test_a_delimiter_may_have_several_characters(tmp_path: Path) -> None:
+    recording = read(tmp_path / "a.txt", rows(), delimiter=",")
+    again = read(tmp_path / "b.txt", rows("::"), delimiter="::")
+    np.testing.assert_array_equal(again.values, recording.values)
