@@ -7,7 +7,7 @@ import struct
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +109,8 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
             # Texts are no settings: one in a damaged file can trap the HDF5 library in an endless loop.
             if _is_numbers(item.attrs.get_id(key).dtype):
                 values.setdefault(f"{name}.{key}" if name else key, np.asarray(item.attrs[key]))
+        if isinstance(item, h5py.Group) and {"command", "argument"} <= item.keys():
+            values.update(_commands(name, item, read))
         if not isinstance(item, h5py.Dataset) or item.shape is None:
             return
         if h5py.check_ref_dtype(item.dtype) is h5py.Reference:
@@ -117,7 +119,7 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
             if elements and all(isinstance(element, h5py.Dataset) for element in elements):
                 arrays = [_plain(read(element), reverse) for element in elements if _is_numbers(element.dtype)]
                 if len(arrays) == len(elements) and len({array.shape for array in arrays}) == 1:
-                    values[name] = np.stack(arrays)
+                    values[name] = arrays[0] if len(arrays) == 1 else np.stack(arrays)
         elif _is_numbers(item.dtype):
             is_large = item.size > MAX_STATED_ENTRIES
             if variable is None or not is_large or f"{name}/".startswith(f"{variable.strip('/')}/"):
@@ -200,6 +202,25 @@ def _plain(values: Any, reverse: bool) -> NDArray[Any]:
         real, imag = (array[name] for name in array.dtype.names)
         array = real + 1j * imag
     return array.T if reverse else array
+
+
+def _commands(name: str, structures: Any, read: Callable[[Any], Any]) -> dict[str, NDArray[Any]]:
+    """Return the numbers in ``argument`` of a MATLAB array of structures by the text in their ``command``."""
+    import h5py
+
+    columns = []
+    for item in (structures["command"], structures["argument"]):
+        is_list = isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is h5py.Reference
+        columns.append([item.file[entry] if entry else None for entry in np.ravel(read(item))] if is_list else [item])
+    arguments: dict[str, list[float]] = {}
+    for command, argument in zip(*columns, strict=False):
+        if not (isinstance(command, h5py.Dataset) and isinstance(argument, h5py.Dataset)):
+            continue
+        # MATLAB stores the codes of characters.
+        if command.dtype == np.uint16 and argument.size == 1 and argument.dtype.kind in "iuf":
+            text = "".join(map(chr, np.ravel(read(command))))
+            arguments.setdefault(f"{name}.{text}", []).append(float(np.ravel(read(argument))[0]))
+    return {text: np.array(numbers) for text, numbers in arguments.items()}
 
 
 def _first_line(error: BaseException) -> str:

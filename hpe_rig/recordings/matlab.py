@@ -93,6 +93,8 @@ def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
         if not isinstance(value, np.ndarray):
             continue
         if value.dtype.names:
+            if {"command", "argument"} <= set(value.dtype.names):
+                yield from _commands(name, value.reshape(-1))
             for key in value.dtype.names:
                 elements = [element[key] for element in value.reshape(-1)]
                 # Times of the elements of an array of structures are those of pulses.
@@ -102,6 +104,16 @@ def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
             yield from _stacked(name, list(value.reshape(-1)))
         else:
             yield name, value
+
+
+def _commands(name: str, structures: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the numbers in ``argument`` of an array of structures by the text in their ``command``."""
+    arguments: dict[str, list[float]] = {}
+    for command, argument in zip(structures["command"], structures["argument"], strict=True):
+        if _is_numeric(argument) and argument.size == 1:
+            arguments.setdefault("".join(map(str, np.ravel(command))), []).append(float(argument.real.item()))
+    for text, numbers in arguments.items():
+        yield f"{name}.{text}", np.array(numbers)
 
 
 def _stacked(name: str, elements: list[Any]) -> Iterator[tuple[str, NDArray[Any]]]:

@@ -1,7 +1,8 @@
-"""Layouts of research scanners in MATLAB and HDF5 files: UFF of USTB, and zea.
+"""Layouts of research scanners in MATLAB and HDF5 files: UFF of USTB, zea, and buffers of Verasonics.
 
 UFF stores samples as (frame, wave, channel, sample) and pixels as (frame, wave, channel, pixel), the depth fastest; zea
-as (frame, transmit, sample, element, component). A file with one transmit per frame has the frames as pulses. Otherwise
+as (frame, transmit, sample, element, component). Verasonics stores ``RcvData`` as (row, channel, frame), where the rows
+of a frame hold one acquisition after the other. A file with one transmit per frame has the frames as pulses. Otherwise
 the transmits are the pulses and the frames are the shots.
 """
 
@@ -32,6 +33,7 @@ def scanner_contents(values: Values, variable: str | None) -> Contents | None:
     layouts: tuple[tuple[str, tuple[int, ...], Callable[[Values, str], Contents]], ...] = (
         ("data/raw_data", (5,), _zea),
         ("data/real", (3, 4), _uff),
+        ("RcvData", (2, 3, 4), _verasonics),
     )
     for suffix, axis_counts, read in layouts:
         names = [name for name in values if name == suffix or name.endswith(f"/{suffix}")]
@@ -125,13 +127,108 @@ def _with_pixels(values: Values, owner: str, array: NDArray[Any], stated: Stated
     return array.reshape(*array.shape[:2], x_m.size, z_m.size)
 
 
+def _verasonics(values: Values, name: str) -> Contents:
+    """Return the acquisitions in the receive buffer of a Verasonics file."""
+    rows, buffers = values[name], _column(values, "Receive.bufnum")
+    if rows.ndim == 4 or (buffers is not None and buffers.max() > 1):
+        raise ValueError(
+            f"RcvData holds several buffers ({rows.shape}): only that of the tracking pulses, RcvData = RcvData(1)"
+        )
+    rows = rows.reshape(*rows.shape[:2], -1)
+    stated: Stated = {}
+    for key, path, factor in (
+        ("sample_rate_hz", "Receive.decimSampleRate", 1e6),
+        ("carrier_hz", "Receive.demodFrequency", 1e6),
+        ("carrier_hz", "Trans.frequency", 1e6),
+        ("sound_speed_m_per_s", "Resource.Parameters.speedOfSound", 1.0),
+    ):
+        if key not in stated and (number := _number(values, path)) is not None:
+            stated[key] = (number * factor, path)
+    interval_s, interval_text = _intervals(values)
+    if interval_s is not None:
+        stated["pulse_rate_hz"] = (float(f"{1 / interval_s:.9g}"), "SeqControl.timeToNextAcq")
+    if start := _number(values, "Receive.startDepth"):
+        # Depths are in wavelengths of the transducer's frequency.
+        frequency_mhz = _number(values, "Trans.frequency")
+        if frequency_mhz is None:
+            raise ValueError("Receive.startDepth is in wavelengths, and Trans.frequency is absent: save Trans as well")
+        stated["first_sample_s"] = (2 * start / frequency_mhz / 1e6, "Receive.startDepth")
+    records = rows[_record_rows(values, rows.shape[0])].transpose(3, 0, 2, 1)
+    array, axes, text = _pulses(records, ("line", "sample"), "acquisition")
+    array, stated = _unpack_quadrature(values, array, stated)
+    return Contents({name: array}, stated, axes, inferred=(f"Verasonics: {text}{interval_text}",))
+
+
+def _record_rows(values: Values, count: int) -> NDArray[np.intp]:
+    """Return the rows of every acquisition of a frame with ``count`` rows, (acquisition, sample)."""
+    first, end = (_column(values, f"Receive.{key}") for key in ("startSample", "endSample"))
+    if first is None or end is None or first.size != end.size:
+        return np.arange(count)[None]
+    of_frame = np.ones(first.size, np.bool_)
+    frames = _column(values, "Receive.framenum")
+    if frames is not None and frames.size == first.size:
+        of_frame = frames == frames[0]
+    # Receive has several structures for the same rows if they accumulate.
+    spans = np.unique(np.column_stack([first[of_frame], end[of_frame]]), axis=0).astype(np.intp)
+    lengths = spans[:, 1] - spans[:, 0] + 1
+    if not lengths.size or lengths.min() != lengths.max() or lengths[0] < 1:
+        listed = ", ".join(map(str, np.unique(lengths).tolist()[:4]))
+        raise ValueError(f"the acquisitions have {listed} samples: one length, startSample to endSample of Receive")
+    if spans.min() < 1 or spans.max() > count:
+        raise ValueError(
+            f"Receive ends at sample {spans.max()}, the frame has {count} rows: RcvData and Receive of one measurement"
+        )
+    return np.asarray(spans[:, :1] - 1 + np.arange(lengths[0]), np.intp)
+
+
+def _intervals(values: Values) -> tuple[float | None, str]:
+    """Return the shortest time between acquisitions, and a sentence about longer ones."""
+    interval_us = _column(values, "SeqControl.timeToNextAcq")
+    if interval_us is None or not interval_us.min() > 0:
+        return None, ""
+    listed = ", ".join(f"{time:g}" for time in np.unique(interval_us)[:4])
+    more = "" if interval_us.min() == interval_us.max() else f"; the shortest timeToNextAcq of {listed} us counts"
+    return float(interval_us.min()) * 1e-6, more
+
+
+def _unpack_quadrature(values: Values, array: NDArray[Any], stated: Stated) -> tuple[NDArray[Any], Stated]:
+    """Return I and Q of bandwidth sampling (BS100BW, BS67BW, BS50BW); other samples unchanged.
+
+    The scanner keeps two of ``2 quadDecim`` samples at four times the demodulation frequency f: I, and -Q a quarter of
+    a period later. Q is shifted to the time of I.
+    """
+    decimation = _number(values, "Receive.quadDecim")
+    if decimation is None and (per_wave := _number(values, "Receive.samplesPerWave")):
+        decimation = 4 / per_wave
+    demodulation_mhz, rate_mhz = (_number(values, f"Receive.{key}") for key in ("demodFrequency", "decimSampleRate"))
+    if decimation is None or decimation <= 1:
+        return array, stated
+    if demodulation_mhz is None or rate_mhz is None or not np.isclose(rate_mhz, 4 * demodulation_mhz, rtol=1e-2):
+        raise ValueError(
+            f"samples with quadDecim = {decimation:g} at decimSampleRate = {rate_mhz} are no quadratures of "
+            f"demodFrequency = {demodulation_mhz}, MHz: four times it, or sampleMode NS200BW"
+        )
+    rate_hz, demodulation_hz = rate_mhz * 1e6 / (2 * decimation), demodulation_mhz * 1e6
+    pairs = array[..., : array.shape[-1] // 2 * 2].astype(np.float64)
+    # Half a period more between pairs reverses the sign of every other one.
+    signs = 1 - 2 * (np.arange(pairs.shape[-1] // 2) * round(decimation) % 2)
+    in_phase, quadrature = pairs[..., ::2] * signs, -pairs[..., 1::2] * signs
+    delays = np.exp(-2j * np.pi * np.fft.rfftfreq(quadrature.shape[-1], 1 / rate_hz) / (4 * demodulation_hz))
+    samples = in_phase + 1j * np.fft.irfft(np.fft.rfft(quadrature) * delays, quadrature.shape[-1])
+    name = "Receive.quadDecim"
+    return samples, stated | {
+        "sample_rate_hz": (rate_hz, name),
+        "demodulation_hz": (demodulation_hz, "Receive.demodFrequency"),
+    }
+
+
 def _pulses(
     array: NDArray[Any], axes: tuple[Dimension, ...], transmit: str
 ) -> tuple[NDArray[Any], tuple[Dimension, ...], str]:
     """Return (frame, transmit, ...) with the pulses on one axis, the names of all axes, and a sentence about them."""
     frames, transmits = array.shape[:2]
     if transmits == 1:
-        return array[:, 0], ("pulse", *axes), f"{frames} frames of one {transmit} are the pulses"
+        return (array[:, 0], ("pulse", *axes), f"{frames} frames of one {transmit} are the pulses")
     if frames == 1:
         return array[0], ("pulse", *axes), f"{transmits} {transmit}s are the pulses"
     text = f"{transmits} {transmit}s of each frame are the pulses, {frames} frames are the shots"

@@ -9,6 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from hpe_rig.recordings import Recording, as_source, read_recording, read_settings
 from hpe_rig.scene import SettingsError
@@ -196,3 +197,132 @@ def test_one_of_several_objects_is_selected_by_its_name(tmp_path: Path) -> None:
     path = write(tmp_path / "a.uff", UFF | {name.replace("channel", "b"): value for name, value in UFF.items()})
     recording = read(path, variable="/channel_data/data")
     np.testing.assert_allclose(recording.values[0, 0], RF[:, 1], rtol=1e-6, atol=1e-6)
+
+
+RECEIVE = {
+    "startSample": [float(SAMPLES * pulse + 1) for pulse in range(PULSES)],
+    "endSample": [float(SAMPLES * (pulse + 1)) for pulse in range(PULSES)],
+    "framenum": [1.0] * PULSES,
+    "decimSampleRate": [40.0] * PULSES,
+    "demodFrequency": [5.0] * PULSES,
+    "startDepth": [2.5] * PULSES,
+}
+SEQUENCE = [("jump", 1.0), ("timeToNextAcq", 250.0), ("transferToHost", np.zeros((0, 0))), ("timeToNextAcq", 9000.0)]
+
+
+def verasonics(rows: Any, sequence: Any = SEQUENCE, **receive: Any) -> dict[str, Any]:
+    """Return the variables of a workspace of Verasonics: (row, channel, frame) in a cell."""
+    fields = {name: column for name, column in (RECEIVE | receive).items() if column is not None}
+    structures = np.empty((1, len(next(iter(fields.values())))), [(name, object) for name in fields])
+    for name, column in fields.items():
+        structures[name][0] = column
+    commands = np.empty((1, len(sequence)), [("command", object), ("argument", object)])
+    for index, command in enumerate(sequence):
+        commands[0, index] = command
+    cell = np.empty((1, 1), object)
+    cell[0, 0] = rows
+    return {
+        "RcvData": cell,
+        "Receive": structures,
+        "SeqControl": commands,
+        "Trans": {"frequency": 5.0, "ElementPos": np.zeros((128, 5))},
+        "Resource": {"Parameters": {"speedOfSound": 1540.0}},
+    }
+
+
+def save_v73(path: Path, variables: Mapping[str, Any]) -> Path:
+    """Write cells and arrays of structures as MATLAB's version 7.3 does: references, axes in reverse order."""
+    with h5py.File(path, "w") as file:
+
+        def referred(value: Any) -> Any:
+            codes = np.frombuffer(value.encode("utf-16-le"), np.uint16)[:, None] if isinstance(value, str) else value
+            return file.create_dataset(f"#refs#/{len(file['#refs#'])}", data=np.atleast_2d(codes).T).ref
+
+        file.create_group("#refs#")
+        for name in ("Receive", "SeqControl"):
+            for field in variables[name].dtype.names:
+                column = variables[name][field][0]
+                references = file.create_dataset(f"{name}/{field}", (column.size, 1), h5py.ref_dtype)
+                references[:, 0] = [referred(value) for value in column]
+        file.create_dataset("RcvData", (1, 1), h5py.ref_dtype)[0, 0] = referred(variables["RcvData"][0, 0])
+        file["Trans/frequency"], file["Trans/ElementPos"] = [[5.0]], np.zeros((5, 128))
+        file["Resource/Parameters/speedOfSound"] = [[1540.0]]
+    return path
+
+
+ROWS = np.rint(RF * 1000).astype("i2").transpose(0, 2, 1).reshape(-1, LINES)
+"""All acquisitions of one frame, (row, channel)."""
+
+
+@pytest.mark.parametrize("version", [5, 7.3])
+def test_rows_of_a_verasonics_buffer_are_divided_into_acquisitions(version: float, tmp_path: Path) -> None:
+    # Rows behind the last acquisition are not used.
+    variables, path = verasonics(np.concatenate([ROWS, np.ones((100, LINES), "i2")])), tmp_path / "a.mat"
+    if version == 5:
+        savemat(path, variables)
+    else:
+        save_v73(path, variables)
+    recording = read(path)
+    np.testing.assert_array_equal(recording.values[0, 0], ROWS[:, 1].reshape(PULSES, SAMPLES))
+    stated = (recording.sample_rate_hz, recording.carrier_hz, recording.pulse_rate_hz, recording.sound_speed_m_per_s)
+    assert stated == pytest.approx((RATE_HZ, CARRIER_HZ, PULSE_RATE_HZ, 1540.0))
+    assert recording.first_sample_s == pytest.approx(2 * 2.5 / 5e6)
+    assert recording.inferred[0] == (
+        "Verasonics: 12 acquisitions are the pulses; the shortest timeToNextAcq of 250, 9000 us counts"
+    )
+
+
+@pytest.mark.parametrize("one_acquisition", [True, False])
+def test_frames_are_pulses_or_shots(one_acquisition: bool, tmp_path: Path) -> None:
+    frames = ROWS.reshape(PULSES, SAMPLES, LINES).transpose(1, 2, 0) if one_acquisition else np.stack([ROWS, -ROWS], -1)
+    one = {name: column[:1] for name, column in RECEIVE.items()}
+    savemat(tmp_path / "a.mat", verasonics(frames, **(one if one_acquisition else {})))
+    recording = read(tmp_path / "a.mat")
+    samples = ROWS[:, 1].reshape(PULSES, SAMPLES)
+    np.testing.assert_array_equal(recording.values[0], [samples] if one_acquisition else [samples, -samples])
+
+
+@pytest.mark.parametrize("decimation", [2, 3, 4])
+def test_bandwidth_sampling_becomes_i_and_q_at_one_time(decimation: int, tmp_path: Path) -> None:
+    # Echoes narrower than the rate of the pairs, 20 MHz / 8: their spectrum is below 1e-6 beyond it.
+    time_s = np.arange(240) / 20e6
+    motion_s = 1e-8 * np.sin(np.arange(PULSES))[:, None]
+    envelope = np.exp(-(((time_s - motion_s - 6e-6) / 1e-6) ** 2))
+    echoes = envelope * np.cos(2 * np.pi * CARRIER_HZ * (time_s - motion_s))
+    pairs = echoes.reshape(PULSES, -1, 2 * decimation)[..., :2].reshape(PULSES, -1)
+    length = pairs.shape[1]
+    receive = {
+        "startSample": [float(length * pulse + 1) for pulse in range(PULSES)],
+        "endSample": [float(length * (pulse + 1)) for pulse in range(PULSES)],
+        "decimSampleRate": [20.0] * PULSES,
+        "quadDecim": [float(decimation)] * PULSES,
+    }
+    savemat(tmp_path / "a.mat", verasonics(pairs.reshape(-1, 1), **receive))
+    settings, origins = read_settings(None, None, {})
+    recording = read_recording(tmp_path / "a.mat", settings, origins, for_map=True)
+    expected = (envelope * np.exp(-2j * np.pi * CARRIER_HZ * motion_s))[:, :: 2 * decimation]
+    np.testing.assert_allclose(recording.values[0, 0], expected, atol=1e-5)
+    assert recording.sample_rate_hz == pytest.approx(20e6 / (2 * decimation))
+    assert recording.demodulation_hz == CARRIER_HZ
+
+
+DAMAGED_BUFFERS: dict[str, tuple[dict[str, Any], str]] = {
+    "several buffers": (verasonics(ROWS, bufnum=[1.0] * 6 + [2.0] * 6), "RcvData holds several buffers"),
+    "other lengths": (verasonics(ROWS, endSample=[*RECEIVE["endSample"][:-1], 760.0]), "acquisitions have 56, 64"),
+    "too few rows": (verasonics(ROWS[:-9]), "Receive ends at sample 768, the frame has 759 rows"),
+    "no pulse rate": (verasonics(ROWS, [("jump", 1.0)]), "pulse_rate_hz: neither options"),
+    "no sampling rate": (verasonics(ROWS, decimSampleRate=None), "sample_rate_hz: neither options"),
+    "two sampling rates": (verasonics(ROWS, decimSampleRate=[40.0, 20.0] * 6), "Receive.decimSampleRate differs"),
+    "no quadratures": (verasonics(ROWS, quadDecim=[2.0] * 12), "are no quadratures of demodFrequency = 5"),
+    "one acquisition": (verasonics(ROWS[:64], **{name: column[:1] for name, column in RECEIVE.items()}), "1 pulses"),
+    "wavelengths of no frequency": (verasonics(ROWS) | {"Trans": {"name": "L7-4"}}, "Trans.frequency is absent"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED_BUFFERS)
+def test_a_damaged_buffer_is_refused_with_what_is_wrong(name: str, tmp_path: Path) -> None:
+    variables, said = DAMAGED_BUFFERS[name]
+    savemat(tmp_path / "a.mat", variables)
+    with pytest.raises(SettingsError) as refused:
+        read(tmp_path / "a.mat")
+    assert said in str(refused.value)
