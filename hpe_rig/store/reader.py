@@ -12,7 +12,7 @@ import math
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, final, overload
@@ -307,9 +307,21 @@ class StoredRecords(Sequence[ShotRecords]):
         ``visit`` is called with the codes of ``samples`` of all echoes (record, sample), block by block, in the order
         of the file.
         """
+        damaged = np.zeros(self.shape[1], bool)
+        # An error of ``visit`` does not pass through ``open_checked``, which would report a damaged file.
+        with closing(self._checked_blocks(shot, pulses, samples)) as blocks:
+            for name, rows, codes, damaged_rows in blocks:
+                damaged[rows] |= damaged_rows
+                if visit is not None and name == "echo":
+                    visit(codes)
+        return damaged
+
+    def _checked_blocks(
+        self, shot: int, pulses: int, samples: slice
+    ) -> Iterator[tuple[str, slice, Int16Array, BoolArray]]:
+        """Yield input, records, codes of ``samples`` (record, sample) and damage (record,) block by block."""
         with open_checked(self.path) as checked:
             arrival = _arrival(checked, self.shape, shot)
-            damaged = arrival.damaged.copy()
             for name in ("echo", *(["monitor"] if checked.has("records/monitor") else [])):
                 echo = _echo(checked, self.shape, name)
                 # Whole chunks, so that each is read and compared once.
@@ -318,10 +330,7 @@ class StoredRecords(Sequence[ShotRecords]):
                 for first in range(0, self.shape[1], step):
                     rows = slice(first, first + step)
                     codes, damaged_rows = _codes(checked, echo, f"records/{name}", shot, arrival, samples, rows)
-                    damaged[rows] |= damaged_rows
-                    if visit is not None and name == "echo":
-                        visit(codes)
-        return damaged
+                    yield name, rows, codes, damaged_rows | arrival.damaged[rows]
 
     def recorded(self, shot: int) -> BoolArray:
         """Return which records of ``shot`` have an intact mark, (pulse,); their echoes can still be damaged."""

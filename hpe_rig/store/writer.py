@@ -176,7 +176,8 @@ class RunWriter:
 
     def write_ground_truth(self, shot: Shot, displacement_m: FloatArray) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
-        valid = np.flatnonzero(self._recorded)
+        # A shot without any record has no row: the marks are still those of the shot before.
+        valid = np.flatnonzero(self._recorded) if shot.index == self._shot else np.zeros(0, int)
         row_m = np.full(self._recorded.size, np.nan)
         row_m[valid] = displacement_m[: valid.size]
         if valid.size:

@@ -6,6 +6,7 @@ import os
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import final
 
@@ -18,16 +19,16 @@ class LineBuffer:
     def __init__(self) -> None:
         self._incomplete = b""
 
-    def completed_by(self, received: bytes) -> list[bytes]:
-        """Return the lines that ``received`` completes, without their line feed.
+    def feed(self, received: bytes) -> Iterator[bytes]:
+        """Yield the lines that ``received`` completes, without their line feed.
 
-        Raises ``EOFError`` if a line gets too long, and drops it.
+        Raises ``EOFError`` after these lines if the next one gets too long, and drops it.
         """
         *lines, self._incomplete = (self._incomplete + received).split(b"\n")
+        yield from lines
         if len(self._incomplete) > MAX_BYTES:
             self._incomplete = b""
             raise EOFError("the message is too long")
-        return lines
 
 
 @final
@@ -45,7 +46,7 @@ class SocketServer:
         """Answer the lines of one connection until it closes."""
         lines = LineBuffer()
         while received := peer.recv(RECEIVE_BYTES):
-            for line in lines.completed_by(received):
+            for line in lines.feed(received):
                 reply = self._port.answer(line)
                 if reply:
                     peer.sendall(reply)

@@ -160,8 +160,10 @@ def test_records_state_the_codes_of_the_board(rig: Rig) -> None:
     assert {block.code_limits for block in rig.digitizer.records(rig.deadline_s())} == {(-8192, 8191)}
 
 
-def test_records_are_the_volts_at_the_input_within_half_a_code(rig: Rig) -> None:
-    rig.fire(CAPTURE)
+# A board's range before it is set could be one of the two.
+@pytest.mark.parametrize("input_range_v", [0.8, 2.0])
+def test_records_are_the_volts_at_the_input_within_half_a_code(rig: Rig, input_range_v: float) -> None:
+    rig.fire(dataclasses.replace(CAPTURE, input_range_v=input_range_v))
     expected = volts(CAPTURE.record_count, CAPTURE.record_samples)
     for block in rig.digitizer.records(rig.deadline_s()):
         read = block.codes * block.volts_per_code + block.volts_offset

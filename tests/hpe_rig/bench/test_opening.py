@@ -18,8 +18,9 @@ import pytest
 from drivers.interfaces import Instrument, InstrumentError
 from hpe_rig.bench import TRANSPORTS, BenchFile, interruptible, parse_bench, read_bench
 from hpe_rig.bench.emulation import addressed
+from hpe_rig.bench.instruments import SAFE_ORDER
 from hpe_rig.bench.inventory import switch_off
-from hpe_rig.bench.opening import open_each
+from hpe_rig.bench.opening import open_bench, open_each
 from sim_backend.settings import SimulationSettings
 from sim_backend.transports import Emulator
 from sim_backend.world import World
@@ -237,3 +238,25 @@ def test_settings_are_read_before_an_output_is_switched_off() -> None:
             # The instrument has the command, and carries it out in its own thread.
             assert watch.off_s < OFF_S
     assert [role for role in ROLES if output_on[role]] == [REACHABLE]
+
+
+def test_a_real_bench_without_any_answer_names_every_output_that_may_be_on() -> None:
+    roles = sorted((*ROLES, "digitizer"), key=SAFE_ORDER.index)
+    with (
+        bench_of_holes("refusing", "socket", reachable=False) as (_, bench),
+        pytest.raises(InstrumentError) as caught,
+        open_bench(None, bench, roles),
+    ):
+        pass
+    outputs = ", ".join(role for role in roles if role != "digitizer")
+    wanted = f"not identified, so not proven off: {outputs}: look whether they are on; there are no others"
+    assert wanted in caught.value.__notes__
+
+
+def test_an_instrument_in_this_process_of_another_model_is_refused() -> None:
+    world = World(SimulationSettings(), [], board="ATS9440")
+    with (
+        pytest.raises(InstrumentError, match=f"{SIMULATED.bench.digitizer.model}.*ATS9440|ATS9440.*ATS460"),
+        open_bench(None, SIMULATED.bench, (*ROLES, "digitizer"), world=world),
+    ):
+        pass

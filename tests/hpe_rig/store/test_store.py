@@ -166,6 +166,32 @@ def test_blocks_of_a_long_shot_follow_the_placement(setup: Setup, tmp_path: Path
     assert not visited
 
 
+@pytest.mark.parametrize("error", [KeyError("gate"), ValueError("too few samples"), MemoryError()])
+def test_an_error_in_the_processing_of_a_block_is_not_called_damage(
+    setup: Setup, tmp_path: Path, error: Exception
+) -> None:
+    stored = read_run(written(setup, tmp_path / "run.h5", block_of(setup, 0, 48, 0.5))).records
+
+    def fail(codes: np.ndarray) -> None:
+        raise error
+
+    with pytest.raises(type(error)) as caught:
+        stored.shot_blocks(0, slice(100, 130), 5, 0, fail)
+    assert caught.value is error
+
+
+def test_the_true_displacement_is_stored_for_the_records_of_its_shot_alone(setup: Setup, tmp_path: Path) -> None:
+    """A shot whose settings changed may end without any record."""
+    first, second = setup.plan.shots
+    with RunWriter(tmp_path / "run.h5", setup.scene, setup.bench, setup.plan) as writer:
+        writer.append(first, block_of(setup, 0, 20, 0.5))
+        writer.write_ground_truth(first, np.full(20, 1e-6))
+        writer.write_ground_truth(second, np.full(48, 2e-6))
+    with h5py.File(tmp_path / "run.h5") as file:
+        np.testing.assert_array_equal(file["truth/displacement_m"][0], [1e-6] * 20 + [np.nan] * 28)
+        np.testing.assert_array_equal(file["truth/displacement_m"][1], np.full(48, np.nan))
+
+
 @pytest.mark.parametrize("compress", [False, True])
 def test_a_late_record_of_an_earlier_chunk_costs_none_of_those_that_came_in_time(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compress: bool

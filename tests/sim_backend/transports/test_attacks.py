@@ -22,6 +22,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from sim_backend.settings.simulation import SimulationSettings
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
+from sim_backend.transports.lines import LineBuffer
 from sim_backend.transports.loopback import MAX_BYTES, MAX_PEERS
 from sim_backend.world import GENERATORS, World
 
@@ -270,6 +271,16 @@ def test_60_megabytes_without_line_end_use_bounded_memory_and_end_the_connection
             tracemalloc.stop()
         assert peak < 16 * MEBIBYTE
         assert identity(transport, emulator) == IDENTITY
+
+
+def test_complete_lines_received_with_one_that_is_too_long_are_answered() -> None:
+    lines = LineBuffer()
+    received = lines.feed(b"OUTP 0\nOUTP?\n" + b"A" * (MAX_BYTES + 1))
+    assert [next(received), next(received)] == [b"OUTP 0", b"OUTP?"]
+    with pytest.raises(EOFError):
+        next(received)
+    # The line that was too long is dropped.
+    assert list(lines.feed(b"*IDN?\n")) == [b"*IDN?"]
 
 
 def test_an_endless_vxi11_write_is_out_of_resources() -> None:
