@@ -11,7 +11,7 @@ import json
 import math
 import tempfile
 import weakref
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -318,7 +318,7 @@ class StoredRecords(Sequence[ShotRecords]):
 
     def _checked_blocks(
         self, shot: int, pulses: int, samples: slice
-    ) -> Iterator[tuple[str, slice, Int16Array, BoolArray]]:
+    ) -> Generator[tuple[str, slice, Int16Array, BoolArray], None, None]:
         """Yield input, records, codes of ``samples`` (record, sample) and damage (record,) block by block."""
         with open_checked(self.path) as checked:
             arrival = _arrival(checked, self.shape, shot)

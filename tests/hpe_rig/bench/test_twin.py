@@ -105,3 +105,21 @@ def test_the_echo_level_falls_as_the_twins_echo_does_where_diodes_take_their_thr
     # 37 dB behind a tenth of a volt peak to peak stand 3.5 V: nothing passes.
     assert diodes.echo_v(0.1, 3.0, 9e6) == 0.0
     assert linear.echo_v(0.1, 3.0, 9e6) > 0.0
+
+
+def test_noise_without_a_receive_chain_follows_from_the_echo_and_its_ratio() -> None:
+    noisy, silent = twin_of(scene("table-1")), twin_of(scene("table-1", ("snr_db", "# snr_db")))
+    assert noisy is not None
+    assert silent is not None
+    assert (noisy.has_noise, silent.has_noise, silent.noise_v) == (True, False, 0.0)
+    # 40 dB are a factor of 100 in volts.
+    assert noisy.noise_v == pytest.approx(noisy.settings.receiver.echo_rms_v / 100)
+
+
+def test_only_driven_tonebursts_displace_the_specimen() -> None:
+    twin = twin_of(scene("bovine-muscle"))
+    assert twin is not None
+    time_s, onset_s = np.array([5e-3]), np.array([0.0])
+    pushed_m, undriven_m = (twin.displacement_m(time_s, onset_s, 100e-6, drive)[0] for drive in ((3e6, 1.0), None))
+    assert pushed_m != undriven_m
+    assert undriven_m == 0.0
