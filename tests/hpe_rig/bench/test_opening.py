@@ -253,10 +253,10 @@ def test_a_real_bench_without_any_answer_names_every_output_that_may_be_on() -> 
     assert wanted in caught.value.__notes__
 
 
-def test_an_instrument_in_this_process_of_another_model_is_refused() -> None:
-    world = World(SimulationSettings(), [], board="ATS9440")
+def test_a_generator_in_this_process_of_another_model_is_refused() -> None:
+    text = SIMULATED.text.replace('model = "33250A"', 'model = "33220A"', 1)
     with (
-        pytest.raises(InstrumentError, match=f"{SIMULATED.bench.digitizer.model}.*ATS9440|ATS9440.*ATS460"),
-        open_bench(None, SIMULATED.bench, (*ROLES, "digitizer"), world=world),
+        pytest.raises(InstrumentError, match=r"33250A.*33220A|33220A.*33250A"),
+        open_bench(None, parse_bench("other", text).bench, ROLES, world=World(SimulationSettings(), [])),
     ):
         pass
