@@ -143,6 +143,9 @@ for line in sys.stdin:
             os.dup2(os.open(name, os.O_RDWR | os.O_CREAT | os.O_NOCTTY), number)
         os.close(0)
         sys.argv = ["hpe-rig", *arguments]
+        if SINK[0] == "log":
+            # A disk that takes no more, in the place of that of the log.
+            hpe_rig.measurement.log.open_ordinary = lambda path, flags: os.open(SINK[1], os.O_WRONLY)
         try:
             main()
         except SystemExit as end:
@@ -175,7 +178,7 @@ class Rig:
             errors = path = "stopped"
             os.mkfifo(place / path)
         elif sink == "log":
-            path = "run.log"
+            path = "slow disk"
             arguments.append("--verbose")
             os.mkfifo(place / path)
             # Opened for both, so that the run finds a reader, who never reads.
