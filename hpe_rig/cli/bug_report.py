@@ -6,11 +6,11 @@ import getpass
 import platform
 import re
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -18,6 +18,8 @@ from hpe_rig.cli.console import announce, guarded
 from hpe_rig.cli.options import check_file_name
 
 REMOVED: Final = "REMOVED"
+RUN_SUFFIXES: Final = (".h5", ".hdf5")
+TEXT_SUFFIXES: Final = (".toml", ".log", ".txt", ".json")
 MAX_LOG_LINES: Final = 400
 MAX_TEXT_BYTES: Final = 1_000_000
 MIN_NAME: Final = 2
@@ -42,6 +44,9 @@ _ADDRESSES = re.compile(
 )
 _NOTES = re.compile(r"(?ms)^(\[notes\]\s*\n).*?(?=^\[|\Z)")
 
+if TYPE_CHECKING:
+    from hpe_rig.scene import Mistake
+
 reporting = typer.Typer()
 
 
@@ -58,12 +63,27 @@ def bug_report(
     ] = Path("bug-report.txt"),
 ) -> None:
     """Collect versions, scene, bench and log of a problem in one text file, without addresses and names."""
+    from hpe_rig.scene import SettingsError
     from hpe_rig.store import write_file
 
+    if mistakes := list(_mistakes(files or ())):
+        raise SettingsError("bug-report", mistakes)
     sections = [("versions", _versions()), *((path.name, anonymous(_content(path))) for path in files or ())]
     text = "\n".join(f"==== {title} ====\n{content.rstrip()}\n" for title, content in sections)
     write_file(output, text, overwrite=False)
     announce(f"{output}: read it before you send it; it holds no echoes, addresses, serial numbers, notes or names")
+
+
+def _mistakes(files: Iterable[Path]) -> Iterator[Mistake]:
+    """Yield the files that do not exist or may hold echoes, such as recordings of other programs."""
+    from hpe_rig.scene import Mistake
+
+    for path in files:
+        if not path.is_file():
+            yield Mistake(str(path), "there is no such file", "run files, scenes, bench files, logs")
+        elif path.suffix.lower() not in {*RUN_SUFFIXES, *TEXT_SUFFIXES}:
+            what = "only run files, settings and logs are collected, without echoes"
+            yield Mistake(str(path), what, f"a file that ends in {', '.join((*RUN_SUFFIXES, *TEXT_SUFFIXES))}")
 
 
 def anonymous(text: str) -> str:
@@ -100,7 +120,7 @@ def _content(path: Path) -> str:
     """Return what ``path`` contributes: texts of a run file and the end of its log, or the text itself."""
     from hpe_rig.store import StoreError, read_run, reason
 
-    if path.suffix.lower() not in {".h5", ".hdf5"}:
+    if path.suffix.lower() not in RUN_SUFFIXES:
         try:
             return _end_of(path)
         except OSError as error:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hpe_rig.result import Kind, MotionMap
 
 METRES_PER_INCH = 0.0254
-MAX_WIDTH_M = 1.0
+MIN_WIDTH_M, MAX_WIDTH_M = 30e-3, 1.0
 MAX_VALUE = 60
 """Characters of a setting in a table."""
 
@@ -173,9 +173,11 @@ def draw_figure(
         mistakes.append(Mistake("--kind profile", "no gates over depth are named", "--gate-profile-step 0.5mm"))
     if frequencies_hz and kind in {"displacement", "moduli"}:
         mistakes.append(Mistake("--frequency", f"--kind {kind} draws all frequencies", "leave it out"))
+    if not (width_m := length_m(width, "--width", MAX_WIDTH_M)) >= MIN_WIDTH_M:
+        mistakes.append(Mistake("--width", f"{width!r} is too narrow for a figure", "a width such as 85mm"))
     if mistakes:
         raise SettingsError("command line", mistakes)
-    width_in = length_m(width, "--width", MAX_WIDTH_M) / METRES_PER_INCH
+    width_in = width_m / METRES_PER_INCH
     size = width_in, width_in * (0.62 if kind == "displacement" else 1.1)
     with rc_context({**STYLE, "font.size": 8, "pdf.fonttype": 42, "figure.figsize": size}):
         if kind == "moduli":

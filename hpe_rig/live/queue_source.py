@@ -87,7 +87,7 @@ def _queue_state(queue: Sequence[QueueRun], index: int, ended: bool, state: Stat
     progress = {"run": index + 1, "runs": len(queue), "name": queue[index].name, **counts}
     if not ended:
         status = state.get("status", "waiting")
-        active_status = "running" if status in ("complete", "aborted", "failed") else status
+        active_status = "running" if status in ("complete", "aborted", "failed", "killed") else status
         return {"status": active_status, "queue": progress | {"left_s": round(left_s, 1)}}
     status = "complete" if counts["done"] == len(queue) else "failed" if counts["failed"] else "aborted"
     text = f"The queue has ended: {counts['done']} of {len(queue)} runs are done; every output is off."

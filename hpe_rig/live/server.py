@@ -40,7 +40,7 @@ MAX_CONNECTIONS = 64
 """Limit on connections without the page's token, and on viewers, since each costs memory and file handles."""
 TOKEN_TIME_S = 0.2
 """Time after which a connection without the token may be closed: its request may not have been read yet."""
-ENDED = ("complete", "aborted", "failed")
+ENDED = ("complete", "aborted", "failed", "killed")
 
 
 @final

@@ -22,6 +22,7 @@ def moduli_figure(
     modelled_m: Sequence[ComplexArray],
     title: str,
     *,
+    simulated: bool,
     ax: Axes | Sequence[Axes] | None = None,
     figsize: tuple[float, float] = PAGE_SIZE_IN,
 ) -> Figure:
@@ -59,6 +60,9 @@ def moduli_figure(
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
+    if simulated:
+        # Simulated and measured data must not be confused.
+        amplitude.set_title("SIMULATED", loc="right", fontsize="small")
     if ax is None and is_wide:
         figure.suptitle(title, fontsize="medium")
     return figure

@@ -73,7 +73,12 @@ class ModuliResult:
         from hpe_rig.moduli.figure import PAGE_SIZE_IN, moduli_figure
 
         return moduli_figure(
-            self.vibrations, self.best.modelled_m, self.headline, ax=ax, figsize=figsize or PAGE_SIZE_IN
+            self.vibrations,
+            self.best.modelled_m,
+            self.headline,
+            simulated=self.simulated,
+            ax=ax,
+            figsize=figsize or PAGE_SIZE_IN,
         )
 
     def _repr_html_(self) -> str:

@@ -175,17 +175,19 @@ def clock_warnings(
     worst = max(estimates, key=lambda item: item.frequency_hz / max(item.headline.phase_uncertainty_rad, 1e-300))
     shift_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
     if shift_rad > u_rad:
-        stated = time_base.by_digitizer or error
-        clock = "digitizer" if time_base.by_digitizer else "tracking train"
+        # The correction follows from the clocks of motion and pulses; that of the digitizer is stated beside it.
+        also = ""
+        if (other := time_base.by_digitizer) is not None:
+            also = f" ({_ppm_text(other.value, other.uncertainty)} of the digitizer's)"
         subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
         beyond = ""
         if time_base.exceeds_accuracy:
             beyond = ", more than clock_accuracy explains, unless its delay grows as in tissue that warms"
         change = f"{np.degrees(shift_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg)"
         yield (
-            f"{subject} is {_ppm_text(stated.value, stated.uncertainty)} of the {clock}'s{beyond}: the times of the "
-            f"pulses are corrected, which changes the phase at {worst.frequency_hz:g} Hz by {change}; a common 10 MHz "
-            "reference (common_reference in the bench file) makes this correction unnecessary"
+            f"{subject} is {_ppm_text(error.value, error.uncertainty)} of the tracking train's{also}{beyond}: the "
+            f"times of the pulses are corrected, which changes the phase at {worst.frequency_hz:g} Hz by {change}; a "
+            "common 10 MHz reference (common_reference in the bench file) makes this correction unnecessary"
         )
 
 

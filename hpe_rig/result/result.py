@@ -65,6 +65,8 @@ class Result(ResultData):
         ``others``: results of further runs in the same medium, whose shots follow. Errors of medium, sound speed and
         beams are common to all these runs; noise, speckle and gate edges are not.
         """
+        if wrong := [type(other).__name__ for other in others if not isinstance(other, ResultData)]:
+            raise TypeError(f"covariance expects results of further runs, not {', '.join(wrong)}")
         return covariance_of([result.shots for result in (self, *others)])
 
     def to_gtc(self, *others: Result) -> tuple[tuple[Any, ...], ...]:

@@ -35,7 +35,10 @@ def run_warnings(
             yield f"shot {shot + 1}: settings read back after it differ: {changes}"
     if stored.status != "complete":
         complete = stored.shot_complete
-        yield f"the run is {stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
+        text = f"the run is {stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
+        if stored.status == "killed" and not stored.simulated:
+            text += "; its program did not switch the outputs off: hpe-rig bench BENCH --off does"
+        yield text
     yield from incomplete_warnings(estimates)
 
 

@@ -46,7 +46,7 @@ from hpe_rig.store.records import MISSING
 from hpe_rig.store.task import make_or_undo
 from hpe_rig.store.validation import CheckedFile
 
-KILLED: Final = "aborted"
+KILLED: Final = "killed"
 """Status of a run whose program was killed: its log has none."""
 MAX_VIEWS: Final = 2
 """Number of logs whose content stays in memory, except for the echoes."""

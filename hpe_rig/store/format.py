@@ -42,7 +42,7 @@ STAGES: Final = (
 """Stages of an acquisition, in the order of the run times in the run file; all outputs are off after "collect"."""
 STAGE_BYTES: Final = 16
 MAX_STAGES: Final = 64
-STATUSES: Final = ("running", "complete", "aborted", "failed")
+STATUSES: Final = ("running", "complete", "aborted", "failed", "killed")
 STATUS_BYTES: Final = 8
 """Enough for running, complete, aborted and failed: the attribute changes during a run, so its size is fixed."""
 RUN_ID_BYTES: Final = 32

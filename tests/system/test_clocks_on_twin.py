@@ -68,7 +68,7 @@ def test_phases_follow_clocks_that_differ_by_more_than_stated_and_warnings_say_s
             (time_base,) = (component for component in estimate.budget if component.source == "time base")
             assert 0 < time_base.phase_rad < u_rad
         (text,) = (text for text in shot.warnings if "burst generator's clock" in text)
-        assert "ppm fast of the digitizer's, more than clock_accuracy explains" in text
+        assert "ppm fast of the digitizer's), more than clock_accuracy explains" in text
         assert "common 10 MHz reference" in text
 
 

@@ -26,7 +26,9 @@ def report(*files: Path) -> str:
 def test_a_report_holds_versions_scene_bench_and_log(tmp_path: Path) -> None:
     run = tmp_path / "run.h5"
     assert CliRunner().invoke(app, ["run", "table-1", "--verbose", "--output", str(run)]).exit_code == 0
-    text = report(run, tmp_path / "absent.toml")
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(b"no HDF5")
+    text = report(run, damaged)
     for part in ("numpy", "pyvisa-py", "pulse_rate_hz", "max_duty", "status: complete", "run.log", "cannot be read"):
         assert part in text
 
@@ -59,6 +61,15 @@ def test_what_identifies_a_bench_or_a_person_is_removed(text: str, secret: str) 
 def test_numbers_and_keys_of_a_scene_stay() -> None:
     scene = '[tracking]\npulse_rate_hz = 3990.0\ncarrier_hz = 9.0e6\n[[wiring]]\nsource = "master.sync"\n'
     assert anonymous(scene) == scene
+
+
+@pytest.mark.parametrize("name", ["echoes.csv", "absent.toml", "."])
+def test_files_that_may_hold_echoes_or_are_absent_are_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / "echoes.csv").write_text("1,2,3\n", encoding="utf-8")
+    target = tmp_path / "report.txt"
+    done = CliRunner().invoke(app, ["bug-report", str(tmp_path / name), "-o", str(target)])
+    assert done.exit_code == 2
+    assert not target.exists()
 
 
 def test_an_existing_report_is_not_replaced(tmp_path: Path) -> None:

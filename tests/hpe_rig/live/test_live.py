@@ -6,6 +6,7 @@ import http.client
 import itertools
 import json
 import math
+import re
 import socket
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from importlib import resources
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -27,7 +29,7 @@ from hpe_rig.cli.watch import supervise
 from hpe_rig.live import server
 from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
 from hpe_rig.live.history import RemainingTime
-from hpe_rig.live.server import LivePage
+from hpe_rig.live.server import ENDED, LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State, band_verdict
 from hpe_rig.measurement.pause import pause_path, wait_for_move
@@ -38,6 +40,7 @@ from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_
 from hpe_rig.runs.run import process
 from hpe_rig.scene import SettingsError, load_scene, scene_text
 from hpe_rig.store import StoreError, WriteOptions, read_run
+from hpe_rig.store.format import STATUSES
 
 
 class Counter:
@@ -593,3 +596,12 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
     assert not {"matplotlib", "jinja2", "starlette", "uvicorn", "websockets", "pandas", "xarray", "pyvisa"} & set(
         loaded.stdout.split()
     )
+
+
+def test_every_way_in_which_a_run_ends_has_words_of_its_own() -> None:
+    """A killed program has verified no output off, so that its words must not be those of a stopped run."""
+    page = (resources.files("hpe_rig.live") / "live.html").read_text(encoding="utf-8")
+    for status in set(STATUSES) - {"running"}:
+        assert status in ENDED
+        assert re.search(rf'\b{status}: "\w', page)
+    assert re.search(r'killed: "[^"]*MAY STILL BE ON', page)

@@ -85,7 +85,7 @@ def test_the_log_of_a_killed_run_is_read_and_becomes_a_run_file_when_it_is_opene
     assert (stored.status, stored.shot_complete.tolist(), codes(path)) == ("running", [True, True, False], WHOLE)
     assert not verify(path).damage
     assert is_log(path)
-    assert open_run(path).stored.status == "aborted"
+    assert open_run(path).stored.status == "killed"
     assert not is_log(path)
     assert not verify(path).damage
     assert codes(path) == WHOLE
