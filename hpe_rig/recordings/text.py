@@ -143,12 +143,29 @@ def _layout(lines: Sequence[str], settings: RecordingSettings) -> Layout:
     # The second half of a long file has no header.
     last = lines[len(lines) // 2 :] if len(lines) > 2 * SAMPLED_LINES else lines
     sampled = [line for line in last[:: max(1, len(last) // SAMPLED_LINES)] if line.strip() and line[0] != "#"]
+    signs, rows = _separators(sampled, settings)
+    # A column of numbers has them in most lines; a line that differs is reported later.
+    counts = Counter(column for row in rows for column, cell in enumerate(row) if cell)
+    columns = tuple(sorted(column for column, count in counts.items() if 2 * count >= len(rows)))
+    layout = Layout(*signs, 0, columns)
+    are_numbers = (line[:1] != "#" and layout.numbers(line) is not None for line in lines)
+    header_lines = next((index for index, has_numbers in enumerate(are_numbers) if has_numbers), 0)
+    if header_lines and _is_spoilt(_cells(lines[header_lines - 1], signs[0]), signs[1]):
+        _raise_no_numbers(header_lines + settings.skip_rows, lines[header_lines - 1])
+    return Layout(*signs, header_lines, columns)
+
+
+def _separators(lines: Sequence[str], settings: RecordingSettings) -> tuple[tuple[str | None, str], list[list[str]]]:
+    """Return delimiter (None: blanks) and decimal sign that make most ``lines`` numbers, and the cells of those lines.
+
+    Raises ``ValueError`` if no line is one of numbers, or if commas may be either.
+    """
     delimiters = [settings.delimiter] if settings.delimiter else list(DELIMITERS)
     decimals = [settings.decimal] if settings.decimal else [".", ","]
     best, tables = None, list[list[str]]()
     for word, decimal in itertools.product(delimiters, decimals):
         delimiter = DELIMITERS.get(word, word)
-        rows = [_cells(line, delimiter) for line in sampled if delimiter is None or delimiter in line]
+        rows = [_cells(line, delimiter) for line in lines if delimiter is None or delimiter in line]
         rows = [row for row in rows if any(row) and _numbers([cell for cell in row if cell], decimal) is not None]
         if len(rows) > len(tables) and delimiter != decimal:
             best, tables = (delimiter, decimal), rows
@@ -159,16 +176,7 @@ def _layout(lines: Sequence[str], settings: RecordingSettings) -> Layout:
     # No program writes an integer with a leading zero: 0,05 is one number.
     if are_integers and not settings.delimiter and any(re.match(r"[-+]?0\d", text) for text in texts):
         raise ValueError("commas may separate numbers or be decimal signs: delimiter and decimal")
-    # A column of numbers has them in most lines; a line that differs is reported later.
-    counts = Counter(column for row in tables for column, cell in enumerate(row) if cell)
-    columns = tuple(sorted(column for column, count in counts.items() if 2 * count >= len(tables)))
-    layout = Layout(*best, 0, columns)
-    header_lines = next(
-        (index for index, line in enumerate(lines) if line[:1] != "#" and layout.numbers(line) is not None), 0
-    )
-    if header_lines and _is_spoilt(_cells(lines[header_lines - 1], best[0]), best[1]):
-        _raise_no_numbers(header_lines + settings.skip_rows, lines[header_lines - 1])
-    return Layout(*best, header_lines, columns)
+    return best, tables
 
 
 def _is_spoilt(cells: Sequence[str], decimal: str) -> bool:
@@ -229,7 +237,7 @@ def _checked_rows(lines: Sequence[str], layout: Layout, skipped: int, is_real: b
 
 
 def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
-    """Read the settings, the names of the columns and the unit of times from the lines before the numbers."""
+    """Read settings, names of columns and the unit of times from the lines before the numbers."""
     header = [line for line in lines[: layout.header_lines] if line.strip(" \t,;")]
     # Some oscilloscopes write their settings to the left of the first numbers.
     side_header = [line for line in lines[:SAMPLED_LINES] if layout.columns[0] > 0 and line not in header]
@@ -241,6 +249,16 @@ def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
             table.trigger_time_s.append(float(match[1]))
         if (match := X_UNIT.search(line.lower())) and match[1] in TIME_UNITS:
             table.unit_s = TIME_UNITS[match[1]]
+    _read_column_names(table, header, layout)
+    if header:
+        table.inferred.append(f"{layout.header_lines} lines of header, the last one {header[-1].strip()[:60]!r}")
+    if layout.delimiter not in (",", None) or layout.decimal == ",":
+        word = next((word for word, text in DELIMITERS.items() if text == layout.delimiter), layout.delimiter)
+        table.inferred.append(f"delimiter: {word}, decimal sign: {layout.decimal}")
+
+
+def _read_column_names(table: Table, header: Sequence[str], layout: Layout) -> None:
+    """Read the names of the columns, and settings with their names above their values, from the ``header`` lines."""
     rows = [_cells(line.lstrip("#% "), layout.delimiter) for line in header]
     for above, below in itertools.pairwise(rows):
         for name, number in zip(above, below, strict=False):
@@ -248,11 +266,6 @@ def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
                 table.stated.setdefault(setting[0], (setting[1], name))
     named = [row for row in rows[-2:] if len(row) > layout.columns[-1]]
     table.names = [" ".join(row[column] for row in named).strip() for column in layout.columns]
-    if header:
-        table.inferred.append(f"{layout.header_lines} lines of header, the last one {header[-1].strip()[:60]!r}")
-    if layout.delimiter not in (",", None) or layout.decimal == ",":
-        word = next((word for word, text in DELIMITERS.items() if text == layout.delimiter), layout.delimiter)
-        table.inferred.append(f"delimiter: {word}, decimal sign: {layout.decimal}")
 
 
 def _remove_first_row(table: Table) -> None:

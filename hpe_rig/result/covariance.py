@@ -180,6 +180,31 @@ class _Block:
     error: Influence
 
 
+def _filled(
+    slots: Sequence[Sequence[_Block]], sizes: Sequence[int], rows: int, frequencies: int
+) -> tuple[ComplexArray, Int64Array, FloatArray]:
+    """Return influences (row, frequency, column), numbers of variables and degrees of freedom (row, column).
+
+    Each slot has as many columns as ``sizes`` states. Blocks of one group share their variables.
+    """
+    influence_m = np.zeros((rows, frequencies, sum(sizes)), np.complex128)
+    variable = np.full((rows, sum(sizes)), NO_VARIABLE, np.int64)
+    degrees_of_freedom = np.full((rows, sum(sizes)), np.inf)
+    starts = (np.cumsum(sizes) - sizes).tolist()
+    first_numbers: dict[Hashable, int] = {}
+    next_number = 0
+    for start, block in ((start, block) for start, slot in zip(starts, slots, strict=True) for block in slot):
+        block_frequencies, size = block.error.influence_m.shape
+        if block.group not in first_numbers:
+            first_numbers[block.group] = next_number
+            next_number += size
+        columns = slice(start, start + size)
+        influence_m[block.row, :block_frequencies, columns] = block.error.influence_m
+        variable[block.row, columns] = first_numbers[block.group] + np.arange(size)
+        degrees_of_freedom[block.row, columns] = block.error.degrees_of_freedom
+    return influence_m, variable, degrees_of_freedom
+
+
 def covariance_of(results: Sequence[Sequence[ShotResult]]) -> Covariance:
     """Return phasors and covariance of all shots of ``results``, each the shots of one run.
 
@@ -201,22 +226,8 @@ def covariance_of(results: Sequence[Sequence[ShotResult]]) -> Covariance:
     for block in _with_few_variables(blocks):
         slots.setdefault((block.error.source, block.error.common_to, block.error.variables), []).append(block)
     sizes = [max(block.error.influence_m.shape[1] for block in slot) for slot in slots.values()]
-    starts = (np.cumsum(sizes) - sizes).tolist()
     count = max((len(shot.estimates) for _, shot in rows), default=0)
-    influence_m = np.zeros((len(rows), count, sum(sizes)), np.complex128)
-    variable = np.full((len(rows), sum(sizes)), NO_VARIABLE, np.int64)
-    degrees_of_freedom = np.full((len(rows), sum(sizes)), np.inf)
-    first_numbers: dict[Hashable, int] = {}
-    next_number = 0
-    for start, block in ((start, block) for start, slot in zip(starts, slots.values(), strict=True) for block in slot):
-        frequencies, size = block.error.influence_m.shape
-        if block.group not in first_numbers:
-            first_numbers[block.group] = next_number
-            next_number += size
-        columns = slice(start, start + size)
-        influence_m[block.row, :frequencies, columns] = block.error.influence_m
-        variable[block.row, columns] = first_numbers[block.group] + np.arange(size)
-        degrees_of_freedom[block.row, columns] = block.error.degrees_of_freedom
+    influence_m, variable, degrees_of_freedom = _filled(list(slots.values()), sizes, len(rows), count)
     estimates, used = [[*shot.estimates] for _, shot in rows], influence_m.any(axis=(0, 1))
     return Covariance(
         shot=np.array([shot.shot for _, shot in rows], dtype=np.int64),
