@@ -64,7 +64,7 @@ PANELS = {
             "prediction": (0, 6, "expected errors"),
             "processing": (0, 5, "echoes to estimates"),
             "medium": (1, 4, "physics of the specimen"),
-            "recordings": (1, 3, "files of other programs"),
+            "recordings": (1, 6, "files of other programs"),
             "store": (0, 3, "run files"),
             "plan": (0, 2, "shots, edges, checks"),
             "bench": (0, 1, "instruments in use"),
