@@ -8,6 +8,7 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -90,51 +91,74 @@ def read_hdf5(path: Path, settings: RecordingSettings, reverse: bool = False) ->
     """
     import h5py
 
-    values: dict[str, NDArray[Any]] = {}
-    variable, max_bytes, bytes_read = settings.variable, max_bytes_of(path), 0
+    hdf5 = _Hdf5Values(settings.variable, max_bytes_of(path), reverse)
+    try:
+        with h5py.File(path, "r") as file:
+            hdf5.visit("", file)
+            for name, item in objects(file):
+                hdf5.visit(name, item)
+    except InvalidContentError as error:
+        raise ValueError(f"{error}: {PLAIN_FILE}") from None
+    except (OSError, RuntimeError, KeyError) as error:
+        raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
+    return scanner_contents(hdf5.values, settings.variable) or contents(hdf5.values)
 
-    def read(dataset: Any) -> Any:
-        """Return the values of a dataset; raise ``InvalidContentError`` if all together expand to too many bytes."""
-        nonlocal bytes_read
-        refuse_elsewhere(dataset)
-        bytes_read += bytes_in_memory(dataset)
-        refuse_expansion(bytes_read, max_bytes, dataset.name)
-        return dataset[()]
 
-    def visit(name: str, item: Any) -> None:
+@dataclass(slots=True)
+class _Hdf5Values:
+    """Numbers and arrays of an HDF5 file by their path; of large datasets ``variable`` alone, unless it is None."""
+
+    variable: str | None
+    max_bytes: int
+    reverse: bool
+    values: dict[str, NDArray[Any]] = field(default_factory=dict)
+    bytes_read: int = 0
+
+    def visit(self, name: str, item: Any) -> None:
+        """Read attributes and numbers of the group or dataset ``item``."""
+        import h5py
+
         if name.startswith("#"):
             # Elements of cells, which are read by their references.
             return
         for key in item.attrs:
             # Texts are no settings: one in a damaged file can trap the HDF5 library in an endless loop.
             if _is_numbers(item.attrs.get_id(key).dtype):
-                values.setdefault(f"{name}.{key}" if name else key, np.asarray(item.attrs[key]))
+                self.values.setdefault(f"{name}.{key}" if name else key, np.asarray(item.attrs[key]))
         if isinstance(item, h5py.Group) and {"command", "argument"} <= item.keys():
-            values.update(_commands(name, item, read))
-        if not isinstance(item, h5py.Dataset) or item.shape is None:
-            return
-        if h5py.check_ref_dtype(item.dtype) is h5py.Reference:
-            # A cell or a field of a MATLAB array of structures refers to its elements.
-            elements = [item.file[reference] for reference in np.ravel(read(item)) if reference]
-            if elements and all(isinstance(element, h5py.Dataset) for element in elements):
-                arrays = [_plain(read(element), reverse) for element in elements if _is_numbers(element.dtype)]
-                if len(arrays) == len(elements) and len({array.shape for array in arrays}) == 1:
-                    values[name] = arrays[0] if len(arrays) == 1 else np.stack(arrays)
-        elif _is_numbers(item.dtype):
-            is_large = item.size > MAX_STATED_ENTRIES
-            if variable is None or not is_large or f"{name}/".startswith(f"{variable.strip('/')}/"):
-                values[name] = _plain(read(item), reverse)
+            self.values.update(_commands(name, item, self._read))
+        if isinstance(item, h5py.Dataset) and item.shape is not None:
+            self._add_dataset(name, item)
 
-    try:
-        with h5py.File(path, "r") as file:
-            visit("", file)
-            for name, item in objects(file):
-                visit(name, item)
-    except InvalidContentError as error:
-        raise ValueError(f"{error}: {PLAIN_FILE}") from None
-    except (OSError, RuntimeError, KeyError) as error:
-        raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): an undamaged copy") from error
-    return scanner_contents(values, variable) or contents(values)
+    def _add_dataset(self, name: str, dataset: Any) -> None:
+        import h5py
+
+        if h5py.check_ref_dtype(dataset.dtype) is h5py.Reference:
+            # A cell or a field of a MATLAB array of structures refers to its elements.
+            elements = [dataset.file[reference] for reference in np.ravel(self._read(dataset)) if reference]
+            self._add_elements(name, elements)
+        elif _is_numbers(dataset.dtype):
+            is_large = dataset.size > MAX_STATED_ENTRIES
+            is_selected = self.variable is None or f"{name}/".startswith(f"{self.variable.strip('/')}/")
+            if is_selected or not is_large:
+                self.values[name] = _plain(self._read(dataset), self.reverse)
+
+    def _add_elements(self, name: str, elements: list[Any]) -> None:
+        """Add the ``elements`` of a cell as one array, if they are arrays of numbers of one shape."""
+        import h5py
+
+        if not all(isinstance(element, h5py.Dataset) and _is_numbers(element.dtype) for element in elements):
+            return
+        arrays = [_plain(self._read(element), self.reverse) for element in elements]
+        if len({array.shape for array in arrays}) == 1:
+            self.values[name] = arrays[0] if len(arrays) == 1 else np.stack(arrays)
+
+    def _read(self, dataset: Any) -> Any:
+        """Return the values of a dataset; raise ``InvalidContentError`` if all together expand to too many bytes."""
+        refuse_elsewhere(dataset)
+        self.bytes_read += bytes_in_memory(dataset)
+        refuse_expansion(self.bytes_read, self.max_bytes, dataset.name)
+        return dataset[()]
 
 
 def read_raw(path: Path, settings: RecordingSettings) -> Contents:

@@ -108,14 +108,8 @@ def _open_source(source: Source, settings: RecordingSettings, name: str) -> tupl
             raise SettingsError("recording", [Mistake("", f"values of type {values.dtype}", "real or complex numbers")])
         digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
         return "array", Contents({"array": values}), digest
-    paths = source if isinstance(source, tuple) else (source,)
     try:
-        for path in paths:
-            if not path.is_file():
-                what = "is a folder" if path.is_dir() else "does not exist"
-                raise SettingsError(f"recording {name}", [Mistake("", f"{path} {what}", "the path of a recording")])
-            if not path.stat().st_size:
-                raise ValueError(f"{'it' if len(paths) == 1 else path.name} is empty: a file with samples")
+        _check_files(source if isinstance(source, tuple) else (source,), name)
         if isinstance(source, tuple):
             return read_series(source, settings)
         file_format, contents = read_contents(source, settings)
@@ -128,6 +122,16 @@ def _open_source(source: Source, settings: RecordingSettings, name: str) -> tupl
         what, _, remedy = str(error).rpartition(": ")
         mistake = Mistake("", what or str(error), remedy if what else "an undamaged copy")
         raise SettingsError(f"recording {name}", [mistake]) from error
+
+
+def _check_files(paths: tuple[Path, ...], name: str) -> None:
+    """Raise ``SettingsError`` or ``ValueError`` for a path that is no file or an empty one."""
+    for path in paths:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "does not exist"
+            raise SettingsError(f"recording {name}", [Mistake("", f"{path} {what}", "the path of a recording")])
+        if not path.stat().st_size:
+            raise ValueError(f"{'it' if len(paths) == 1 else path.name} is empty: a file with samples")
 
 
 class _Reader:

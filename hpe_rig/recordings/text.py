@@ -162,21 +162,26 @@ def _separators(lines: Sequence[str], settings: RecordingSettings) -> tuple[tupl
     """
     delimiters = [settings.delimiter] if settings.delimiter else list(DELIMITERS)
     decimals = [settings.decimal] if settings.decimal else [".", ","]
-    best, tables = None, list[list[str]]()
+    best, rows_of_best = None, list[list[str]]()
     for word, decimal in itertools.product(delimiters, decimals):
         delimiter = DELIMITERS.get(word, word)
-        rows = [_cells(line, delimiter) for line in lines if delimiter is None or delimiter in line]
-        rows = [row for row in rows if any(row) and _numbers([cell for cell in row if cell], decimal) is not None]
-        if len(rows) > len(tables) and delimiter != decimal:
-            best, tables = (delimiter, decimal), rows
+        rows = _rows_of_numbers(lines, delimiter, decimal)
+        if len(rows) > len(rows_of_best) and delimiter != decimal:
+            best, rows_of_best = (delimiter, decimal), rows
     if best is None:
         raise ValueError("it holds no line of numbers: rows of values, or skip_rows, delimiter and decimal")
-    texts = [cell for row in tables for cell in row]
+    texts = list(itertools.chain(*rows_of_best))
     are_integers = best == (",", ".") and not any("." in text for text in texts)
     # No program writes an integer with a leading zero: 0,05 is one number.
     if are_integers and not settings.delimiter and any(re.match(r"[-+]?0\d", text) for text in texts):
         raise ValueError("commas may separate numbers or be decimal signs: delimiter and decimal")
-    return best, tables
+    return best, rows_of_best
+
+
+def _rows_of_numbers(lines: Sequence[str], delimiter: str | None, decimal: str) -> list[list[str]]:
+    """Return the cells of the ``lines`` that hold the delimiter, and numbers alone."""
+    rows = [_cells(line, delimiter) for line in lines if delimiter is None or delimiter in line]
+    return [row for row in rows if any(row) and _numbers([cell for cell in row if cell], decimal) is not None]
 
 
 def _is_spoilt(cells: Sequence[str], decimal: str) -> bool:
