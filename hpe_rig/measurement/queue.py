@@ -148,7 +148,7 @@ def new_queue(entries: Sequence[tuple[str, Path | None]], folder: Path) -> tuple
 
 
 def read_queue(folder: Path, report: Callable[[str], None] = lambda text: None) -> tuple[QueueRun, ...]:
-    """Return the queue in ``folder``, from the copy of its list if the list is damaged; ``report`` is told so.
+    """Return the queue in ``folder``, from the copy of its list if the list is damaged, with a message to ``report``.
 
     Raises ``StoreError`` if both are absent or damaged.
     """

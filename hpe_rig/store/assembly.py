@@ -53,9 +53,9 @@ MAX_VIEWS: Final = 2
 LIBRARY_ERRORS: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
 
 Rows = dict[str, dict[int, Frame]]
-Place = tuple[str, int, int]
+ChunkKey = tuple[str, int, int]
 """Dataset, shot and number of a chunk of records."""
-Chunks = dict[Place, list[Frame]]
+Chunks = dict[ChunkKey, list[Frame]]
 
 
 class DamagedLogError(Exception):
@@ -64,7 +64,7 @@ class DamagedLogError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LogContent:
-    """Frames of a log by their place: the last one of each row, and all those of each chunk of records."""
+    """Frames of a log by dataset and shot: the last one of each row, and all those of each chunk of records."""
 
     rows: Rows
     chunks: Chunks
@@ -206,7 +206,7 @@ def _write_draft(
 class _Output:
     """Draft as a file-like object for HDF5, which may crash if it meets an error of the disk.
 
-    The first error is stored; what the library writes after it stays in memory, so that it can close the file.
+    The first error is stored; later writes of the library stay in memory, so that it can close the file.
     """
 
     def __init__(self, number: int, cancelled: threading.Event) -> None:
@@ -314,7 +314,7 @@ def _access_properties() -> h5p.PropFAID:
 def _without_torn_frames(log: Log, stream: IO[bytes]) -> Sequence[Frame]:
     """Return the frames of ``log`` up to the first one after the last sync that is damaged.
 
-    What was written after the last sync may be incomplete after a power loss.
+    Frames after the last sync may be incomplete after a power loss.
     """
     synced = max((number + 1 for number, frame in enumerate(log.frames) if frame.name in SYNCED), default=0)
     chunk_rows = _chunk_rows(log.image)
@@ -325,7 +325,7 @@ def _without_torn_frames(log: Log, stream: IO[bytes]) -> Sequence[Frame]:
 
 
 def _fill(checked: CheckedFile, frames: Sequence[Frame], stream: IO[bytes], status: str) -> LogContent:
-    """Write everything in ``frames`` but the codes into the empty run file ``checked``; return the frames by place.
+    """Write everything in ``frames`` but the codes into the empty run file ``checked``; return the sorted frames.
 
     ``status``: of the run, unless the frames state it.
     """
@@ -400,24 +400,24 @@ def _write_codes(checked: CheckedFile, content: LogContent, stream: IO[bytes], p
     echoes = {name: _uncached(checked, name) for name in names}
     sums = {name: checked.stored_here(f"{GROUP}/{name}")[()] for name in names}
 
-    def read(place: Place) -> tuple[Int16Array, int] | None:
-        name, shot, number = place
+    def read(key: ChunkKey) -> tuple[Int16Array, int] | None:
+        name, shot, number = key
         rows, (_, records, samples) = echoes[name].chunks[1], echoes[name].shape
         return content.codes(stream, name, shot, number, (min(rows, records - number * rows), samples), number * rows)
 
-    places = [place for place in content.chunks if place[0] in echoes]
-    places.sort(key=lambda place: (place[1], place[2], place[0]))
+    # By shot, then chunk, then input.
+    keys = sorted((key for key in content.chunks if key[0] in echoes), key=lambda key: (*key[1:], key[0]))
     # The next chunk is read while the library writes one.
     with ThreadPoolExecutor(1, "log") as reader:
-        chunks = [reader.submit(read, place) for place in places[:1]]
-        for (name, shot, number), following in zip_longest(places, places[1:]):
+        chunks = [reader.submit(read, key) for key in keys[:1]]
+        for (name, shot, number), following in zip_longest(keys, keys[1:]):
             proceed()
-            found = chunks.pop().result()
-            if found is None:
+            chunk = chunks.pop().result()
+            if chunk is None:
                 raise DamagedLogError
             if following is not None:
                 chunks.append(reader.submit(read, following))
-            codes, sums[name][shot, number] = found
+            codes, sums[name][shot, number] = chunk
             _write(echoes[name], (shot, number * echoes[name].chunks[1]), codes)
     for name in names:
         _write(checked.stored_here(f"{GROUP}/{name}"), (), sums[name])

@@ -100,8 +100,8 @@ def make_folder(folder: Path, exist_ok: bool = True) -> None:
     try:
         absent = [parent for parent in (folder, *folder.parents) if not parent.exists()]
         folder.mkdir(parents=True, exist_ok=exist_ok)
-        for made in absent:
-            sync_folder(made.parent)
+        for new_folder in absent:
+            sync_folder(new_folder.parent)
     except OSError as error:
         raise _not_written(folder, error) from None
 

@@ -47,7 +47,7 @@ HEADER_BYTES: Final = _HEADER.size + _HEADER_CHECKSUM.size
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame whose header is intact; ``offset``: of its payload in the file."""
+    """A frame with an intact header; ``offset``: of its payload in the file."""
 
     name: str
     shot: int
@@ -214,12 +214,13 @@ def _has_sync_after(file: IO[bytes], start: int, nonce: bytes, size: int) -> boo
     for position in range(start, size, SEARCH_BYTES):
         file.seek(position)
         block = file.read(SEARCH_BYTES + HEADER_BYTES)
-        found = block.find(MARK)
-        while found >= 0:
-            frame = _frame(block[found : found + HEADER_BYTES], position + found, nonce)
+        start_of_frame = block.find(MARK)
+        while start_of_frame >= 0:
+            header = block[start_of_frame : start_of_frame + HEADER_BYTES]
+            frame = _frame(header, position + start_of_frame, nonce)
             if frame is not None and frame.name in SYNCED:
                 return True
-            found = block.find(MARK, found + 1)
+            start_of_frame = block.find(MARK, start_of_frame + 1)
     return False
 
 

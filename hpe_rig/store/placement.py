@@ -24,7 +24,7 @@ MIN_SEGMENT: Final = 2
 """Minimum number of consecutive records, whole periods apart, that belong to the train although a step of the counter
 separates them from the records before. A single such record comes from a stray trigger."""
 MIN_WRAPS: Final = 3
-"""Number of equal jumps back of the trigger times from which they are wraps of the counter."""
+"""Number of equal jumps back of the trigger times that identifies them as wraps of the counter."""
 MAX_CLOSED_GAPS: Final = 20
 """Number of steps of the counter by whole periods that are recognised in one shot; records after more have no pulse."""
 

@@ -855,8 +855,8 @@ def _chunk(
     first = number * rows
     shape = (min(rows, echo.shape[1] - first), echo.shape[2])
     if checked.codes is not None:
-        found = checked.codes(name, shot, number, shape, first)
-        return None if found is None else found[0]
+        chunk = checked.codes(name, shot, number, shape, first)
+        return None if chunk is None else chunk[0]
     if checked.is_written_once:
         return _checked_chunk(checked, echo, name, shot, number, sums)
     if sums is None:

@@ -79,12 +79,13 @@ class ShotRecords:
         if placement.is_identity:
             return self
         record = placement.record
-        found = record >= 0
+        has_record = record >= 0
         codes, time_s, damaged = np.full_like(self.codes, MISSING), np.full(record.size, np.nan), None
-        codes[found], time_s[found] = self.codes[record[found]], self.trigger_time_s[record[found]]
+        codes[has_record] = self.codes[record[has_record]]
+        time_s[has_record] = self.trigger_time_s[record[has_record]]
         if self.damaged is not None:
             damaged = np.zeros(record.size, bool)
-            damaged[found] = self.damaged[record[found]]
+            damaged[has_record] = self.damaged[record[has_record]]
         return replace(self, codes=codes, trigger_time_s=time_s, damaged=damaged)
 
     @property

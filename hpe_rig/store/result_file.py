@@ -133,15 +133,17 @@ def read_covariance(path: Path | str) -> Covariance:
             arrays = {
                 name: group[name].asstr()[()] if group[name].dtype.kind == "S" else group[name][()] for name in names
             }
-    except (OSError, KeyError, ValueError, RuntimeError, InvalidContentError) as error:
+        for name in ("phasor_m", "influence_m"):
+            arrays[name] = arrays[name][..., 0] + 1j * arrays[name][..., 1]
+        if arrays["influence_m"].shape[:-1] != arrays["phasor_m"].shape:
+            raise InvalidContentError("its values and their influences differ in shape")
+        texts = {name: tuple(arrays[name].tolist()) for name in ("source", "common_to")}
+        return Covariance(**(arrays | texts))
+    except (OSError, KeyError, ValueError, TypeError, IndexError, RuntimeError, InvalidContentError) as error:
         raise StoreError(
             f"{path}: no covariance can be read ({reason(error)}). It is no result file, or one of an earlier version. "
             "Try: hpe-rig process with the run file, which writes the result file again."
         ) from error
-    for name in ("phasor_m", "influence_m"):
-        arrays[name] = arrays[name][..., 0] + 1j * arrays[name][..., 1]
-    texts = {name: tuple(arrays[name].tolist()) for name in ("source", "common_to")}
-    return Covariance(**{**arrays, **texts})
 
 
 def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) -> None:

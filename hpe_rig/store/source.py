@@ -11,19 +11,14 @@ from hpe_rig.store.assembly import view_of
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.log import is_log
-from hpe_rig.store.validation import (
-    CheckedFile,
-    declared_size,
-    open_hdf5,
-    refuse_format,
-)
+from hpe_rig.store.validation import CheckedFile, declared_size, open_hdf5, refuse_format
 
 
 @contextlib.contextmanager
 def open_checked(path: Path) -> Iterator[CheckedFile]:
     """Yield the content of the run ``path``, also while another program writes it; raise ``StoreError`` if invalid."""
     try:
-        with _opened(path) as checked:
+        with _open_unchecked(path) as checked:
             refuse_format(checked)
             yield checked
     except InvalidContentError as error:
@@ -39,8 +34,8 @@ def open_checked(path: Path) -> Iterator[CheckedFile]:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[CheckedFile]:
-    """Yield the log or HDF5 file ``path``, whose format is not checked yet."""
+def _open_unchecked(path: Path) -> Iterator[CheckedFile]:
+    """Yield the log or HDF5 file ``path`` without a check of its format."""
     if is_log(path):
         with path.open("rb", buffering=0) as stream:
             view = view_of(path, stream)

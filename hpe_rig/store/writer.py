@@ -29,6 +29,7 @@ from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
 from hpe_rig.store.assembly import DamagedLogError, assemble
 from hpe_rig.store.atomic import atomic_file, synchronise
+from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, TIME_BYTES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, chunk_records, empty_run, volts_of_codes
 from hpe_rig.store.lock import is_locked
@@ -281,7 +282,7 @@ class RunWriter:
         try:
             assemble(self.path, self._log.close, self._proceed, self._cancelled)
             self._log.moved_to(self.path)
-        except (OSError, MemoryError, DamagedLogError, RuntimeError) as error:
+        except (OSError, MemoryError, RuntimeError, DamagedLogError, InvalidContentError) as error:
             why = "its records were read back with errors" if isinstance(error, DamagedLogError) else reason(error)
             raise StoreError(
                 f"{self.path} holds the run as it was recorded, but cannot be made an HDF5 file ({why}). "

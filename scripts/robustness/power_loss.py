@@ -1,4 +1,4 @@
-"""Cut the power at every moment of a command and check what is left on the disk. Linux, needs cc.
+"""Cut the power at every moment of a command and check the files on the disk. Linux, needs cc.
 
     python scripts/robustness/power_loss.py [--states 3000] [--scenarios plain resumed ...]
 
@@ -6,7 +6,7 @@ Every write, truncation, sync, rename and folder sync of a command is recorded (
 a power loss has everything before the last sync of each file, any later writes of it, and a file name is certain only
 after a sync of its folder. Unsynced writes are torn at sectors of 512 or 4096 bytes. In each state:
 
-* A shot that the program had announced as stored is there, equal bit for bit, and no record differs.
+* A shot that the program had announced as stored is in the file, equal bit for bit, and no record differs.
 * A run can be read as soon as its first step was announced. `resume` continues after its stored shots. The log of the
   run becomes an HDF5 file with the same content.
 * Every other file (results, pages, queues, tables) is absent, or is one of its versions, whole; after the end of the
@@ -128,7 +128,7 @@ def run_command(*arguments: str) -> None:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A ``command`` and what the folder holds before it."""
+    """A ``command`` and the content of the folder before it."""
 
     command: Callable[[Path, Callable[[int], None]], None]
     before: Callable[[Path], object] = lambda folder: None
@@ -299,7 +299,7 @@ def folder_of(event: Event) -> str:
 
 
 def problems_of(folder: Path, disk: Disk, stored: int, expected: dict[str, list[bytes]], number: int) -> list[str]:
-    """Return what breaks a rule in the state ``disk``, whose last mark is ``stored``."""
+    """Return each violation of a rule in the state ``disk`` with the last mark ``stored``."""
     shutil.rmtree(folder, ignore_errors=True)
     problems = []
     for path, inode in disk.names.items():
@@ -324,7 +324,7 @@ def problems_of(folder: Path, disk: Disk, stored: int, expected: dict[str, list[
 
 
 def run_problems(path: Path, final: bytes, stored: int, number: int) -> list[str]:
-    """Return what is wrong with the run ``path``; ``final``: its file after the undisturbed command."""
+    """Return the differences of the run ``path`` from ``final``, its file after the undisturbed command."""
     reference_path = path.with_name("reference")
     reference_path.write_bytes(final)
     try:
@@ -341,7 +341,7 @@ def run_problems(path: Path, final: bytes, stored: int, number: int) -> list[str
 
 
 def recovery(path: Path, reference: Path, stored: int) -> Iterator[str]:
-    """Make an HDF5 file of the log, as opening the run does, and yield what is wrong."""
+    """Make an HDF5 file of the log, as opening the run does, and yield its differences and damage."""
     recover(path)
     yield from differences(path, reference, stored)
     if path.read_bytes()[:4] == b"\x89HDF":

@@ -183,3 +183,13 @@ def test_a_compressed_array_is_refused_before_it_is_expanded(
             read_contents(path, RecordingSettings())
 
     assert peak_bytes(read) < 8e6
+
+
+@pytest.mark.parametrize("values", [np.zeros(3), np.zeros((1, 1, 2), "S4"), 0.0])
+def test_a_covariance_with_values_of_another_kind_is_refused(values: object, result_file: Path, tmp_path: Path) -> None:
+    result = Path(shutil.copy(result_file, tmp_path / "run.coherent.h5"))
+    with h5py.File(result, "r+") as file:
+        del file["covariance/phasor_m"]
+        file["covariance/phasor_m"] = values
+    with pytest.raises(StoreError, match="no covariance can be read"):
+        read_covariance(result)

@@ -105,9 +105,7 @@ def test_every_changed_bit_of_a_queue_is_refused_or_harmless(tmp_path: Path) -> 
     assert refused > len(data) / 2
 
 
-@pytest.mark.parametrize(
-    "name", ["../../escaped.h5", "/tmp/a.h5", "sub/a.h5", r"..\a.h5", "C:a.h5", "..", "a.toml", ""]
-)
+@pytest.mark.parametrize("name", ["../../escaped.h5", "/a.h5", "sub/a.h5", r"..\a.h5", "C:a.h5", "..", "a.toml", ""])
 def test_a_queue_writes_no_file_outside_its_folder(name: str, tmp_path: Path) -> None:
     run = {"name": "a", "scene_toml": "", "bench": None, "run_file": name}
     (tmp_path / "queue.json").write_text(sealed_json({"format": "hpe_rig queue", "runs": [run]}))
