@@ -11,12 +11,12 @@ controls about their mean, less their noise, estimates s². A single control has
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, with_state_error
 from hpe_rig.processing.harmonics.model import harmonic_columns
 
 
@@ -43,11 +43,8 @@ class ControlMotion:
         return np.asarray(columns @ self.fit.state[: columns.shape[1]])
 
     def with_error(self, fit: HarmonicFit) -> HarmonicFit:
-        """Return ``fit``, of a motion less this control, with the uncertainty of the control in its states."""
-        covariance_m2 = fit.state_covariance.copy()
-        states = np.arange(2 * self.fit.frequency_hz.size)
-        covariance_m2[states, states] += np.repeat(self.noise_m2 + self.scatter_m2, 2)
-        return replace(fit, state_covariance=covariance_m2)
+        """Return ``fit``, of a motion less this control, with the uncertainty of the control."""
+        return with_state_error(fit, np.diag(np.repeat(self.noise_m2 + self.scatter_m2, 2)))
 
 
 def control_motions(fits: Mapping[int, HarmonicFit]) -> dict[int, ControlMotion]:

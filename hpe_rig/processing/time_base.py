@@ -26,7 +26,7 @@ from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.estimators import spec_of
 from hpe_rig.processing.harmonics.drift import with_drift
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, with_state_error
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, estimate_rate_error, with_rate_error
 from hpe_rig.processing.motion.displacement import Motion
@@ -205,8 +205,8 @@ def shot_fit(
 ) -> HarmonicFit:
     """Return amplitude and phase of one shot in the processing window, with the covariance between all harmonics.
 
-    ``stored``: run with its records. ``control``: motion without tonebursts, which is subtracted. The covariance of the
-    states includes that of the rate error. Raises ``ValueError`` if the shot cannot be estimated.
+    ``stored``: run with its records. ``control``: motion without tonebursts, which is subtracted. The covariances of
+    the fit include those of the rate error and of the control. Raises ``ValueError`` if the shot cannot be estimated.
     """
     spec, selection = spec_of(estimator), select(scene, shot)
     clocks, records = clocks_of(scene, stored), read_shot(scene, shot, stored)
@@ -220,5 +220,5 @@ def shot_fit(
         fit = with_drift(fitter(motion.without(drift.change_m(motion.tracked.time_s)).tracked), drift)
     if time_base.is_uncertain:
         influence_m = state_influence_m(fitter, motion, time_base)
-        fit = replace(fit, state_covariance=fit.state_covariance + np.outer(influence_m, influence_m))
+        fit = with_state_error(fit, np.outer(influence_m, influence_m))
     return fit if control is None else control.with_error(fit)

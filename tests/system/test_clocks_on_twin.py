@@ -8,6 +8,7 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.bench import read_bench
+from hpe_rig.processing import shot_fit
 
 CLOCKS = "simulation.instruments.clock_error"
 
@@ -47,6 +48,18 @@ def test_no_rate_error_is_claimed_where_a_linear_drift_contains_it(run: hpe.Run)
     (shot,) = run.with_drift("linear").estimate().shots
     assert (shot.frequency_error, shot.frequency_error_uncertainty) == (None, None)
     assert not [text for text in shot.warnings if "burst generator's clock" in text]
+
+
+def test_amplitude_and_phase_of_a_fit_have_the_rate_error_that_its_states_have(run: hpe.Run) -> None:
+    scenes = (run.scene.with_({"processing.frequency_accuracy": accuracy}) for accuracy in (0.0, 1e-4))
+    exact, uncertain = (shot_fit(scene, run.plan.shots[0], run.stored, "coherent") for scene in scenes)
+    # Five strong harmonics, whose u of the phase is that of the error across the phasor to first order.
+    for n, (amplitude_m, phase_rad) in enumerate(zip(uncertain.amplitude_m[:5], uncertain.phase_rad[:5], strict=True)):
+        across = np.array([-np.sin(phase_rad), np.cos(phase_rad)])
+        states_m2 = uncertain.state_covariance[2 * n : 2 * n + 2, 2 * n : 2 * n + 2]
+        variance_rad2 = uncertain.covariance[n, 1, 1]
+        assert variance_rad2 == pytest.approx(across @ states_m2 @ across / amplitude_m**2, rel=0.01)
+        assert variance_rad2 > 1.1 * exact.covariance[n, 1, 1]
 
 
 def test_phases_follow_clocks_that_differ_by_more_than_stated_and_warnings_say_so(tmp_path: Path) -> None:

@@ -118,6 +118,7 @@ def test_moduli_fit_the_motion_less_the_hum(run: hpe.Run) -> None:
     removed = np.hypot(*(raw.state - corrected.state)[:2])
     assert removed == pytest.approx(HUM_M, rel=0.1)
     assert np.all(np.diag(corrected.state_covariance)[:20] > np.diag(raw.state_covariance)[:20])
+    assert np.all(corrected.covariance[:, 0, 0] > raw.covariance[:, 0, 0])
 
 
 def test_a_control_needs_tonebursts() -> None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, polar_covariance
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, with_state_error
 from hpe_rig.processing.harmonics.medium_fit import driven_phasors_m, medium_fit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import linear_model
@@ -181,13 +181,9 @@ def with_drift(fit: HarmonicFit, drift: Drift) -> HarmonicFit:
     for n, phasor in enumerate(phasor_m):
         to_states[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] = [[phasor.real, -phasor.imag], [phasor.imag, phasor.real]]
     drift_m2 = to_states @ drift.covariance @ to_states.T
-    state_covariance, size = fit.state_covariance.copy(), len(drift_m2)
-    state_covariance[:size, :size] += drift_m2
     corrected = fit.aliasing_corrected
     return replace(
-        fit,
-        covariance=fit.covariance + polar_covariance(drift_m2, fit),
-        state_covariance=state_covariance,
+        with_state_error(fit, drift_m2),
         drift_m2=drift_m2,
         aliasing_corrected=None if corrected is None else with_drift(corrected, drift),
     )

@@ -17,7 +17,7 @@ import numpy as np
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.processing.harmonics.model import MAX_CONDITION, linear_model
 from hpe_rig.processing.motion.displacement import Motion
-from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
+from hpe_rig.result import PHASE_VARIANCE_LIMIT, phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
 InnovationCorrelation = tuple[FloatArray, float]
 """Correlation (...) of a Kalman filter's innovations (measured minus predicted displacement) at a lag of one pulse.
@@ -305,8 +305,22 @@ def polar_covariance(state_covariance: FloatArray, fit: HarmonicFit) -> FloatArr
 
     ``state_covariance`` (..., state, state): of in-phase and quadrature.
     """
-    scale = np.stack([np.ones_like(fit.amplitude_m), fit.amplitude_m.clip(min=np.finfo(np.float64).tiny)], axis=-1)
-    return np.asarray(_along_phasor(state_covariance, fit.phase_rad) / (scale[..., :, None] * scale[..., None, :]))
+    along_phasor = _along_phasor(state_covariance, fit.phase_rad)
+    # The error across the phasor over the amplitude is the phase error, at most that of an unknown phase.
+    smallest_m = np.sqrt(np.maximum(along_phasor[..., 1, 1], 0.0) / PHASE_VARIANCE_LIMIT)
+    divisor_m = np.maximum(fit.amplitude_m, smallest_m).clip(min=np.finfo(np.float64).tiny)
+    scale = np.stack([np.ones_like(divisor_m), divisor_m], axis=-1)
+    return np.asarray(along_phasor / (scale[..., :, None] * scale[..., None, :]))
+
+
+def with_state_error(fit: HarmonicFit, error_m2: FloatArray) -> HarmonicFit:
+    """Return ``fit`` with the covariance ``error_m2`` (state, state) of a further error of its states added.
+
+    The states are in-phase and quadrature values of all wanted frequencies; those of the background may follow.
+    """
+    state_covariance, size = fit.state_covariance.copy(), len(error_m2)
+    state_covariance[:size, :size] += error_m2
+    return replace(fit, covariance=fit.covariance + polar_covariance(error_m2, fit), state_covariance=state_covariance)
 
 
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:
