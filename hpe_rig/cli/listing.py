@@ -41,7 +41,7 @@ def print_runs(
     elif not selected:
         typer.echo(f"none of {len(entries)} runs in {folder} matches" if entries else f"no run in {folder}")
     else:
-        headers = ("date", "file", "title", "state", "result", "notes")
+        headers = ("date", "file", "title", "state", "strongest harmonic", "notes")
         console = wide_console()
         console.print(rich_table(headers, [_row(entry, folder) for entry in selected], words=6))
 

@@ -33,8 +33,7 @@ def run(
     scene: SceneName,
     result: ResultOptions,
     watch: WatchOptions,
-    change: SceneOptions,
-    bench: BenchPath = None,
+    scene_options: SceneOptions,
     output: Annotated[
         Path | None, file_option("Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
     ] = None,
@@ -51,7 +50,7 @@ def run(
         from hpe_rig.runs import chosen_estimator, process
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
-    setup = prepare(scene, bench, stages, changes=change.changes)
+    setup = prepare(scene, scene_options.bench, stages, changes=scene_options.changes)
     estimator = chosen_estimator(result.estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     # An unwritable folder is an error before the measurement, not after it.

@@ -82,8 +82,9 @@ class ResultOptions:
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """Changes of the scene to be measured."""
+    """Bench and changes of the scene to be measured."""
 
+    bench: BenchPath = None
     settings: Settings = None
     control: Annotated[
         bool, typer.Option("--control", help="Repeat each shot with tonebursts off, and subtract that motion.")

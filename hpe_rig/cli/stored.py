@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from hpe_rig.moduli import ModuliResult
     from hpe_rig.report import ResultDifference
-    from hpe_rig.result import Kind, MotionMap
+    from hpe_rig.result import FigureKind, MotionMap
 
 METRES_PER_INCH = 0.0254
 MIN_WIDTH_M, MAX_WIDTH_M = 30e-3, 1.0
@@ -152,7 +152,7 @@ def print_moduli(result: ModuliResult, figure: Path | None, json: bool) -> None:
 def draw_figure(
     run_files: Sequence[Path],
     output: Path,
-    kind: str,
+    kind: Literal[FigureKind, "moduli"],
     width: str,
     *,
     frequencies_hz: Sequence[float] | None,
@@ -185,7 +185,7 @@ def draw_figure(
         else:
             result = open_run(run_files[0]).with_profile(profile_step_m).estimate(estimator)
             try:
-                drawing = result.figure(cast("Kind", kind), frequencies_hz=frequencies_hz)
+                drawing = result.figure(kind, frequencies_hz=frequencies_hz)
             except ValueError as error:
                 mistake = Mistake(f"--kind {kind}", str(error), "another kind or frequency")
                 raise SettingsError("command line", [mistake]) from error

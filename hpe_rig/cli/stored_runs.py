@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,7 +18,7 @@ from hpe_rig.cli.options import (
     check_file_name,
     file_option,
 )
-from hpe_rig.result import Stages
+from hpe_rig.result import FigureKind, Stages
 
 MAX_STEP_M = 0.1
 
@@ -140,17 +139,6 @@ def moduli(
     print_moduli(result, figure, json)
 
 
-class FigureKind(StrEnum):
-    """What a figure draws."""
-
-    SPECTRUM = "spectrum"
-    DISPLACEMENT = "displacement"
-    DRIVE = "drive"
-    DISTANCE = "distance"
-    PROFILE = "profile"
-    MODULI = "moduli"
-
-
 @stored_runs.command()
 @guarded
 def figure(
@@ -159,12 +147,12 @@ def figure(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", callback=check_file_name, help="File: .pdf, .svg or .png.")],
     kind: Annotated[
-        FigureKind,
+        Literal[FigureKind, "moduli"],
         typer.Option(
             help="Amplitude and phase over frequency (spectrum), relative force (drive), lateral offset (distance) or "
             "depth (profile); largest displacement over time; vibrations and the fitted medium (moduli)."
         ),
-    ] = FigureKind.SPECTRUM,
+    ] = "spectrum",
     width: Annotated[str, typer.Option(help="Width of the figure, such as 85mm for a column of a journal.")] = "120mm",
     frequency: Annotated[
         list[float] | None, typer.Option(metavar="HZ", help="Frequency to draw; repeatable. Default: all.")
@@ -178,7 +166,7 @@ def figure(
     draw_figure(
         run_files,
         output,
-        kind.value,
+        kind,
         width,
         frequencies_hz=frequency or None,
         estimator=estimator,

@@ -20,6 +20,7 @@
     svg.py            palette, panels and pictures of every page, with page.css
     setting_text.py   settings as texts: titles, legends, columns
     panels.py         panels of a figure for papers, new or the caller's
+    figure_kind.py    kinds of figures
     figure.py         figures for papers and notebooks, for matplotlib
     spectra.py        amplitude and phase over frequency, for pages
     html_repr.py      display in a notebook

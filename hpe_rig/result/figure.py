@@ -6,7 +6,8 @@
     profile       amplitude and phase over depth, one curve for each frequency and shot
     displacement  displacement and fitted harmonics of one shot over time
 
-Sizes, fonts and lines follow ``matplotlib.rcParams``. Curves differ in marker and in colour.
+Sizes, fonts and lines follow ``matplotlib.rcParams``. Curves differ in colour,
+and without it in marker and line.
 """
 
 from __future__ import annotations
@@ -14,23 +15,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hpe_rig.arrays import FloatArray
+from hpe_rig.result.figure_kind import FigureKind
 from hpe_rig.result.panels import figure_panels
 from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.setting_text import setting_texts
 from hpe_rig.result.spectra import main_shot
-from hpe_rig.result.svg import Colour, mark, thin
+from hpe_rig.result.svg import MARKS, Colour, mark, thin
 from hpe_rig.result.values import Headline, ShotResult
 
-Kind = Literal["spectrum", "displacement", "drive", "distance", "profile"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
+KINDS: tuple[FigureKind, ...] = get_args(FigureKind)
+LINES = ((":", "full"), ("--", "none"), ("-.", "left"), ("-", "top"))
+"""Line style and filled part of the marker, for each round of the markers."""
 MAX_PHASE_UNCERTAINTY_RAD = math.pi / 2
 """Larger uncertainties leave a phase undetermined: two of them are half a turn, and the phase is not drawn."""
 CHARACTER_IN, KEY_IN, LINE_IN = 0.075, 0.45, 0.17
@@ -51,7 +54,7 @@ class Curve:
 
 def result_figure(
     result: ResultData,
-    kind: Kind = "spectrum",
+    kind: FigureKind = "spectrum",
     *,
     frequencies_hz: Sequence[float] | None = None,
     ax: Axes | Sequence[Axes] | None = None,
@@ -91,7 +94,9 @@ def _draw_curves(curves: Sequence[Curve], x_label: str, amplitude: Axes, phase: 
     """Draw amplitude and phase of ``curves`` with bars of 2 u, without phases that are undetermined."""
     for number, curve in enumerate(curves):
         marker, colour = mark(number)
-        style: Any = {"marker": marker, "color": colour, "linestyle": ":", "markersize": 4, "capsize": 1.5}
+        line, filled = LINES[number // len(MARKS) % len(LINES)]
+        style: Any = {"marker": marker, "fillstyle": filled, "color": colour, "linestyle": line}
+        style |= {"markersize": 4, "capsize": 1.5}
         amplitude_nm = [item.amplitude_m * 1e9 for item in curve.headlines]
         bars_nm = [2e9 * item.amplitude_uncertainty_m for item in curve.headlines]
         amplitude.errorbar(curve.x, amplitude_nm, yerr=bars_nm, label=curve.label, **style)
@@ -189,7 +194,7 @@ def _profiles(result: ResultData, wanted: Wanted) -> tuple[str, list[Curve]]:
     return "depth (mm)", [_curve(label, values) for label, values in points.items()]
 
 
-_CURVES: Mapping[Kind, Callable[[ResultData, Wanted], tuple[str, list[Curve]]]] = {
+_CURVES: Mapping[FigureKind, Callable[[ResultData, Wanted], tuple[str, list[Curve]]]] = {
     "spectrum": _spectra,
     "drive": _over_setting("force_fraction", "force relative to the full force", 1.0),
     "distance": _over_setting("lateral_offset_m", "lateral offset (mm)", 1e3),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from hpe_rig.result.figure import Kind
+    from hpe_rig.result.figure_kind import FigureKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Result(ResultData):
 
     def figure(
         self,
-        kind: Kind = "spectrum",
+        kind: FigureKind = "spectrum",
         *,
         frequencies_hz: Sequence[float] | None = None,
         ax: Axes | Sequence[Axes] | None = None,

@@ -153,18 +153,23 @@ def unreadable(error: OSError | ValueError) -> Mistake:
 
 
 def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
-    """Return the settings in texts KEY=VALUE; a value that is not valid TOML is a string."""
+    """Return the settings in texts KEY=VALUE; a value that is not valid TOML is a string.
+
+    Raises ``SettingsError`` with every text that is no setting and every key that occurs twice.
+    """
     options: dict[str, Any] = {}
     mistakes = []
     for text in texts:
-        key, equals, value = text.partition("=")
-        if not equals:
+        key, equals, value = map(str.strip, text.partition("="))
+        if not key or not equals:
             mistakes.append(Mistake(text, "this is no setting", "KEY=VALUE, such as tracking.pulse_rate_hz=3990.0"))
-            continue
-        try:
-            options[key.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except (tomllib.TOMLDecodeError, ValueError):
-            options[key.strip()] = value.strip()
+        elif key in options:
+            mistakes.append(Mistake(key, "this key is given twice", "one of the two values"))
+        else:
+            try:
+                options[key] = tomllib.loads(f"value = {value}")["value"]
+            except (tomllib.TOMLDecodeError, ValueError):
+                options[key] = value
     if mistakes:
         raise SettingsError("--set", mistakes)
     return options

@@ -18,6 +18,8 @@ _UNITS = {
     "db": "dB",
     "rad": "rad",
     "ohm": "ohm",
+    "per_s": "1/s",
+    "s_per_s": "s/s",
     "m_per_s": "m/s",
     "kg_per_m3": "kg/m3",
     "n_per_m3": "N/m3",

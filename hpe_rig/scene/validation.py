@@ -85,7 +85,8 @@ def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], pr
     kind = entry["type"]
     # Each type of mistake has a function for its words.
     if kind == "extra_forbidden":
-        words = _unknown_key(str(path[-1]), _keys_at(model, path[:-1]))
+        key = str(path[-1])
+        words = _unknown_key(key, _keys_at(model, path[:-1]), list(_paths_to(key, model, prefix)))
     elif kind in _BOUNDS:
         words = _out_of_bounds(entry, path, hint)
     elif kind in _WORDS:
@@ -95,8 +96,9 @@ def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], pr
     return Mistake(dotted(prefix + path), *words)
 
 
-def _unknown_key(key: str, keys: Sequence[str]) -> Words:
-    close = difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
+def _unknown_key(key: str, keys: Sequence[str], same_name: Sequence[str]) -> Words:
+    """Return the words about an unknown ``key`` in a table of ``keys``; ``same_name``: paths of keys elsewhere."""
+    close = same_name or difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
     remedy = f"did you mean {close[0]}?" if close else f"remove it; the keys here are {', '.join(keys)}"
     return "unknown key", remedy
 
@@ -204,6 +206,15 @@ def _value_at(tables: Any, path: KeyPath) -> Any:
     for segment in path:
         tables = tables[segment] if isinstance(tables, Mapping) and segment in tables else None
     return tables
+
+
+def _paths_to(key: str, model: type[BaseModel], path: KeyPath) -> Iterator[str]:
+    """Yield the path of every ``key`` of ``model``, which is the table at ``path``, and of the tables inside it."""
+    for name, field in model.model_fields.items():
+        if name == key:
+            yield dotted((*path, name))
+        for inner in models_in(field.annotation):
+            yield from _paths_to(key, inner, (*path, name))
 
 
 def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:

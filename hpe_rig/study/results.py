@@ -116,7 +116,7 @@ def write_study(result: StudyResult, folder: Path) -> None:
         "versions": list(result.versions),
         "seconds": result.seconds,
         "rows": result.rows,
-        # ``hpe-rig verify`` compares it: a table has no room for a checksum of its own.
+        # ``hpe-rig verify`` compares it: CSV has no field for a checksum.
         "summary_sha256": hashlib.sha256(summary.encode()).hexdigest(),
     }
     make_folder(folder)

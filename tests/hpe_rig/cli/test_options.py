@@ -34,15 +34,20 @@ def test_settings_replace_those_of_the_scene_in_check_and_run(tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(
-    ("setting", "message"),
+    ("settings", "message"),
     [
-        ("tracking.pulse_rate_hz", "this is no setting"),
-        ("tracking.pulse_rate=3000.0", "tracking.pulse_rate"),
-        ("tracking.pulse_rate_hz=fast", "is not a number"),
+        (["tracking.pulse_rate_hz"], "this is no setting"),
+        (["=3"], "=3: this is no setting"),
+        (["notes.run=1", "notes.run=2"], "notes.run: this key is given twice"),
+        (["tracking.pulse_rate=3000.0"], "tracking.pulse_rate"),
+        (["pulse_rate_hz=3000.0"], "did you mean tracking.pulse_rate_hz?"),
+        (["tracking.burst_count=3"], "did you mean excitation.burst_count?"),
+        (["tracking.pulse_rate_hz=fast"], "is not a number"),
+        (["simulation.specimen.growth_per_s=-20"], "at least -1 1/s"),
     ],
 )
-def test_a_wrong_setting_is_refused_in_words(setting: str, message: str) -> None:
-    done = CliRunner().invoke(app, ["check", "table-1", "--set", setting])
+def test_a_wrong_setting_is_refused_in_words(settings: list[str], message: str) -> None:
+    done = CliRunner().invoke(app, ["check", "bovine-muscle", *(text for item in settings for text in ("--set", item))])
     assert done.exit_code == 2
     assert message in done.output
 

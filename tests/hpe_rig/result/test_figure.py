@@ -71,9 +71,9 @@ def test_every_setting_has_a_curve_of_its_mean_and_a_line_of_the_legend(drives: 
     assert texts == [f"F = {force:g} F_0" for force in FORCES]
     # Phases continue through half a turn.
     assert curves(phase)[0] == [(100.0, pytest.approx(170.0)), (200.0, pytest.approx(190.0))]
-    # Markers and colours together are different for each curve.
-    styles = {(bars.lines[0].get_marker(), bars.lines[0].get_color()) for bars in amplitude.containers}  # type: ignore[attr-defined]
-    assert len(styles) == FORCES.size
+    # Each curve differs from all others without colours too.
+    lines = [bars.lines[0] for bars in amplitude.containers]  # type: ignore[attr-defined]
+    assert len({(line.get_marker(), line.get_fillstyle(), line.get_linestyle()) for line in lines}) == FORCES.size
 
 
 def test_a_figure_over_the_drive_has_one_curve_for_each_frequency(drives: Result) -> None:
