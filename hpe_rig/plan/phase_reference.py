@@ -43,11 +43,17 @@ class PhaseReference:
 
 FIRST_TONEBURST = PhaseReference("the first toneburst's arrival at the gate")
 MASTER_TRIGGER = PhaseReference("the master trigger's edge")
+RECORDED_TIMES = PhaseReference("time zero of the recording's pulses")
 
 
-def phase_reference_of(scene: Scene, shot: Shot | None = None) -> PhaseReference:
-    """Return the stated phase reference of ``shot``, or of the whole scene, then without ``delay_s``."""
-    return FIRST_TONEBURST if scene.excitation else MASTER_TRIGGER
+def phase_reference_of(scene: Scene, shot: Shot | None = None, imported: bool = False) -> PhaseReference:
+    """Return the stated phase reference of ``shot``, or of the whole scene, then without ``delay_s``.
+
+    ``imported``: the records are those of another program, which states no master trigger.
+    """
+    if scene.excitation:
+        return FIRST_TONEBURST
+    return RECORDED_TIMES if imported else MASTER_TRIGGER
 
 
 def _shifted_rad(phase_rad: float, shift_rad: float) -> float:

@@ -36,6 +36,12 @@ FACTORS: Mapping[str, float] = {
     **TIME_UNITS,
 }
 """SI units in a unit of a rate or a time."""
+VOLT_UNITS: Mapping[str, float] = {
+    **dict.fromkeys(("v", "volt", "volts"), 1.0),
+    **dict.fromkeys(("mv", "millivolt", "millivolts"), 1e-3),
+    **dict.fromkeys(("uv", "µv", "μv", "microvolt", "microvolts"), 1e-6),
+}
+"""Volts of the units of a voltage."""
 LENGTH_UNITS = ("m", "cm", "mm", "um", "µm", "μm")
 MIN_RECORD = 8
 """Samples below which a number is no length of a record."""

@@ -20,10 +20,10 @@ from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.recordings.axes import select_array, with_axes
 from hpe_rig.recordings.baseband import to_radio_frequency
 from hpe_rig.recordings.contents import Contents
-from hpe_rig.recordings.importers import read_contents
+from hpe_rig.recordings.importers import BUILT_IN, read_contents
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.series import read_series, series_name
-from hpe_rig.recordings.settings import DIMENSIONS, Dimension, RecordingSettings
+from hpe_rig.recordings.settings import DIMENSIONS, KEYS_OF_FORMAT, Dimension, RecordingSettings
 from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
 from hpe_rig.recordings.statements import Statements
 from hpe_rig.scene import Mistake, SettingsError
@@ -145,6 +145,7 @@ class _Reader:
         """Return the recording; raise ``SettingsError`` with all mistakes."""
         statements = self.statements
         statements.inferred += statements.contents.inferred
+        self._refuse_unused_settings(file_format)
         label, array = select_array(statements)
         array, axes = (None, None) if array is None else with_axes(statements, array, label)
         rate_hz, carrier_hz = statements.number("sample_rate_hz"), statements.number("carrier_hz")
@@ -198,6 +199,17 @@ class _Reader:
 
     def _error(self) -> SettingsError:
         return SettingsError(f"recording {self.name}", list(dict.fromkeys(self.statements.mistakes)))
+
+    def _refuse_unused_settings(self, file_format: str) -> None:
+        """Add a mistake for each setting that only another built-in format uses; importers may use any."""
+        if file_format not in (*BUILT_IN, "array"):
+            return
+        changed = self.settings.model_dump(exclude_defaults=True)
+        for used_by, keys in KEYS_OF_FORMAT.items():
+            for key in keys:
+                if key in changed and used_by != file_format:
+                    what = f"only the format {used_by} uses {key}, the recording has the format {file_format}"
+                    self.statements.add_mistake(key, what, f"without {key}, or format = {used_by}")
 
     def _arrange(self, array: NDArray[Any], axes: tuple[Dimension, ...]) -> NDArray[Any]:
         """Return the samples as (line, shot, pulse, sample), with I and Q as complex numbers."""

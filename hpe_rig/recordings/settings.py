@@ -37,6 +37,14 @@ EXCLUSIVE_KEYS = (
 """Pairs of settings with the same meaning: only one of each pair may be given."""
 
 
+KEYS_OF_FORMAT: Mapping[str, tuple[str, ...]] = {
+    "csv": ("skip_rows", "columns", "delimiter", "decimal", "encoding", "transpose"),
+    "raw": ("dtype", "byte_order", "header_bytes", "shape"),
+    "alazar": ("board", "records_per_buffer", "channels", "channel", "headers", "input_range_v"),
+}
+"""Settings that one format alone uses."""
+
+
 def _split_names(value: Any) -> Any:
     return [name.strip() for name in value.split(",")] if isinstance(value, str) else value
 

@@ -110,7 +110,7 @@ class Statements:
         if first_s is None:
             first_s = self.scene.get("first_pulse_s", 0.0)
             origin = "from the scene's tracking.delay_s" if "first_pulse_s" in self.scene else "the default"
-            self.inferred.append(f"the first pulse is fired at {first_s:g} s, {origin}: phases count from there")
+            self.inferred.append(f"the first pulse is fired {first_s:g} s after time zero of the pulses, {origin}")
         if rate_hz is None or count is None:
             return None, rate_hz, True
         return first_s + np.arange(count) / rate_hz, rate_hz, True

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.coordinates import MIN_LENGTH, Coordinate, align_records, find_coordinate
-from hpe_rig.recordings.names import TIME_UNITS, setting_of
+from hpe_rig.recordings.names import TIME_UNITS, VOLT_UNITS, setting_of
 from hpe_rig.recordings.settings import Dimension, RecordingSettings
 
 BYTE_ORDER_MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
@@ -45,6 +45,7 @@ SEGMENT_TIME = re.compile(r"#\d+[,;\s].*[,;\s]([-+\d.eE]+)\s*$")
 """Line of a header with the time of the trigger of a segment."""
 CHANNEL = re.compile(r"\bc(?:h|hannel)?[ _]?([1-8a-d])\b")
 X_UNIT = re.compile(r"(?:horizontal|\bx)[ _-]?units?\W+([a-zµμ]+)")
+Y_UNIT = re.compile(r"(?:vertical|\by)[ _-]?units?\W+([a-zµμ]+)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +97,7 @@ def read_text(path: Path, settings: RecordingSettings) -> Contents:
     _remove_first_row(table)
     removable = _select_columns(table, settings.columns)
     _remove_first_columns(table, removable, settings)
+    _state_volts(table)
     _split_into_records(table)
     return Contents({path.stem: table.values}, table.stated, axes=table.axes, inferred=tuple(inferred))
 
@@ -254,6 +256,8 @@ def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
             table.trigger_time_s.append(float(match[1]))
         if (match := X_UNIT.search(line.lower())) and match[1] in TIME_UNITS:
             table.unit_s = TIME_UNITS[match[1]]
+        if (match := Y_UNIT.search(line.lower())) and match[1] in VOLT_UNITS:
+            table.stated["scale_v"] = (VOLT_UNITS[match[1]], match[0])
     _read_column_names(table, header, layout)
     if header:
         table.inferred.append(f"{layout.header_lines} lines of header, the last one {header[-1].strip()[:60]!r}")
@@ -316,7 +320,7 @@ def _remove_first_columns(table: Table, removable: int, settings: RecordingSetti
             break
         name = f"column {number}" + (f" ({table.names[removed]})" if table.names and table.names[removed] else "")
         removed += 1
-        unit_s = _unit_s(name) or table.unit_s
+        unit_s = _unit_of(name, TIME_UNITS) or table.unit_s
         if coordinate.is_index and unit_s is None:
             table.inferred.append(f"{name} counts the rows: an index, no pulse")
             table.coordinate = coordinate
@@ -338,10 +342,23 @@ def _shift_start(table: Table, index: float) -> None:
         table.stated["first_sample_s"] = (start_s + index / table.stated["sample_rate_hz"][0], name)
 
 
-def _unit_s(name: str) -> float | None:
-    """Return the unit of time in ``name``, such as "time_us" or "t (ms)", in seconds."""
+def _unit_of(name: str, units: Mapping[str, float]) -> float | None:
+    """Return the SI value of the unit in ``name``, such as "time_us", "t (ms)" or "CH1 [mV]"."""
     words = re.findall(r"[a-zµμ]+", name.lower())
-    return next((TIME_UNITS[word] for word in words if word in TIME_UNITS), None)
+    return next((units[word] for word in words if word in units), None)
+
+
+def _state_volts(table: Table) -> None:
+    """State the volts of a value of 1 by the unit in the names of the columns of samples.
+
+    Raises ``ValueError`` if the columns have different units.
+    """
+    named = {_unit_of(name, VOLT_UNITS): name for name in table.names[-table.values.shape[1] :]}
+    named.pop(None, None)
+    if len(named) > 1:
+        raise ValueError(f"its columns have different units ({', '.join(named.values())}): columns of one unit")
+    for scale_v, name in named.items():
+        table.stated["scale_v"] = (scale_v, name)
 
 
 def _state_times(

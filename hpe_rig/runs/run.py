@@ -118,7 +118,7 @@ class Run:
             simulated=self.stored.simulated,
             status=self.stored.status,
             estimator=name,
-            phase_reference=phase_reference_of(self.scene).words,
+            phase_reference=phase_reference_of(self.scene, imported=self.bench.recording is not None).words,
             shots=tuple(
                 replace(
                     shot,

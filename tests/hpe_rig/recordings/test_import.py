@@ -197,6 +197,8 @@ def test_an_imported_run_is_sound_states_its_origin_and_is_not_resumed(scene: Pa
     result = hpe.open_run(run_file).estimate()
     assert result.origin.startswith("IMPORTED from rf.npz, SHA-256 ")
     assert str(result.as_dict()["imported"]) in result.origin
+    # The recording states no master trigger.
+    assert result.phase_reference.endswith("t from time zero of the recording's pulses")
     with pytest.raises(StoreError, match=r"imported from rf\.npz: no instrument can continue it"):
         prepare_resumption(run_file)
 
@@ -527,10 +529,21 @@ def test_a_malformed_recording_is_refused_with_one_clear_message(case: str, scen
 
 def test_all_mistakes_of_a_recording_are_reported_at_once(scene: Path) -> None:
     spoilt = _with((3, 7), np.nan)
+    options: dict[str, Any] = {"axes": "pulse,sample", "lines": "9", "samples": [0, 999], "skip_rows": 3}
+    options["dtype"] = "int16"
     with pytest.raises(SettingsError) as refused:
-        hpe.import_records(spoilt, scene, scene.parent / "run.h5", axes="pulse,sample", lines="9", samples=[0, 999])
+        hpe.import_records(spoilt, scene, scene.parent / "run.h5", **options)
     text = str(refused.value)
-    for part in ("sample_rate_hz", "pulse_rate_hz", "carrier_hz", "not finite", "lines: '9'", "samples: 0 to 999"):
+    for part in (
+        "sample_rate_hz",
+        "pulse_rate_hz",
+        "carrier_hz",
+        "not finite",
+        "lines: '9'",
+        "samples: 0 to 999",
+        "uses skip_rows",
+        "uses dtype",
+    ):
         assert part in text
 
 

@@ -82,8 +82,26 @@ def test_settings_in_comments_are_read_with_their_units(tmp_path: Path) -> None:
     settings, origins = read_settings(path, None, {})
     recording = read_recording(path, settings, origins)
     assert (recording.sample_rate_hz, recording.pulse_rate_hz, recording.carrier_hz) == (40e6, 4e3, 5e6)
+    assert "the first pulse is fired 0 s after time zero of the pulses, the default" in recording.inferred
     assert recording.first_sample_s == pytest.approx(-1e-7)
     np.testing.assert_array_equal(recording.values[0, 0], RF)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale_v"),
+    [
+        (f"Time{',Channel A' * PULSES}\n(s){',(mV)' * PULSES}\n", 1e-3),
+        (f"t [s]{',CH1 [V]' * PULSES}\n", 1.0),
+        (f"x-axis{',1' * PULSES}\nsecond{',µV' * PULSES}\n", 1e-6),
+        (f"Vertical Units,mV,\nTIME{NAMES}\n", 1e-3),
+        (f"TIME{NAMES}\n", None),
+    ],
+)
+def test_the_unit_of_columns_is_that_of_their_values(header: str, scale_v: float | None, tmp_path: Path) -> None:
+    recording = read(tmp_path / "a.csv", header + rows())
+    assert recording.scale_v == scale_v
+    assert any(text.startswith("scale_v = ") for text in recording.inferred) == (scale_v is not None)
+    np.testing.assert_allclose(recording.values[0, 0], RF, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -194,6 +212,7 @@ MALFORMED: Mapping[str, tuple[str | bytes, Mapping[str, Any], str]] = {
     "row absent": (rows().replace(rows().splitlines(keepends=True)[12], ""), {}, "column 1 ascends unevenly"),
     "row twice": (rows() + rows().splitlines()[-1], {}, "column 1 ascends unevenly"),
     "first row spoilt": ("time_s\n" + rows().replace("e-07", "e--7", 1), {}, "line 2 has values that are not numbers"),
+    "columns of two units": (f"t (s),CH1 (mV){',CH2 (V)' * 8}\n{rows()}", {}, "different units (CH1 (mV), CH2 (V))"),
     "end absent": (
         "Record Length,64\nTIME" + NAMES + "\n" + rows(),
         {},
