@@ -14,7 +14,10 @@
     validation.py    validation of a file of unknown origin
     assembly.py      log -> run file in HDF5
     source.py        ``open_checked``: opens a run file or a log
-    reader.py        ``read_run``: the run, shot by shot on demand
+    rows.py          rows of datasets, compared with their checksums
+    codes.py         codes of a shot's records, chunk by chunk
+    stored_records.py  records and true displacement of each shot, on demand
+    reader.py        ``read_run``: the content of a run
     writer.py        ``RunWriter``: appends records, settings, ground truth and status to the log
     marks.py         verdicts on shots after the run, in a file of their own
     result_file.py   ``write_result``: the result file

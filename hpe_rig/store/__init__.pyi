@@ -38,8 +38,6 @@ from .map_file import write_map as write_map
 from .marks import MARKED_BAD as MARKED_BAD, identity_of as identity_of, write_marks as write_marks
 from .placement import Placement as Placement, place_records as place_records
 from .reader import (
-    StoredGroundTruth as StoredGroundTruth,
-    StoredRecords as StoredRecords,
     StoredRun as StoredRun,
     read_run as read_run,
     read_snapshots as read_snapshots,
@@ -52,6 +50,7 @@ from .records import (
 )
 from .result_file import read_covariance as read_covariance, write_result as write_result
 from .source import open_checked as open_checked
+from .stored_records import StoredGroundTruth as StoredGroundTruth, StoredRecords as StoredRecords
 from .verification import (
     Damage as Damage,
     Verification as Verification,

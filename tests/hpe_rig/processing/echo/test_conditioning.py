@@ -18,7 +18,7 @@ from hpe_rig.processing.motion import phase_shift
 from hpe_rig.processing.motion.phase_shift import coherent
 from hpe_rig.processing.shot_tracking import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
-from hpe_rig.store import StoreError, reader
+from hpe_rig.store import StoreError, stored_records
 
 
 def test_the_offset_is_removed_and_the_resting_echo_kept() -> None:
@@ -84,7 +84,7 @@ def test_codes_of_a_long_shot_are_equal_from_the_copy_and_from_the_run_file(
     gate, margin = run.plan.shots[0].gate, margin_needed(run.scene, run.plan.shots[0])
     expected = run.stored.records.shot_blocks(0, gate, margin).block(slice(None))
     copied = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
-    monkeypatch.setattr(reader, "MAX_COPY_BYTES", 0)
+    monkeypatch.setattr(stored_records, "MAX_COPY_BYTES", 0)
     uncopied = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
     monkeypatch.undo()
     # as where the disk of temporary files has no room
@@ -96,7 +96,7 @@ def test_codes_of_a_long_shot_are_equal_from_the_copy_and_from_the_run_file(
 
 
 def test_a_truncated_copy_raises_a_store_error() -> None:
-    copy = reader.CodesCopy(4)
+    copy = stored_records.CodesCopy(4)
     copy.add(np.ones((3, 4), np.int16))
     assert copy.block(1, 3).sum() == 8
     os.ftruncate(vars(copy)["_file"].fileno(), 8)
