@@ -157,7 +157,10 @@ class Run:
         return estimate_points(points, estimator)
 
     def with_drift(self, drift: str | None) -> Run:
-        """Return the run with another processing.drift, "none" or "linear"; None returns it unchanged."""
+        """Return the run with another processing.drift, "none" or "linear"; None returns it unchanged.
+
+        >>> open_run("bovine-muscle.h5").with_drift("linear").estimate()
+        """
         return self if drift is None else replace(self, scene=self.scene.with_({"processing.drift": drift}))
 
     def with_profile(self, step_m: float | None) -> Run:

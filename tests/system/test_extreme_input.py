@@ -62,6 +62,11 @@ SPECIMEN, MOTION = "simulation.specimen", "simulation.motion[0]"
 EXTREME_SCENES: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "pulses at twice the burst rate": (MUSCLE, {"tracking.pulse_rate_hz": 200.0}, "no vibration frequency is wanted"),
     "pulses slower than bursts": (MUSCLE, {"tracking.pulse_rate_hz": 90.0}, "no vibration frequency is wanted"),
+    "nothing to fit, by inaccurate clocks": (
+        MUSCLE,
+        {"tracking.pulse_rate_hz": 200.0, "processing.frequency_accuracy": 1e-5},
+        "no vibration frequency is wanted",
+    ),
     "attenuation of 60": (MUSCLE, {f"{SPECIMEN}.attenuation_db_per_cm_mhz": 60.0}, "at most 40 dB/cm/MHz"),
     "echoes lost on the way": (MUSCLE, {"simulation.scatterers.attenuation_db_per_cm_mhz": 40.0}, "400 dB leave no"),
     "force of 1e300": (MUSCLE, {f"{SPECIMEN}.force_density_n_per_m3": 1e300}, "at most 1e\\+10 N/m3"),

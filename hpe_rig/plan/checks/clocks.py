@@ -13,12 +13,12 @@ from hpe_rig.scene import Scene
 
 
 def clocks(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield the accuracies of the clocks of motion, pulses and digitizer, unless they are one clock."""
+    """Yield the accuracies of the clocks of motion, pulses and digitizer, unless all share one or nothing is fitted."""
     covariance = clock_covariance(scene, bench)
     motion_by_pulses = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]))
     stated = scene.processing.frequency_accuracy
     accuracy = motion_by_pulses if stated is None else stated
-    if not accuracy:
+    if not accuracy or not scene.wanted_frequencies_hz:
         return
     motion_ppm, pulses_ppm, digitizer_ppm = np.sqrt(np.diag(covariance)) * 1e6
     source = f"motion {motion_ppm:g} ppm, pulses {pulses_ppm:g} ppm, digitizer {digitizer_ppm:g} ppm (clock_accuracy)"

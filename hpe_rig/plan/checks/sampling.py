@@ -73,10 +73,8 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
         text += (
             ". A prior of media separates them, and u holds on average over smooth media under a force as declared: "
         )
-        text += (
-            f"a narrow resonance above {rate_hz / 2:g} Hz, an elastic medium or a force of half the width may cause "
-        )
-        text += "larger errors without a warning"
+        text += f"a narrow resonance above {rate_hz / 2:g} Hz, an elastic medium or a force of half the width may "
+        text += "cause larger errors without a warning"
     else:
         text += f", and u does not include their error ({scene.without_prior})"
     remedy = f'tracking.pulse_rate_hz = {rate_hz - burst_rate_hz / 10:g} with disturbed = "skip"'
