@@ -1,4 +1,4 @@
-"""Measure the coverage of ratios and differences whose uncertainty follows from the covariance of a result.
+"""Measure the coverage of ratios and differences, with uncertainties from the covariance of a result.
 
 Seeds draw all quantities that the uncertainty treats as unknown, as in ``interval_coverage.py``; every run has two
 repeats. Three combinations of the complex values are compared with their u and 95 % interval from
@@ -28,7 +28,7 @@ import numpy as np
 from interval_coverage import PAGE, WRAPS, draw_scene, thinned
 
 import hpe_rig as hpe
-from hpe_rig.arrays import FloatArray
+from hpe_rig.arrays import ComplexArray
 from hpe_rig.plan import PlanError
 from hpe_rig.result import Covariance, Result
 from hpe_rig.scene import with_default_specimen
@@ -111,19 +111,19 @@ def combination_ratios(result: Result) -> dict[str, list[list[list[float]]]]:
         for index in range(1, strong.shape[1]):
             if shot.repeat == 0 and strong[row, 0] and strong[row, index]:
                 ratios["ratio"].append(_logarithm(covariance, true_m, (row, 0), (row, index)))
-        for other in range(row + 1, len(shots)):
-            same_place = shots[other].lateral_offset_m == shot.lateral_offset_m
+        for later in range(row + 1, len(shots)):
+            same_offset = shots[later].lateral_offset_m == shot.lateral_offset_m
             for index in range(strong.shape[1]):
-                pair = (row, index), (other, index)
-                if same_place:
+                pair = (row, index), (later, index)
+                if same_offset:
                     ratios["repeats"].append(_difference(covariance, true_m, *pair))
-                elif shot.repeat == shots[other].repeat == 0 and strong[row, index] and strong[other, index]:
+                elif shot.repeat == shots[later].repeat == 0 and strong[row, index] and strong[later, index]:
                     ratios["offsets"].append(_logarithm(covariance, true_m, *pair))
     return ratios
 
 
 def _logarithm(
-    covariance: Covariance, true_m: FloatArray, first: tuple[int, int], second: tuple[int, int]
+    covariance: Covariance, true_m: ComplexArray, first: tuple[int, int], second: tuple[int, int]
 ) -> list[list[float]]:
     """Return the error of ln(y_2 / y_1), relative amplitude and phase, over u and over the half width."""
     weights = np.zeros(true_m.shape, np.complex128)
@@ -133,7 +133,7 @@ def _logarithm(
 
 
 def _difference(
-    covariance: Covariance, true_m: FloatArray, first: tuple[int, int], second: tuple[int, int]
+    covariance: Covariance, true_m: ComplexArray, first: tuple[int, int], second: tuple[int, int]
 ) -> list[list[float]]:
     """Return the error of y_2 - y_1, in-phase and quadrature, over u and over the half width."""
     weights = np.zeros(true_m.shape, np.complex128)
@@ -142,26 +142,27 @@ def _difference(
     return _over_widths(covariance, weights, complex(error_m[second] - error_m[first]))
 
 
-def _over_widths(covariance: Covariance, weights: FloatArray, error: complex) -> list[list[float]]:
-    stated = covariance.combined(weights)
-    parts = np.array([error.real, error.imag])
-    return np.stack([parts / stated.uncertainty, parts / stated.interval_95], axis=-1).tolist()
+def _over_widths(covariance: Covariance, weights: ComplexArray, error: complex) -> list[list[float]]:
+    """Return real and imaginary part of ``error`` over u and over the half width, (part, 2)."""
+    combined = covariance.combined(weights)
+    components = np.array([error.real, error.imag])
+    return np.stack([components / combined.uncertainty, components / combined.interval_95], axis=-1).tolist()
 
 
 def table_rows(folder: Path, name: str, estimator: str) -> Iterator[str]:
     """Yield the row of each combination of one scene and estimator."""
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob(f"{name}.*.json"))]
-    answered = [run[estimator] for run in runs if estimator in run]
+    ratios = [run[estimator] for run in runs if estimator in run]
     for combination in ("ratio", "repeats", "offsets"):
-        by_run = [np.array(run[combination]) for run in answered if run[combination]]
+        by_run = [np.array(run[combination]) for run in ratios if run[combination]]
         if not by_run:
             continue
         pooled, cells = np.concatenate(by_run), []
-        for part in (0, 1):
-            within = np.mean(np.abs(pooled[:, part, 1]) < 1)
-            run_nevs = [np.mean(run[:, part, 0] ** 2) for run in by_run]
+        for component in (0, 1):
+            within = np.mean(np.abs(pooled[:, component, 1]) < 1)
+            run_nevs = [np.mean(run[:, component, 0] ** 2) for run in by_run]
             error = np.std(run_nevs) / np.sqrt(len(run_nevs))
-            cells += [f"{100 * within:.0f}", f"{np.mean(pooled[:, part, 0] ** 2):.2f} ± {error:.2f}"]
+            cells += [f"{100 * within:.0f}", f"{np.mean(pooled[:, component, 0] ** 2):.2f} ± {error:.2f}"]
         yield f"| {name} | {estimator} | {combination} | {' | '.join(cells)} | {len(by_run)} |"
 
 

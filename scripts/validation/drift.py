@@ -1,13 +1,12 @@
 """Measure the effect of a drift within a train on results, how often it is reported, and how well it is removed.
 
 The displacement is that of a Voigt medium (9 kPa, 2 Pa s) with 1000 harmonics, in the white noise of echoes of 15, 40
-and 60 dB. It is steady; or it grows by 5 % and comes later by 83 us, linearly over the train of 0.15 s; or the medium
-softens by 5 %, modulus and viscosity. Results are those of the fit with the medium prior; u contains noise and
-aliasing.
+and 60 dB. It is steady, or it grows by 5 % and is delayed by 83 us, linearly over the train of 0.15 s, or modulus and
+viscosity of the medium fall by 5 %. Results are those of the fit with the medium prior; u contains noise and aliasing.
 
 Trials are stored in a folder, one file per row, and used again. The table of docs/validation/drift.md is replaced.
 
-    python scripts/validation/drift.py --parts drift-parts --trials 200
+    python scripts/validation/drift.py --parts drift-parts --trials 60
     python scripts/validation/drift.py --parts drift-parts --trials 0        # the page only
 """
 
@@ -105,11 +104,11 @@ def trial(motion: Motion, change: str) -> Trial:
     }
 
 
-def rows(parts: Path, trials: int) -> Iterator[str]:
-    """Yield the rows of the table; measure trials that ``parts`` does not hold."""
+def rows(folder: Path, trials: int) -> Iterator[str]:
+    """Yield the rows of the table; measure the trials that ``folder`` does not contain."""
     for pulses, snr_db, change in itertools.product(("shifting 3990 Hz", "synchronous 4000 Hz"), NOISE_M, CHANGES):
-        part = parts / f"{pulses} {snr_db} {CHANGES.index(change)}.json"
-        done: list[Trial] = json.loads(part.read_text(encoding="utf-8")) if part.exists() else []
+        path = folder / f"{pulses} {snr_db} {CHANGES.index(change)}.json"
+        done: list[Trial] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
         time_s, valid = train(*TRAINS[pulses])
         clean_m = displacement_m(change, time_s)
         for seed in range(len(done), trials):
@@ -117,7 +116,7 @@ def rows(parts: Path, trials: int) -> Iterator[str]:
             motion = Motion(time_s, clean_m + noise_m, np.full(time_s.size, NOISE_M[snr_db] ** 2), valid)
             done.append(trial(motion, change))
             if (seed + 1) % 20 == 0:
-                part.write_text(json.dumps(done), encoding="utf-8")
+                path.write_text(json.dumps(done), encoding="utf-8")
         if done:
             yield _row(pulses, snr_db, change, done)
 
@@ -141,13 +140,13 @@ def _row(pulses: str, snr_db: int, change: str, trials: Sequence[Trial]) -> str:
 
 
 def main() -> None:
-    """Measure the trials that are asked for and write the table into the page."""
+    """Measure the requested trials and write the table into the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", type=Path, required=True, help="folder of the stored trials")
-    parser.add_argument("--trials", type=int, default=200, help="trials per row")
-    chosen = parser.parse_args()
-    chosen.parts.mkdir(parents=True, exist_ok=True)
-    table = "\n".join([TABLE_HEAD, *rows(chosen.parts, chosen.trials)])
+    parser.add_argument("--trials", type=int, default=60, help="trials per row")
+    arguments = parser.parse_args()
+    arguments.parts.mkdir(parents=True, exist_ok=True)
+    table = "\n".join([TABLE_HEAD, *rows(arguments.parts, arguments.trials)])
     text = PAGE.read_text(encoding="utf-8")
     before, after = text[: text.index("| pulses |")], text[text.index("| pulses |") :]
     PAGE.write_text(before + table + "\n" + after[after.index("\n\n") + 1 :], encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Coverage of the intervals of fits with the medium prior where a medium or burst is not what the prior assumes.
+"""Coverage of the intervals of fits with the medium prior if a medium or burst violates its assumptions.
 
 Usage: python scripts/validation/prior_limits.py [--seeds 100]     replaces the table of docs/validation/prior-limits.md
 

@@ -402,12 +402,7 @@ def test_the_picture_of_the_architecture_shows_the_packages(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("file", "statement", "message"),
     [
-        pytest.param(
-            "hpe_rig/plan/shots.py",
-            "import hpe_rig.report",
-            "hpe_rig.plan imports report, drawn no lower",
-            marks=pytest.mark.slow,
-        ),
+        ("hpe_rig/plan/shots.py", "import hpe_rig.report", "hpe_rig.plan imports report, drawn no lower"),
         ("hpe_rig/cellar/__init__.py", "import hpe_rig.scene", "hpe_rig.cellar has no box"),
     ],
 )

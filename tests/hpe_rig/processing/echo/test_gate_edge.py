@@ -115,14 +115,17 @@ def test_the_gates_edges_do_not_bias_kasai_divided_by_the_mean_frequency(wide: T
 
 
 @pytest.mark.parametrize(
-    ("margin", "estimator"),
+    ("margin", "estimator", "trials"),
     [
-        *((0, name) for name in ESTIMATORS),
-        *(pytest.param(67, name, marks=() if name == "coherent" else pytest.mark.slow) for name in ESTIMATORS),
+        *((0, name, 200) for name in ESTIMATORS),
+        (67, "coherent", 200),
+        *(pytest.param(margin, name, 600, marks=pytest.mark.slow) for margin in (0, 67) for name in ESTIMATORS),
     ],
 )
-def test_white_noise_alone_is_not_significant_motion(wide: TableOne, estimator: Estimator, margin: int) -> None:
-    trials, table = 200, replace(wide, margin=margin)
+def test_white_noise_alone_is_not_significant_motion(
+    wide: TableOne, estimator: Estimator, margin: int, trials: int
+) -> None:
+    table = replace(wide, margin=margin)
     try:
         fit = estimate(table.gate(_noise(trials, 130 + 2 * margin)), [200.0], estimator)
     except ValueError:
