@@ -107,9 +107,9 @@ def predicted_averaging(
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
     """Return tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
 
-    The steepness is the relative change per unit of the logarithm of the tracking beam's area. Deviation
-    and steepness have relative amplitude as real part and phase (rad) as imaginary part. All are those of the declared
-    medium, without deviation, else statistics over the ensemble of media.
+    The steepness is the relative change per unit of the logarithm of the tracking beam's area. Deviation and steepness
+    have relative amplitude as real part and phase (rad) as imaginary part. All are those of the declared medium,
+    without deviation, else statistics over the ensemble of media.
     """
     # Only a medium that the scene declares: the medium set in the twin is not known on a real bench.
     medium = medium_of(scene, frequency_hz, simulated=False)

@@ -40,7 +40,7 @@ from hpe_rig.processing import (
 from hpe_rig.scene import Scene
 
 PULSES_PER_BLOCK = 32_768
-"""Pulses of which the harmonics are added up at once."""
+"""Number of pulses for which all harmonics are computed at once, to bound the memory."""
 LOBES = 10
 """Lobes of the force spectrum, each 1/T_b wide, in the simulated motion; the motion falls as their square."""
 

@@ -139,9 +139,8 @@ def _linearity_text(twin: TwinDeclaration, excitation: Excitation, intensity_w_p
 def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
     """Yield a warning if the calibrated intensity in the bench file contradicts the force of the twin.
 
-    A calibration that is assumed contradicts nothing.
-    The force is 2 a I / c, as in the twin, with a the attenuation; the calibrated intensity is derated as for the
-    limits.
+    An assumed calibration contradicts nothing. The force is 2 a I / c, as in the twin, with a the attenuation; the
+    calibrated intensity is derated as for the limits.
     """
     drive = None if bench.calibration is None else bench.calibration.toneburst
     if not bench.simulated or bench.calibration is None or drive is None or scene.excitation is None:

@@ -46,8 +46,8 @@ def error_influences(
 ) -> tuple[Influence, ...]:
     """Return the errors of the headline phasors of ``estimates``, by source.
 
-    ``fit``, ``averaging`` (frequency,) and ``error_sources``: what ``estimates`` were made of.
-    ``averaging_of_media``: that averaging is a mean over the media that the fit leaves probable.
+    ``estimates`` follow from ``fit``, ``averaging`` (frequency,) and ``error_sources``. ``averaging_of_media``: whether
+    that averaging is a mean over the media that the fit leaves probable.
     """
     best = fit if None in averaging or fit.aliasing_corrected is None else fit.aliasing_corrected
     phasor_m = np.array([estimate.phasor_m for estimate in estimates])

@@ -58,7 +58,7 @@ class PulseAssignment:
     remarks: tuple[str, ...] = ()
 
     def alternatives_s(self, shot: Shot) -> list[float]:
-        """Return the possible delays of all records relative to ``placement``, s; an even selection of too many."""
+        """Return the possible delays of all records relative to ``placement``, s; at most ``MAX_ALTERNATIVES``."""
         shifts = np.array(self.shifts[1:])
         selected = np.unique(np.linspace(0, shifts.size - 1, MAX_ALTERNATIVES).round().astype(np.int64))
         return [float(shift) / shot.tracking_train.rate_hz for shift in shifts[selected]]
@@ -276,8 +276,8 @@ def _with_shifts(
 
 def _lost_first(count: int) -> str:
     """Return the remark that the first ``count`` triggers of a shot were lost."""
-    triggers = "trigger was" if count == 1 else f"{count} triggers were"
-    return f"the first {triggers} lost: the tonebursts in the records show it"
+    subject = "trigger was" if count == 1 else f"{count} triggers were"
+    return f"the first {subject} lost: the tonebursts in the records show it"
 
 
 def _lost_before(count: int, record: int) -> str:

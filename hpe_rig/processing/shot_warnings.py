@@ -175,10 +175,11 @@ def clock_warnings(
     worst = max(estimates, key=lambda item: item.frequency_hz / max(item.headline.phase_uncertainty_rad, 1e-300))
     shift_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
     if shift_rad > u_rad:
-        # The correction follows from the clocks of motion and pulses; that of the digitizer is stated beside it.
+        # The correction depends on the clocks of motion and pulses alone. The rate by a third clock, the digitizer's,
+        # helps to find the wrong one.
         also = ""
-        if (other := time_base.by_digitizer) is not None:
-            also = f" ({_ppm_text(other.value, other.uncertainty)} of the digitizer's)"
+        if (by_digitizer := time_base.by_digitizer) is not None:
+            also = f" ({_ppm_text(by_digitizer.value, by_digitizer.uncertainty)} of the digitizer's)"
         subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
         beyond = ""
         if time_base.exceeds_accuracy:

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.bench import clock_covariance, parse_bench
+from hpe_rig.bench import BenchFile, clock_covariance, parse_bench
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.control import ControlMotion
@@ -83,7 +83,10 @@ def clocks_of(scene: Scene, stored: StoredRun) -> FloatArray:
     return clock_covariance(scene, _parsed(stored.bench_name, stored.bench_toml))
 
 
-_parsed = lru_cache(maxsize=4)(lambda name, text: parse_bench(name, text).bench)
+@lru_cache(maxsize=4)
+def _parsed(name: str, text: str) -> BenchFile:
+    """Return the bench of a stored run; cached, because every shot and every gate needs it."""
+    return parse_bench(name, text).bench
 
 
 def prior_rate_error(scene: Scene, clocks: FloatArray | None, rate: TrackingRate | None) -> RateError:
@@ -126,7 +129,7 @@ def timed_motion(
     beams: BeamWidths | None,
     control: ControlMotion | None = None,
 ) -> tuple[WindowMotion, TimeBase]:
-    """Return the displacement of the selected pulses, timed by the clock of the motion's frequencies, and that clock.
+    """Return the displacement of the selected pulses, by the clock of the motion's frequencies, and their time base.
 
     ``motion``: displacement from echoes. ``clocks`` (3, 3): covariance of the rate errors of motion, pulses and
     digitizer; None if nothing is known of them. ``control``: motion without tonebursts, which is subtracted. Raises

@@ -3,7 +3,6 @@ from .covariance import PARTS as PARTS, Covariance as Covariance, covariance_gri
 from .figure_kind import FigureKind as FigureKind
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
 from .influence import MAX_INFLUENCE_BYTES as MAX_INFLUENCE_BYTES, Influence as Influence, Scope as Scope
-from .interval import student_widening as student_widening
 from .json_schema import (
     dataclass_schema as dataclass_schema,
     object_schema as object_schema,

@@ -57,7 +57,8 @@ def radiation_force(
     ``travel_time_s`` is z_F/c. The force is the mean over the carrier, so a burst that the generator cuts short gives a
     shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. With nonlinear propagation
     ``force_scale``, a function of relative pressure and carrier, replaces the square of the pressure. A
-    specimen that changes has pulses that grow and come ever later, as its responses do.
+    specimen that changes is simulated by its force: later pulses are stronger (``growth_per_s``) and delayed
+    (``delay_growth_s_per_s``).
     """
     pressure = relative_pressure(tonebursts.amplitude_vpp, specimen, transmitter)
     pressure *= transmit_response(tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)

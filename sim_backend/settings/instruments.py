@@ -6,10 +6,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from sim_backend.settings.quantities import (
-    JitterS,
-    TimeS,
-)
+from sim_backend.settings.quantities import JitterS, TimeS
 from sim_backend.settings.section import Section
 
 ClockError = Annotated[float, Field(gt=-1e-2, lt=1e-2, strict=True)]

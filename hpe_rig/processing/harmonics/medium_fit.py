@@ -263,8 +263,8 @@ def medium_kalman(
     quality = replace(closed_form.fit.quality, innovation_correlation=correlation)
     state = np.reshape(states, (*data.shape[:-1], -1))
     fit = fit_from_state(frequency_hz, state, closed_form.fit.state_covariance, quality, closed_form.aliasing_m2)
-    posterior = {name: getattr(closed_form.fit, name) for name in ("aliasing_causes", "medium")}
-    return replace(closed_form, fit=replace(fit, **posterior))
+    fit = replace(fit, aliasing_causes=closed_form.fit.aliasing_causes, medium=closed_form.fit.medium)
+    return replace(closed_form, fit=fit)
 
 
 def medium_posterior(
