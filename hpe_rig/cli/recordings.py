@@ -82,12 +82,13 @@ def _source(paths: list[Path]) -> Path | tuple[Path, ...]:
     if not files:
         # The error names the pattern.
         return paths[0]
-    files.sort(key=lambda path: [(part.isdigit(), int(part) if part.isdigit() else 0, part) for part in _parts(path)])
+    files.sort(key=_natural_order)
     return files[0] if len(files) == 1 else tuple(files)
 
 
-def _parts(path: Path) -> list[str]:
-    return re.split(r"(\d+)", str(path))
+def _natural_order(path: Path) -> list[tuple[bool, int, str]]:
+    texts = re.split(r"(\d+)", str(path))
+    return [(text.isdigit(), int(text) if text.isdigit() else 0, text) for text in texts]
 
 
 def _parsed(options: RecordingOptions) -> dict[str, Any]:

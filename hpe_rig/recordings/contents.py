@@ -18,8 +18,8 @@ class Contents:
 
     ``arrays``: possible samples by name, real, or complex for I and Q. ``stated``: settings that the file states, by
     the keys of ``RecordingSettings``; each value with its name in the file, such as "fs". ``axes``: of the samples, if
-    the format defines them. ``board``: the digitizer that produced the samples, if known. ``inferred``: sentences about
-    what the importer inferred from the file, for the user.
+    the format defines them. ``board``: the digitizer that produced the samples, if known. ``inferred``: sentences for
+    the user about values that the importer inferred.
     """
 
     arrays: Mapping[str, NDArray[Any]]

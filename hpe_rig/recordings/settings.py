@@ -66,7 +66,7 @@ class RecordingSettings(Section):
     """Settings of a recording. The file or the scene supplies absent ones."""
 
     format: str | None = None
-    """Format: npy, npz, mat, hdf5, csv, raw, alazar, or an installed importer; default: by the file's suffix."""
+    """npy, npz, mat, hdf5, csv, wav, oscilloscope, raw, alazar, or an installed importer; default: by suffix."""
     variable: str | None = None
     """Name of the samples in a file that holds several arrays, such as "RF" or "/data/rf"."""
     axes: Annotated[tuple[Dimension, ...], BeforeValidator(_split_names), Field(min_length=1)] | None = None
@@ -98,7 +98,7 @@ class RecordingSettings(Section):
     samples: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=1)]] | None = None
     """Range of samples of every record, counted from 0: [first, end], without the sample at end."""
     scale_v: Annotated[VoltageV | float, BeforeValidator(_as_float), Field(gt=0, le=1e6)] | None = None
-    """Volts of a value of 1; default: values are volts, integers are codes of a range of 1 V."""
+    """Volts of a value of 1; default: unit of a text column, or 1 V; integers are codes of a range of 1 V."""
     sign: Literal[1, -1] = 1
     """-1 negates real samples; it reads I and Q as I - jQ, which reverses the motion."""
     not_finite: Literal["refuse", "missing"] = "refuse"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import wave
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,6 @@ from hpe_rig.scene import SettingsError
 PULSES, SAMPLES, RATE_HZ, PULSE_RATE_HZ = 11, 32, 40e6, 4e3
 RF = np.random.default_rng(8).normal(size=(PULSES, SAMPLES))
 RATES = {"carrier_hz": 5e6, "pulse_rate_hz": PULSE_RATE_HZ, "sample_rate_hz": RATE_HZ}
-SCENE = """
-title = "Echoes of another program"
-[tracking]
-[acquisition]
-gate_depth_m = 0.3e-3
-gate_length_m = 0.3e-3
-[processing]
-frequencies_hz = [800.0]
-harmonic = "least_squares"
-"""
 
 
 def read(source: Any, options: dict[str, Any] | None = None) -> Recording:
@@ -98,7 +89,9 @@ def csv_files(folder: Path) -> list[Path]:
     return paths
 
 
-def test_files_of_one_pulse_each_are_ordered_by_their_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_one_pulse_each_are_ordered_by_their_numbers(
+    scene_of_gate: Callable[[float, float, float], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     paths = csv_files(tmp_path)
     recording = read(paths, {"carrier_hz": 5e6, "pulse_rate_hz": PULSE_RATE_HZ})
     np.testing.assert_allclose(recording.values[0, 0], RF, atol=1e-9)
@@ -106,8 +99,8 @@ def test_files_of_one_pulse_each_are_ordered_by_their_numbers(tmp_path: Path, mo
     assert recording.inferred[0] == "11 files, one pulse each: shot_1.csv to shot_11.csv"
     # As the shell orders them, and as a pattern that the shell left alone.
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "scene.toml").write_text(SCENE)
-    rates = ["--set", "carrier_hz=5e6", "--set", "pulse_rate_hz=4e3", "--scene", "scene.toml"]
+    scene = scene_of_gate(0.3e-3, 0.3e-3, 800.0)
+    rates = ["--set", "carrier_hz=5e6", "--set", "pulse_rate_hz=4e3", "--scene", str(scene)]
     for sources in (sorted(path.name for path in paths), ["shot_*.csv"]):
         done = CliRunner().invoke(app, ["import", *sources, *rates, "-o", f"{len(sources)}.h5"])
         assert done.exit_code == 0, done.output

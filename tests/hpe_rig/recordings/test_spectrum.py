@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,7 @@ CARRIER_HZ, PULSE_RATE_HZ, SPEED = 5e6, 4e3, 1540.0
 AMPLITUDE_M, PHASE_RAD, VIBRATION_HZ = 1e-6, 0.5, 200.0
 TIME_S = np.arange(40) / PULSE_RATE_HZ
 MOTION_M = AMPLITUDE_M * np.sin(2 * np.pi * VIBRATION_HZ * TIME_S + PHASE_RAD)
-SCENE = """
-title = "Echoes of another program"
-[tracking]
-[acquisition]
-gate_depth_m = 5e-3
-gate_length_m = 2e-3
-[processing]
-frequencies_hz = [200.0]
-harmonic = "least_squares"
-"""
+Scene = Callable[[float, float, float], Path]
 
 
 def analytic_echoes(rate_hz: float, carrier_hz: float = CARRIER_HZ, duration_s: float = 12.8e-6) -> NDArray[Any]:
@@ -55,9 +47,8 @@ def test_a_carrier_that_remains_in_depth_is_refused_unless_it_is_stated(for_map:
     assert not any("WARNING" in text for text in read(echoes, 40e6, for_map, demodulation_hz=0.0).inferred)
 
 
-def test_velocity_of_a_map_with_the_carrier_in_depth_is_that_of_the_echoes(tmp_path: Path) -> None:
-    scene = tmp_path / "scene.toml"
-    scene.write_text(SCENE)
+def test_velocity_of_a_map_with_the_carrier_in_depth_is_that_of_the_echoes(scene_of_gate: Scene) -> None:
+    scene = scene_of_gate(5e-3, 2e-3, VIBRATION_HZ)
     settings = {
         "axes": "pulse,sample",
         "sample_rate_hz": 40e6,
@@ -91,10 +82,11 @@ def test_strong_interference_below_the_band_is_no_reason_to_refuse() -> None:
 
 
 @pytest.mark.parametrize("carrier_hz", [5e6, 8.34e6])
-def test_band_pass_samples_give_the_motion_of_their_carrier(carrier_hz: float, tmp_path: Path) -> None:
+def test_band_pass_samples_give_the_motion_of_their_carrier(
+    carrier_hz: float, scene_of_gate: Scene, tmp_path: Path
+) -> None:
     # The first carrier lies below a multiple of the rate, where the spectrum is reversed, the second one above.
-    scene, rate_hz = tmp_path / "scene.toml", 6.67e6
-    scene.write_text(SCENE)
+    scene, rate_hz = scene_of_gate(5e-3, 2e-3, VIBRATION_HZ), 6.67e6
     rates = {"sample_rate_hz": rate_hz, "pulse_rate_hz": PULSE_RATE_HZ, "carrier_hz": carrier_hz}
     echoes = analytic_echoes(rate_hz, carrier_hz).real
     run = hpe.import_records(echoes, scene, tmp_path / "run.h5", axes="pulse,sample", **rates)
