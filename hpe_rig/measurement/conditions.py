@@ -40,10 +40,10 @@ def wait_for_conditions(
         waited_s = clock() - start_s
         _refuse_longer_wait(waiting, shot_number, waited_s)
         if not has_waited:
-            longest_wait_s = min(reading.condition.max_wait_s for reading in waiting)
+            max_wait_s = min(reading.condition.max_wait_s for reading in waiting)
             _LOG.warning(
                 "paused before shot %d, all outputs are off: %s; waiting for at most %g s, Ctrl-C stops",
-                *(shot_number, "; ".join(map(str, waiting)), longest_wait_s),
+                *(shot_number, "; ".join(map(str, waiting)), max_wait_s),
             )
         has_waited = True
         until_s = clock() + READ_INTERVAL_S

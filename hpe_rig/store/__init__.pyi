@@ -50,7 +50,7 @@ from .records import (
 )
 from .result_file import read_covariance as read_covariance, write_result as write_result
 from .source import open_checked as open_checked
-from .stored_records import StoredGroundTruth as StoredGroundTruth, StoredRecords as StoredRecords
+from .stored_records import StoredRecords as StoredRecords
 from .verification import (
     Damage as Damage,
     Verification as Verification,

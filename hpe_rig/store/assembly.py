@@ -29,7 +29,6 @@ from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, blank, crc
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import STATUS_BYTES, STATUSES, StoreError
-from hpe_rig.store.layout import LIBVER
 from hpe_rig.store.log import (
     CODES,
     STATUS,
@@ -306,8 +305,9 @@ def _open_image(image: bytes) -> h5py.File:
 
 
 def _access_properties() -> h5p.PropFAID:
+    """Return file access properties with the version of HDF5 of every run file, ``layout.LIBVER``."""
     access = h5p.create(h5p.FILE_ACCESS)
-    access.set_libver_bounds(*(h5f.LIBVER_V110 for _ in LIBVER))
+    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     return access
 
 

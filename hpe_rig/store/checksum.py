@@ -1,12 +1,12 @@
-"""Checksums of everything in a run file: 64 bits of BLAKE2b for each dataset, each row and each chunk of echoes.
+"""Checksums of everything in a run file: of each dataset, each row and each chunk of echoes.
 
-HDF5 has checksums for its metadata, but neither for the values of datasets nor for its heap, which holds units, other
-texts of variable length and the references from datasets to their axes. Three kinds of checksum cover these:
+HDF5 compares its own checksums of metadata and chunks, but has none for its heap, which holds units, other texts of
+variable length and the references from datasets to their axes. Three kinds of checksum cover all content:
 
-    a dataset that never changes after the start    attribute ``checksum`` of the dataset
-    the heap                                        attribute ``heap_checksum`` of the file
-    a dataset written during a run                  one for each row or chunk, in ``/checksum/<name of the dataset>``;
-                                                    zero: never written
+    a dataset that never changes after the start    BLAKE2b, attribute ``checksum`` of the dataset
+    the heap                                        BLAKE2b, attribute ``heap_checksum`` of the file
+    a dataset written during a run                  CRC-32 of each row or chunk, ``/checksum/<name of the dataset>``;
+                                                    format version 2: BLAKE2b, zero where never written
 
 ``docs/reference/integrity.md`` describes the coverage and how a reader treats a wrong checksum.
 """

@@ -44,15 +44,15 @@ STAGE_BYTES: Final = 16
 MAX_STAGES: Final = 64
 STATUSES: Final = ("running", "complete", "aborted", "failed", "killed")
 STATUS_BYTES: Final = 8
-"""Enough for running, complete, aborted and failed: the attribute changes during a run, so its size is fixed."""
+"""Enough for each status; the size is fixed, because the attribute is filled in when the run ends."""
 RUN_ID_BYTES: Final = 32
 """Length of a run's identifier, random hexadecimal digits; empty for a run that needs none."""
 SNAPSHOT_BYTES: Final = 8192
-"""Enough for the settings of one shot as JSON; fixed, since HDF5 creates nothing while other programs read."""
+"""Enough for the settings of one shot as JSON; the size is fixed before the run."""
 CHUNK_BYTES: Final = 1_000_000
-"""Minimum size of a chunk of echoes, unless a shot is smaller; a crash loses at most one chunk and one block."""
+"""Minimum size of a chunk of echoes, unless a shot is smaller."""
 ROW_CHUNK: Final = 2048
-"""Maximum number of pulses in a chunk of a quantity with one value per pulse; it is written with each echo chunk."""
+"""Maximum number of pulses in a chunk of the simulated truth, which has one value per pulse."""
 TIME_BYTES: Final = 32
 """Enough for a time in seconds with its offset from UTC, ISO 8601."""
 UNTRUSTED_BYTES: Final = 1024

@@ -44,7 +44,7 @@ from hpe_rig.store.format import (
 from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
-"""Readable with HDF5 1.10 and later, the first with concurrent reading."""
+"""Readable with HDF5 1.10 and later."""
 TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
 """A cos(phase) and A sin(phase) of the true displacement at the focus, datasets of group ``true_harmonics``."""
 

@@ -119,7 +119,7 @@ class LogWriter:
         return os.path.samestat(self._identity, self.path.stat())
 
     def moved_to(self, path: Path) -> None:
-        """Take the file ``path``, which has replaced the log, for this one in ``is_in_place``."""
+        """Record that the file ``path`` has replaced the log: ``is_in_place`` compares with it from then on."""
         self._identity = path.stat()
 
     def close(self) -> None:

@@ -241,14 +241,16 @@ def events(data: bytes) -> Iterator[Event]:
     """Yield the events of a trace."""
     position = 0
     while position < len(data):
-        kind, inode, offset, size, path, second = EVENT.unpack_from(data, position)
+        kind, inode, offset, size, *lengths = EVENT.unpack_from(data, position)
         position += EVENT.size
-        texts = [data[position : position + path], data[position + path : position + path + second]]
-        position += path + second
+        paths = []
+        for length in lengths:
+            paths.append(os.fsdecode(data[position : position + length]))
+            position += length
         kind = kind.rstrip(b"\0").decode()
         content = data[position : position + size] if kind == "write" else b""
         position += len(content)
-        yield Event(kind, inode, offset, content, *(os.fsdecode(text) for text in texts))
+        yield Event(kind, inode, offset, content, *paths)
 
 
 def versions(before: Disk, trace: list[Event]) -> dict[str, list[bytes]]:
