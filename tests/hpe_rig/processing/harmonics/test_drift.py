@@ -71,7 +71,7 @@ def test_values_at_the_first_pulse_are_within_their_u(monkeypatch: pytest.Monkey
 
 
 def test_u_holds_a_warming_that_slows_down() -> None:
-    """The temperature grows as log(1 + 2 t / 0.8 s): in 0.2 s the line through it is off by 4 % of half of it."""
+    """The temperature grows as log(1 + 2 t / 0.8 s): in 0.2 s the line through it is off by 4 % at its start."""
     law = np.log1p(0.5 * PART) / np.log1p(0.5)
     waves = np.exp(0.1 * law) * (PHASORS_M[:, None] * np.exp(2j * np.pi * HZ[:, None] * (TIME_S - 1e-4 * law))).imag
     motion = replace(moving(), displacement_m=waves.sum(axis=0))
