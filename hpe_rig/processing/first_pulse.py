@@ -30,9 +30,9 @@ MIN_EVIDENCE: Final = 12.0
 MIN_RATIO: Final = 7.0
 """Logarithm of the likelihood ratio above which the less likely of two explanations is excluded."""
 CHANGE: Final = -14.0
-"""Logarithm of the probability of a lost or stray trigger at any one record."""
+"""Assumed logarithm of the probability of a lost or stray trigger at any one record."""
 JUMP_CHANGE: Final = 0.05
-"""Probability that a trigger was lost at a jump of the trigger times: one disturbance often causes both."""
+"""Assumed probability that a trigger was lost at a jump of the trigger times: one disturbance often causes both."""
 MAX_STRAY: Final = 3
 """Number of stray triggers that are considered if there are no trigger times."""
 MAX_ALTERNATIVES: Final = 6

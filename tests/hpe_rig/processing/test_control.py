@@ -70,6 +70,19 @@ def test_a_hum_of_fixed_phase_is_removed() -> None:
     assert np.all(held > 0.95 - 3 * np.sqrt(0.95 * 0.05 / TRIALS))
 
 
+def test_the_error_of_a_control_is_in_amplitude_and_phase_where_a_weak_phase_is_at_most_unknown() -> None:
+    generator = np.random.default_rng(5)
+    control = control_motions({0: least_squares(motion(hum(300e-9, 1.0), generator), FREQUENCY_HZ)})[0]
+    fit = least_squares(motion(np.array([900e-9j, 1e-9]), generator), FREQUENCY_HZ)
+    added = np.diagonal(control.with_error(fit).covariance - fit.covariance, axis1=1, axis2=2)
+    # A single control has a random phase: 2 s² is the square of the hum, to 0.7 % (noise of 1 nm in 300 nm).
+    assert added[0] == pytest.approx([300e-9**2, (300 / 900) ** 2], rel=0.05)
+    weak = replace(fit, amplitude_m=np.full(2, 1e-9))
+    added = np.diagonal(control.with_error(weak).covariance - weak.covariance, axis1=1, axis2=2)
+    # A phase anywhere in the circle has a variance of pi²/3.
+    assert added[0, 1] == pytest.approx(np.pi**2 / 3)
+
+
 @pytest.mark.parametrize("controls", [1, 4])
 def test_a_hum_of_random_phase_is_covered(controls: int) -> None:
     ratio, held = trials_of(controls, random_phase=True)
