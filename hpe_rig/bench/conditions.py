@@ -78,7 +78,7 @@ def _of_command(condition: Condition) -> float:
             what = f"no answer of {name} within {condition.timeout_s:g} s"
             raise TimeoutError(f"{what}; check the sensor, or state a longer timeout_s") from None
         finally:
-            # Ctrl-C comes here, too.
+            # Also after Ctrl-C.
             if process.poll() is None:
                 _end(process)
         text = _text(output)
@@ -133,7 +133,7 @@ def _text(file: IO[bytes]) -> str:
 
 
 def _quoted(text: str) -> str:
-    """Return the begin of ``text`` on one line, with characters that no terminal may execute escaped."""
+    """Return the beginning of ``text`` on one line, with control characters escaped."""
     line = printable(text).replace("\n", "\\n")
     return line if len(line) <= MAX_QUOTED else f"{line[:MAX_QUOTED]}..."
 

@@ -103,7 +103,7 @@ class TwinDeclaration:
 
     @property
     def has_clock_errors(self) -> bool:
-        """Whether instruments have clocks of their own, whose rates differ; False: all share one reference."""
+        """Whether the rates of the instruments' clocks differ; False: all share one reference."""
         instruments = self.settings.instruments
         return bool(instruments.sample_clock_offset) or any(instruments.clock_error.model_dump().values())
 

@@ -119,7 +119,7 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
 
 
 def _safe_text(roles: Sequence[str]) -> str:
-    """Return in words what is verified of ``roles``, the instruments that answered."""
+    """Return in words the verified state of ``roles``, the instruments that answered."""
     states = {
         "outputs off": any(role not in WITHOUT_OUTPUT for role in roles),
         "digitizer idle": "digitizer" in roles,

@@ -105,7 +105,7 @@ def emulate(
 
     def announce_addresses(text: str) -> None:
         typer.echo(text)
-        # Nobody could use a bench whose addresses were not printed. The end of the program states the cause.
+        # Without its addresses the bench is of no use. The end of the program states the cause.
         if not results_accepted():
             raise typer.Exit(EXIT_INSTRUMENT)
 

@@ -97,7 +97,7 @@ def anonymous(text: str) -> str:
 
 
 def _names() -> Iterator[str]:
-    """Yield home folder, user and host, as they may stand in paths and messages."""
+    """Yield home folder, user and host, as they may occur in paths and messages."""
     with suppress(OSError, KeyError, ImportError, RuntimeError):
         yield str(Path.home())
         names = [getpass.getuser(), Path.home().name, socket.gethostname(), socket.gethostname().partition(".")[0]]

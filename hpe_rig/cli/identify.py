@@ -41,7 +41,7 @@ def identify(path: Path | None) -> int:
 
 
 def _print_outcome(path: Path, bench: BenchFile, serials: Mapping[str, str], shown_as: Mapping[str, str]) -> bool:
-    """Print the serial numbers and what is wrong; return whether a generator is exchanged or not identified."""
+    """Print serial numbers and wrong generators; return whether one is exchanged or not identified."""
     for role, serial in serials.items():
         typer.echo(f"{role}: serial {serial}")
     typer.echo(f"{path} states {len(serials)} serial numbers; displays cleared, outputs off, verified")

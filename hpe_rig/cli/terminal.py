@@ -34,7 +34,7 @@ def has_terminal() -> bool:
 
 
 def answer(question: str) -> str:
-    """Return what a person at the terminal answers, in lower case; Ctrl-D is ``KeyboardInterrupt``, like Ctrl-C."""
+    """Return the answer of a person at the terminal, in lower case; Ctrl-D is ``KeyboardInterrupt``, like Ctrl-C."""
     print(question, end="", file=sys.stderr, flush=True)
     if sys.platform != "win32":
         # In short pieces: a signal just before a blocking read would be noticed only after the next line.

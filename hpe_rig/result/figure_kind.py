@@ -3,4 +3,4 @@
 from typing import Literal
 
 FigureKind = Literal["spectrum", "displacement", "drive", "distance", "profile"]
-"""Horizontal axis of a figure: see ``figure``."""
+"""Kind of a figure: the module ``figure`` lists what each kind draws."""

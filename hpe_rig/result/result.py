@@ -62,7 +62,7 @@ class Result(ResultData):
     def covariance(self, *others: Result) -> Covariance:
         """Return the complex values of all shots and frequencies with the errors that they have in common.
 
-        ``others``: results of further runs in the same medium, whose shots follow. Errors of medium, sound speed and
+        ``others``: results of further runs in the same medium; their shots follow. Errors of medium, sound speed and
         beams are common to all these runs; noise, speckle and gate edges are not.
         """
         if wrong := [type(other).__name__ for other in others if not isinstance(other, ResultData)]:
