@@ -260,7 +260,7 @@ def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
             table.stated["scale_v"] = (VOLT_UNITS[match[1]], match[0])
     _read_column_names(table, header, layout)
     if header:
-        table.inferred.append(f"{layout.header_lines} lines of header, the last one {header[-1].strip()[:60]!r}")
+        table.inferred.append(f"lines of header: {layout.header_lines}, the last one {header[-1].strip()[:60]!r}")
     if layout.delimiter not in (",", None) or layout.decimal == ",":
         word = next((word for word, text in DELIMITERS.items() if text == layout.delimiter), layout.delimiter)
         table.inferred.append(f"delimiter: {word}, decimal sign: {layout.decimal}")
