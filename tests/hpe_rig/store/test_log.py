@@ -155,6 +155,15 @@ def test_the_log_of_a_run_in_progress_is_left_alone(setup: Setup, tmp_path: Path
     assert not is_log(path)
 
 
+def test_a_row_of_another_length_leaves_the_log_of_a_run_as_it_is(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    writer = RunWriter(path, setup.scene, setup.bench, setup.plan)
+    vars(writer)["_log"].append("records/clipped", 0, bytes(2), (0,))
+    with pytest.raises(StoreError, match=r"cannot be made an HDF5 file \(a row of /records/clipped has 2 bytes, not 1"):
+        writer.__exit__(None)
+    assert is_log(path)
+
+
 def test_a_log_whose_first_frame_is_damaged_is_a_message(path: Path) -> None:
     flip(path, len(SIGNATURE) + 8 + HEADER_BYTES + 100)
     with pytest.raises(StoreError, match=r"the start of the log is damaged.*Try:"):
