@@ -249,21 +249,26 @@ def _read_header(table: Table, lines: Sequence[str], layout: Layout) -> None:
     # Some oscilloscopes write their settings to the left of the first numbers.
     side_header = [line for line in lines[:SAMPLED_LINES] if layout.columns[0] > 0 and line not in header]
     for line in header + side_header:
-        for name, number, unit in SETTING.findall(line):
-            if setting := setting_of(name, number, unit):
-                table.stated.setdefault(setting[0], (setting[1], name.strip()))
-        if match := SEGMENT_TIME.match(line):
-            table.trigger_time_s.append(float(match[1]))
-        if (match := X_UNIT.search(line.lower())) and match[1] in TIME_UNITS:
-            table.unit_s = TIME_UNITS[match[1]]
-        if (match := Y_UNIT.search(line.lower())) and match[1] in VOLT_UNITS:
-            table.stated["scale_v"] = (VOLT_UNITS[match[1]], match[0])
+        _read_header_line(table, line)
     _read_column_names(table, header, layout)
     if header:
         table.inferred.append(f"lines of header: {layout.header_lines}, the last one {header[-1].strip()[:60]!r}")
     if layout.delimiter not in (",", None) or layout.decimal == ",":
         word = next((word for word, text in DELIMITERS.items() if text == layout.delimiter), layout.delimiter)
         table.inferred.append(f"delimiter: {word}, decimal sign: {layout.decimal}")
+
+
+def _read_header_line(table: Table, line: str) -> None:
+    """Read settings, the trigger time of a segment, and the units of both axes from a line of the header."""
+    for name, number, unit in SETTING.findall(line):
+        if setting := setting_of(name, number, unit):
+            table.stated.setdefault(setting[0], (setting[1], name.strip()))
+    if match := SEGMENT_TIME.match(line):
+        table.trigger_time_s.append(float(match[1]))
+    if (match := X_UNIT.search(line.lower())) and match[1] in TIME_UNITS:
+        table.unit_s = TIME_UNITS[match[1]]
+    if (match := Y_UNIT.search(line.lower())) and match[1] in VOLT_UNITS:
+        table.stated["scale_v"] = (VOLT_UNITS[match[1]], match[0])
 
 
 def _read_column_names(table: Table, header: Sequence[str], layout: Layout) -> None:

@@ -1,7 +1,7 @@
 """Result of a measurement: amplitude and phase with uncertainty budget, units, provenance and run time.
 
     interval.py       95 % interval from uncertainties and degrees of freedom
-    influence.py      errors of a shot by source, and what is common to which shots
+    influence.py      errors of a shot by source, and the shots with the same error
     phase.py          uncertainty of a phase, and of an amplitude that may be noise
     motion.py         displacement of a shot, pulse by pulse
     motion_map.py     amplitude, phase and velocity of every line and depth

@@ -92,9 +92,9 @@ class Covariance:
         ``part`` 0 is in-phase, 1 quadrature. ``sources``: only these sources of uncertainty; by default all.
         """
         influences_m = self.influences_m(sources)
-        parts = np.stack([influences_m.real, influences_m.imag], axis=2)
-        flat = parts.reshape(-1, parts.shape[-1])
-        return np.asarray(flat @ flat.T).reshape(2 * parts.shape[:3])
+        components_m = np.stack([influences_m.real, influences_m.imag], axis=2)
+        flat_m = components_m.reshape(-1, components_m.shape[-1])
+        return np.asarray(flat_m @ flat_m.T).reshape(2 * components_m.shape[:3])
 
     def combined(self, weights: ComplexArray, sources: Iterable[str] | None = None) -> Combination:
         """Return the uncertainty of the sum of ``weights`` (row, frequency) times values.
@@ -112,10 +112,10 @@ class Covariance:
         # Error of the sum by column, then by variable: equal variables add up.
         by_column = np.einsum("rf,rfc->rc", np.nan_to_num(weights), self.influence_m[:, :, columns])
         numbers, index = np.unique(self.variable[:, columns], return_inverse=True)
-        parts = np.zeros((2, numbers.size))
-        for part, errors in zip(parts, (by_column.real, by_column.imag), strict=True):
-            np.add.at(part, index.ravel(), errors.ravel())
-        covariance = parts @ parts.T
+        by_variable = np.zeros((2, numbers.size))
+        for component, errors in zip(by_variable, (by_column.real, by_column.imag), strict=True):
+            np.add.at(component, index.ravel(), errors.ravel())
+        covariance = by_variable @ by_variable.T
         uncertainty = np.sqrt(np.diag(covariance))
         freedom = self.degrees_of_freedom[:, columns]
         degrees = np.array(
@@ -157,8 +157,8 @@ def covariance_grid(covariance: Covariance) -> dict[str, tuple[tuple[str, ...], 
     Dimension ``part`` is that of ``PARTS``. Text has the unit "".
     """
     return {
-        "phasor_m": (("shot", "frequency", "part"), _parts(covariance.phasor_m), "m"),
-        "influence_m": (("shot", "frequency", "column", "part"), _parts(covariance.influence_m), "m"),
+        "phasor_m": (("shot", "frequency", "part"), _real_and_imaginary(covariance.phasor_m), "m"),
+        "influence_m": (("shot", "frequency", "column", "part"), _real_and_imaginary(covariance.influence_m), "m"),
         "variable": (("shot", "column"), covariance.variable, "1"),
         "degrees_of_freedom": (("shot", "column"), covariance.degrees_of_freedom, "1"),
         "source": (("column",), np.array(covariance.source, np.str_), ""),
@@ -166,7 +166,7 @@ def covariance_grid(covariance: Covariance) -> dict[str, tuple[tuple[str, ...], 
     }
 
 
-def _parts(values: ComplexArray) -> FloatArray:
+def _real_and_imaginary(values: ComplexArray) -> FloatArray:
     """Return real and imaginary parts along a new last axis."""
     return np.stack([values.real, values.imag], axis=-1)
 
@@ -212,18 +212,8 @@ def covariance_of(results: Sequence[Sequence[ShotResult]]) -> Covariance:
     a shot without influences.
     """
     rows = [(run, shot) for run, shots in enumerate(results) for shot in shots]
-    if not all(shot.influences for _, shot in rows):
-        raise ValueError(
-            f"the result holds no covariance: influences of its {len(rows)} shots exceed "
-            f"{MAX_INFLUENCE_BYTES / 1e6:g} MB. Try: fewer shots, as in a run of each setting"
-        )
-    blocks = [
-        _Block(row, _group(run, shot, error), error)
-        for row, (run, shot) in enumerate(rows)
-        for error in shot.influences
-    ]
     slots: dict[tuple[str, str, str], list[_Block]] = {}
-    for block in _with_few_variables(blocks):
+    for block in _with_few_variables(_blocks(rows)):
         slots.setdefault((block.error.source, block.error.common_to, block.error.variables), []).append(block)
     sizes = [max(block.error.influence_m.shape[1] for block in slot) for slot in slots.values()]
     count = max((len(shot.estimates) for _, shot in rows), default=0)
@@ -239,6 +229,20 @@ def covariance_of(results: Sequence[Sequence[ShotResult]]) -> Covariance:
         common_to=tuple(np.repeat([common_to for _, common_to, _ in slots], sizes)[used].tolist()),
         degrees_of_freedom=degrees_of_freedom[:, used],
     )
+
+
+def _blocks(rows: Sequence[tuple[int, ShotResult]]) -> list[_Block]:
+    """Return the influences of ``rows``, each a number of a run and a shot; raise ``ValueError`` if a shot has none."""
+    if not all(shot.influences for _, shot in rows):
+        raise ValueError(
+            f"the result holds no covariance: influences of its {len(rows)} shots exceed "
+            f"{MAX_INFLUENCE_BYTES / 1e6:g} MB. Try: fewer shots, as in a run of each setting"
+        )
+    return [
+        _Block(row, _group(run, shot, error), error)
+        for row, (run, shot) in enumerate(rows)
+        for error in shot.influences
+    ]
 
 
 def _group(run: int, shot: ShotResult, error: Influence) -> Hashable:

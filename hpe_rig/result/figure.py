@@ -101,11 +101,11 @@ def _draw_curves(curves: Sequence[Curve], x_label: str, amplitude: Axes, phase: 
         bars_nm = [2e9 * item.amplitude_uncertainty_m for item in curve.headlines]
         amplitude.errorbar(curve.x, amplitude_nm, yerr=bars_nm, label=curve.label, **style)
         u_rad = np.array([item.phase_uncertainty_rad for item in curve.headlines])
-        known = u_rad < MAX_PHASE_UNCERTAINTY_RAD
-        if known.any():
-            phase_rad = np.array([item.phase_rad for item in curve.headlines])[known]
-            phase_deg = np.degrees(_continuous(phase_rad, int(u_rad[known].argmin())))
-            phase.errorbar(np.array(curve.x)[known], phase_deg, yerr=2 * np.degrees(u_rad[known]), **style)
+        resolved = u_rad < MAX_PHASE_UNCERTAINTY_RAD
+        if resolved.any():
+            phase_rad = np.array([item.phase_rad for item in curve.headlines])[resolved]
+            phase_deg = np.degrees(_continuous(phase_rad, int(u_rad[resolved].argmin())))
+            phase.errorbar(np.array(curve.x)[resolved], phase_deg, yerr=2 * np.degrees(u_rad[resolved]), **style)
     amplitude.set_ylabel("amplitude (nm)")
     amplitude.set_ylim(bottom=0)
     phase.set(xlabel=x_label, ylabel="phase (deg)")
@@ -152,24 +152,26 @@ def _draw_displacement(result: ResultData, axes: Axes) -> None:
     axes.set(xlabel="time (ms)", ylabel="displacement (nm)")
 
 
-Wanted = Callable[[float], bool]
+FrequencyFilter = Callable[[float], bool]
 """Whether a frequency, Hz, is drawn."""
 
 
-def _spectra(result: ResultData, wanted: Wanted) -> tuple[str, list[Curve]]:
+def _spectra(result: ResultData, is_drawn: FrequencyFilter) -> tuple[str, list[Curve]]:
     """Return one curve over frequency for each setting."""
-    items = _curve_items(result, wanted)
+    items = _curve_items(result, is_drawn)
     labels = _labels([item for item, _ in items])
     curves = [_curve(label, points) for label, (_, points) in zip(labels, items, strict=True)]
     return "frequency (Hz)", curves
 
 
-def _over_setting(name: str, x_label: str, factor: float) -> Callable[[ResultData, Wanted], tuple[str, list[Curve]]]:
+def _over_setting(
+    name: str, x_label: str, factor: float
+) -> Callable[[ResultData, FrequencyFilter], tuple[str, list[Curve]]]:
     """Return the function that yields curves over the setting ``name``, one for each frequency and other settings."""
 
-    def curves(result: ResultData, wanted: Wanted) -> tuple[str, list[Curve]]:
+    def curves(result: ResultData, is_drawn: FrequencyFilter) -> tuple[str, list[Curve]]:
         points: dict[str, Points] = {}
-        items = _curve_items(result, wanted)
+        items = _curve_items(result, is_drawn)
         labels = _labels([item for item, _ in items], without=name)
         for (item, headlines), label in zip(items, labels, strict=True):
             for hz, headline in headlines.items():
@@ -180,7 +182,7 @@ def _over_setting(name: str, x_label: str, factor: float) -> Callable[[ResultDat
     return curves
 
 
-def _profiles(result: ResultData, wanted: Wanted) -> tuple[str, list[Curve]]:
+def _profiles(result: ResultData, is_drawn: FrequencyFilter) -> tuple[str, list[Curve]]:
     """Return curves over depth, one for each frequency and shot."""
     points: dict[str, Points] = {}
     shots = {(*setting_of(gate.shot), gate.shot.shot): gate.shot for gate in result.profile}
@@ -188,13 +190,13 @@ def _profiles(result: ResultData, wanted: Wanted) -> tuple[str, list[Curve]]:
     for gate in result.profile:
         label = labels[(*setting_of(gate.shot), gate.shot.shot)]
         for item in gate.shot.estimates:
-            if wanted(item.frequency_hz):
+            if is_drawn(item.frequency_hz):
                 of_curve = points.setdefault(_with_frequency(item.frequency_hz, label), {})
                 of_curve[gate.depth_m * 1e3] = item.headline
     return "depth (mm)", [_curve(label, values) for label, values in points.items()]
 
 
-_CURVES: Mapping[FigureKind, Callable[[ResultData, Wanted], tuple[str, list[Curve]]]] = {
+_CURVES: Mapping[FigureKind, Callable[[ResultData, FrequencyFilter], tuple[str, list[Curve]]]] = {
     "spectrum": _spectra,
     "drive": _over_setting("force_fraction", "force relative to the full force", 1.0),
     "distance": _over_setting("lateral_offset_m", "lateral offset (mm)", 1e3),
@@ -211,7 +213,7 @@ def _with_frequency(frequency_hz: float, label: str) -> str:
     return f"{frequency_hz:g} Hz, {label}" if label else f"{frequency_hz:g} Hz"
 
 
-def _curve_items(result: ResultData, wanted: Wanted) -> list[tuple[ShotResult | RepeatMean, Points]]:
+def _curve_items(result: ResultData, is_drawn: FrequencyFilter) -> list[tuple[ShotResult | RepeatMean, Points]]:
     """Return each setting's mean over repeats, else its shots, with their headlines by frequency."""
     means: dict[tuple[float | None, ...], list[RepeatMean]] = {}
     for mean in result.means:
@@ -223,8 +225,8 @@ def _curve_items(result: ResultData, wanted: Wanted) -> list[tuple[ShotResult | 
             items.append((shot, {item.frequency_hz: item.headline for item in shot.estimates}))
         elif shot.shot == of_setting[0].shots[0]:
             items.append((of_setting[0], {mean.frequency_hz: mean.headline for mean in of_setting}))
-    drawn = [(item, {hz: value for hz, value in points.items() if wanted(hz)}) for item, points in items]
-    return [(item, points) for item, points in drawn if points]
+    filtered = [(item, {hz: value for hz, value in points.items() if is_drawn(hz)}) for item, points in items]
+    return [(item, points) for item, points in filtered if points]
 
 
 def _labels(items: Sequence[ShotResult | RepeatMean], without: str = "") -> list[str]:

@@ -59,25 +59,25 @@ class Result(ResultData):
 
         return result_dataset(self)
 
-    def covariance(self, *others: Result) -> Covariance:
+    def covariance(self, *further_results: Result) -> Covariance:
         """Return the complex values of all shots and frequencies with the errors that they have in common.
 
-        ``others``: results of further runs in the same medium; their shots follow. Errors of medium, sound speed and
-        beams are common to all these runs; noise, speckle and gate edges are not.
+        ``further_results``: those of other runs in the same medium; their shots follow. Errors of medium, sound speed
+        and beams are common to all these runs; noise, speckle and gate edges are not.
         """
-        if wrong := [type(other).__name__ for other in others if not isinstance(other, ResultData)]:
+        if wrong := [type(result).__name__ for result in further_results if not isinstance(result, ResultData)]:
             raise TypeError(f"covariance expects results of further runs, not {', '.join(wrong)}")
-        return covariance_of([result.shots for result in (self, *others)])
+        return covariance_of([result.shots for result in (self, *further_results)])
 
-    def to_gtc(self, *others: Result) -> tuple[tuple[Any, ...], ...]:
+    def to_gtc(self, *further_results: Result) -> tuple[tuple[Any, ...], ...]:
         """Return the complex values as uncertain complex numbers of GTC, one tuple of frequencies for each shot.
 
-        ``others``: as for ``covariance``. Ratios, differences and any other calculation with them have the right u, and
-        GTC can archive them. Raises ``ModuleNotFoundError`` that names the extra if GTC is not installed.
+        ``further_results``: as for ``covariance``. Ratios, differences and any other calculation with them have the
+        right u, and GTC can archive them. Raises ``ModuleNotFoundError`` that names the extra if GTC is not installed.
         """
         from hpe_rig.result.uncertain_numbers import uncertain_numbers
 
-        return uncertain_numbers(self.covariance(*others))
+        return uncertain_numbers(self.covariance(*further_results))
 
     def figure(
         self,

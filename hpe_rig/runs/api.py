@@ -23,6 +23,7 @@ from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
     from hpe_rig.moduli import ModuliResult
+    from hpe_rig.processing import Estimates
 
 
 def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLike[str] | None = None) -> Run:
@@ -136,15 +137,12 @@ def estimate(
     apart. Whole numbers count as codes of a digitizer: their rounding is part of u, and full scale of integers of up to
     16 bits is reported. ``margin``: number of samples before and after the gate; six carrier periods on either side
     avoid edge effects. ``frequency_accuracy``: relative standard uncertainty of the frequencies by the clock of the
-    pulses; the default is that of two quartz clocks, and 0 states that both have one clock. The error is estimated from
-    the motion and corrected, and its uncertainty is part of u. ``drift``: "linear" for a motion that changes, as in
-    tissue that warms; amplitude and phase are then those at the first pulse, otherwise means. A pulse with a sample
-    that is not finite is missing, and one with a deviating energy is omitted. Budget and warnings are those of the same
-    echoes after ``import_records``. Each entry of the leading axes becomes a shot of the result, in C order. Phases are
-    those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer. An
-    entry without an estimate is left out, with a warning that states the reason. Raises ``TypeError`` if ``rf`` is not
-    real, ``SettingsError`` for an unknown estimator, and ``ValueError`` for invalid settings and if no entry has an
-    estimate.
+    pulses; 50e-6 for two quartz clocks, 0 for one clock. ``drift``: "linear" for a motion that changes; amplitude and
+    phase are then those at the first pulse, otherwise means. A pulse with a sample that is not finite is missing. Each
+    entry of the leading axes becomes a shot of the result, in C order; one without an estimate is left out, with a
+    warning. Phases are those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from
+    the transducer. Raises ``TypeError`` if ``rf`` is not real, ``SettingsError`` for an unknown estimator, and
+    ``ValueError`` for invalid settings and if no entry has an estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
@@ -158,9 +156,6 @@ def estimate(
         sound_speed_m_per_s=sound_speed_m_per_s,
         frequency_accuracy=frequency_accuracy,
     )
-    if not isinstance(margin, Sequence) or len(margin) != 2:
-        raise TypeError(f"estimate expects margin as two whole numbers, such as (64, 64), not {margin!r}")
-    require_numbers("estimate", whole=True, margin=tuple(margin))
     stages, estimator_name = Stages(), chosen_estimator(estimator)
     settings = EchoSettings(
         sample_rate_hz=sample_rate_hz,
@@ -168,18 +163,22 @@ def estimate(
         carrier_hz=carrier_hz,
         frequencies_hz=number_list("estimate", "frequencies_hz", frequencies_hz),
         sound_speed_m_per_s=sound_speed_m_per_s,
-        margin=(margin[0], margin[1]),
+        margin=_margin(margin),
         frequency_accuracy=frequency_accuracy,
         drift=drift,
     )
     with stages("process"):
         estimates = estimate_trains(samples.reshape(-1, *samples.shape[-2:]), settings, estimator_name)
+    return _result_of_echoes(f"Echoes of shape {samples.shape}", estimator_name, estimates, stages)
+
+
+def _result_of_echoes(title: str, estimator: str, estimates: Estimates, stages: Stages) -> Result:
     return Result(
-        title=f"Echoes of shape {samples.shape}",
+        title=title,
         run_file="",
         simulated=False,
         status="complete",
-        estimator=estimator_name,
+        estimator=estimator,
         phase_reference="of sin(2 pi f t + phase), with t from the first pulse",
         shots=estimates.shots,
         warnings=tuple(incomplete_warnings(estimates)),
@@ -188,6 +187,14 @@ def estimate(
         run_time_s=stages.run_time_s,
         shots_without_result=tuple(estimates.failures.items()),
     )
+
+
+def _margin(margin: Any) -> tuple[int, int]:
+    """Return ``margin``; raise an error if it is not two whole numbers."""
+    if not isinstance(margin, Sequence) or len(margin) != 2:
+        raise TypeError(f"estimate expects margin as two whole numbers, such as (64, 64), not {margin!r}")
+    require_numbers("estimate", whole=True, margin=tuple(margin))
+    return margin[0], margin[1]
 
 
 def _real(rf: ArrayLike) -> Samples:

@@ -187,6 +187,9 @@ class Disk:
     files: dict[int, bytearray] = field(default_factory=dict)
     names: dict[str, int] = field(default_factory=dict)
 
+    def copy(self) -> Disk:
+        return Disk({inode: bytearray(content) for inode, content in self.files.items()}, dict(self.names))
+
     def change(self, event: Event, data: bytes | None = None, offset: int = 0) -> None:
         """Apply a write, with part of its data if given, or a truncation."""
         content = self.files.setdefault(event.inode, bytearray())
@@ -255,7 +258,7 @@ def events(data: bytes) -> Iterator[Event]:
 
 def versions(before: Disk, trace: list[Event]) -> dict[str, list[bytes]]:
     """Return the contents that each path had after its renames, in order."""
-    disk = Disk({inode: bytearray(content) for inode, content in before.files.items()}, dict(before.names))
+    disk = before.copy()
     contents = {path: [bytes(disk.files[inode])] for path, inode in disk.names.items()}
     for event in trace:
         if event.kind in DATA:
@@ -269,7 +272,7 @@ def versions(before: Disk, trace: list[Event]) -> dict[str, list[bytes]]:
 
 def after_power_loss(before: Disk, trace: list[Event], rng: np.random.Generator) -> Disk:
     """Return a state of the disk after a power loss at the end of ``trace``."""
-    disk = Disk({inode: bytearray(content) for inode, content in before.files.items()}, dict(before.names))
+    disk = before.copy()
     synced = {event.inode: number for number, event in enumerate(trace) if event.kind == "sync"}
     folders = {event.path.rstrip("/"): number for number, event in enumerate(trace) if event.kind == "sync"}
     sector = int(rng.choice(SECTORS))
@@ -285,12 +288,15 @@ def after_power_loss(before: Disk, trace: list[Event], rng: np.random.Generator)
         ):
             disk.change(event)
         elif event.kind == "write":
-            # Sectors of the file, not of the write.
-            first = -(event.offset % sector)
-            for start in range(first, len(event.data), sector):
-                if rng.random() < chance:
-                    disk.change(event, event.data[max(0, start) : start + sector], max(0, start))
+            _write_sectors(disk, event, sector, lambda: bool(rng.random() < chance))
     return disk
+
+
+def _write_sectors(disk: Disk, event: Event, sector: int, is_written: Callable[[], bool]) -> None:
+    """Apply a write to those sectors of the file, not of the write, for which ``is_written()`` is true."""
+    for start in range(-(event.offset % sector), len(event.data), sector):
+        if is_written():
+            disk.change(event, event.data[max(0, start) : start + sector], max(0, start))
 
 
 def folder_of(event: Event) -> str:
