@@ -156,7 +156,10 @@ class SizeOptions:
     points: Annotated[int | None, typer.Option(help="Number of values in every range; 101 gives the finest maps.")] = (
         None
     )
-    scatterers: Annotated[int | None, typer.Option(help="Draws of scatterers per case.")] = None
+    scatterers: Annotated[
+        int | None,
+        typer.Option("--draws", "--scatterers", help="Draws of scatterers per case. Default: the study's, 160."),
+    ] = None
     noise: Annotated[int | None, typer.Option(help="Draws of noise per draw of scatterers.")] = None
     seed: Annotated[int | None, typer.Option(help="Seed of the random numbers.")] = None
 

@@ -12,8 +12,10 @@ from hpe_rig.study import PAPER_WIDTH_RATIO, StudyResult, lateral_average, maps,
 from hpe_rig.validation.paper.judgement import (
     AGREES,
     DIFFERS,
+    HIGH_SNR_DB,
     IN_PART,
     INCONCLUSIVE,
+    LEVEL,
     QUANTITIES,
     SIGNIFICANT,
     UNITS,
@@ -50,7 +52,9 @@ def levels_out(result: StudyResult, reading: str) -> Judgement:
     change, margin = float(np.ptp(bias[-3:])), sidak_quantile(3) * math.hypot(se[-1], se[-3])
     limit = 0.01 * curve.rows[-1]["amplitude_true_m"] * NM
     text = f"mean within {change:.2g} nm from {curve.x[-3]:g} to {curve.x[-1]:g} dB, standard error {se[-1]:.2g} nm"
-    return Judgement(text, AGREES if change < limit else DIFFERS if change - margin > limit else INCONCLUSIVE)
+    verdict = AGREES if change < limit else DIFFERS if change - margin > limit else INCONCLUSIVE
+    # The draws are common to all SNRs: the change is known far better than the margin, an upper bound, states.
+    return Judgement(text, verdict)
 
 
 def no_phase_bias(result: StudyResult, reading: str) -> Judgement:
@@ -60,7 +64,10 @@ def no_phase_bias(result: StudyResult, reading: str) -> Judgement:
     largest = int(np.argmax(np.abs(bias / se)))
     ratio, limit = abs(bias[largest] / se[largest]), sidak_quantile(bias.size)
     text = f"at most {ratio:.1f} standard errors, {abs(bias[largest]):.2g} deg at {curve.x[largest]:g} dB"
-    return Judgement(f"{text} (limit {limit:.1f} for {bias.size} SNRs)", AGREES if ratio < limit else DIFFERS)
+    # A bias of one degree from 20 dB on would be significant.
+    sensitive = bool((SIGNIFICANT * se[curve.x >= HIGH_SNR_DB] < 1.0).all())
+    text = f"{text} (limit {limit:.1f} for {bias.size} SNRs)"
+    return Judgement(text, AGREES if ratio < limit else DIFFERS, sensitive or ratio >= limit)
 
 
 def falls_by_20_db(result: StudyResult, reading: str) -> Judgement:
@@ -68,8 +75,11 @@ def falls_by_20_db(result: StudyResult, reading: str) -> Judgement:
     curve = paper_curves(result, reading)[0]
     jitter, se = in_units(curve, "amplitude_jitter")
     k = int(np.argmin(np.abs(curve.x - 20)))
-    text = f"displacement jitter {jitter[0]:.3g}, {jitter[k]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
-    return Judgement(text, AGREES if jitter[0] - jitter[k] > SIGNIFICANT * math.hypot(se[0], se[k]) else DIFFERS)
+    text = ", ".join(with_error(jitter[index], se[index]) for index in (0, k, -1))
+    text = f"displacement jitter {text} nm at 0, 20, {curve.x[-1]:g} dB"
+    fall, margin = jitter[0] - jitter[k], SIGNIFICANT * math.hypot(se[0], se[k])
+    level = abs(fall) + margin < LEVEL * jitter[0]
+    return Judgement(text, AGREES if fall > margin else DIFFERS if level or fall < -margin else INCONCLUSIVE)
 
 
 def hundred(result: StudyResult, reading: str) -> Judgement:
@@ -79,8 +89,11 @@ def hundred(result: StudyResult, reading: str) -> Judgement:
     row, se = curve.rows[k], curve.values("amplitude_bias_se_m")[k] * NM
     realisations = row["draws"] * row["noise"]
     se_of_100 = se * math.sqrt(realisations / 100)
+    limit = 0.02 * row["amplitude_true_m"] * NM
+    # A standard deviation from n draws is known to 1/sqrt(2 n), of its value.
+    margin = SIGNIFICANT * se_of_100 / math.sqrt(2 * row["draws"])
     text = f"standard error of the mean at 20 dB {se:.2g} nm from {realisations}, {se_of_100:.2g} nm from 100"
-    return Judgement(text, AGREES if se_of_100 < 0.02 * row["amplitude_true_m"] * NM else DIFFERS)
+    return Judgement(text, AGREES if se_of_100 < limit else DIFFERS, abs(se_of_100 - limit) > margin)
 
 
 def map_ratio(result: StudyResult, reading: str) -> Judgement:
@@ -113,9 +126,10 @@ def map_trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> 
     k = int(np.argmax(value if falls else -value))
     opposite = abs(value[k] - value[0]) / max(math.hypot(se[0], se[k]), 1e-300)
     reverses = opposite > sidak_quantile(len(x)) and k > 0
-    text = f"{QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {unit} along W_x = W_y"
+    first, last = with_error(value[0], se[0]), with_error(value[-1], se[-1])
+    text = f"{QUANTITIES[quantity]} {first} to {last} {unit} along W_x = W_y"
     if reverses:
-        text += f", but first to {value[k]:.3g} at W = {x[k]:.2g}"
+        text += f", but first to {with_error(value[k], se[k])} at W = {x[k]:.2g}"
     verdict = DIFFERS if change < -SIGNIFICANT else INCONCLUSIVE if change < SIGNIFICANT else AGREES
     return Judgement(text, IN_PART if reverses and verdict == AGREES else verdict)
 
@@ -127,7 +141,8 @@ def difference_at(result: StudyResult, reading: str, index: int, stated: float, 
     # "Up to and greater than" and "as high as" are read off a figure: half a step of 0.05.
     agrees = stated - 0.025 <= high and (or_more or low <= stated + 0.025)
     text = f"largest {difference:.3f} at W_z = {w_z:g}, true value between {low:.3f} and {high:.3f}"
-    return Judgement(text, INCONCLUSIVE if high - low > stated else AGREES if agrees else DIFFERS)
+    decided = not agrees or (or_more and low >= stated - 0.025) or high - low <= 0.1
+    return Judgement(text, INCONCLUSIVE if high - low > stated else AGREES if agrees else DIFFERS, decided)
 
 
 def differences_fall(result: StudyResult, reading: str) -> Judgement:
@@ -137,8 +152,9 @@ def differences_fall(result: StudyResult, reading: str) -> Judgement:
     # A rise is significant if the bounds of adjacent values do not overlap.
     rises = any(later[2] > earlier[3] for earlier, later in itertools.pairwise(differences))
     falls, overlap = first_low > last_high, last_low <= first_high
-    text = "largest " + ", ".join(f"{difference:.2f} at {w_z:g}" for w_z, difference, *_ in differences)
-    return Judgement(text, (IN_PART if rises else AGREES) if falls else INCONCLUSIVE if overlap else DIFFERS)
+    text = "largest " + ", ".join(f"{low:.2f} to {high:.2f} at {w_z:g}" for w_z, _, low, high in differences)
+    decided = rises or all(later[1] < earlier[1] for earlier, later in itertools.pairwise(differences))
+    return Judgement(text, (IN_PART if rises else AGREES) if falls else INCONCLUSIVE if overlap else DIFFERS, decided)
 
 
 def wider_axially(result: StudyResult, reading: str) -> Judgement:

@@ -27,6 +27,7 @@ TREND_SNR_DB = (0.0, 20.0, 40.0)
 LEVEL = 0.05
 """A relative change that is significantly below this counts as none."""
 AGREES, IN_PART, DIFFERS, INCONCLUSIVE, NOT_RUN = "agrees", "in part", "differs", "inconclusive", "not run"
+NOT_DECIDED = "not decided"
 UNITS = {"amplitude": ("m", 1e9, "nm"), "phase": ("rad", 180 / math.pi, "deg")}
 """Suffix of the stored column, factor to the printed unit, and the printed unit."""
 QUANTITIES = {
@@ -39,10 +40,19 @@ QUANTITIES = {
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The result of the study in words, and the verdict on the statement."""
+    """The result of the study in words with its Monte Carlo error, and the verdict on the statement.
+
+    ``decided``: no more draws of the same values could change the verdict, at three standard errors.
+    """
 
     finding: str
     verdict: str
+    decided: bool = True
+
+    @property
+    def text(self) -> str:
+        """The verdict, followed by "not decided" where more draws could change it."""
+        return self.verdict if self.decided or self.verdict == INCONCLUSIVE else f"{self.verdict}, {NOT_DECIDED}"
 
 
 Judge = Callable[[StudyResult, str], Judgement]
@@ -60,9 +70,13 @@ def is_run(result: StudyResult | None, reading: str) -> bool:
 
 
 def number(value: float, se: float, stated: float, rounding: float, unit: str = "") -> Judgement:
-    """Judge a number: it agrees within its rounding and three standard errors."""
+    """Judge a number: it agrees within its rounding and three standard errors.
+
+    Agreement is decided if three standard errors are at most ``LEVEL`` of the number: few draws agree with anything.
+    """
     agrees = abs(value - stated) <= rounding + SIGNIFICANT * se
-    return Judgement(f"{with_error(value, se)}{unit}", AGREES if agrees else DIFFERS)
+    decided = not agrees or SIGNIFICANT * se <= max(rounding, LEVEL * abs(stated))
+    return Judgement(f"{with_error(value, se)}{unit}", AGREES if agrees else DIFFERS, decided)
 
 
 def sidak_quantile(count: int) -> float:
@@ -117,13 +131,15 @@ def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judg
 
     directions = ("falls", "rises") if falls else ("rises", "falls")
     names = np.select([stated, opposite, level], [*directions, "level"], "unclear")
-    values = zip(snr_db[columns], first, last, names, strict=True)
-    text = "; ".join(f"{db:g} dB {start:.3g} to {end:.3g}, {name}" for db, start, end, name in values)
+    values = zip(snr_db[columns], first, last, margin / SIGNIFICANT, names, strict=True)
+    text = "; ".join(f"{db:g} dB {start:.3g} to {end:.3g} ± {u:.2g}, {name}" for db, start, end, u, name in values)
 
     # Without a significant trend, an opposite or level quantity contradicts the statement.
     otherwise = DIFFERS if opposite.any() or level.all() else INCONCLUSIVE
     verdict = otherwise if not stated.any() else AGREES if stated.all() else IN_PART
-    return Judgement(f"{QUANTITIES[quantity]} ({_printed_unit(quantity)}): {text}", verdict)
+    # An unclear SNR can still become one of the three, except beside two that contradict each other.
+    decided = (stated | opposite | level).all() or (stated.any() and (opposite | level).any())
+    return Judgement(f"{QUANTITIES[quantity]} ({_printed_unit(quantity)}): {text}", verdict, bool(decided))
 
 
 @judge_factory
@@ -145,7 +161,7 @@ def flat(result: StudyResult, reading: str, quantity: str, negligible: float, fr
         significant = ", ".join(f"{value:g}" for value in snr_db[effect]) + " dB"
         text += f"; significantly at {'every SNR' if effect.all() else significant}"
     verdict = DIFFERS if effect.all() else IN_PART if effect.any() else INCONCLUSIVE if insensitive else AGREES
-    return Judgement(text, verdict)
+    return Judgement(text, verdict, not insensitive or verdict == DIFFERS)
 
 
 @judge_factory

@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from hpe_rig.report import PageSection, page_table
 from hpe_rig.study import StudyResult
 from hpe_rig.validation.paper import claims
-from hpe_rig.validation.paper.judgement import AGREES, NOT_RUN, Judge, Judgement, flat, is_run, slight, trend
+from hpe_rig.validation.paper.judgement import (
+    AGREES,
+    INCONCLUSIVE,
+    NOT_DECIDED,
+    NOT_RUN,
+    Judge,
+    Judgement,
+    flat,
+    is_run,
+    slight,
+    trend,
+)
 
 READINGS = {"physical": "physically", "literal": "literally", "as_printed": "as printed", "one_draw": "with one draw"}
 """Readings of eq. (11), and their adverbs in a sentence."""
@@ -41,7 +52,7 @@ def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
             judgement = Judgement(f"needs hpe-rig study {claim.study}", NOT_RUN)
             if result is not None and is_run(result, reading):
                 judgement = claim.judge(result, reading)
-            row |= {reading: judgement.finding, f"verdict, {reading}": judgement.verdict}
+            row |= {reading: judgement.finding, f"verdict, {reading}": judgement.text}
             reading_reason = {"physical": claim.physical, "one_draw": ONE_DRAW}.get(reading, claim.literal)
             reason = claim.all_readings or reading_reason
             if reason and judgement.verdict not in (AGREES, NOT_RUN):
@@ -64,20 +75,32 @@ def reproduction_part(results: Sequence[StudyResult]) -> PageSection | None:
         "Each number and trend stated by the paper is compared with the result of the paper's own chain. Agrees: a "
         "number lies within its rounding and three standard errors; a trend is significant (three standard errors) at "
         "0, 20 and 40 dB. In part: significant at some of them. Inconclusive: neither the trend nor its absence is "
-        "significant. A statement on a largest value is tested with the distribution of the largest of that many "
-        "values. Every disagreement is shown.",
+        "significant. Not decided: more draws could change the verdict. A statement on a largest value is tested with "
+        "the distribution of the largest of that many values. Every disagreement is shown. ± is the Monte Carlo "
+        "standard error; of a trend it is that of the change.",
     ]
     if len(tested) < len(all_rows):
         missing = len(all_rows) - len(tested)
         paragraphs.append(f"{missing} statements need other studies: hpe-rig study reproduction runs all of them.")
     table = [{name: row[name] for name in columns} for row in tested]
     tables = (page_table("reproduction", "Reproduction of the paper.", table, folded=False),)
+    agree = {name: sum(verdict.startswith(AGREES) for verdict in verdicts[name]) for name in run}
     counts = (
-        f"{verdicts[name].count(AGREES)} of {len(verdicts[name]) - verdicts[name].count(NOT_RUN)} read {READINGS[name]}"
+        f"{agree[name]} of {len(verdicts[name]) - verdicts[name].count(NOT_RUN)} read {READINGS[name]}"
         for name in run
     )
     headline = f"Statements of the paper that agree with the results: {', '.join(counts)}."
+    headline += _undecided_text([verdict for name in run for verdict in verdicts[name]], results)
     return PageSection("reproduction-section", "Reproduction", tuple(paragraphs), (), tables, headline)
+
+
+def _undecided_text(verdicts: Sequence[str], results: Sequence[StudyResult]) -> str:
+    """Return how many verdicts these draws do not decide and the option for more; "" if all are decided."""
+    undecided = sum(verdict == INCONCLUSIVE or verdict.endswith(NOT_DECIDED) for verdict in verdicts)
+    if not undecided:
+        return ""
+    judged, draws = len(verdicts) - verdicts.count(NOT_RUN), max(result.definition.scatterers for result in results)
+    return f" {draws} draws do not decide {undecided} of these {judged} verdicts; --draws {4 * draws} decides more."
 
 
 SPECKLE = (

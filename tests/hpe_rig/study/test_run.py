@@ -322,6 +322,21 @@ def test_a_killed_worker_of_a_dask_cluster_changes_nothing(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_workers_of_a_local_dask_cluster_keep_freed_memory_and_are_not_profiled() -> None:
+    distributed = pytest.importorskip("distributed")
+
+    def settings() -> tuple[bool, int]:
+        import dask
+
+        return dask.config.get("distributed.worker.profile.enabled"), int(os.environ["MALLOC_TRIM_THRESHOLD_"])
+
+    with cluster("local", 1):
+        # Dask's defaults are a profiler, and 65536 bytes.
+        assert list(distributed.default_client().run(settings).values()) == [(False, 2**30)]
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="interrupts the POSIX way")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_cleanly_and_the_same_command_continues(sent: signal.Signals, tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +84,47 @@ def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
     assert judgement.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
     assert judgement.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
     assert with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
+
+
+def test_few_draws_that_agree_with_any_number_do_not_decide() -> None:
+    assert judgement.number(0.8150, 0.001, 0.816, 0.0005).decided
+    few = judgement.number(0.80, 0.05, 0.816, 0.0005)
+    assert (few.verdict, few.text) == (AGREES, "agrees, not decided")
+    # No further draws make a number agree that lies this far off.
+    assert judgement.number(0.50, 0.05, 0.816, 0.0005).text == DIFFERS
+
+
+@pytest.mark.parametrize(
+    ("jitter_nm", "text"),
+    [
+        (lambda p, snr: 100 - 20 * p, AGREES),
+        (lambda p, snr: 100 - (20 if snr < 10 else 2) * p, "in part, not decided"),
+        (lambda p, snr: 100 + (20 if snr < 10 else 2) * p, "differs, not decided"),
+        # Falls, rises, unclear: in part whatever the third one is.
+        (lambda p, snr: 100 + {0: -20, 20: 20, 40: 2}[int(snr)] * p, IN_PART),
+    ],
+)
+def test_a_trend_is_decided_if_no_unclear_snr_could_change_it(
+    jitter_nm: Callable[[float, float], float], text: str
+) -> None:
+    judged = judgement.trend("amplitude_jitter", falls=True)(curves(jitter_nm), "physical")
+    assert judged.text == text
+    # Two values with a standard error of 1 nm differ by a value with one of sqrt(2) nm.
+    assert "± 1.4" in judged.finding
+
+
+def test_the_headline_counts_the_verdicts_that_more_draws_could_change() -> None:
+    def section(jitter_se_m: float) -> str:
+        study = result({"SNR": SNR_DB}, lambda at: {"amplitude_bias_m": -185e-9, "amplitude_jitter_m": 34e-9})
+        rows = [row | {"amplitude_jitter_se_m": jitter_se_m} for row in study.rows]
+        part = reproduction.reproduction_part([replace(study, name="fig-4", rows=rows)])
+        assert part is not None
+        return part.headline
+
+    assert "do not decide" not in section(0.1e-9)
+    few = re.search(r"500 draws do not decide (\d) of these 7 verdicts; --draws 2000", section(10e-9))
+    assert few is not None
+    assert int(few[1]) > 1
 
 
 def test_a_limit_for_the_largest_of_many_values_allows_for_selection() -> None:
