@@ -86,8 +86,7 @@ def reproduction_part(results: Sequence[StudyResult]) -> PageSection | None:
     tables = (page_table("reproduction", "Reproduction of the paper.", table, folded=False),)
     agree = {name: sum(verdict.startswith(AGREES) for verdict in verdicts[name]) for name in run}
     counts = (
-        f"{agree[name]} of {len(verdicts[name]) - verdicts[name].count(NOT_RUN)} read {READINGS[name]}"
-        for name in run
+        f"{agree[name]} of {len(verdicts[name]) - verdicts[name].count(NOT_RUN)} read {READINGS[name]}" for name in run
     )
     headline = f"Statements of the paper that agree with the results: {', '.join(counts)}."
     headline += _undecided_text([verdict for name in run for verdict in verdicts[name]], results)
