@@ -4,6 +4,7 @@ from .runs import (
     Run as Run,
     check as check,
     estimate as estimate,
+    estimate_motion as estimate_motion,
     fit_moduli as fit_moduli,
     import_records as import_records,
     map_motion as map_motion,

@@ -39,8 +39,10 @@ def import_command(
 ) -> None:
     """Make a run file of echoes that another program recorded. Prints the inferred values."""
     from hpe_rig.runs import import_recording
-    from hpe_rig.store import WriteOptions
+    from hpe_rig.store import WriteOptions, refuse_output
 
+    if output is not None:
+        refuse_output(output, overwrite)
     options = WriteOptions(compress, overwrite)
     path, inferred = import_recording(_source(recording), scene, output, settings.sidecar, _parsed(settings), options)
     for text in inferred:
@@ -60,10 +62,11 @@ def map_command(
     figure: Annotated[Path | None, typer.Option(help="Figure of the map, .png, .svg or .pdf.")] = None,
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
-    from hpe_rig.cli.stored import write_map
+    from hpe_rig.cli.stored import refuse_outputs, write_map
     from hpe_rig.cli.terminal import progress_reporter
     from hpe_rig.runs import map_recording
 
+    refuse_outputs(figure, output)
     with progress_reporter("lines") as report:
         motion_map, inferred = map_recording(
             _source(recording), scene, settings.sidecar, _parsed(settings), lambda done, total: report(done, total, "")

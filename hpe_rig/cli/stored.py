@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,15 @@ from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
-from hpe_rig.store import StoreError, Verification, extra, read_run, write_file, write_map as write_map_file
+from hpe_rig.store import (
+    StoreError,
+    Verification,
+    extra,
+    read_run,
+    refuse_unwritable,
+    write_file,
+    write_map as write_map_file,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,6 +98,7 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
     """Print the differences between two runs, and write their figure."""
     from hpe_rig.report import compare_runs
 
+    refuse_outputs(figure)
     comparison = compare_runs(first, second, estimator)
     if figure is not None:
         _save(comparison.figure(), figure, "both results and their differences")
@@ -177,6 +187,7 @@ def draw_figure(
         mistakes.append(Mistake("--width", f"{width!r} is too narrow for a figure", "a width such as 85mm"))
     if mistakes:
         raise SettingsError("command line", mistakes)
+    refuse_outputs(output)
     width_in = width_m / METRES_PER_INCH
     size = width_in, width_in * (0.62 if kind == "displacement" else 1.1)
     with rc_context({**STYLE, "font.size": 8, "pdf.fonttype": 42, "figure.figsize": size}):
@@ -192,23 +203,38 @@ def draw_figure(
         _save(drawing, output, f"{kind}, {width_in * METRES_PER_INCH * 1e3:g} mm wide")
 
 
-def write_map(motion_map: MotionMap, output: Path | None, figure: Path | None) -> None:
-    """Write dataset and figure of a map, if their paths are given; raise ``StoreError`` if they cannot be written."""
-    if output is not None:
-        with extra("frames"):
-            dataset = motion_map.to_xarray()
-        write_map_file(output, dataset)
-        announce(f"{output}: axes line, depth and frequency; xarray.open_dataset opens it")
+def refuse_outputs(figure: Path | None, dataset: Path | None = None) -> None:
+    """Raise ``StoreError`` for a ``figure`` or ``dataset`` that cannot be written, before anything is computed."""
+    for path in (figure, dataset):
+        if path is not None:
+            refuse_unwritable(path)
     if figure is not None:
-        _save(motion_map.figure(), figure, "amplitude, phase, uncertainty and velocity")
+        from matplotlib.backend_bases import FigureCanvasBase
+
+        if figure.suffix.lower().removeprefix(".") not in FigureCanvasBase.get_supported_filetypes():
+            why = f"Matplotlib has no format {figure.suffix!r}"
+            raise StoreError(f"{figure} cannot be written ({why}). Try: a name that ends in .svg, .png or .pdf.")
+    if dataset is not None:
+        with extra("frames"):
+            importlib.import_module("xarray")
+
+
+def write_map(motion_map: MotionMap, output: Path | None, figure: Path | None) -> None:
+    """Write dataset and figure of a map, if their paths are given; raise ``StoreError`` if one cannot be written.
+
+    The other one is written in any case.
+    """
+    try:
+        if output is not None:
+            write_map_file(output, motion_map.to_xarray())
+            announce(f"{output}: axes line, depth and frequency; xarray.open_dataset opens it")
+    finally:
+        if figure is not None:
+            _save(motion_map.figure(), figure, "amplitude, phase, uncertainty and velocity")
 
 
 def _save(figure: Figure, path: Path, content: str) -> None:
     from hpe_rig.result import figure_bytes
 
-    try:
-        image = figure_bytes(figure, path)
-    except ValueError as error:
-        raise StoreError(f"{path} cannot be written ({error}). Try: a name that ends in .svg, .png or .pdf.") from error
-    write_file(path, image)
+    write_file(path, figure_bytes(figure, path))
     announce(f"{path}: {content}")

@@ -125,9 +125,10 @@ def moduli(
     json: Json = False,
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations of one or more runs."""
-    from hpe_rig.cli.stored import print_moduli
+    from hpe_rig.cli.stored import print_moduli, refuse_outputs
     from hpe_rig.runs import fit_moduli
 
+    refuse_outputs(figure)
     result = fit_moduli(
         *run_files,
         laws=law or (),

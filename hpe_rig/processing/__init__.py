@@ -17,6 +17,7 @@
     time_base.py       rate error of the motion's clock by that of the pulses
     motion_model.py    fitted displacement of each pulse
     shot_warnings.py   warnings of a shot
+    stated_motion.py   displacement and velocity of another program
     shots.py           estimates of every shot of a stored run
     burst_period.py    motion of all burst periods, superposed
     ground_truth.py    harmonics of the simulated motion

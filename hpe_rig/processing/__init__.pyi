@@ -69,4 +69,8 @@ from .shot_tracking import (
     shot_motion as shot_motion,
 )
 from .shots import Estimates as Estimates, estimate_records as estimate_records, estimate_run as estimate_run
+from .stated_motion import (
+    estimate_stated_motion as estimate_stated_motion,
+    map_stated_motion as map_stated_motion,
+)
 from .time_base import shot_fit as shot_fit

@@ -19,6 +19,7 @@ In the order of the flow::
     lines.py         selected lines, or their mean
     spectrum.py      echoes against the carrier; band-pass sampling
     baseband.py      I and Q -> samples around the carrier
+    motion.py        displacement and velocity instead of echoes
     recording.py     contents and settings -> samples (line, shot, pulse, sample)
 
 ``read_recording`` is the entry point. ``hpe_rig.runs`` writes a run file of its result.

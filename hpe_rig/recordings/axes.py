@@ -93,7 +93,7 @@ def _axes_of_records(statements: Statements, array: NDArray[Any]) -> tuple[Dimen
     """Return sample, or sample and line, for an array with an axis of several stated records; else None."""
     length = statements.settings.record_samples
     if array.ndim == 1:
-        return ("sample",)
+        return ("sample",) if statements.settings.quantity is None else ("pulse",)
     if length is None or array.ndim != 2 or length in array.shape:
         return None
     multiples = [index for index, size in enumerate(array.shape) if size > length and size % length == 0]

@@ -11,7 +11,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from hpe_rig.recordings.baseband import to_radio_frequency
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import BUILT_IN, read_contents
 from hpe_rig.recordings.lines import select_lines
+from hpe_rig.recordings.motion import NOMINAL_SPEED_M_PER_S, depth_rate_hz, kind_of, si_motion
 from hpe_rig.recordings.series import read_series, series_name
 from hpe_rig.recordings.settings import DIMENSIONS, KEYS_OF_FORMAT, Dimension, RecordingSettings
 from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
@@ -40,9 +41,11 @@ class Recording:
     """Samples of a foreign recording on fixed axes.
 
     ``values`` (line, shot, pulse, sample): int16 codes or real values of ``scale_v`` volts each; complex I and Q for a
-    map. ``recorded`` (line, shot, pulse): False if a record is missing. ``pulse_time_s`` (pulse,): after time zero of
-    the phases; ``regular``: they have the fixed rate ``pulse_rate_hz``. ``line_position_m`` (line,): None if unknown.
-    ``inferred``: values that options and sidecar do not state. ``board``: the digitizer of the codes, if known.
+    map; m or m/s of a ``quantity``. ``recorded`` (line, shot, pulse): False if a record is missing. ``pulse_time_s``
+    (pulse,): after time zero of the phases; ``regular``: they have the fixed rate ``pulse_rate_hz``.
+    ``line_position_m`` (line,): None if unknown. ``inferred``: values that options and sidecar do not state.
+    ``board``: the digitizer of the codes, if known. ``quantity``: "displacement" or "velocity" of a motion without
+    echoes, which has no carrier (0).
     """
 
     name: str
@@ -62,6 +65,13 @@ class Recording:
     inferred: tuple[str, ...]
     board: str | None = None
     demodulation_hz: float | None = None
+    quantity: Literal["displacement", "velocity"] | None = None
+
+    @property
+    def depth_m(self) -> FloatArray:
+        """Depths of the samples (sample,), by the sound speed if it is known, else by 1540 m/s."""
+        time_s = self.first_sample_s + np.arange(self.values.shape[3]) / self.sample_rate_hz
+        return np.asarray(time_s * (self.sound_speed_m_per_s or NOMINAL_SPEED_M_PER_S) / 2)
 
 
 def read_recording(
@@ -148,8 +158,12 @@ class _Reader:
         self._refuse_unused_settings(file_format)
         label, array = select_array(statements)
         array, axes = (None, None) if array is None else with_axes(statements, array, label)
-        rate_hz, carrier_hz = statements.number("sample_rate_hz"), statements.number("carrier_hz")
         sound_speed = statements.number("sound_speed_m_per_s", needed=False)
+        if self.settings.quantity is None:
+            rate_hz, carrier_hz = statements.number("sample_rate_hz"), statements.number("carrier_hz")
+        else:
+            sound_speed = sound_speed or NOMINAL_SPEED_M_PER_S
+            rate_hz, carrier_hz = depth_rate_hz(statements, sound_speed, "sample" in (axes or ())), 0.0
         pulse_count = None if axes is None or array is None else array.shape[axes.index("pulse")]
         pulse_time_s, pulse_rate_hz, regular = statements.pulse_times(pulse_count)
         first_s = statements.first_sample_s(sound_speed)
@@ -157,11 +171,13 @@ class _Reader:
             raise self._error()
         # All further steps collect mistakes, so that one error reports all of them.
         values = self._cut_samples(self._arrange(array, axes))
+        if self.settings.quantity is not None:
+            values = si_motion(statements, values, self.settings.quantity)
         demodulation_hz = self._demodulation_hz(values)
         recorded = self._find_recorded(values)
         position_m = statements.line_positions_m(values.shape[0])
         values, recorded, position_m = self._select_lines(values, recorded, position_m)
-        if rate_hz is not None and carrier_hz is not None:
+        if rate_hz is not None and carrier_hz:
             values, demodulation_hz = self._with_checked_carrier(values, rate_hz, carrier_hz, demodulation_hz)
         if (
             statements.mistakes
@@ -195,6 +211,7 @@ class _Reader:
             inferred=tuple(statements.inferred),
             board=statements.contents.board,
             demodulation_hz=demodulation_hz,
+            quantity=kind_of(self.settings.quantity),
         )
 
     def _error(self) -> SettingsError:
@@ -221,7 +238,8 @@ class _Reader:
         for index, name in enumerate(DIMENSIONS[:4]):
             if name not in names:
                 values = np.expand_dims(values, index)
-        if values.shape[2] < MIN_PULSES or values.shape[3] < MIN_SAMPLES:
+        is_motion = self.settings.quantity is not None
+        if values.shape[2] < MIN_PULSES or (values.shape[3] < MIN_SAMPLES and not is_motion):
             what = f"{values.shape[2]} pulses of {values.shape[3]} samples carry no motion"
             self.statements.add_mistake("axes", what, "at least 4 pulses of 8 samples, or another order of axes")
         return values

@@ -33,6 +33,7 @@ EXCLUSIVE_KEYS = (
     ("pulse_time_s", "pulse_rate_hz"),
     ("first_sample_s", "first_sample_depth_m"),
     ("line_position_m", "line_pitch_m"),
+    ("sample_rate_hz", "depth_step_m"),
 )
 """Pairs of settings with the same meaning: only one of each pair may be given."""
 
@@ -58,6 +59,15 @@ def _as_text(value: Any) -> Any:
     return ",".join(map(str, values)) if all(type(item) is int for item in values) else value
 
 
+Quantity = Literal[
+    "displacement_m",
+    "displacement_mm",
+    "displacement_um",
+    "displacement_nm",
+    "velocity_m_per_s",
+    "velocity_mm_per_s",
+    "velocity_um_per_s",
+]
 Positive = Annotated[int, Field(ge=1, le=2**40, strict=True)]
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 
@@ -71,6 +81,10 @@ class RecordingSettings(Section):
     """Name of the samples in a file that holds several arrays, such as "RF" or "/data/rf"."""
     axes: Annotated[tuple[Dimension, ...], BeforeValidator(_split_names), Field(min_length=1)] | None = None
     """Axes of the samples in the order of the file: line, shot, pulse, sample, and iq if I and Q alternate."""
+    quantity: Quantity | None = None
+    """What the values are, with its unit, if they are a motion that was estimated already; default: echoes."""
+    depth_step_m: Annotated[float, Field(gt=0, le=0.1, strict=True)] | None = None
+    """Distance in depth between the samples of such a motion."""
     sample_rate_hz: SampleRateHz | None = None
     """Sampling rate F_s; for I and Q the rate of the pairs."""
     pulse_rate_hz: FrequencyHz | None = None
@@ -143,12 +157,16 @@ class RecordingSettings(Section):
         axes = self.axes or ("pulse", "sample")
         if len(set(axes)) < len(axes):
             raise ValueError("an axis is named twice: each of line, shot, pulse, sample, iq at most once")
+        if self.quantity is not None and "pulse" in axes:
+            return self
         if "sample" not in axes or ("pulse" not in axes and self.record_samples is None):
             raise ValueError('axes lacks pulse or sample: both are needed, such as axes = "line,pulse,sample"')
         return self
 
     @model_validator(mode="after")
     def _check_exclusive_keys(self) -> RecordingSettings:
+        if self.depth_step_m is not None and self.quantity is None:
+            raise ValueError("depth_step_m belongs to a motion: quantity as well, or sample_rate_hz of echoes")
         for first, second in EXCLUSIVE_KEYS:
             if getattr(self, first) is not None and getattr(self, second) is not None:
                 raise ValueError(f"{first} and {second} exclude each other: give one of them")

@@ -136,7 +136,9 @@ class Statements:
         depth_m = self.settings.first_sample_depth_m
         if depth_m is None:
             if self.settings.first_sample_s is None and "first_sample_s" not in self.contents.stated:
-                self.inferred.append("the first sample is acquired at the onset of its pulse (depth 0), the default")
+                what = "the first sample is acquired at the onset of its pulse (depth 0)"
+                what = what if self.settings.quantity is None else "the first value lies at depth 0"
+                self.inferred.append(f"{what}, the default")
                 return 0.0
             return self.number("first_sample_s") or 0.0
         if sound_speed_m_per_s is None:

@@ -1,5 +1,6 @@
 from .api import (
     estimate as estimate,
+    estimate_motion as estimate_motion,
     fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,

@@ -14,7 +14,7 @@ from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.measurement import BenchSource, prepare, provenance_now, record_run, source_text
 from hpe_rig.result import Result, Stages
 from hpe_rig.runs.arguments import number_list, require_axes, require_numbers, text_list
-from hpe_rig.runs.echoes import EchoSettings, Samples, estimate_trains
+from hpe_rig.runs.echoes import MAX_FREQUENCY_ACCURACY, EchoSettings, Samples, estimate_trains
 from hpe_rig.runs.estimation import chosen_estimator
 from hpe_rig.runs.result_warnings import incomplete_warnings
 from hpe_rig.runs.run import Run, open_run
@@ -147,7 +147,7 @@ def estimate(
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
     """
-    samples = _real(rf)
+    samples = _real(rf, "rf", ("pulse", "sample"))
     require_numbers(
         "estimate",
         sample_rate_hz=sample_rate_hz,
@@ -169,10 +169,46 @@ def estimate(
     )
     with stages("process"):
         estimates = estimate_trains(samples.reshape(-1, *samples.shape[-2:]), settings, estimator_name)
-    return _result_of_echoes(f"Echoes of shape {samples.shape}", estimator_name, estimates, stages)
+    return _result(f"Echoes of shape {samples.shape}", estimator_name, estimates, stages)
 
 
-def _result_of_echoes(title: str, estimator: str, estimates: Estimates, stages: Stages) -> Result:
+def estimate_motion(
+    motion: ArrayLike,
+    *,
+    pulse_rate_hz: float,
+    frequencies_hz: Sequence[float],
+    quantity: Literal["displacement_m", "velocity_m_per_s"] = "displacement_m",
+    frequency_accuracy: float = 50e-6,
+) -> Result:
+    """Return amplitude and phase of a displacement or velocity that another program has estimated from its echoes.
+
+    ``motion`` (..., pulse): displacement, m, or velocity, m/s, of one point every ``1 / pulse_rate_hz``; each entry of
+    the leading axes becomes a shot of the result, in C order. Values that are not finite are missing. u combines the
+    residual, as noise that is independent from pulse to pulse, with ``frequency_accuracy`` (``estimate``); errors of
+    the scale, such as that of the sound speed, are not in it. Phases count from the first pulse. Raises ``TypeError``
+    if ``motion`` is not real, and ``ValueError`` for invalid settings and if no entry has an estimate.
+
+    >>> estimate_motion(np.load("shear-wave.npy"), pulse_rate_hz=10e3, frequencies_hz=[100.0, 200.0])
+    """
+    from hpe_rig.processing import estimate_stated_motion
+
+    values = _real(motion, "motion", ("pulse",))
+    require_numbers("estimate_motion", pulse_rate_hz=pulse_rate_hz, frequency_accuracy=frequency_accuracy)
+    if quantity not in ("displacement_m", "velocity_m_per_s"):
+        raise ValueError(f"quantity is {quantity!r}: 'displacement_m' or 'velocity_m_per_s'")
+    if not 0 < pulse_rate_hz < np.inf or not 0 <= frequency_accuracy <= MAX_FREQUENCY_ACCURACY:
+        rates = f"pulse_rate_hz is {pulse_rate_hz:g}, frequency_accuracy {frequency_accuracy:g}"
+        raise ValueError(f"{rates}: a positive rate, and an accuracy from 0 to {MAX_FREQUENCY_ACCURACY:g}")
+    wanted_hz = number_list("estimate_motion", "frequencies_hz", frequencies_hz)
+    kind: Literal["displacement", "velocity"] = "velocity" if quantity == "velocity_m_per_s" else "displacement"
+    series, stages = values.reshape(-1, values.shape[-1]).astype(np.float64), Stages()
+    with stages("process"):
+        estimates = estimate_stated_motion(series, pulse_rate_hz, wanted_hz, kind, frequency_accuracy)
+    return _result(f"{kind.capitalize()} of shape {values.shape}", "least_squares", estimates, stages)
+
+
+def _result(title: str, estimator: str, estimates: Estimates, stages: Stages) -> Result:
+    """Return the result of arrays; phases count from their first pulse."""
     return Result(
         title=title,
         run_file="",
@@ -197,15 +233,15 @@ def _margin(margin: Any) -> tuple[int, int]:
     return margin[0], margin[1]
 
 
-def _real(rf: ArrayLike) -> Samples:
-    """Return ``rf`` as an array; raise an error if it is not real, lacks an axis or holds no echo."""
-    values = np.asarray(rf)
+def _real(array: ArrayLike, name: str, axes: Sequence[str]) -> Samples:
+    """Return ``array`` as one; raise an error if it is not real, lacks one of the last ``axes`` or is empty."""
+    values, last = np.asarray(array), f"(..., {', '.join(axes)})"
     if values.dtype.kind not in "iuf":
-        raise TypeError(f"expected rf as real numbers (..., pulse, sample), not {values.dtype}")
-    if values.ndim < 2:
-        raise ValueError(f"rf has shape {values.shape}: it needs the axes (..., pulse, sample)")
+        raise TypeError(f"expected {name} as real numbers {last}, not {values.dtype}")
+    if values.ndim < len(axes):
+        raise ValueError(f"{name} has shape {values.shape}: it needs the axes {last}")
     if not values.size:
-        raise ValueError(f"rf has shape {values.shape}: it holds no echo")
+        raise ValueError(f"{name} has shape {values.shape}: it holds no {'echo' if name == 'rf' else name}")
     return values
 
 

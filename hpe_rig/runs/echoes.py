@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 STEPS = 1 << 22
 """Steps from zero to the largest value of samples that are no codes."""
+MAX_FREQUENCY_ACCURACY = 0.01
 Samples = NDArray[np.integer[Any] | np.floating[Any]]
 
 
@@ -48,8 +49,9 @@ class EchoSettings:
         mistakes = [f"{name} is {value:g}" for name, value in values.items() if not 0 < value < np.inf]
         if mistakes:
             raise ValueError(f"{', '.join(mistakes)}: each must be positive and finite")
-        if not 0 <= self.frequency_accuracy <= 1e-2:
-            raise ValueError(f"frequency_accuracy is {self.frequency_accuracy:g}: a relative value from 0 to 0.01")
+        if not 0 <= self.frequency_accuracy <= MAX_FREQUENCY_ACCURACY:
+            limits = f"a relative value from 0 to {MAX_FREQUENCY_ACCURACY:g}"
+            raise ValueError(f"frequency_accuracy is {self.frequency_accuracy:g}: {limits}")
         if self.drift not in ("none", "linear"):
             raise ValueError(f"drift is {self.drift!r}: 'none' or 'linear'")
         if min(self.margin) < 0 or sum(self.margin) >= samples:

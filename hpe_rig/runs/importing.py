@@ -94,6 +94,10 @@ def import_recording(
     name, text = scene_text(scene)
     tables = parse_toml(text, f"scene {name}")
     settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
+    if settings.quantity is not None:
+        what = f"{settings.quantity} is stated, and a run file holds echoes"
+        remedy = "hpe-rig map, or hpe_rig.estimate_motion for single points"
+        raise SettingsError("recording", [Mistake("quantity", what, remedy)])
     recording = read_recording(source, settings, origins, stated_by_scene(name, text))
     codes, scale_v, assumptions = _to_codes(recording)
     # Full scale is half a code above the highest code.

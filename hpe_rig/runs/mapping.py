@@ -28,7 +28,8 @@ def map_motion(
 
     ``recording`` is a file or an array of echoes, described as for ``import_records``; by default all lines are mapped.
     Gates of the scene's ``acquisition.gate_length_m`` follow each other from the first sample on. I and Q are pixels:
-    a gate has at least one sample. Frequencies are the scene's. ``progress`` gets the number of lines done and the
+    a gate has at least one sample. So is every series of a displacement or velocity (``quantity``); its uncertainty is
+    that of its residual. Frequencies are the scene's. ``progress`` gets the number of lines done and the
     total. A pixel without an echo above the noise is marked and NaN. If Numba has been imported, compiled functions are
     used, and results differ by rounding. Raises ``SettingsError`` with every mistake of recording, sidecar or scene.
 
@@ -48,7 +49,7 @@ def map_recording(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[MotionMap, tuple[str, ...]]:
     """Return the map of ``source`` and a description of all inferred values; raises as ``map_motion``."""
-    from hpe_rig.processing import map_pixels
+    from hpe_rig.processing import map_pixels, map_stated_motion
 
     name, text = scene_text(scene)
     settings, origins = read_settings(source if isinstance(source, Path) else None, sidecar, options)
@@ -61,14 +62,13 @@ def map_recording(
         what = "the scene has no vibration frequency"
         raise SettingsError(f"scene {name}", [Mistake("processing.frequencies_hz", what, "[200.0]")])
     try:
-        motion_map = map_pixels(
-            recording.values[:, 0],
-            recording.pulse_time_s,
-            recorded_scene.wanted_frequencies_hz,
-            _map_settings(recorded_scene, recording),
-            recording.line_position_m,
-            progress,
-        )
+        series = recording.values[:, 0], recording.pulse_time_s, recorded_scene.wanted_frequencies_hz
+        if recording.quantity is None:
+            settings_of_map = _map_settings(recorded_scene, recording)
+            motion_map = map_pixels(*series, settings_of_map, recording.line_position_m, progress)
+        else:
+            _refuse_estimator(recorded_scene, recording.quantity, name)
+            motion_map = map_stated_motion(*series, recording.quantity, recording.depth_m, recording.line_position_m)
     except ValueError as error:
         what, _, remedy = str(error).rpartition(": ")
         mistake = Mistake("", what or str(error), remedy if what else "other settings")
@@ -76,15 +76,23 @@ def map_recording(
     return replace(motion_map, origin=f"IMPORTED from {recording.name}, SHA-256 {recording.sha256}"), recording.inferred
 
 
+def _refuse_estimator(scene: Scene, quantity: str, name: str) -> None:
+    """Raise ``SettingsError`` if the ``scene`` states an estimator, which a recorded motion does not need."""
+    if "estimator" in scene.processing.model_fields_set:
+        what = f"{scene.processing.estimator!r} estimates motion from echoes, and the recording holds a {quantity}"
+        raise SettingsError(f"scene {name}", [Mistake("processing.estimator", what, "a scene without it")])
+
+
 def _as_recorded(name: str, text: str, recording: Recording) -> Scene:
     """Return the scene with the rates and counts of the recording."""
     values: dict[str, float] = {
         "tracking.pulse_rate_hz": recording.pulse_rate_hz,
         "tracking.pulse_count": recording.values.shape[2],
-        "tracking.carrier_hz": recording.carrier_hz,
-        "acquisition.sample_rate_hz": recording.sample_rate_hz,
         "acquisition.record_samples": recording.values.shape[3],
     }
+    if recording.quantity is None:
+        values["tracking.carrier_hz"] = recording.carrier_hz
+        values["acquisition.sample_rate_hz"] = recording.sample_rate_hz
     if recording.sound_speed_m_per_s is not None:
         values["acquisition.sound_speed_m_per_s"] = recording.sound_speed_m_per_s
     return parse_scene(name, edited_text(text, {path_of(key): value for key, value in values.items()})).scene

@@ -34,7 +34,17 @@ from hpe_rig.runs.conditions import condition_summaries, condition_warnings, con
 from hpe_rig.runs.estimation import chosen_estimator, estimate_profile, estimate_shots
 from hpe_rig.runs.result_warnings import run_warnings
 from hpe_rig.scene import Axis, Estimator, Mistake, Processing, Scene, SettingsError, mistakes_of
-from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, recover, result_path, versions, write_result
+from hpe_rig.store import (
+    StoredRecords,
+    StoredRun,
+    StoreError,
+    read_run,
+    recover,
+    refuse_unwritable,
+    result_path,
+    versions,
+    write_result,
+)
 
 if TYPE_CHECKING:
     from hpe_rig.processing import EchoGate
@@ -291,6 +301,7 @@ def process(
     stages = stages or Stages()
     with stages("read"):
         run = open_run(path).with_profile(profile_step_m).with_drift(drift)
+    refuse_unwritable(result_path(path, chosen_estimator(estimator, run.scene)))
     result = run.estimate(estimator, stages)
     with stages("write result"):
         run.save(result)

@@ -28,7 +28,7 @@ from hpe_rig.plan import Plan, Shot
 from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
 from hpe_rig.store.assembly import DamagedLogError, assemble
-from hpe_rig.store.atomic import atomic_file, synchronise
+from hpe_rig.store.atomic import atomic_file, refuse_unwritable, synchronise
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, TIME_BYTES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, chunk_records, empty_run, volts_of_codes
@@ -383,9 +383,20 @@ def _new_log(image: bytes, path: Path, overwrite: bool, record_bytes: int, cance
     try:
         return make_or_undo(make, undo, cancelled)
     except FileExistsError:
-        raise StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.") from None
+        raise _already_exists(path) from None
     except OSError as error:
         raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder.") from None
+
+
+def _already_exists(path: Path) -> StoreError:
+    return StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.")
+
+
+def refuse_output(path: Path, overwrite: bool) -> None:
+    """Raise ``StoreError`` if the run file ``path`` exists and may not be overwritten, or cannot be written."""
+    if path.exists() and not overwrite:
+        raise _already_exists(path)
+    refuse_unwritable(path)
 
 
 def refuse_to_replace(path: Path) -> None:

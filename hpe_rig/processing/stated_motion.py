@@ -1,0 +1,172 @@
+"""Amplitude and phase of a motion that another program has estimated: displacement or velocity, without echoes.
+
+    D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + v t + constant                            least squares
+    V(t) = sum_i 2 pi f_i A_i cos(2 pi f_i t + phi_i) + v
+
+The noise of consecutive values counts as independent. Its variance is that of the residual.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.processing.budget import ErrorSources, estimates_of
+from hpe_rig.processing.error_influences import error_influences
+from hpe_rig.processing.harmonics.fit_checks import residual_line
+from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, fit_from_state
+from hpe_rig.processing.harmonics.model import linear_model
+from hpe_rig.processing.motion.displacement import Motion
+from hpe_rig.processing.shot_warnings import fit_warnings, line_warnings
+from hpe_rig.processing.shots import FALSE_ALARM_PROBABILITY, Estimates
+from hpe_rig.result import BadPixel, MotionMap, ShotResult
+
+StatedQuantity = Literal["displacement", "velocity"]
+
+
+def fit_stated_motion(
+    motion: FloatArray, valid: BoolArray, time_s: FloatArray, frequencies_hz: Sequence[float], quantity: StatedQuantity
+) -> tuple[HarmonicFit, FloatArray, FloatArray]:
+    """Return amplitude and phase of a ``motion`` (..., pulse), and its mean velocity (...) with standard uncertainty.
+
+    ``motion``: displacement, m, or velocity, m/s, at ``time_s`` (pulse,), used where ``valid`` (pulse,). The residual
+    of a velocity is stated as that of the displacement at the lowest frequency. Raises ``ValueError`` if the pulses do
+    not resolve the frequencies.
+    """
+    frequency_hz = np.asarray(frequencies_hz, np.float64)
+    is_velocity, wanted = quantity == "velocity", slice(2 * frequency_hz.size)
+    # The constant of a velocity is the slope of the displacement.
+    order = 0 if is_velocity else 1
+    model = linear_model(time_s, valid, frequency_hz, background_order=order)
+    pulses, states = model.matrix.shape
+    state, residual = model.solve(motion[..., valid])
+    variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
+    unit_covariance = model.root @ model.root.T
+    # The velocity of a phasor x is j w x, with the in-phase and quadrature states -w Im x and w Re x.
+    omega = 2 * np.pi * frequency_hz
+    turn = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]]) if is_velocity else np.eye(2 * frequency_hz.size)
+    covariance = variance[..., None, None] * (turn @ unit_covariance[wanted, wanted] @ turn.T)
+    residual_m = np.asarray(np.sqrt(variance) / (omega.min() if is_velocity else 1.0))
+    quality = FitQuality(residual_m, float(pulses - states), pulses, model.condition)
+    fit = fit_from_state(frequency_hz, state[..., wanted] @ turn.T, covariance, quality)
+    # The column of the slope runs from -1 to 1 over the train.
+    per_second = 1.0 if is_velocity else 2 / (time_s[valid][-1] - time_s[valid][0])
+    slope = 2 * frequency_hz.size + order
+    velocity_u = np.sqrt(variance * unit_covariance[slope, slope]) * per_second
+    return fit, np.asarray(state[..., slope] * per_second), np.asarray(velocity_u)
+
+
+def estimate_stated_motion(
+    motion: FloatArray,
+    pulse_rate_hz: float,
+    frequencies_hz: Sequence[float],
+    quantity: StatedQuantity,
+    frequency_accuracy: float,
+) -> Estimates:
+    """Return amplitude and phase of each ``motion`` (series, pulse), m or m/s, with budget and warnings, as of shots.
+
+    Values that are not finite are missing. ``frequency_accuracy``: relative standard uncertainty of the frequencies by
+    the clock of the pulses. Raises the first ``ValueError`` of ``fit_stated_motion`` if no series has an estimate.
+    """
+    shots, errors = list[ShotResult](), dict[int, ValueError]()
+    for index, series in enumerate(motion):
+        try:
+            shot = _estimate_series(series, pulse_rate_hz, frequencies_hz, quantity, frequency_accuracy, len(motion))
+            shots.append(replace(shot, shot=index))
+        except ValueError as error:
+            errors[index] = error
+    if errors and not shots:
+        raise errors[0]
+    return Estimates(tuple(shots), {index: str(error) for index, error in errors.items()})
+
+
+def _estimate_series(
+    motion: FloatArray,
+    pulse_rate_hz: float,
+    frequencies_hz: Sequence[float],
+    quantity: StatedQuantity,
+    frequency_accuracy: float,
+    series_count: int,
+) -> ShotResult:
+    """Return amplitude and phase of one ``motion`` (pulse,), one of ``series_count``."""
+    time_s, valid = np.arange(motion.size) / pulse_rate_hz, np.isfinite(motion)
+    fit, fast, slow = (
+        fit_stated_motion(motion, valid, time_s * (1 + error), frequencies_hz, quantity)[0]
+        for error in (0.0, frequency_accuracy, -frequency_accuracy)
+    )
+    # Change of each phasor by one standard uncertainty of the rate error.
+    change_m = (fast.state - slow.state) / 2
+    clock_m = np.asarray(change_m[::2] + 1j * change_m[1::2]) if frequency_accuracy else None
+    sources = ErrorSources(sound_speed_uncertainty=0.0, time_base_m=clock_m)
+    estimates = estimates_of(fit, sources)
+    line = None
+    # Few pulses leave no frequencies to test.
+    with suppress(ValueError):
+        values = Motion(time_s, motion, np.zeros(motion.size), valid)
+        line = residual_line(values, fit.frequency_hz, background_order=int(quantity == "displacement"))
+    if line is not None and quantity == "velocity":
+        line = replace(line, amplitude_m=line.amplitude_m / (2 * math.pi * line.frequency_hz))
+    return ShotResult(
+        shot=0,
+        repeat=0,
+        burst_length_s=None,
+        force_fraction=None,
+        pulses_used=int(valid.sum()),
+        pulses_missing=int((~valid).sum()),
+        residual_m=float(fit.quality.residual_rms_m),
+        estimates=estimates,
+        warnings=(
+            *fit_warnings(fit, 0.0),
+            *line_warnings(line, pulse_rate_hz, FALSE_ALARM_PROBABILITY / series_count, 0.0),
+        ),
+        pulse_rate_hz=pulse_rate_hz,
+        influences=error_influences(fit, estimates, (None,) * fit.frequency_hz.size, False, sources),
+    )
+
+
+def map_stated_motion(
+    motion: NDArray[Any],
+    time_s: FloatArray,
+    frequencies_hz: Sequence[float],
+    quantity: StatedQuantity,
+    depth_m: FloatArray,
+    line_position_m: FloatArray | None = None,
+) -> MotionMap:
+    """Return amplitude, phase and velocity with their uncertainties at every line and depth.
+
+    ``motion`` (line, pulse, depth): m or m/s; each of its series is a pixel. A pixel with a value that is not finite,
+    or without any change, is marked as bad and NaN. Raises ``ValueError`` as ``fit_stated_motion``.
+    """
+    pixels = np.array(motion.swapaxes(1, 2), np.float64)
+    bad = np.where(np.isfinite(pixels).all(axis=-1), BadPixel.GOOD, BadPixel.NOT_FINITE).astype(np.uint8)
+    bad[(pixels == pixels[..., :1]).all(axis=-1)] = BadPixel.NO_ECHO
+    pixels[bad > 0] = 0.0
+    every_pulse = np.ones(time_s.size, bool)
+    fit, velocity, velocity_u = fit_stated_motion(pixels, every_pulse, time_s, frequencies_hz, quantity)
+    results: dict[str, Any] = {
+        "amplitude_m": fit.amplitude_m,
+        "amplitude_uncertainty_m": np.sqrt(fit.covariance[..., 0, 0]),
+        "phase_rad": fit.phase_rad,
+        "phase_uncertainty_rad": np.sqrt(fit.covariance[..., 1, 1]),
+        "velocity_m_per_s": velocity,
+        "velocity_uncertainty_m_per_s": velocity_u,
+        "residual_m": np.asarray(fit.quality.residual_rms_m),
+    }
+    for values in results.values():
+        values[bad > 0] = np.nan
+    return MotionMap(
+        frequency_hz=fit.frequency_hz,
+        line_m=np.arange(len(pixels), dtype=float) if line_position_m is None else line_position_m,
+        depth_m=depth_m,
+        power=np.full(bad.shape, np.nan),
+        bad=bad,
+        lines_are_placed=line_position_m is not None,
+        **results,
+    )

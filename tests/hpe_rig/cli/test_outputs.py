@@ -1,0 +1,76 @@
+"""A file that cannot be written is refused before its command computes anything."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.cli import stored
+from hpe_rig.cli.app import app
+from hpe_rig.store import StoreError
+
+SCENE = """
+title = "Map"
+[tracking]
+[acquisition]
+gate_depth_m = 1e-3
+gate_length_m = 1e-3
+[processing]
+frequencies_hz = [200.0]
+"""
+SETTINGS = ["axes=line,pulse", "quantity=displacement_m", "pulse_rate_hz=4e3"]
+MAP = ["map", "u.npy", "--scene", "s.toml", *(word for text in SETTINGS for word in ("--set", text))]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(SCENE)
+    (tmp_path / "taken.h5").write_bytes(b"an important file")
+    np.save(tmp_path / "u.npy", 1e-6 * np.sin(2 * np.pi * 200.0 * np.arange(60) / 4e3)[None].repeat(3, 0))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        # The inputs do not exist: a command that read them first would say so.
+        (["map", "absent.npy", "--scene", "s.toml", "--figure", "no/a.png"], "the folder no does not exist"),
+        (["map", "absent.npy", "--scene", "s.toml", "--figure", "a.docx"], "Matplotlib has no format '.docx'"),
+        (["map", "absent.npy", "--scene", "s.toml", "-o", "no/a.nc"], "the folder no does not exist"),
+        (["import", "absent.npy", "--scene", "s.toml", "-o", "no/a.h5"], "the folder no does not exist"),
+        (["import", "absent.npy", "--scene", "s.toml", "-o", "taken.h5"], "taken.h5 already exists"),
+        (["compare", "absent.h5", "absent.h5", "--figure", "a.docx"], "Matplotlib has no format '.docx'"),
+        (["moduli", "absent.h5", "--figure", "no/a.png"], "the folder no does not exist"),
+        (["figure", "absent.h5", "-o", "no/a.png"], "the folder no does not exist"),
+        (["report", "absent.h5", "--output", "no/a.html"], "the folder no does not exist"),
+    ],
+)
+def test_an_output_is_refused_before_the_input_is_read(command: list[str], message: str, folder: Path) -> None:
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code != 0
+    assert message in " ".join(done.output.split()), done.output
+    assert sorted(path.name for path in folder.iterdir()) == ["s.toml", "taken.h5", "u.npy"]
+
+
+def test_a_map_file_needs_its_extra_before_anything_is_computed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    done = CliRunner().invoke(app, [*MAP, "-o", "a.nc", "--figure", "a.png"])
+    assert done.exit_code != 0
+    assert 'pip install "hpe-rig[frames]"' in " ".join(done.output.split())
+    assert "pixels estimated" not in done.output
+
+
+def test_the_figure_is_written_if_the_map_cannot_be(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path, dataset: object) -> None:
+        raise StoreError(f"{path} cannot be written (No space left on device)")
+
+    monkeypatch.setattr(stored, "write_map_file", fail)
+    done = CliRunner().invoke(app, [*MAP, "-o", "a.nc", "--figure", "a.png"])
+    assert done.exit_code != 0
+    assert "No space left on device" in done.output
+    assert (folder / "a.png").stat().st_size > 1000
