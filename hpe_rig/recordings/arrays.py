@@ -29,6 +29,9 @@ from hpe_rig.store import (
     refuse_expansion,
 )
 
+MIN_MAPPED_BYTES = 2**25
+"""Size above which values stay in the file until they are used, so that long recordings need little memory."""
+NUMPY_MAGIC = b"\x93NUMPY"
 MIN_VECTOR = 8
 """Values of a vector that may be a record."""
 MAX_STATED_ENTRIES = 1_000_000
@@ -44,6 +47,9 @@ def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
     try:
         # Opened here: NumPy would not close a file that is no archive.
         with path.open("rb") as file:
+            if path.stat().st_size >= MIN_MAPPED_BYTES and file.read(6) == NUMPY_MAGIC:
+                return contents({path.stem: np.lib.format.open_memmap(path, mode="r")})
+            file.seek(0)
             loaded = np.load(file, allow_pickle=False)
             if isinstance(loaded, np.ndarray):
                 return contents({path.stem: loaded})
@@ -56,7 +62,7 @@ def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
         raise ValueError(f"{error}: {PLAIN_FILE}") from None
     except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         kind, function = ("NPZ", "savez") if path.suffix.lower() == ".npz" else ("NPY", "save")
-        if "Object arrays" in str(error):
+        if "Object arrays" in str(error) or "Python objects" in str(error):
             raise ValueError(
                 "it holds Python objects, which may run programs when they are read: one array of numbers, such as "
                 f"numpy.{function}({path.stem!r}, numpy.stack(records)) in the program that wrote it"
@@ -158,7 +164,19 @@ class _Hdf5Values:
         refuse_elsewhere(dataset)
         self.bytes_read += bytes_in_memory(dataset)
         refuse_expansion(self.bytes_read, self.max_bytes, dataset.name)
-        return dataset[()]
+        mapped = _mapped(dataset) if dataset.size * dataset.dtype.itemsize >= MIN_MAPPED_BYTES else None
+        return dataset[()] if mapped is None else mapped
+
+
+def _mapped(dataset: Any) -> NDArray[Any] | None:
+    """Return the values of a ``dataset`` in its file; None if they are compressed or in chunks."""
+    offset = dataset.id.get_offset()
+    if offset is None or dataset.dtype.kind not in "iuf":
+        return None
+    values = np.memmap(dataset.file.filename, dataset.dtype, "r", offset, dataset.shape)
+    # HDF5 counts from the end of a user block, which not every version includes in the offset.
+    is_same = all(np.array_equal(values[index], dataset[index], equal_nan=True) for index in (0, -1))
+    return values if is_same else None
 
 
 def read_raw(path: Path, settings: RecordingSettings) -> Contents:
@@ -176,6 +194,8 @@ def read_raw(path: Path, settings: RecordingSettings) -> Contents:
             f"it has {size} bytes, {settings.shape} values of {settings.dtype} and a header of "
             f"{settings.header_bytes} bytes take {expected}: the right shape, dtype or header_bytes"
         )
+    if size >= MIN_MAPPED_BYTES:
+        return contents({path.stem: np.memmap(path, dtype, "r", settings.header_bytes, settings.shape)})
     values = np.fromfile(path, dtype, offset=settings.header_bytes).reshape(settings.shape)
     return contents({path.stem: values.astype(dtype.newbyteorder("="), copy=False)})
 

@@ -6,9 +6,9 @@ with its origin.
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,19 +19,19 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.recordings.axes import select_array, with_axes
 from hpe_rig.recordings.baseband import to_radio_frequency
+from hpe_rig.recordings.checksum import Checksum
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import BUILT_IN, read_contents
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.motion import NOMINAL_SPEED_M_PER_S, depth_rate_hz, kind_of, si_motion
+from hpe_rig.recordings.record_checks import MAX_LISTED, MIN_SAMPLES, are_constant, are_finite, list_records, per_record
 from hpe_rig.recordings.series import read_series, series_name
 from hpe_rig.recordings.settings import DIMENSIONS, KEYS_OF_FORMAT, Dimension, RecordingSettings
 from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
 from hpe_rig.recordings.statements import Statements
 from hpe_rig.scene import Mistake, SettingsError
 
-MAX_LISTED = 4
-"""Records that a message lists."""
-MIN_PULSES, MIN_SAMPLES = 2, 8
+MIN_PULSES = 2
 Source = Path | tuple[Path, ...] | NDArray[Any]
 """A file, files with one pulse or frame each, or an array."""
 
@@ -89,9 +89,11 @@ def read_recording(
     wrong value.
     """
     name = source_name(source)
-    file_format, contents, sha256 = _open_source(source, settings, name)
-    statements = Statements(settings, contents, scene or {}, origins or {})
-    return _Reader(statements, name, for_map).read(file_format, sha256)
+    # The checksum of a long file takes longer than reading it: a thread computes it meanwhile.
+    with ThreadPoolExecutor(max_workers=1) as pool, Checksum() as checksum:
+        file_format, contents, sha256 = _open_source(source, settings, name, lambda data: pool.submit(checksum, data))
+        statements = Statements(settings, contents, scene or {}, origins or {})
+        return _Reader(statements, name, for_map).read(file_format, sha256)
 
 
 def as_source(recording: Any) -> Source:
@@ -110,21 +112,22 @@ def source_name(source: Source) -> str:
     return source.name if isinstance(source, Path) else "array"
 
 
-def _open_source(source: Source, settings: RecordingSettings, name: str) -> tuple[str, Contents, str]:
-    """Return format, content and SHA-256 of the files or array."""
+def _open_source(
+    source: Source, settings: RecordingSettings, name: str, start_checksum: Callable[[Path | NDArray[Any]], Future[str]]
+) -> tuple[str, Contents, Callable[[], str]]:
+    """Return format and content of the files or array, and a function that waits for their SHA-256."""
     if not isinstance(source, Path | tuple):
         values = np.asarray(source)
         if values.dtype.kind not in "iufc":
             raise SettingsError("recording", [Mistake("", f"values of type {values.dtype}", "real or complex numbers")])
-        digest = hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
-        return "array", Contents({"array": values}), digest
+        return "array", Contents({"array": values}), start_checksum(values).result
     try:
         _check_files(source if isinstance(source, tuple) else (source,), name)
         if isinstance(source, tuple):
-            return read_series(source, settings)
-        file_format, contents = read_contents(source, settings)
-        with source.open("rb") as file:
-            return file_format, contents, hashlib.file_digest(file, "sha256").hexdigest()
+            file_format, contents, digest = read_series(source, settings)
+            return file_format, contents, lambda: digest
+        sha256 = start_checksum(source).result
+        return *read_contents(source, settings), sha256
     except OSError as error:
         what = f"{error.filename or name} cannot be read ({error.strerror or error})"
         raise SettingsError(f"recording {name}", [Mistake("", what, "a readable copy")]) from error
@@ -151,8 +154,8 @@ class _Reader:
         self.statements, self.settings = statements, statements.settings
         self.name, self.for_map = name, for_map
 
-    def read(self, file_format: str, sha256: str) -> Recording:
-        """Return the recording; raise ``SettingsError`` with all mistakes."""
+    def read(self, file_format: str, sha256: Callable[[], str]) -> Recording:
+        """Return the recording with the result of ``sha256``; raise ``SettingsError`` with all mistakes."""
         statements = self.statements
         statements.inferred += statements.contents.inferred
         self._refuse_unused_settings(file_format)
@@ -195,7 +198,7 @@ class _Reader:
             values, rate_hz = self._mix_up(values, rate_hz, demodulation_hz, carrier_hz)
         return Recording(
             name=self.name,
-            sha256=sha256,
+            sha256=sha256(),
             format=file_format,
             values=values,
             recorded=recorded,
@@ -274,10 +277,10 @@ class _Reader:
 
     def _find_finite(self, values: NDArray[Any]) -> BoolArray:
         """Return which records (line, shot, pulse) are finite; add a mistake for others unless they may be missing."""
-        recorded: BoolArray = np.isfinite(values).all(axis=-1)
+        recorded = per_record(values, are_finite)
         missing = int((~recorded).sum())
         if missing and self.settings.not_finite != "missing":
-            what = f"{missing} of {recorded.size} records hold values that are not finite: {_list_records(~recorded)}"
+            what = f"{missing} of {recorded.size} records hold values that are not finite: {list_records(~recorded)}"
             self.statements.add_mistake("", what, 'numbers, or not_finite = "missing"')
         elif missing:
             self.statements.inferred.append(f"{missing} records hold values that are not finite: missing")
@@ -287,12 +290,11 @@ class _Reader:
 
     def _check_constant(self, values: NDArray[Any], recorded: BoolArray) -> None:
         """Add a mistake for constant records and lines, as from a channel that is not connected."""
-        with np.errstate(invalid="ignore"):
-            constant = (values == values[..., :1]).all(axis=-1) & recorded
+        constant: BoolArray = np.asarray(per_record(values, are_constant) & recorded)
         if not constant.any():
             return
         # A line is dead if all of its records are constant; single dead records are reported separately.
-        dead_lines = (constant | ~recorded).all(axis=(1, 2))
+        dead_lines: BoolArray = np.asarray((constant | ~recorded).all(axis=(1, 2)))
         if dead_lines.any():
             numbers = ", ".join(str(int(line) + 1) for line in np.flatnonzero(dead_lines)[:MAX_LISTED])
             what = f"{int(dead_lines.sum())} of {dead_lines.size} lines hold the same value everywhere: line {numbers}"
@@ -301,8 +303,8 @@ class _Reader:
             else:
                 self.statements.add_mistake("lines", what, "other lines, or another array")
         dead_records = constant & ~dead_lines[:, None, None]
-        if dead_records.any() and not self._are_unselected(dead_records.any(axis=(1, 2))):
-            what = f"{int(dead_records.sum())} records hold one value throughout: {_list_records(dead_records)}"
+        if dead_records.any() and not self._are_unselected(np.asarray(dead_records.any(axis=(1, 2)))):
+            what = f"{int(dead_records.sum())} records hold one value throughout: {list_records(dead_records)}"
             remedy = 'records with echoes; NaN in them and not_finite = "missing" leaves them out'
             self.statements.add_mistake("", what, remedy)
 
@@ -383,12 +385,3 @@ class _Reader:
             f"I and Q are mixed up by {demodulation_hz:g} Hz and interpolated from {rate_hz:g} Hz to {output_hz:g} Hz"
         )
         return samples, output_hz
-
-
-def _list_records(marked: BoolArray) -> str:
-    """Return the numbers, from 1, of the first of the ``marked`` records (line, shot, pulse)."""
-    indices = np.argwhere(marked)
-    numbers = [
-        f"line {line + 1} shot {shot + 1} pulse {pulse + 1}" for line, shot, pulse in indices[:MAX_LISTED].tolist()
-    ]
-    return ", ".join(numbers) + (f" and {len(indices) - MAX_LISTED} more" if len(indices) > MAX_LISTED else "")

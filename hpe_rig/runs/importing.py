@@ -10,17 +10,17 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.arrays import BoolArray, Int16Array
+from hpe_rig.arrays import Int16Array
 from hpe_rig.bench import parse_bench
 from hpe_rig.measurement import plan_and_check
 from hpe_rig.plan import Plan, refuse_conflicts
@@ -43,6 +43,8 @@ from hpe_rig.store import RunWriter, WriteOptions, free_path
 MIN_GATE_RMS_CODES = 30.0
 """RMS of the gate in codes below which quantisation adds noticeably to the noise."""
 MIN_RANGE_V, MAX_RANGE_V = 1e-6, 1e4
+ToCodes = Callable[[NDArray[Any]], Int16Array]
+"""Function from values of a recording to codes of its run file."""
 SCENE_KEYS: Mapping[str, str] = {
     "sample_rate_hz": "acquisition.sample_rate_hz",
     "pulse_rate_hz": "tracking.pulse_rate_hz",
@@ -99,7 +101,7 @@ def import_recording(
         remedy = "hpe-rig map, or hpe_rig.estimate_motion for single points"
         raise SettingsError("recording", [Mistake("quantity", what, remedy)])
     recording = read_recording(source, settings, origins, stated_by_scene(name, text))
-    codes, scale_v, assumptions = _to_codes(recording)
+    to_codes, scale_v, assumptions = _quantisation(recording)
     # Full scale is half a code above the highest code.
     code_limits = parse_bench("imported", _bench_text(recording, ())).bench.digitizer.board_model.code_limits
     values = _scene_values(tables, recording, scale_v * (2 * code_limits[1] + 1) / 2)
@@ -112,14 +114,14 @@ def import_recording(
     bench = parse_bench("imported", _bench_text(recording, inferred))
     plan, findings = plan_and_check(scene_as_recorded.scene, bench.bench)
     refuse_conflicts(findings)
-    _refuse_other_shot_count(plan, codes, f"recording {recording.name}")
-    inferred = (*inferred, *_quantisation_warnings(recording, codes, plan))
+    _refuse_other_shot_count(plan, recording)
+    inferred = (*inferred, *_quantisation_warnings(recording, to_codes, plan))
     bench = parse_bench("imported", _bench_text(recording, inferred))
 
     path = path or free_path(recording.name.partition(".")[0] or "recording", Path())
     plan = _with_recorded_times(plan, recording)
     with RunWriter(path, scene_as_recorded, bench, plan, write or WriteOptions()) as writer:
-        _write_records(writer, plan, codes, recording.recorded, scale_v=scale_v, limits=code_limits)
+        _write_records(writer, plan, recording, to_codes, scale_v=scale_v, limits=code_limits)
     return path, inferred
 
 
@@ -196,23 +198,24 @@ def _refuse_sweeps(tables: Mapping[str, Any], source: str) -> None:
         raise SettingsError(source, [Mistake(f"sweep.{key}", what, remedy) for key in keys])
 
 
-def _refuse_other_shot_count(plan: Plan, codes: Int16Array, source: str) -> None:
-    lines, shots = codes.shape[:2]
+def _refuse_other_shot_count(plan: Plan, recording: Recording) -> None:
+    lines, shots = recording.values.shape[:2]
     if len(plan.shots) != lines * shots:
         what = f"the scene has {len(plan.shots)} shots, the recording {lines} lines of {shots}"
         remedy = "forces times burst lengths times repeats equal to the length of the recording's axis shot"
-        raise SettingsError(source, [Mistake("axes", what, remedy)])
+        raise SettingsError(f"recording {recording.name}", [Mistake("axes", what, remedy)])
 
 
-def _to_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
-    """Return the samples as codes (line, shot, pulse, sample), the volts of one code, and the assumptions in words.
+def _quantisation(recording: Recording) -> tuple[ToCodes, float, list[str]]:
+    """Return the function from values to codes of 16 bits, the volts of one code, and the assumptions in words.
 
     Integers of up to 16 bits are kept, other values are quantised.
     """
     values = recording.values
     if are_codes(values):
-        return _shifted_codes(recording)
-    largest = float(np.abs(values).max())
+        return _kept_integers(recording)
+    # One shot in memory at a time.
+    largest = max(float(np.abs(shot).max()) for line in values for shot in line)
     unit_v = 1.0 if recording.scale_v is None else recording.scale_v
     # The largest value gets the code MAX_CODE. Full scale is one and a half codes above it.
     range_v = largest * unit_v * (2 * MAX_CODE + 3) / (2 * MAX_CODE)
@@ -222,30 +225,37 @@ def _to_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
         range_v = (2 * MAX_CODE + 3) / (2 * MAX_CODE)
     elif recording.scale_v is None:
         inferred.append("volts are not stated: a value of 1 counts as 1 V")
-    codes = np.rint(values * (MAX_CODE / largest)).astype(np.int16)
-    return codes, 2 * range_v / (2 * MAX_CODE + 3), inferred
+
+    def to_codes(selected: NDArray[Any]) -> Int16Array:
+        """Return ``selected`` values, rounded, with MAX_CODE for the largest of the recording."""
+        return np.asarray(np.rint(selected * (MAX_CODE / largest)), np.int16)
+
+    return to_codes, 2 * range_v / (2 * MAX_CODE + 3), inferred
 
 
-def _shifted_codes(recording: Recording) -> tuple[Int16Array, float, list[str]]:
-    """Return integers of up to 16 bits as codes around zero, as ``_to_codes``."""
+def _kept_integers(recording: Recording) -> tuple[ToCodes, float, list[str]]:
+    """Return the function from integers of up to 16 bits to codes around zero, and as ``_quantisation``."""
     values, scale_v = recording.values, recording.scale_v
-    zero, codes, inferred = zero_code(values), signed_codes(values), []
-    if raised := int((values.astype(np.int32) - zero < -FULL_SCALE_CODES).sum()):
+    zero, inferred = zero_code(values), []
+    lowest = (int((shot.astype(np.int32) - zero < -FULL_SCALE_CODES).sum()) for line in values for shot in line)
+    if raised := sum(lowest):
         inferred.append(f"{raised} samples of the lowest code are replaced by the next higher code")
     if zero:
         inferred.append(f"integers without sign: {zero} is zero volts")
     if scale_v is None:
         scale_v = UNSTATED_SCALE_V
         inferred.append("volts are not stated: the codes of 16 bits span plus and minus 1 V")
-    return codes, scale_v, inferred
+    return signed_codes, scale_v, inferred
 
 
-def _quantisation_warnings(recording: Recording, codes: Int16Array, plan: Plan) -> tuple[str, ...]:
+def _quantisation_warnings(recording: Recording, to_codes: ToCodes, plan: Plan) -> tuple[str, ...]:
     """Return a warning if quantisation adds noticeable noise to the echoes of the gate."""
-    gate = codes[..., plan.shots[0].gate].astype(np.float32)
+    if recording.values.dtype.kind != "f":
+        return ()
+    gate = to_codes(recording.values[..., plan.shots[0].gate]).astype(np.float32)
     # The mean is the offset of the digitizer.
     rms = float(np.sqrt(np.mean((gate - gate.mean()) ** 2)))
-    if recording.values.dtype.kind != "f" or rms >= MIN_GATE_RMS_CODES:
+    if rms >= MIN_GATE_RMS_CODES:
         return ()
     return (
         f"WARNING the gate's echoes have an rms of {rms:.2g} codes of 16 bits, since the largest value of the record "
@@ -280,11 +290,14 @@ def _with_recorded_times(plan: Plan, recording: Recording) -> Plan:
 
 
 def _write_records(
-    writer: RunWriter, plan: Plan, codes: Int16Array, recorded: BoolArray, *, scale_v: float, limits: tuple[int, int]
+    writer: RunWriter, plan: Plan, recording: Recording, to_codes: ToCodes, *, scale_v: float, limits: tuple[int, int]
 ) -> None:
-    """Write the records of every line and shot as the shots of the run; ``recorded`` (line, shot, pulse)."""
-    shot_codes, shot_recorded = codes.reshape(-1, *codes.shape[2:]), recorded.reshape(-1, codes.shape[2])
-    for shot, codes, recorded in zip(plan.shots, shot_codes, shot_recorded, strict=True):
+    """Write the records of every line and shot as the shots of the run, one shot in memory at a time."""
+    shots_of_lines = (
+        (line, shot) for line in range(len(recording.values)) for shot in range(recording.values.shape[1])
+    )
+    for shot, index in zip(plan.shots, shots_of_lines, strict=True):
+        codes, recorded = to_codes(recording.values[index]), recording.recorded[index]
         writer.write_settings(shot, {})
         # The records of a block without times are consecutive. So each run of existing records is one block.
         for rows in np.split(np.arange(recorded.size), np.flatnonzero(np.diff(recorded.astype(np.int8))) + 1):
