@@ -49,6 +49,8 @@ KILLED: Final = "killed"
 """Status of a run whose program was killed: its log has none."""
 MAX_VIEWS: Final = 2
 """Number of logs whose content stays in memory, except for the echoes."""
+BUFFER_BYTES: Final = 4_000_000
+"""Size of the writes that go to the disk together: a thread for each write takes as long as the write."""
 LIBRARY_ERRORS: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
 
 Rows = dict[str, dict[int, Frame]]
@@ -198,14 +200,15 @@ def _write_draft(
         checked = CheckedFile(file)
         content = _fill(checked, frames, stream, KILLED)
         _write_codes(checked, content, stream, step)
-    output.refuse_failure()
+    output.finish()
 
 
 @final
 class _Output:
     """Draft as a file-like object for HDF5, which may crash if it meets an error of the disk.
 
-    The first error is stored; later writes of the library stay in memory, so that it can close the file.
+    Small writes are collected. The first error is stored; later writes of the library stay in memory, so that it can
+    close the file.
     """
 
     def __init__(self, number: int, cancelled: threading.Event) -> None:
@@ -216,6 +219,7 @@ class _Output:
         self._end = os.fstat(number).st_size
         self._failure: BaseException | None = None
         self._unwritten: list[tuple[int, bytes]] = []
+        self._unwritten_bytes = 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move the position of the next read or write to ``offset`` from the start, the current position or the end."""
@@ -243,37 +247,54 @@ class _Output:
 
     def write(self, data: memoryview) -> int:
         """Write ``data`` at the current position."""
-        # A copy: a disk that does not answer may still write it when the library has released its buffer.
-        position, content = self._position, bytes(data)
-        self._attempt(lambda: self._write_at(position, content))
-        if self._failure is not None:
-            self._unwritten.append((position, content))
-        self._position += len(content)
+        # A copy: the library reuses its buffer.
+        self._unwritten.append((self._position, bytes(data)))
+        self._unwritten_bytes += len(data)
+        self._position += len(data)
         self._end = max(self._end, self._position)
-        return len(content)
+        if self._unwritten_bytes >= BUFFER_BYTES:
+            self._attempt(self._write_all)
+        return len(data)
 
     def truncate(self, size: int) -> int:
         """Set the length of the file."""
         self._end = size
-        self._attempt(lambda: self._disk.truncate(size))
+        self._attempt(lambda: self._write_all(size))
         return size
 
     def flush(self) -> None:
         """Do nothing: the draft is synced when it is complete."""
+
+    def finish(self) -> None:
+        """Write everything to the disk; raise its first error."""
+        self._attempt(self._write_all)
+        self.refuse_failure()
 
     def _attempt(self, change: Callable[[], object]) -> None:
         """Do ``change`` in a thread: the library, locked meanwhile, must not wait for a disk that does not answer."""
         if self._failure is None:
             try:
                 make_or_undo(lambda _: change(), lambda _: None, self._cancelled)
+                self._unwritten, self._unwritten_bytes = [], 0
             except BaseException as error:
                 self._failure = error
 
-    def _write_at(self, position: int, content: bytes) -> None:
-        self._disk.seek(position)
-        remaining = memoryview(content)
-        while remaining:
-            remaining = remaining[self._disk.write(remaining) :]
+    def _write_all(self, size: int | None = None) -> None:
+        """Write what waits for the disk, in order; then set the length of the file to ``size``."""
+        for position, content in self._unwritten:
+            remaining = memoryview(content)
+            while remaining:
+                self._refuse_cancelled()
+                self._disk.seek(position + len(content) - len(remaining))
+                remaining = remaining[self._disk.write(remaining) :]
+        if size is not None:
+            self._refuse_cancelled()
+            self._disk.truncate(size)
+
+    def _refuse_cancelled(self) -> None:
+        """Raise ``InterruptedError`` if the draft is given up: its descriptor may soon be that of another file."""
+        if self._cancelled.is_set():
+            raise InterruptedError
 
     def refuse_failure(self) -> None:
         """Raise the first error of the disk."""

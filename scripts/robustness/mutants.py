@@ -22,14 +22,15 @@ EXPLAINED = ROOT / "docs" / "project" / "testing.md"
 CODE_AND_TESTS = {
     "plan": ("hpe_rig/plan", "tests/hpe_rig/plan tests/system/test_extreme_input.py tests/system/test_sweep.py"),
     "bench": (
-        "hpe_rig/bench/opening.py hpe_rig/bench/instruments.py hpe_rig/bench/interrupts.py hpe_rig/bench/lock.py",
+        "hpe_rig/bench",
         "tests/hpe_rig/bench tests/hpe_rig/measurement tests/system/test_safety.py tests/system/test_signals.py "
         "tests/system/test_queue.py tests/system/test_one_run_a_file.py tests/system/test_wires.py",
     ),
-    "sequencer": (
-        "hpe_rig/measurement/sequencer.py",
+    "measurement": (
+        "hpe_rig/measurement",
         "tests/hpe_rig/measurement tests/system/test_safety.py tests/system/test_watched_settings.py "
-        "tests/system/test_boards.py tests/system/test_capture_modes.py",
+        "tests/system/test_boards.py tests/system/test_capture_modes.py tests/system/test_queue.py "
+        "tests/system/test_resume.py tests/system/test_stopped_runs.py",
     ),
     "store": (
         "hpe_rig/store",
@@ -47,6 +48,7 @@ CODE_AND_TESTS = {
     ),
     "generator driver": ("drivers/agilent", "tests/drivers/agilent"),
     "board driver": ("drivers/alazar", "tests/drivers/alazar"),
+    "connections": ("drivers/visa", "tests/drivers/visa tests/system/test_idle_connections.py"),
 }
 """Files and folders that are mutated, and their tests, by package."""
 PACKAGES = {package: (code.split(), tests.split()) for package, (code, tests) in CODE_AND_TESTS.items()}
