@@ -165,12 +165,7 @@ def _twin_mistakes(scene: Scene) -> list[Mistake]:
 
     The scene's beams and sound speed may contradict its [simulation].
     """
-    mistakes: list[Mistake] = []
-    for point in scene.points:
-        if scene.sweep.axes:
-            mistakes += check_simulation({"simulation": point.scene.simulation or {}})
-        mistakes += check_declared(point.scene) if not mistakes else []
-    return list(dict.fromkeys(mistakes))
+    return list(dict.fromkeys(mistake for point in scene.points for mistake in check_declared(point.scene)))
 
 
 def _day_of(stored: StoredRun) -> date | None:
