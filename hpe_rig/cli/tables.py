@@ -167,7 +167,7 @@ def _print_shots(result: Result, printer: Printer) -> None:
     rows = []
     for shot, estimate, cells in zip(shots, estimates, settings, strict=True):
         peak = estimate.headline
-        row = [f"{shot.shot + 1}", *cells, *_polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)]
+        row = [f"{shot.shot}", *cells, *_polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)]
         row += [*_angle(peak.phase_rad, peak.phase_uncertainty_rad), _digits(shot.residual_m * 1e9, 3)]
         rows.append((*row, " ".join(_flags(shot))))
     # The column of flags is printed only if a shot has any.
@@ -238,8 +238,10 @@ def _print_profile(result: Result, printer: Printer) -> None:
     """Print a table over depth for every shot with gates over depth."""
     # A table has one lateral offset, shot and window.
     for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
-        gates_by_shot = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
-        for _, shot_gates in groupby(gates_by_shot, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
+        gates_by_shot = sorted(
+            gates, key=lambda gate: (gate.shot.index, gate.shot.window_length_s or 0.0, gate.depth_m)
+        )
+        for _, shot_gates in groupby(gates_by_shot, key=lambda gate: (gate.shot.index, gate.shot.window_length_s)):
             profile = list(shot_gates)
             printer.text(f"\n{_profile_title(profile)}", bold=True)
             printer.table(_profile_table(profile))
@@ -247,7 +249,7 @@ def _print_profile(result: Result, printer: Printer) -> None:
 
 def _profile_title(gates: Sequence[GateResult]) -> str:
     hz = lead_frequency_hz([gate.shot for gate in gates])
-    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot + 1}", *setting_texts(gates[0].shot)])
+    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot}", *setting_texts(gates[0].shot)])
 
 
 def _profile_table(gates: Sequence[GateResult]) -> Table:
@@ -267,8 +269,7 @@ def _profile_table(gates: Sequence[GateResult]) -> Table:
 
 
 def _mean_title(mean: RepeatMean) -> str:
-    # Shots are counted from 1 in every text.
-    shots = [shot + 1 for shot in mean.shots]
+    shots = mean.shots
     is_range = shots[-1] - shots[0] == len(shots) - 1
     numbers = f"{shots[0]} to {shots[-1]}" if is_range else ", ".join(map(str, shots))
     return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *setting_texts(mean)])
@@ -287,7 +288,7 @@ def _mean_row(mean: RepeatMean, has_truth: bool, scale: float) -> list[str]:
 
 
 def _shot_title(shot: ShotResult) -> str:
-    words = [f"shot {shot.shot + 1}", *setting_texts(shot)]
+    words = [f"shot {shot.shot}", *setting_texts(shot)]
     words += [f"{shot.pulses_used} pulses", f"residual {_digits(shot.residual_m * 1e9, 3)} nm rms", *_flags(shot)]
     return ", ".join(words)
 
@@ -298,12 +299,12 @@ def _row(estimate: Estimate, has_truth: bool, corrected: bool, scale: float) -> 
     if corrected:
         row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)
         row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
-    row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m, scale)
-    row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
+    row += _polar(estimate.tracked_amplitude_m, estimate.tracked_amplitude_uncertainty_m, scale)
+    row += [*_angle(estimate.tracked_phase_rad, estimate.tracked_phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
     if has_truth:
         row.append(_or_dash(estimate.true_amplitude_m, 1 / scale, ".4g"))
-        row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+z.1f"))
-        row.append(_or_dash(estimate.corrected_phase_error_rad, 180 / math.pi, "+z.2f"))
+        row.append(_or_dash(estimate.amplitude_error, 100, "+z.1f"))
+        row.append(_or_dash(estimate.phase_error_rad, 180 / math.pi, "+z.2f"))
     return row
 
 

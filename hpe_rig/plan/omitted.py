@@ -34,7 +34,7 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
         return [*omitted, *_omitted_by_twin(twin_of(scene))]
     if bench.recording is not None:
         return [*omitted, Omission("instruments", "the records were imported")]
-    ignored = ", [simulation] is ignored" if scene.simulation is not None else ""
+    ignored = ", [simulation] serves predictions only" if scene.simulation is not None else ""
     return [*omitted, Omission("the twin", f"the bench is real{ignored}")]
 
 

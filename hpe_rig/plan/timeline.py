@@ -26,8 +26,9 @@ def plan_text(title: str, plan: Plan, results: Sequence[CheckResult], columns: i
     shown = [item for item in results if item.level != "passed" or item.check == "simulated specimen"]
     by_level = sorted(shown, key=lambda item: _ORDER[item.level])
     passed = [item for item in results if item.level == "passed"]
+    is_refused = any(item.check == "interference" and item.level == "refused" for item in results)
     lines = [title, "", verdict(results), *(f"  {_MARK[item.level]} {item}" for item in by_level)]
-    lines += ["", *_drawing(shot, max(columns - NAME_COLUMNS, 20)), "", *_table(plan, shot), "", "omitted:"]
+    lines += ["", *_drawing(shot, max(columns - NAME_COLUMNS, 20)), "", *_table(plan, shot, is_refused), "", "omitted:"]
     lines += [f"  {item.what}: {item.why}" for item in plan.omitted] or ["  nothing"]
     lines += ["", f"checks: {len(passed)} of {len(results)} passed{'' if verbose else ' (--verbose lists them)'}"]
     return "\n".join([*lines, *(f"  {_MARK[item.level]} {item}" for item in passed if verbose and item not in shown)])
@@ -83,7 +84,8 @@ def _shots_text(plan: Plan) -> str:
     return f"{len(plan.shots)}" + (f", {controls} of them controls with tonebursts off" if controls else "")
 
 
-def _table(plan: Plan, shot: Shot) -> Iterator[str]:
+def _table(plan: Plan, shot: Shot, is_refused: bool) -> Iterator[str]:
+    """Yield the values of the plan by name; ``is_refused``: disturbed pulses are not allowed."""
     train, capture, burst_train = shot.tracking_train, shot.capture, shot.burst_train
     rows: list[tuple[str, str]] = [("instruments", ", ".join(plan.roles)), ("shots", _shots_text(plan))]
     if burst_train is not None:
@@ -97,7 +99,8 @@ def _table(plan: Plan, shot: Shot) -> Iterator[str]:
         words = " or ".join(f"{low * 1e6:.4g} to {high * 1e6:.4g} us" for low, high in free)
         more = f", plus multiples of {in_us(1 / train.rate_hz)}"
         disturbed = int(disturbed_pulses(shot).sum())
-        none = f"none: at any delay some pulses are disturbed, at this one {disturbed} of {train.count}"
+        none = f"at any delay some pulses are disturbed, at this one {disturbed} of {train.count}"
+        none = f"none: {none}" if is_refused else f"all: {none}, which are skipped"
         rows.append(("admissible t_d", f"{words}{more}" if free else none))
     rows += [
         ("tracking", f"{train.count} pulses at {train.rate_hz:g} Hz from t_d = {in_us(train.delay_s)}"),

@@ -90,7 +90,11 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
         f"{10 * math.log10(conditions.snr):.3g} dB SNR, {jitter}{conditions.pulses} pulses (standard deviations; "
         "noise of a quadrature):"
     )
-    yield f"  {'estimator':18}{'bias':>10}{'noise':>10}{'aliasing':>10}{'speckle':>10}{'phase':>10}"
+    processing = scene.processing
+    assumed = processing.expected_amplitude_m is None or processing.expected_snr_db is None
+    if not simulated and scene.simulation is not None and assumed:
+        yield "  as [simulation] states; for this bench: processing.expected_amplitude_m and processing.expected_snr_db"
+    yield f"  {'estimator':18}{'bias':>12}{'noise':>12}{'aliasing':>12}{'speckle':>12}{'phase':>12}"
     yield from (_estimator_line(prediction, index) for index in range(len(prediction.expected)))
     if prediction.aliasing:
         best = min(range(len(prediction.expected)), key=prediction.error_m)
@@ -109,9 +113,9 @@ def _estimator_line(prediction: Prediction, index: int) -> str:
     errors, aliasing = prediction.expected[index], "-"
     if prediction.aliasing:
         aliasing = f"{abs(prediction.aliasing[index]) * prediction.conditions.amplitude_m * 1e9:.3g} nm"
-    columns = f"{errors.bias_m * 1e9:>+7.3g} nm", f"{errors.quadrature_m * 1e9:>7.3g} nm", f"{aliasing:>10}"
-    phase = f"{math.degrees(errors.phase_jitter_rad):>6.2g} deg"
-    return f"  {errors.estimator:18}{''.join(columns)}{errors.speckle_jitter_m * 1e9:>7.3g} nm{phase}"
+    columns = f"{errors.bias_m * 1e9:>+8.3g} nm", f"{errors.quadrature_m * 1e9:>9.3g} nm", f"{aliasing:>12}"
+    phase = f"{math.degrees(errors.phase_jitter_rad):>8.2g} deg"
+    return f"  {errors.estimator:18}{''.join(columns)}{errors.speckle_jitter_m * 1e9:>9.3g} nm{phase}"
 
 
 def _target_line(prediction: Prediction, target_m: float, depth_m: float, estimator: str) -> str:

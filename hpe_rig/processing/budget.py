@@ -100,7 +100,7 @@ def _with_phases_from(reference: PhaseReference, estimate: Estimate) -> Estimate
     frequency_hz, true_rad = estimate.frequency_hz, estimate.true_phase_rad
     return replace(
         estimate,
-        phase_rad=reference.stated_rad(estimate.phase_rad, frequency_hz),
+        tracked_phase_rad=reference.stated_rad(estimate.tracked_phase_rad, frequency_hz),
         true_phase_rad=None if true_rad is None else reference.stated_rad(true_rad, frequency_hz),
     )
 
@@ -121,10 +121,10 @@ def _estimate(
     in_phase_m, quadrature_m = true_m[index] if true_m is not None and has_truth else (0.0, 0.0)
     return Estimate(
         frequency_hz=float(fit.frequency_hz[index]),
-        amplitude_m=tracked_m,
-        amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
-        phase_rad=float(fit.phase_rad[index]),
-        phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
+        tracked_amplitude_m=tracked_m,
+        tracked_amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
+        tracked_phase_rad=float(fit.phase_rad[index]),
+        tracked_phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
         averaging_factor=None if averaging is None else averaging.factor,
         speckle_relative=None if averaging is None else averaging.speckle_relative,
         true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if has_truth else None,

@@ -32,8 +32,8 @@ def fitted_motion(
     frequencies.
     """
     rows = [
-        [estimate.frequency_hz, estimate.amplitude_m, reference.physical_rad(estimate.phase_rad, estimate.frequency_hz)]
-        for estimate in estimates
+        [item.frequency_hz, item.tracked_amplitude_m, reference.physical_rad(item.tracked_phase_rad, item.frequency_hz)]
+        for item in estimates
     ]
     frequency_hz, amplitude_m, phase_rad = np.array(rows, dtype=np.float64).reshape(-1, 3).T
     matrix = linear_model(

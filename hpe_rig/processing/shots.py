@@ -245,7 +245,7 @@ def _estimate_window(
 def _settings_of(scene: Scene, shot: Shot, rate: TrackingRate | None) -> dict[str, Any]:
     """Return the fields of a shot's result that do not depend on its echoes; ``rate``: measured rate of the pulses."""
     return {
-        "shot": shot.index,
+        "index": shot.index,
         "repeat": shot.repeat,
         "burst_length_s": shot.timeline.burst_length_s or None,
         "force_fraction": shot.force_fraction,

@@ -34,7 +34,7 @@ def badges(
 ) -> Iterator[Badge]:
     """Yield the badges of a run: status, warnings, repeats, plan and residual tests."""
     yield Badge("passed" if result.status == "complete" else "noticed", f"run {result.status}", "measurement")
-    if count := len({shot.shot for shot in result.shots if shot.untrusted}):
+    if count := len({shot.index for shot in result.shots if shot.untrusted}):
         yield Badge("noticed", f"{_count_text(count, 'shot')} not to be trusted", "estimates")
     if warnings:
         yield Badge("noticed", _count_text(len(warnings), "warning"), "warnings")

@@ -197,7 +197,7 @@ def _points(result: Result) -> Points:
                 independent = [item for item in estimate.budget if item.source in (*INDEPENDENT_SOURCES, RECTIFIED)]
                 noise_m = math.hypot(*(item.amplitude_m for item in independent))
                 noise_rad = math.hypot(*(item.phase_rad for item in independent))
-                point = _Point(f"{shot.shot + 1}", estimate.headline, noise_m, noise_rad)
+                point = _Point(f"{shot.shot}", estimate.headline, noise_m, noise_rad)
                 points.setdefault(setting, {}).setdefault(estimate.frequency_hz, point)
     return points
 

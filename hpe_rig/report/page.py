@@ -30,6 +30,7 @@ from hpe_rig.result import (
     frequency_error_text,
     headline_sentence,
     main_shot,
+    means_of,
     shot_warnings,
     spectrum_pictures,
 )
@@ -116,18 +117,19 @@ def render(
         # The pictures of the main shot use the settings of its point.
         run = next(run for values, run in points if values.items() <= shot.swept.items())
     with stages("draw"):
-        pictures, tests, motion = _display(run, result, shot)
+        pictures, tests, motion = _display(run, result, shot, alone=shot_number is not None)
         sweep = make_sweep(result.shots)
         sweep_pictures = figures.sweep_pictures(sweep) if sweep else ()
         moduli = moduli_summary(stored_run, estimator)
         same_window = [gate for gate in result.profile if gate.shot.window_length_s == shot.window_length_s]
-        depth_pictures = profile_pictures([gate for gate in same_window if gate.shot.shot == shot.shot])
+        depth_pictures = profile_pictures([gate for gate in same_window if gate.shot.index == shot.index])
     warnings = (*result.warnings, *shot_warnings(result.shots))
     return render_template(
         "report.html",
         result=result,
         shot=shot,
         selected=shot_number is not None,
+        repeats=max((len(mean.shots) for mean in means_of(result.means, shot)), default=1),
         stored=run.stored,
         corrected=strongest(shot).headline.corrected,
         known=_has_truth(result),
@@ -143,7 +145,7 @@ def render(
         moduli=moduli,
         tables=_tables(run, result, shot, sweep) | _error_tables(shot, tests, motion),
         check_results=run.findings,
-        settings=report_provenance.settings(path, shot.shot),
+        settings=report_provenance.settings(path, shot.index),
         fingerprint=report_provenance.fingerprint(path),
         max_text=MAX_TEXT,
         max_rows=page_tables.MAX_ROWS,
@@ -159,7 +161,7 @@ def _tables(run: Run, result: Result, shot: ShotResult, sweep: Sweep | None) -> 
         "sweep": page_tables.sweep_table(sweep) if sweep else None,
         "estimates": page_tables.estimates_table(shot, has_truth),
         "budget": page_tables.budget_table(shot),
-        "prediction": page_tables.prediction_table(scene, run.plan.shots[shot.shot], shot, result.estimator),
+        "prediction": page_tables.prediction_table(scene, run.plan.shots[shot.index], shot, result.estimator),
         "run_times": page_tables.run_times_table(result),
         "shots": page_tables.shots_table(result, has_truth) if sweep else None,
         "conditions": page_tables.conditions_table(result),
@@ -212,7 +214,7 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> Iterator[tuple[
         echo_nm = math.sqrt(float(motion.noise_m2.mean())) * 1e9
         yield "one echo", f"{echo_nm:.3g} nm", "scatter of the echoes about their mean shape"
     yield "one displacement", f"{shot.residual_m * 1e9:.3g} nm rms", "residual of the fit"
-    u = _nm_and_degrees(lead.amplitude_uncertainty_m, lead.phase_uncertainty_rad)
+    u = _nm_and_degrees(lead.tracked_amplitude_uncertainty_m, lead.tracked_phase_uncertainty_rad)
     yield "harmonic", u, f"standard uncertainty from that residual, {shot.pulses_used} pulses"
     # Systematic effects are corrected; the uncertainty of their correction remains (GUM, 3.2.3).
     if lead.averaging_factor is not None:
@@ -230,8 +232,8 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> Iterator[tuple[
     yield "combined", u, "standard uncertainty of the corrected values: root sum of squares"
     half_width = _nm_and_degrees(headline.interval_95_m, headline.interval_95_rad)
     yield "interval of 95 %", half_width, "half width, from u and its effective degrees of freedom"
-    if lead.corrected_amplitude_error is not None and lead.corrected_phase_error_rad is not None:
-        error = _relative_and_degrees(lead.corrected_amplitude_error, lead.corrected_phase_error_rad)
+    if lead.amplitude_error is not None and lead.phase_error_rad is not None:
+        error = _relative_and_degrees(lead.amplitude_error, lead.phase_error_rad)
         yield "actual error", error, "relative to the ground truth of the twin"
 
 
@@ -247,18 +249,21 @@ def _selected_shot(result: Result, number: int | None) -> ShotResult:
     if number is None:
         return main_shot(result)
     for shot in result.shots:
-        if shot.shot == number - 1:
+        if shot.shot == number:
             return shot
-    numbers = ", ".join(str(shot.shot + 1) for shot in result.shots[:10])
-    why = dict(result.shots_without_result).get(number - 1, f"{len(result.shots)} shots have one")
+    numbers = ", ".join(str(shot.shot) for shot in result.shots[:10])
+    why = dict(result.shots_without_result).get(number, f"{len(result.shots)} shots have one")
     raise StoreError(f"shot {number} has no result ({why}). Try: --shot {numbers}.")
 
 
 def _display(
-    run: Run, result: Result, shot_result: ShotResult
+    run: Run, result: Result, shot_result: ShotResult, *, alone: bool
 ) -> tuple[list[Picture], list[ResidualTest], MotionView | None]:
-    """Return the pictures of a shot, the tests of its residual, and its motion, None if it has no displacement."""
-    shot = run.plan.shots[shot_result.shot]
+    """Return the pictures of a shot, the tests of its residual, and its motion, None if it has no displacement.
+
+    The spectra are those of the mean over its repeats, unless it is to be drawn ``alone``.
+    """
+    shot = run.plan.shots[shot_result.index]
     scene = scene_of_shot(run.scene, shot)
     # A large shot is read in the gate only, with the margins that the estimators need.
     needed, margin, last = samples_needed(scene, shot), margin_needed(scene, shot), shot.capture.record_samples
@@ -270,7 +275,7 @@ def _display(
     echoes = echo_view(scene, shot, records, first_sample=samples.start)
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
-    pictures += spectrum_pictures(result, shot_result)
+    pictures += spectrum_pictures(result, shot_result, alone)
     try:
         tracked = tracked_motion(scene, shot, records, samples.start)
         motion = motion_view(scene, shot, tracked, shot_result.estimates)
@@ -323,10 +328,10 @@ def _push_text(scene: Scene) -> str:
 
 
 def _shot_count(run: Run, result: Result) -> str:
-    complete = {shot.shot: shot.complete for shot in result.shots}
+    complete = {shot.index: shot.complete for shot in result.shots}
     counts = {
         "incomplete": list(complete.values()).count(False),
-        "untrusted": len({shot.shot for shot in result.shots if shot.untrusted}),
+        "untrusted": len({shot.index for shot in result.shots if shot.untrusted}),
     }
     planned = f"{len(complete)} of {len(run.plan.shots)} planned"
     return ", ".join([planned, *(f"{count} of them {kind}" for kind, count in counts.items() if count)])
@@ -336,7 +341,7 @@ def _scene_at(run: Run, shot: ShotResult) -> Scene:
     """Return the scene at the offsets, pulse rate and slow-time window of ``shot``."""
     # The axes of a sweep multiply: offsets, then pulse rates, then windows.
     settings = shot.pulse_rate_hz, shot.lateral_offset_m, shot.axial_offset_m
-    point = scene_of_shot(run.scene, run.plan.shots[shot.shot])
+    point = scene_of_shot(run.scene, run.plan.shots[shot.index])
     rates = [
         rate
         for offset_scene in point.places
@@ -350,6 +355,6 @@ def _scene_at(run: Run, shot: ShotResult) -> Scene:
 def _dose(run: Run, shot: ShotResult) -> list[tuple[str, str]]:
     """Return the calibrated acoustic output, the motion at its limits, and the detection floor."""
     output = [("acoustic output", check.text) for check in run.findings if check.check == "acoustic output"]
-    scene, planned = _scene_at(run, shot), run.plan.shots[shot.shot]
+    scene, planned = _scene_at(run, shot), run.plan.shots[shot.index]
     lines = *extrapolation_text(scene, run.bench), *detection_text(scene, run.stored.simulated, planned)
     return output + [(name, text) for name, _, text in (line.partition(": ") for line in lines)]

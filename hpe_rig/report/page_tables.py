@@ -92,7 +92,7 @@ def shots_table(result: Result, has_truth: bool) -> PageTable:
     def rows() -> Iterator[Cells]:
         for shot in result.shots:
             settings = {
-                "shot": f"{shot.shot + 1}" + (" (untrusted)" if shot.untrusted else ""),
+                "shot": f"{shot.shot}" + (" (untrusted)" if shot.untrusted else ""),
                 **_burst_cells(shot),
                 "repeat": f"{shot.repeat + 1}",
                 **{name: f"{value:g}" for name, value in shot.swept.items()},
@@ -141,24 +141,24 @@ def _prediction_cells(scene: Scene, planned: Shot, shot: ShotResult, estimator: 
     """Yield the prediction of each estimate: noise by the error model, bias and speckle as in the budget."""
     for estimate in shot.estimates:
         # The noise of the phase is not defined without an amplitude.
-        if not estimate.amplitude_m > 0:
+        if not estimate.tracked_amplitude_m > 0:
             continue
         conditions = conditions_of(scene, planned, estimate.frequency_hz, estimator)
         if conditions is None:
             return
-        (error,) = predict(replace(conditions, amplitude_m=estimate.amplitude_m), (estimator,)).expected
+        (error,) = predict(replace(conditions, amplitude_m=estimate.tracked_amplitude_m), (estimator,)).expected
         # The components are those of the peak amplitude; the factor converts them to the tracked one.
         factor = estimate.averaging_factor or 1.0
         by_source = {component.source: component.amplitude_m * factor for component in estimate.components}
         speckle_m = math.hypot(by_source.get("speckle", 0.0), by_source.get("carrier", 0.0))
         yield {
             "f (Hz)": f"{estimate.frequency_hz:g}",
-            "predicted bias (nm)": nm(estimate.amplitude_m * (1 - 1 / factor), 3),
+            "predicted bias (nm)": nm(estimate.tracked_amplitude_m * (1 - 1 / factor), 3),
             "predicted speckle sd (nm)": nm(speckle_m, 2),
             "predicted noise of a quadrature (nm)": nm(error.quadrature_m, 3),
-            "u of the fit (nm)": nm(estimate.amplitude_uncertainty_m, 2),
+            "u of the fit (nm)": nm(estimate.tracked_amplitude_uncertainty_m, 2),
             "predicted phase sd (°)": deg(error.phase_jitter_rad, ".2g"),
-            "u of the fit (°)": deg(estimate.phase_uncertainty_rad, ".2g"),
+            "u of the fit (°)": deg(estimate.tracked_phase_uncertainty_rad, ".2g"),
         }
 
 
@@ -204,17 +204,17 @@ def _estimate_cells(estimate: Estimate, has_truth: bool) -> Cells:
             "u of phase (°)": deg(headline.phase_uncertainty_rad, ".2g"),
         }
     cells |= {
-        "tracked (nm)": nm(estimate.amplitude_m),
-        "u of tracked (nm)": nm(estimate.amplitude_uncertainty_m, 2),
-        "tracked phase (°)": deg(estimate.phase_rad),
-        "u of tracked phase (°)": deg(estimate.phase_uncertainty_rad, ".2g"),
+        "tracked (nm)": nm(estimate.tracked_amplitude_m),
+        "u of tracked (nm)": nm(estimate.tracked_amplitude_uncertainty_m, 2),
+        "tracked phase (°)": deg(estimate.tracked_phase_rad),
+        "u of tracked phase (°)": deg(estimate.tracked_phase_uncertainty_rad, ".2g"),
         "SNR (dB)": f"{estimate.snr_db:.1f}",
     }
     if has_truth:
         cells |= {
             "true peak (nm)": nm(estimate.true_amplitude_m),
-            "error (%)": _percent(estimate.corrected_amplitude_error),
-            "error (°)": deg(estimate.corrected_phase_error_rad, "+.2f"),
+            "error (%)": _percent(estimate.amplitude_error),
+            "error (°)": deg(estimate.phase_error_rad, "+.2f"),
         }
     return cells
 

@@ -43,7 +43,7 @@ from .setting_text import (
     setting_texts as setting_texts,
     varied_settings as varied_settings,
 )
-from .spectra import main_shot as main_shot, spectrum_pictures as spectrum_pictures
+from .spectra import main_shot as main_shot, means_of as means_of, spectrum_pictures as spectrum_pictures
 from .svg import (
     MARKS as MARKS,
     PALETTE as PALETTE,

@@ -50,7 +50,7 @@ class Combination:
 class Covariance:
     """Complex values of all shots and frequencies with the errors that they have in common.
 
-    ``shot`` (row,): number of the shot, from 0; a shot has one row for each processing window. ``frequency_hz`` and
+    ``shot`` (row,): number of the shot, from 1; a shot has one row for each processing window. ``frequency_hz`` and
     ``phasor_m``, complex (row, frequency): headline values A exp(j phase), NaN if absent. ``influence_m``, complex
     (row, frequency, column): error of a value per standard deviation of the column's variable. ``variable``
     (row, column): number of that variable; equal numbers are the same variable. ``source`` and ``common_to`` (column,):
@@ -250,7 +250,7 @@ def _group(run: int, shot: ShotResult, error: Influence) -> Hashable:
     position = run, shot.lateral_offset_m, shot.axial_offset_m
     settings = shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
     keys: dict[Scope, Hashable] = {
-        "shot": (run, shot.shot, shot.window_length_s),
+        "shot": (run, shot.index, shot.window_length_s),
         "setting": (position, settings, *shot.swept.values()),
         "position": position,
         "run": (),

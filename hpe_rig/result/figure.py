@@ -185,10 +185,10 @@ def _over_setting(
 def _profiles(result: ResultData, is_drawn: FrequencyFilter) -> tuple[str, list[Curve]]:
     """Return curves over depth, one for each frequency and shot."""
     points: dict[str, Points] = {}
-    shots = {(*setting_of(gate.shot), gate.shot.shot): gate.shot for gate in result.profile}
+    shots = {(*setting_of(gate.shot), gate.shot.index): gate.shot for gate in result.profile}
     labels = dict(zip(shots, _labels(list(shots.values())), strict=True))
     for gate in result.profile:
-        label = labels[(*setting_of(gate.shot), gate.shot.shot)]
+        label = labels[(*setting_of(gate.shot), gate.shot.index)]
         for item in gate.shot.estimates:
             if is_drawn(item.frequency_hz):
                 of_curve = points.setdefault(_with_frequency(item.frequency_hz, label), {})
@@ -236,5 +236,5 @@ def _labels(items: Sequence[ShotResult | RepeatMean], without: str = "") -> list
     labels = [", ".join(text for text in item if text not in common) for item in texts]
     if without or len(set(labels)) == len(labels):
         return labels
-    numbers = [f"shot {item.shot + 1}" if isinstance(item, ShotResult) else "mean" for item in items]
+    numbers = [f"shot {item.shot}" if isinstance(item, ShotResult) else "mean" for item in items]
     return [", ".join(filter(None, pair)) for pair in zip(labels, numbers, strict=True)]

@@ -22,6 +22,12 @@ UNITS: Final = {
     "amplitude_uncertainty_m": "m",
     "phase_rad": "rad",
     "phase_uncertainty_rad": "rad",
+    "interval_95_m": "m",
+    "interval_95_rad": "rad",
+    "tracked_amplitude_m": "m",
+    "tracked_amplitude_uncertainty_m": "m",
+    "tracked_phase_rad": "rad",
+    "tracked_phase_uncertainty_rad": "rad",
     "averaging_factor": "1",
     "speckle_relative": "1",
     "true_amplitude_m": "m",
@@ -29,12 +35,6 @@ UNITS: Final = {
     "averaging_phase_rad": "rad",
     "aliasing_factor": "1",
     "aliasing_phase_rad": "rad",
-    "corrected_amplitude_m": "m",
-    "corrected_uncertainty_m": "m",
-    "corrected_phase_rad": "rad",
-    "corrected_phase_uncertainty_rad": "rad",
-    "interval_95_m": "m",
-    "interval_95_rad": "rad",
 }
 """Quantities of an estimate, each (shot, frequency), and their units."""
 MOTION_UNITS: Final = {
@@ -61,7 +61,7 @@ SETTING_UNITS: Final = {
 class Grid:
     """A result as arrays; NaN for unknown values.
 
-    ``shot`` (shot,): number of the shot in each row; a shot has one row for each window. ``frequency_hz``
+    ``shot`` (shot,): number of the shot in each row, from 1; a shot has one row for each window. ``frequency_hz``
     (shot, frequency); ``frequency`` (frequency,) if all shots have the same frequencies, else None. ``estimates``: by
     the names of `UNITS`, each (shot, frequency). ``settings``: by the names of `SETTING_UNITS`, each (shot,).
     ``motion``: by the names of `MOTION_UNITS`, each (shot, pulse); empty without stored displacements.

@@ -11,7 +11,7 @@ from hpe_rig.result.print_symbols import symbols
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData, shot_warnings
 from hpe_rig.result.sentence import headline_sentence
-from hpe_rig.result.spectra import main_shot, repeats_of, spectrum_pictures
+from hpe_rig.result.spectra import main_shot, means_of, spectrum_pictures
 from hpe_rig.result.svg import image
 from hpe_rig.result.values import Headline
 
@@ -31,9 +31,9 @@ def result_html(result: ResultData) -> str:
     blocks = [f"<p>{lead}</p>", _spectra(result)]
     for shots, means in groupby(result.means, key=lambda mean: mean.shots):
         rows = [(mean.frequency_hz, mean) for mean in means]
-        blocks.append(_table(f"mean of {len(shots)} repeats from shot {shots[0] + 1} on", rows))
+        blocks.append(_table(f"mean of {len(shots)} repeats from shot {shots[0]} on", rows))
     for shot in result.shots[:MAX_SHOTS]:
-        blocks.append(_table(f"shot {shot.shot + 1}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
+        blocks.append(_table(f"shot {shot.shot}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
     if len(result.shots) > MAX_SHOTS:
         blocks.append(f"<p>and {len(result.shots) - MAX_SHOTS} more shots</p>")
     # Warnings come last, after the numbers that they concern.
@@ -50,7 +50,8 @@ def _spectra(result: ResultData) -> str:
     shot = main_shot(result)
     if not shot.estimates:
         return ""
-    caption = f"shot {shot.shot + 1}" + (" and the other repeats of its setting" if repeats_of(result, shot) else "")
+    means = means_of(result.means, shot)
+    caption = f"mean of {len(means[0].shots)} repeats and each repeat" if means else f"shot {shot.shot}"
     return "".join([*(image(spectrum) for spectrum in spectrum_pictures(result, shot)), f"<p>{caption}; bars: 2 u</p>"])
 
 

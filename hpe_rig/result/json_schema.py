@@ -96,9 +96,10 @@ def _as_written(name: str, schema: dict[str, Any]) -> dict[str, Any]:
     if not properties:
         return schema
     if name == "ShotResult":
-        del properties["motion"], properties["influences"]
+        del properties["motion"], properties["influences"], properties["index"]
+        properties["shot"] = {"type": "integer", "minimum": 1}
     if name == "Estimate":
-        properties |= dict.fromkeys(DERIVED, NUMBER)
+        properties |= {**dict.fromkeys(DERIVED, NUMBER), "corrected": {"type": "boolean"}}
     return {**schema, "properties": properties} | _closed(properties)
 
 

@@ -51,12 +51,12 @@ Source = tuple[float, float]
 class RepeatMean:
     """Mean of one frequency over the complete repeats of one setting.
 
-    ``amplitude_m`` and ``phase_rad`` are those of the mean phasor of the headline values (``corrected`` to the peak
-    displacement if beams are declared), with combined standard uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad``
-    are the standard deviations between the repeats. ``chi_square`` compares them with the independent components, over
-    ``degrees_of_freedom``; ``probability`` is that of a larger value by chance. Below 1 % ``agrees`` is False, and the
-    observed scatter replaces the uncertainties of the independent components. ``interval_95_m`` and
-    ``interval_95_rad`` are the half widths of the 95 % intervals.
+    ``shots``: numbers of the repeats, from 1. ``amplitude_m`` and ``phase_rad`` are those of the mean phasor of the
+    headline values (``corrected`` to the peak displacement if beams are declared), with combined standard
+    uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad`` are the standard deviations between the repeats.
+    ``chi_square`` compares them with the independent components, over ``degrees_of_freedom``; ``probability`` is that
+    of a larger value by chance. Below 1 % ``agrees`` is False, and the observed scatter replaces the uncertainties of
+    the independent components. ``interval_95_m`` and ``interval_95_rad`` are the half widths of the 95 % intervals.
     """
 
     shots: tuple[int, ...]

@@ -25,14 +25,14 @@ class Result(ResultData):
 
     ``run_file`` is "" without one. ``omitted``: stages that the scene does not need, and the reason. ``run_time_s``:
     wall time by stage. ``simulated_specimen`` names the default specimen, None if the scene describes one or needs
-    none. ``shots_without_result``: shots without an estimate, counted from 0, and the reason. ``notes`` are those of
+    none. ``shots_without_result``: shots without an estimate, counted from 1, and the reason. ``notes`` are those of
     the scene. ``provenance``: who measured, when and where. ``imported``: file and hash of imported records, else None.
     ``conditions``: range of each condition over the run.
 
     >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m
     >>> result.to_frame().to_csv("result.csv")
-    >>> result.to_xarray().displacement_m.sel(shot=0)
+    >>> result.to_xarray().displacement_m.sel(shot=1)
     >>> result.covariance().combined([[1, -1]])
     >>> result.figure().savefig("result.pdf")
     """

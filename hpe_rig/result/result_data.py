@@ -77,13 +77,21 @@ class ResultData:
         shots = [*self.shots, *(gate.shot for gate in self.profile)]
         shot_tables = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
         for shot, table in zip(shots, shot_tables, strict=True):
-            del table["motion"], table["influences"]
+            del table["motion"], table["influences"], table["index"]
+            _put_first(table, {"shot": shot.shot})
             for estimate, row in zip(
                 (*shot.estimates, *shot.control), (*table["estimates"], *table["control"]), strict=True
             ):
-                row.update({name: getattr(estimate, name) for name in DERIVED})
+                _put_first(row, {name: getattr(estimate, name) for name in ("frequency_hz", *DERIVED)})
         plain: dict[str, Any] = json_values(tables)
         return plain
+
+
+def _put_first(table: dict[str, Any], values: Mapping[str, Any]) -> None:
+    """Change ``table`` so that it begins with ``values``."""
+    others = dict(table)
+    table.clear()
+    table.update({**values, **others})
 
 
 def shot_warnings(shots: Sequence[ShotResult]) -> list[str]:
@@ -93,7 +101,7 @@ def shot_warnings(shots: Sequence[ShotResult]) -> list[str]:
     groups: dict[str, dict[int, str]] = {}
     for shot in shots:
         for text in shot.warnings:
-            groups.setdefault(re.sub(r"\d[\d., ]*", "#", text), {}).setdefault(shot.shot + 1, text)
+            groups.setdefault(re.sub(r"\d[\d., ]*", "#", text), {}).setdefault(shot.shot, text)
     return [_merged_warning(by_shot, len(shots)) for by_shot in groups.values()]
 
 

@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 Value = str | int | float | bool | None
 FIRST_COLUMNS = (
     "frequency_hz",
-    "corrected_amplitude_m",
-    "corrected_uncertainty_m",
-    "corrected_phase_rad",
-    "corrected_phase_uncertainty_rad",
+    "amplitude_m",
+    "amplitude_uncertainty_m",
+    "phase_rad",
+    "phase_uncertainty_rad",
+    "corrected",
 )
 
 
@@ -82,7 +83,7 @@ def _text_row(shots: str, frequency_hz: float, value: Headline | RepeatMean) -> 
 
 
 def _shots_text(shots: Sequence[int]) -> str:
-    return f"{shots[0] + 1}" if len(shots) == 1 else f"mean of {len(shots)} from {shots[0] + 1}"
+    return f"{shots[0]}" if len(shots) == 1 else f"mean of {len(shots)} from {shots[0]}"
 
 
 def _single_values(table: dict[str, Any]) -> dict[str, Value]:

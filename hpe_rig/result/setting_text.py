@@ -33,9 +33,9 @@ def control_text(shots: Sequence[ShotResult]) -> str:
     if not motions:
         return ""
     largest = max(motions, key=lambda item: item.amplitude_m)
-    controls = len({shot.shot for shot in shots if shot.control})
+    controls = len({shot.index for shot in shots if shot.control})
     where = "the control" if controls == 1 else f"{controls} controls"
-    amplitude_nm, u_nm = largest.amplitude_m * 1e9, largest.amplitude_uncertainty_m * 1e9
+    amplitude_nm, u_nm = largest.tracked_amplitude_m * 1e9, largest.tracked_amplitude_uncertainty_m * 1e9
     return (
         f"motion in {where} with tonebursts off, subtracted: "
         f"at most {amplitude_nm:.3g} nm (u {u_nm:.2g} nm) at {largest.frequency_hz:g} Hz"

@@ -1,4 +1,4 @@
-"""Amplitude and phase over frequency as pictures: one shot, its ground truth and the other repeats of its setting."""
+"""Amplitude and phase over frequency as pictures: mean over repeats or one shot, and ground truth."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.svg import Colour, Picture, legend, panel, picture
 from hpe_rig.result.values import Estimate, ShotResult
@@ -17,29 +18,40 @@ MAX_ALT_VALUES = 10
 
 
 def main_shot(result: ResultData) -> ShotResult:
-    """Return the shot that represents ``result`` in a picture: the complete one with the largest amplitude."""
-    return max(
-        result.shots, key=lambda shot: (shot.complete, max((item.amplitude_m for item in shot.estimates), default=0))
-    )
+    """Return the shot that represents ``result`` in a picture: a complete one, of the setting that moves most.
 
-
-def repeats_of(result: ResultData, shot: ShotResult) -> list[tuple[Estimate, ...]]:
-    """Return the estimates of the other repeats of the setting of ``shot``."""
-    numbers = {number for mean in result.means if shot.shot in mean.shots for number in mean.shots} - {shot.shot}
-    same_window = [item for item in result.shots if item.window_length_s == shot.window_length_s]
-    return [item.estimates for item in same_window if item.shot in numbers]
-
-
-def spectrum_pictures(result: ResultData, shot: ShotResult) -> tuple[Picture, ...]:
-    """Return amplitude and phase of ``shot`` over frequency, with the other repeats of its setting as small marks.
-
-    Empty without an estimate.
+    A setting with repeats moves by its mean.
     """
-    repeats = repeats_of(result, shot)
-    return tuple(draw(shot.estimates, repeats) for draw in (_amplitude, _phase) if shot.estimates)
+    means = result.means
+
+    def rank(shot: ShotResult) -> tuple[bool, float]:
+        return shot.complete, max((item.amplitude_m for item in means_of(means, shot) or shot.estimates), default=0.0)
+
+    return max(result.shots, key=rank)
 
 
-def _amplitude(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]]) -> Picture:
+def means_of(means: Sequence[RepeatMean], shot: ShotResult) -> list[RepeatMean]:
+    """Return those of ``means`` that ``shot`` is one of the repeats of: one for each frequency, or none."""
+    setting = setting_of(shot)
+    return [mean for mean in means if shot.shot in mean.shots and setting_of(mean) == setting]
+
+
+def spectrum_pictures(result: ResultData, shot: ShotResult, alone: bool = False) -> tuple[Picture, ...]:
+    """Return amplitude and phase over frequency: the mean over the repeats of ``shot``, each repeat as a small mark.
+
+    The shot itself if it has no repeats or is to be drawn ``alone``. Empty without an estimate.
+    """
+    means = [] if alone else means_of(result.means, shot)
+    repeats = [
+        item.estimates
+        for item in result.shots
+        if means and item.shot in means[0].shots and setting_of(item) == setting_of(shot)
+    ]
+    values = means or shot.estimates
+    return tuple(draw(values, repeats) for draw in (_amplitude, _phase) if values)
+
+
+def _amplitude(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequence[Estimate]]) -> Picture:
     """Return amplitude over frequency: headline with combined uncertainty, tracked amplitude, and ground truth."""
     figure, axes = panel()
     _plot_repeats(axes, repeats, lambda item: item.headline.amplitude_m * 1e9)
@@ -51,8 +63,10 @@ def _amplitude(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimat
     if has_truth:
         axes.plot(frequency_hz, true_nm, "x", color=Colour.GREY, ms=6, label="true peak displacement")
     if corrected := all(item.headline.corrected for item in estimates):
-        tracked_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
-        axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=Colour.BLUE, label="as tracked")
+        tracked_nm = [item.tracked_amplitude_m * 1e9 for item in estimates if isinstance(item, Estimate)]
+        # A mean has no tracked values.
+        if tracked_nm:
+            axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=Colour.BLUE, label="as tracked")
     axes.errorbar(
         frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=Colour.ORANGE, capsize=2,
         label="peak displacement, 2 u" if corrected else "as tracked, 2 u",
@@ -70,7 +84,7 @@ def _amplitude(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimat
     return picture(figure, "amplitude", "Amplitude spectrum", alt)
 
 
-def _phase(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]]) -> Picture:
+def _phase(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequence[Estimate]]) -> Picture:
     """Return the headline phase over frequency, unwrapped, with uncertainty and the ground truth of a twin."""
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
@@ -79,13 +93,15 @@ def _phase(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]])
     phase_at = dict(zip(frequency_hz.tolist(), phase.tolist(), strict=True))
 
     def unwrapped_deg(item: Estimate) -> float:
-        """Return the phase of a repeat within half a turn of the main shot's."""
+        """Return the phase of a repeat within half a turn of the main curve."""
         centre = phase_at.get(item.frequency_hz, 0.0)
         return math.degrees(centre + math.remainder(item.headline.phase_rad - centre, 2 * math.pi))
 
     _plot_repeats(axes, repeats, unwrapped_deg)
     uncertainty_deg = np.degrees([item.headline.phase_uncertainty_rad for item in estimates])
-    true_rad = phase - np.array([_or_nan(item.corrected_phase_error_rad) for item in estimates])
+    true_rad = phase - np.array(
+        [math.remainder(item.phase_rad - _or_nan(item.true_phase_rad), 2 * math.pi) for item in estimates]
+    )
     if np.isfinite(true_rad).all():
         axes.plot(frequency_hz, np.degrees(true_rad), "x-", color=Colour.GREY, lw=0.8, label="ground truth")
     axes.errorbar(
@@ -105,7 +121,7 @@ def _phase(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]])
 def _plot_repeats(axes: Axes, repeats: Sequence[Sequence[Estimate]], value: Callable[[Estimate], float]) -> None:
     points = [(item.frequency_hz, value(item)) for estimates in repeats for item in estimates]
     if points:
-        axes.plot(*zip(*points, strict=True), "_", ms=9, color=Colour.PURPLE, label="other repeats")
+        axes.plot(*zip(*points, strict=True), "_", ms=9, color=Colour.PURPLE, label="repeats")
 
 
 def _or_nan(value: float | None) -> float:

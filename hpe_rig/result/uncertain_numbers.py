@@ -35,7 +35,7 @@ def uncertain_numbers(covariance: Covariance) -> tuple[tuple[Any, ...], ...]:
                 influence_m = complex(covariance.influence_m[row, index, column])
                 number = number + influence_m * variables[int(covariance.variable[row, column])]
             # A result, as GTC calls it, can be stored in an archive.
-            numbers.append(gtc.result(number, label=f"shot {shot + 1}, {frequency_hz:g} Hz"))
+            numbers.append(gtc.result(number, label=f"shot {shot}, {frequency_hz:g} Hz"))
         table.append(tuple(numbers))
     return tuple(table)
 

@@ -4,28 +4,40 @@ from __future__ import annotations
 
 import cmath
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from hpe_rig.result.influence import Influence
 from hpe_rig.result.interval import interval_95, phase_interval_95_rad
 from hpe_rig.result.motion import ShotMotion
 
 DERIVED = (
-    "snr_db",
-    "corrected_amplitude_m",
-    "corrected_uncertainty_m",
-    "corrected_phase_rad",
-    "corrected_phase_uncertainty_rad",
+    "amplitude_m",
+    "amplitude_uncertainty_m",
+    "phase_rad",
+    "phase_uncertainty_rad",
+    "corrected",
     "interval_95_m",
     "interval_95_rad",
-    "corrected_amplitude_error",
-    "corrected_phase_error_rad",
-    "predicted_amplitude_m",
     "amplitude_error",
     "phase_error_rad",
+    "snr_db",
+    "predicted_amplitude_m",
+    "tracked_amplitude_error",
+    "tracked_phase_error_rad",
 )
 """Properties of an estimate that JSON and CSV contain."""
+EARLIER_NAMES = {
+    "corrected_amplitude_m": "amplitude_m",
+    "corrected_uncertainty_m": "amplitude_uncertainty_m",
+    "corrected_phase_rad": "phase_rad",
+    "corrected_phase_uncertainty_rad": "phase_uncertainty_rad",
+    "corrected_amplitude_error": "amplitude_error",
+    "corrected_phase_error_rad": "phase_error_rad",
+}
+"""Names of the corrected values before version 1.0, where the present names stated the tracked values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,20 +127,22 @@ class Headline:
 class Estimate:
     """One vibration frequency of one shot, as tracked and as corrected to the peak displacement.
 
-    ``amplitude_uncertainty_m`` and ``phase_uncertainty_rad`` are the standard uncertainties of the tracked values from
-    the fit: noise, plus aliasing for fits with a prior. ``averaging_factor`` and ``averaging_phase_rad`` are the
-    predicted ratio and lag of tracked to peak displacement, None without beams. ``aliasing_factor`` and
-    ``aliasing_phase_rad`` are the predicted effect of unresolved harmonics on the tracked values; the headline is
-    corrected for it. ``components`` are the independent sources of the headline's uncertainty; empty: noise only.
-    ``noise_freedom`` are the degrees of freedom of the fit's residual, which estimates the noise.
-    ``true_amplitude_m`` and ``true_phase_rad`` are the peak displacement at the focus, which only the twin provides.
+    ``amplitude_m`` and ``phase_rad`` are the headline values, with combined standard uncertainties: the peak
+    displacement if ``corrected``, else the tracked displacement. ``tracked_amplitude_m`` and ``tracked_phase_rad`` are
+    not corrected; their standard uncertainties are those of the fit: noise, plus aliasing for fits with a prior.
+    ``averaging_factor`` and ``averaging_phase_rad`` are the predicted ratio and lag of tracked to peak displacement,
+    None without beams. ``aliasing_factor`` and ``aliasing_phase_rad`` are the predicted effect of unresolved harmonics
+    on the tracked values; the headline is corrected for it. ``components`` are the independent sources of the
+    headline's uncertainty; empty: noise only. ``noise_freedom`` are the degrees of freedom of the fit's residual, which
+    estimates the noise. ``true_amplitude_m`` and ``true_phase_rad`` are the peak displacement at the focus, which only
+    the twin provides.
     """
 
     frequency_hz: float
-    amplitude_m: float
-    amplitude_uncertainty_m: float
-    phase_rad: float
-    phase_uncertainty_rad: float
+    tracked_amplitude_m: float
+    tracked_amplitude_uncertainty_m: float
+    tracked_phase_rad: float
+    tracked_phase_uncertainty_rad: float
     averaging_factor: float | None = None
     speckle_relative: float | None = None
     true_amplitude_m: float | None = None
@@ -141,41 +155,66 @@ class Estimate:
 
     @property
     def headline(self) -> Headline:
-        """Corrected amplitude and phase if beams are declared, else the tracked ones; u of all components."""
-        amplitude_m, phase_rad = self.corrected_amplitude_m, self.corrected_phase_rad
-        corrected = amplitude_m is not None and phase_rad is not None
+        """Amplitude and phase with the uncertainties of all components."""
         sources_m = [(source.amplitude_m, source.degrees_of_freedom) for source in self.budget]
         sources_rad = [(source.phase_rad, source.degrees_of_freedom) for source in self.budget]
         return Headline(
-            amplitude_m=amplitude_m if amplitude_m is not None else self.amplitude_m,
+            amplitude_m=self.amplitude_m,
             amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources_m)),
-            phase_rad=phase_rad if phase_rad is not None else self.phase_rad,
+            phase_rad=self.phase_rad,
             phase_uncertainty_rad=math.hypot(*(u_rad for u_rad, _ in sources_rad)),
-            corrected=corrected,
+            corrected=self.corrected,
             interval_95_m=interval_95(sources_m),
             interval_95_rad=phase_interval_95_rad(sources_rad),
         )
 
     @property
+    def corrected(self) -> bool:
+        """Whether amplitude and phase are those of the peak displacement; without beams they are as tracked."""
+        return bool(self.averaging_factor)
+
+    @property
+    def amplitude_m(self) -> float:
+        """Tracked amplitude, corrected for beam averaging and predicted aliasing if beams are declared."""
+        factor = self.averaging_factor
+        return self.tracked_amplitude_m / factor / self.aliasing_factor if factor else self.tracked_amplitude_m
+
+    @property
+    def phase_rad(self) -> float:
+        """Tracked phase, corrected for the predicted lag and aliasing if beams are declared; in [-pi, pi]."""
+        if not self.corrected:
+            return self.tracked_phase_rad
+        # The lag of the averaging and the phase error of aliasing add.
+        lag_rad = (self.averaging_phase_rad or 0.0) + self.aliasing_phase_rad
+        return math.remainder(self.tracked_phase_rad - lag_rad, 2 * math.pi)
+
+    @property
+    def amplitude_uncertainty_m(self) -> float:
+        """Combined standard uncertainty of ``amplitude_m``, from all components."""
+        return self.headline.amplitude_uncertainty_m
+
+    @property
+    def phase_uncertainty_rad(self) -> float:
+        """Combined standard uncertainty of ``phase_rad``, from all components."""
+        return self.headline.phase_uncertainty_rad
+
+    @property
     def phasor_m(self) -> complex:
         """Headline value A exp(j phase): in-phase and quadrature component."""
-        amplitude_m, phase_rad = self.corrected_amplitude_m, self.corrected_phase_rad
-        if amplitude_m is None or phase_rad is None:
-            return cmath.rect(self.amplitude_m, self.phase_rad)
-        return cmath.rect(amplitude_m, phase_rad)
+        return cmath.rect(self.amplitude_m, self.phase_rad)
 
     @property
     def budget(self) -> tuple[Component, ...]:
         """Components of the headline's uncertainty; without ``components`` the noise of the fit."""
-        noise_m = self.amplitude_uncertainty_m / (self.averaging_factor or 1.0)
-        return self.components or (Component("noise", noise_m, self.phase_uncertainty_rad, self.noise_freedom),)
+        noise_m = self.tracked_amplitude_uncertainty_m / (self.averaging_factor or 1.0)
+        return self.components or (Component("noise", noise_m, self.tracked_phase_uncertainty_rad, self.noise_freedom),)
 
     @property
     def snr_db(self) -> float:
         """Tracked amplitude over its standard uncertainty from the fit, in dB."""
-        if self.amplitude_uncertainty_m == 0:
+        if self.tracked_amplitude_uncertainty_m == 0:
             return math.inf
-        ratio = self.amplitude_m / self.amplitude_uncertainty_m
+        ratio = self.tracked_amplitude_m / self.tracked_amplitude_uncertainty_m
         return 20 * math.log10(ratio) if ratio > 0 else -math.inf
 
     @property
@@ -186,79 +225,65 @@ class Estimate:
         return self.true_amplitude_m * self.averaging_factor
 
     @property
-    def corrected_amplitude_m(self) -> float | None:
-        """Peak displacement: ``amplitude_m`` corrected for beam averaging and predicted aliasing."""
-        return None if not self.averaging_factor else self.amplitude_m / self.averaging_factor / self.aliasing_factor
-
-    @property
-    def corrected_uncertainty_m(self) -> float | None:
-        """Combined standard uncertainty of ``corrected_amplitude_m``, from all components."""
-        return self.headline.amplitude_uncertainty_m if self.averaging_factor else None
-
-    @property
-    def corrected_phase_rad(self) -> float | None:
-        """Phase of the peak displacement, corrected for the predicted lag and aliasing; in [-pi, pi]."""
-        if not self.averaging_factor:
-            return None
-        # The lag of the averaging and the phase error of aliasing add.
-        lag_rad = (self.averaging_phase_rad or 0.0) + self.aliasing_phase_rad
-        return math.remainder(self.phase_rad - lag_rad, 2 * math.pi)
-
-    @property
-    def corrected_phase_uncertainty_rad(self) -> float | None:
-        """Combined standard uncertainty of ``corrected_phase_rad``, from all components."""
-        return self.headline.phase_uncertainty_rad if self.averaging_factor else None
-
-    @property
     def interval_95_m(self) -> float:
-        """Half width of the 95 % interval about the headline amplitude."""
+        """Half width of the 95 % interval about ``amplitude_m``."""
         return self.headline.interval_95_m
 
     @property
     def interval_95_rad(self) -> float:
-        """Half width of the 95 % interval about the headline phase."""
+        """Half width of the 95 % interval about ``phase_rad``."""
         return self.headline.interval_95_rad
 
     @property
-    def corrected_amplitude_error(self) -> float | None:
-        """Relative error of the headline amplitude against the true peak displacement at the focus."""
-        return None if not self.true_amplitude_m else self.headline.amplitude_m / self.true_amplitude_m - 1
-
-    @property
-    def corrected_phase_error_rad(self) -> float | None:
-        """Error of the headline phase against the ground truth, in [-pi, pi]."""
-        if self.true_phase_rad is None:
-            return None
-        return math.remainder(self.headline.phase_rad - self.true_phase_rad, 2 * math.pi)
-
-    @property
     def amplitude_error(self) -> float | None:
-        """Relative error of the tracked amplitude against the true peak displacement at the focus."""
+        """Relative error of ``amplitude_m`` against the true peak displacement at the focus."""
         return None if not self.true_amplitude_m else self.amplitude_m / self.true_amplitude_m - 1
 
     @property
     def phase_error_rad(self) -> float | None:
+        """Error of ``phase_rad`` against the ground truth, in [-pi, pi]."""
+        return self._phase_error_rad(self.phase_rad)
+
+    @property
+    def tracked_amplitude_error(self) -> float | None:
+        """Relative error of the tracked amplitude against the true peak displacement at the focus."""
+        return None if not self.true_amplitude_m else self.tracked_amplitude_m / self.true_amplitude_m - 1
+
+    @property
+    def tracked_phase_error_rad(self) -> float | None:
         """Error of the tracked phase against the ground truth, in [-pi, pi]."""
-        if self.true_phase_rad is None:
-            return None
-        return math.remainder(self.phase_rad - self.true_phase_rad, 2 * math.pi)
+        return self._phase_error_rad(self.tracked_phase_rad)
+
+    def _phase_error_rad(self, phase_rad: float) -> float | None:
+        return None if self.true_phase_rad is None else math.remainder(phase_rad - self.true_phase_rad, 2 * math.pi)
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> float | None:
+            """Return the value of one of ``EARLIER_NAMES`` with a warning; values were None without correction."""
+            if name not in EARLIER_NAMES:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            present = EARLIER_NAMES[name]
+            warnings.warn(f"{name} is called {present} since version 1.0", FutureWarning, stacklevel=2)
+            return getattr(self, present) if self.corrected or name.endswith(("error", "error_rad")) else None
 
 
 @dataclass(frozen=True, slots=True)
 class ShotResult:
     """The estimates of one shot, with its settings and the number of missing pulses.
 
-    ``complete`` is False if the run stopped during the shot. ``untrusted`` states why the records are not to be
-    trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by
-    name, read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse,
-    None if not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its
-    standard uncertainty; None without trigger times. ``frequency_error``: relative error of the motion's frequencies
-    (of the burst rate) by the clock of the pulses, which the estimates are corrected for, with its standard
-    uncertainty; None for one common clock. ``control``: tracked motion in the control of the shot, which has been
-    subtracted, at each frequency; empty without a control. ``influences``: errors of the estimates by source.
+    ``index``: that of the shot's records (``run.records[index]``), from 0. ``complete`` is False if the run stopped
+    during the shot. ``untrusted`` states why the records are not to be trusted, "" without a reason. ``swept``: values
+    of the sweep's axes by their full names. ``conditions``: by name, read before and after the shot, NaN if not read.
+    ``motion``: displacement, model and residual of each pulse, None if not stored. ``pulse_rate_error``: relative error
+    of the pulse rate by the digitizer's clock, with its standard uncertainty; None without trigger times.
+    ``frequency_error``: relative error of the motion's frequencies (of the burst rate) by the clock of the pulses,
+    which the estimates are corrected for, with its standard uncertainty; None for one common clock. ``control``:
+    tracked motion in the control of the shot, which has been subtracted, at each frequency; empty without a control.
+    ``influences``: errors of the estimates by source.
     """
 
-    shot: int
+    index: int
     repeat: int
     burst_length_s: float | None
     force_fraction: float | None
@@ -282,6 +307,11 @@ class ShotResult:
     frequency_error_uncertainty: float | None = None
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
     influences: tuple[Influence, ...] = field(default=(), repr=False, compare=False)
+
+    @property
+    def shot(self) -> int:
+        """Number of the shot in the run, from 1."""
+        return self.index + 1
 
 
 @dataclass(frozen=True, slots=True)

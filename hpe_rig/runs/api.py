@@ -221,7 +221,7 @@ def _result(title: str, estimator: str, estimates: Estimates, stages: Stages) ->
         omitted=(),
         versions=versions(),
         run_time_s=stages.run_time_s,
-        shots_without_result=tuple(estimates.failures.items()),
+        shots_without_result=tuple((index + 1, why) for index, why in estimates.failures.items()),
     )
 
 

@@ -42,7 +42,7 @@ def estimate_shots(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estim
         failures |= estimates.failures
     # The estimates know their shot; the plan knows its point of the sweep.
     swept = [point.values for point in scene.points]
-    shots = [replace(shot, swept=swept[plan.shots[shot.shot].point]) for shot in shots]
+    shots = [replace(shot, swept=swept[plan.shots[shot.index].point]) for shot in shots]
     if shots:
         return Estimates(tuple(shots), failures)
     # No shot has an estimate. Report the first reason other than missing records.
@@ -103,8 +103,8 @@ def _estimate_gate(
     motion = {shot.index: burst_period_motion(scene, shot, stored) for shot in plan.shots if not shot.is_control}
     gates = []
     for shot in estimates.shots:
-        time_s, displacement_m = (values.tolist() for values in motion[shot.shot])
-        shot_result = replace(shot, motion=None, influences=(), untrusted=stored.untrusted.get(shot.shot, ""))
+        time_s, displacement_m = (values.tolist() for values in motion[shot.index])
+        shot_result = replace(shot, motion=None, influences=(), untrusted=stored.untrusted.get(shot.index, ""))
         gates.append(GateResult(gate.depth_m, gate.length_m, shot_result, tuple(time_s), tuple(displacement_m)))
     where = f"gate at {gate.depth_m * 1e3:.4g} mm, shot"
     return gates, [

@@ -66,7 +66,7 @@ def incomplete_warnings(estimates: Estimates) -> Iterator[str]:
     """Yield the shots without a result, with the reason, and the shots estimated from part of their records."""
     for why in dict.fromkeys(estimates.failures.values()):
         yield f"shot {_numbers(shot for shot, reason in estimates.failures.items() if reason == why)} left out: {why}"
-    if partial := dict.fromkeys(shot.shot for shot in estimates.shots if not shot.complete):
+    if partial := dict.fromkeys(shot.index for shot in estimates.shots if not shot.complete):
         yield f"shot {_numbers(partial)} is incomplete, estimated from the records that had arrived"
 
 

@@ -132,8 +132,8 @@ class Run:
             shots=tuple(
                 replace(
                     shot,
-                    untrusted=self.stored.untrusted.get(shot.shot, ""),
-                    conditions=conditions_of_shot(self.stored, shot.shot),
+                    untrusted=self.stored.untrusted.get(shot.index, ""),
+                    conditions=conditions_of_shot(self.stored, shot.index),
                 )
                 for shot in estimates.shots
             ),
@@ -143,7 +143,7 @@ class Run:
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
-            shots_without_result=tuple(estimates.failures.items()),
+            shots_without_result=tuple((index + 1, why) for index, why in estimates.failures.items()),
             imported=None if self.bench.recording is None else self.bench.recording.words,
             notes=self.scene.notes,
             provenance=self.stored.provenance,

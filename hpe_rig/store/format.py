@@ -21,6 +21,9 @@ FORMAT_VERSION: Final = 3
 OLDEST_VERSION: Final = 2
 """Version 2 has checksums by BLAKE2b, or none, and was written in place during the run."""
 RESULT_FORMAT: Final = "hpe_rig result"
+RESULT_VERSION: Final = 2
+"""Version of result files. Version 1, not stated in the file, counted shots from 0 and called the tracked amplitude
+``amplitude_m`` and the corrected one ``corrected_amplitude_m``."""
 MAP_FORMAT: Final = "hpe_rig map"
 
 STAGES: Final = (

@@ -170,7 +170,7 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
     sizes = {"snapshot": SNAPSHOT_BYTES, "untrusted": UNTRUSTED_BYTES, "changed_settings": UNTRUSTED_BYTES}
     for name, size in sizes.items():
         file.create_dataset(name, len(plan.shots), f"S{size}", chunks=(1,), fletcher32=True)
-    name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
+    name_axes(file, {"shot": np.arange(1, len(plan.shots) + 1)}, {})
 
 
 def _fixed(text: str) -> NDArray[Any]:
@@ -180,7 +180,7 @@ def _fixed(text: str) -> NDArray[Any]:
 
 
 def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
-    return {"shot": np.arange(len(plan.shots)), "pulse": np.arange(plan.shots[0].capture.record_count)}
+    return {"shot": np.arange(1, len(plan.shots) + 1), "pulse": np.arange(plan.shots[0].capture.record_count)}
 
 
 def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
@@ -196,7 +196,7 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
     group = file.create_group("true_harmonics")
     for name in TRUE_HARMONICS:
         _add(group, name, np.full((shots, len(frequencies_hz)), math.nan))
-    axes = {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}
+    axes = {"shot": np.arange(1, shots + 1), "frequency": np.array(frequencies_hz)}
     name_axes(group, axes, dict.fromkeys(TRUE_HARMONICS, "m"))
     group["frequency"].attrs["units"] = "Hz"
 
@@ -207,7 +207,7 @@ def _create_conditions(file: h5py.File, shots: int, conditions: Sequence[Conditi
     for name in ("before", "after"):
         _add(group, name, np.full((shots, len(conditions)), math.nan))
     names = np.array([condition.name for condition in conditions], f"S{CONDITION_BYTES}")
-    name_axes(group, {"shot": np.arange(shots), "condition": names}, {"before": units, "after": units})
+    name_axes(group, {"shot": np.arange(1, shots + 1), "condition": names}, {"before": units, "after": units})
 
 
 def _create_codes(

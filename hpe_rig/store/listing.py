@@ -16,13 +16,21 @@ from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
 from hpe_rig.store.checksum import ATTRIBUTE, kind_of
 from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
-from hpe_rig.store.format import StoreError, reason
+from hpe_rig.store.format import RESULT_VERSION, StoreError, reason
 from hpe_rig.store.marks import MARKED_BAD
 from hpe_rig.store.reader import StoredRun, read_run
 from hpe_rig.store.validation import CheckedFile
 
 MAX_JSON_BYTES = 64_000_000
 """Maximum size of a result's JSON that the listing reads."""
+
+LEAD_VALUES = {
+    "amplitude_m": "corrected_amplitude_m",
+    "amplitude_uncertainty_m": "corrected_uncertainty_m",
+    "phase_rad": "corrected_phase_rad",
+    "phase_uncertainty_rad": "corrected_phase_uncertainty_rad",
+}
+"""Values of a ``Lead``, and what result files of version 1 called them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,11 +202,13 @@ def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
             if ATTRIBUTE in text.attrs and not CheckedFile(file).matches_checksum("json", text):
                 raise InvalidContentError("it fails its checksum")
             result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= MAX_JSON_BYTES else {}
+            is_earlier = file.attrs.get("version", 1) < RESULT_VERSION
         left_out = result.get("shots_without_result", ())
-        if marks != {int(shot): why for shot, why in left_out if why.startswith(MARKED_BAD)}:
+        counted_from = 0 if is_earlier else 1
+        if marks != {int(shot) - counted_from: why for shot, why in left_out if why.startswith(MARKED_BAD)}:
             # Marks were given or taken back after this result.
             return None
-        return max(_harmonics(result), key=lambda harmonic: harmonic.amplitude_m, default=None)
+        return max(_harmonics(result, is_earlier), key=lambda harmonic: harmonic.amplitude_m, default=None)
     except InvalidContentError as error:
         why = str(error)
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, ArithmeticError) as error:
@@ -206,23 +216,17 @@ def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
     raise StoreError(f"{latest} is no readable result file ({why}). Try: hpe-rig process {run}.")
 
 
-def _harmonics(result: Mapping[str, Any]) -> Iterator[Lead]:
+def _harmonics(result: Mapping[str, Any], is_earlier: bool) -> Iterator[Lead]:
     """Yield every harmonic of a result, given as its parsed JSON: of the means over repeats, or else of all shots.
 
-    Values corrected for beam averaging are preferred to the tracked ones. A value that is null in the JSON is NaN.
+    A value that is null in the JSON is NaN. In an earlier version (``is_earlier``) single shots called the corrected
+    values by other names.
     """
-    estimator = str(result["estimator"])
-    corrected_keys = {
-        "amplitude_m": "corrected_amplitude_m",
-        "amplitude_uncertainty_m": "corrected_uncertainty_m",
-        "phase_rad": "corrected_phase_rad",
-        "phase_uncertainty_rad": "corrected_phase_uncertainty_rad",
-    }
-    means = result.get("means", ())
+    estimator, means = str(result["estimator"]), result.get("means", ())
+    names = {name: name for name in LEAD_VALUES}
     for estimate in means or [estimate for shot in result["shots"] for estimate in shot["estimates"]]:
-        has_correction = estimate.get("corrected_amplitude_m") is not None
-        values = dict[str, float]()
-        for tracked_key, corrected_key in corrected_keys.items():
-            value = estimate[corrected_key if has_correction else tracked_key]
-            values[tracked_key] = math.nan if value is None else float(value)
-        yield Lead(estimator=estimator, frequency_hz=float(estimate["frequency_hz"]), **values)
+        if is_earlier and estimate.get("corrected_amplitude_m") is not None:
+            names = LEAD_VALUES
+        values = {name: estimate[stored] for name, stored in names.items()}
+        numbers = {name: math.nan if value is None else float(value) for name, value in values.items()}
+        yield Lead(estimator=estimator, frequency_hz=float(estimate["frequency_hz"]), **numbers)

@@ -18,7 +18,7 @@ from hpe_rig.result import MOTION_UNITS, PARTS, UNITS, Covariance, Result, ShotR
 from hpe_rig.store.atomic import atomic_file, synchronise
 from hpe_rig.store.checksum import kind_of, seal, seal_heap
 from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
-from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.format import RESULT_FORMAT, RESULT_VERSION, StoreError, reason
 from hpe_rig.store.layout import LIBVER, name_axes
 from hpe_rig.store.task import make_or_undo
 
@@ -62,6 +62,7 @@ def _replace(path: Path, image: bytes, cancelled: threading.Event) -> None:
 def _write(file: h5py.File, result: Result) -> None:
     """Write the result into the HDF5 file: as JSON, and its estimates, motion and depth profile with axes."""
     file.attrs["format"] = RESULT_FORMAT
+    file.attrs["version"] = RESULT_VERSION
     for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
         file.attrs[name] = getattr(result, name)
     text = json.dumps(result.as_dict()).encode()
@@ -130,6 +131,7 @@ def read_covariance(path: Path | str) -> Covariance:
     try:
         with open_bounded(Path(path)) as file:
             group = file["covariance"]
+            counted_from = 0 if file.attrs.get("version", 1) < RESULT_VERSION else 1
             arrays = {
                 name: group[name].asstr()[()] if group[name].dtype.kind == "S" else group[name][()] for name in names
             }
@@ -137,6 +139,7 @@ def read_covariance(path: Path | str) -> Covariance:
             arrays[name] = arrays[name][..., 0] + 1j * arrays[name][..., 1]
         if arrays["influence_m"].shape[:-1] != arrays["phasor_m"].shape:
             raise InvalidContentError("its values and their influences differ in shape")
+        arrays["shot"] = arrays["shot"] + 1 - counted_from
         texts = {name: tuple(arrays[name].tolist()) for name in ("source", "common_to")}
         return Covariance(**(arrays | texts))
     except (OSError, KeyError, ValueError, TypeError, IndexError, RuntimeError, InvalidContentError) as error:

@@ -66,13 +66,13 @@ def _measure(case: MeasuredCase, draw: int, values: Mapping[Estimator, FloatArra
                 continue
             for shot in result.shots:
                 warned = bool(shot.warnings)
-                table[shot.shot] = [(*_values(item, case.corrected), warned) for item in shot.estimates]
+                table[shot.index] = [(*_values(item, case.corrected), warned) for item in shot.estimates]
 
 
 def _values(item: Estimate, corrected: bool) -> tuple[float | None, ...]:
     """Return estimated and true amplitude and phase; NumPy turns None into NaN."""
-    value = item.headline if corrected else item
-    return value.amplitude_m, value.phase_rad, item.true_amplitude_m, item.true_phase_rad
+    value = (item.amplitude_m, item.phase_rad) if corrected else (item.tracked_amplitude_m, item.tracked_phase_rad)
+    return *value, item.true_amplitude_m, item.true_phase_rad
 
 
 def _rows(case: MeasuredCase, values: Mapping[Estimator, FloatArray], draws: int) -> list[CaseRecord]:

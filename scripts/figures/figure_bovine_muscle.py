@@ -33,7 +33,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     amplitude_axes, phase_axes = figure.subplots(1, 2)
     true_nm = np.array([item.true_amplitude_m or np.nan for item in estimates]) * 1e9
     amplitude_axes.plot(frequency_hz, true_nm, color="0.45", label="true peak displacement")
-    tracked_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
+    tracked_nm = np.array([item.tracked_amplitude_m for item in estimates]) * 1e9
     amplitude_axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=TRACKED, label="as tracked")
     peak_m = [(item.headline.amplitude_m, 2 * item.headline.amplitude_uncertainty_m) for item in estimates]
     amplitude_axes.errorbar(
@@ -43,7 +43,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     amplitude_axes.legend(frameon=False, fontsize=8)
     # The estimate is drawn at the unwrapped true phase plus its error, so that both are continuous.
     true_rad = np.unwrap([item.true_phase_rad or 0.0 for item in estimates])
-    error_rad = np.array([item.corrected_phase_error_rad or 0.0 for item in estimates])
+    error_rad = np.array([item.phase_error_rad or 0.0 for item in estimates])
     phase_axes.plot(frequency_hz, np.degrees(true_rad), color="0.45", label="ground truth")
     uncertainty_deg = [2 * np.degrees(item.headline.phase_uncertainty_rad) for item in estimates]
     phase_axes.errorbar(

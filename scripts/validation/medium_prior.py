@@ -377,7 +377,7 @@ def _reduced_noise_errors(name: str, noise_scale: float, seed: int) -> Iterator[
     with TemporaryDirectory() as folder:
         result = hpe.measure(scene.with_(noise), path=Path(folder) / "run.h5").estimate("coherent")
     for item in result.shots[0].estimates:
-        true_m, error, error_rad = item.true_amplitude_m, item.corrected_amplitude_error, item.corrected_phase_error_rad
+        true_m, error, error_rad = item.true_amplitude_m, item.amplitude_error, item.phase_error_rad
         assert true_m is not None
         assert error is not None
         assert error_rad is not None

@@ -149,8 +149,8 @@ def test_the_displacement_is_the_prescribed_one_averaged_over_the_beam(run: hpe.
     columns = np.stack([np.sin(angle), np.cos(angle), np.ones(101)], axis=1)
     in_phase, quadrature, _ = np.linalg.lstsq(columns, displacement_m, rcond=None)[0]
     (estimate,) = run.estimate("coherent").shots[0].estimates
-    assert np.hypot(in_phase, quadrature) == pytest.approx(estimate.amplitude_m, rel=1e-6)
-    assert 0.8e-6 < estimate.amplitude_m < 1e-6
+    assert np.hypot(in_phase, quadrature) == pytest.approx(estimate.tracked_amplitude_m, rel=1e-6)
+    assert 0.8e-6 < estimate.tracked_amplitude_m < 1e-6
 
 
 def test_a_shot_beyond_the_last_is_refused_with_their_number(run: hpe.Run) -> None:
@@ -185,12 +185,12 @@ def test_echoes_of_any_real_type_give_their_true_motion() -> None:
         (np.round(8000 * rf + 30).astype(np.int16), 5e-3),
     ):
         (estimate,) = hpe.estimate(typed, **ECHOES).shots[0].estimates
-        assert estimate.amplitude_m == pytest.approx(1e-6, rel=tolerance)
-        assert estimate.phase_rad == pytest.approx(0.5, abs=tolerance)
+        assert estimate.tracked_amplitude_m == pytest.approx(1e-6, rel=tolerance)
+        assert estimate.tracked_phase_rad == pytest.approx(0.5, abs=tolerance)
     rf[7, 3] = np.nan
     result = hpe.estimate(np.stack([[rf, moving_echo(2e-6)]]), **ECHOES)
     assert [shot.pulses_missing for shot in result.shots] == [1, 0]
-    assert result.shots[1].estimates[0].amplitude_m == pytest.approx(2e-6, rel=2e-3)
+    assert result.shots[1].estimates[0].tracked_amplitude_m == pytest.approx(2e-6, rel=2e-3)
     assert not result.simulated
 
 
@@ -213,10 +213,10 @@ def test_empty_echoes_are_refused(shape: tuple[int, ...]) -> None:
 def test_a_train_without_an_echo_does_not_affect_other_trains() -> None:
     silent = np.zeros_like(moving_echo())
     result = hpe.estimate(np.stack([moving_echo(), silent, moving_echo(2e-6)]), **ECHOES)
-    assert [shot.shot for shot in result.shots] == [0, 2]
-    assert result.shots[1].estimates[0].amplitude_m == pytest.approx(2e-6, rel=2e-3)
-    ((index, why),) = result.shots_without_result
-    assert index == 1
+    assert [shot.index for shot in result.shots] == [0, 2]
+    assert result.shots[1].estimates[0].tracked_amplitude_m == pytest.approx(2e-6, rel=2e-3)
+    ((number, why),) = result.shots_without_result
+    assert number == 2
     assert result.warnings == (f"shot 2 left out: {why}",)
     # Entries of a batch are not repeats of one setting: nobody said so.
     assert not result.means
@@ -229,7 +229,7 @@ def test_the_records_of_a_run_can_be_estimated_as_echoes(run: hpe.Run) -> None:
     around = slice(shot.gate.start - 67, shot.gate.stop + 67)
     result = hpe.estimate(records.codes[:, around] * records.volts_per_code, **ECHOES, margin=(67, 67))
     expected = run.estimate("coherent").shots[0].estimates[0]
-    assert result.shots[0].estimates[0].amplitude_m == pytest.approx(expected.amplitude_m, rel=1e-5)
+    assert result.shots[0].estimates[0].tracked_amplitude_m == pytest.approx(expected.tracked_amplitude_m, rel=1e-5)
 
 
 def test_a_result_becomes_a_frame_and_a_figure(run: hpe.Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -162,10 +162,10 @@ def test_the_main_job_on_a_bench_behind_wires_gives_the_simulated_runs_numbers(
     np.testing.assert_allclose(*spacing_s, rtol=0, atol=1e-12)
     pairs = zip(process(wired.path).shots[0].estimates, process(direct.path).shots[0].estimates, strict=True)
     for one, other in pairs:
-        assert (one.frequency_hz, one.amplitude_m, one.phase_rad) == (
+        assert (one.frequency_hz, one.tracked_amplitude_m, one.tracked_phase_rad) == (
             other.frequency_hz,
-            pytest.approx(other.amplitude_m, rel=1e-9),
-            pytest.approx(other.phase_rad, abs=1e-9),
+            pytest.approx(other.tracked_amplitude_m, rel=1e-9),
+            pytest.approx(other.tracked_phase_rad, abs=1e-9),
         )
 
 

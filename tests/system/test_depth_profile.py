@@ -39,7 +39,7 @@ def result(run: hpe.Run) -> Result:
 
 
 def test_a_profile_is_the_field_of_the_medium_within_its_uncertainty(result: Result) -> None:
-    assert [round(gate.depth_m * 1e3, 2) for gate in result.profile if gate.shot.shot == 0] == [69, 69.5, 70, 70.5, 71]
+    assert [round(gate.depth_m * 1e3, 2) for gate in result.profile if gate.shot.index == 0] == [69, 69.5, 70, 70.5, 71]
     for gate in result.profile:
         for estimate in gate.shot.estimates:
             omega = 2 * math.pi * estimate.frequency_hz
@@ -47,7 +47,7 @@ def test_a_profile_is_the_field_of_the_medium_within_its_uncertainty(result: Res
             medium = HarmonicMedium(hz, np.array([7.25e3 + 1j * omega]))
             regions = (TrackedRegion(np.array([gate.shot.lateral_offset_m]), z) for z in (gate.depth_m - 70e-3, 0.0))
             here, focus = (shear_motion(medium, force, region).value[0, 0] for region in regions)
-            [own] = [each for each in result.shots if each.shot == gate.shot.shot]
+            [own] = [each for each in result.shots if each.index == gate.shot.index]
             [there] = [each for each in own.estimates if each.frequency_hz == estimate.frequency_hz]
             assert there.true_amplitude_m is not None
             assert there.true_phase_rad is not None
@@ -69,7 +69,7 @@ def test_rows_of_gates_follow_those_of_the_shots(result: Result) -> None:
     assert frame["gate_depth_m"][:own].isna().all()
     for row, (gate, each) in zip(rows[own:], of_gates, strict=True):
         assert float(row["gate_depth_m"]) == gate.depth_m
-        assert float(row["corrected_amplitude_m"]) == each.corrected_amplitude_m
+        assert float(row["amplitude_m"]) == each.amplitude_m
         assert row["true_amplitude_m"] == ""
 
 
@@ -88,7 +88,7 @@ def test_the_motion_within_the_burst_period_is_that_of_the_harmonics(run: hpe.Ru
     turn = np.exp(-2j * np.pi * 100.0 * time_s)
     first = 2 * np.mean(moved_m * turn) * 1j
     estimate = gate.shot.estimates[0]
-    expected = estimate.amplitude_m * np.exp(1j * estimate.phase_rad)
+    expected = estimate.tracked_amplitude_m * np.exp(1j * estimate.tracked_phase_rad)
     # pulses stand anywhere in a part of the period: at most half of its 250 us from the middle
     assert abs(first - expected) < 2 * np.pi * 100.0 * 125e-6 * abs(expected)
 
@@ -99,8 +99,8 @@ def test_the_result_file_holds_profile_and_motion_over_depth(run: hpe.Run, resul
         assert profile.amplitude_m.dims == ("shot", "depth", "frequency")
         np.testing.assert_allclose(profile.depth * 1e3, [69, 69.5, 70, 70.5, 71])
         assert profile.depth.units == "m"
-        first = next(gate for gate in result.profile if gate.shot.shot == 1).shot.estimates[0]
-        assert float(profile.amplitude_m.sel(shot=1, frequency=100.0)[0]) == first.amplitude_m
+        first = next(gate for gate in result.profile if gate.shot.shot == 2).shot.estimates[0]
+        assert float(profile.tracked_amplitude_m.sel(shot=2, frequency=100.0)[0]) == first.tracked_amplitude_m
     with xarray.open_dataset(path, group="burst_period", engine="h5netcdf") as motion:
         assert motion.displacement_m.dims == ("shot", "depth", "time")
         assert np.isfinite(motion.displacement_m).all()

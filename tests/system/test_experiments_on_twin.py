@@ -44,7 +44,7 @@ def test_amplitudes_of_nothing_are_those_of_the_stated_jitter_and_noise(tmp_path
     plain = (r"\[processing\]\n", '[processing]\nharmonic = "least_squares"\n')
     setup = prepare_text("a", edited(name, *edits, repeats, force, plain))
     shots = process(record_run(setup, tmp_path / "a.h5")).shots
-    amplitude_m = np.array([[item.amplitude_m for item in shot.estimates] for shot in shots])
+    amplitude_m = np.array([[item.tracked_amplitude_m for item in shot.estimates] for shot in shots])
     expected_m = detection_floor(setup.scene.scene, True, setup.plan.shots[0]).quadrature_m
     # Two quadratures each: the root of their mean square is known to 1 / sqrt(4 n); three of it. Speckle makes the
     # echo's power, and so its SNR, differ from the mean over places by as much as 10 % in this one.
@@ -64,7 +64,7 @@ def test_slopes_double_with_the_toneburst_length_and_lines_are_straight(tmp_path
         for length_s in {shot.burst_length_s for shot in shots}:
             own = [shot for shot in shots if shot.burst_length_s == length_s]
             force = np.array(sorted({shot.force_fraction for shot in own}))
-            each_m = [[s.estimates[1].amplitude_m for s in own if s.force_fraction == f] for f in force]
+            each_m = [[s.estimates[1].tracked_amplitude_m for s in own if s.force_fraction == f] for f in force]
             nm = np.mean(each_m, axis=1) * 1e9
             lines[round(length_s * 1e6)] = fit_line(force, nm)
     for over, under in ((100, 50), (200, 100), (200, 50)):

@@ -35,7 +35,7 @@ def test_a_bad_shot_enters_no_result_of_any_command(run_file: Path) -> None:
     whole, before = hpe.open_run(run_file).estimate(), hashlib.sha256(run_file.read_bytes()).digest()
     assert "shot 2 marked bad: cable touched\n1 of 2 shots" in command("mark", run_file, 2, "--bad", "cable touched")
     processed = json.loads(command("process", run_file, "--json"))
-    assert [shot["shot"] for shot in processed["shots"]] == [0]
+    assert [shot["shot"] for shot in processed["shots"]] == [1]
     assert WHY in processed["warnings"]
     assert hashlib.sha256(run_file.read_bytes()).digest() == before
     assert command("mark", run_file, 2, "--good").endswith("0 of 2 shots are marked bad\n")
@@ -58,7 +58,7 @@ def test_means_report_sweep_and_comparison_leave_a_bad_shot_out(tmp_path: Path) 
 
 def test_python_marks_a_shot_and_takes_the_mark_back(run_file: Path) -> None:
     run = hpe.open_run(run_file).mark(0, bad="air bubble")
-    assert run.estimate().shots_without_result == ((0, "marked bad: air bubble"),)
+    assert run.estimate().shots_without_result == ((1, "marked bad: air bubble"),)
     assert not run.mark(0, bad=None).estimate().shots_without_result
     with pytest.raises(IndexError, match="the run has 2"):
         run.mark(2, bad="none")

@@ -69,11 +69,11 @@ def test_a_run_stopped_while_records_arrive_keeps_every_complete_shot(
     assert [each.estimates for each in found.shots if each.complete] == [each.estimates for each in whole.shots[:shot]]
     # What had come of the stopped shot is an estimate of its own where it resolves the harmonics, and marked.
     partial = [each for each in found.shots if not each.complete]
-    without = [index for index, _ in found.shots_without_result]
-    assert [*(each.shot for each in partial), *without] == list(range(shot, SHOTS))
+    without = [number for number, _ in found.shots_without_result]
+    assert [*(each.shot for each in partial), *without] == list(range(shot + 1, SHOTS + 1))
     assert f"the run is aborted: {shot} of {SHOTS} shots are complete" in found.warnings
-    for index in without:
-        assert any("left out" in text and f"{index + 1}" in text for text in found.warnings)
+    for number in without:
+        assert any("left out" in text and f"{number}" in text for text in found.warnings)
     page = render(path)
     assert f"{shot} of {SHOTS} shots are complete" in page
 
@@ -86,8 +86,8 @@ def test_a_run_stopped_before_a_shots_first_record_is_processed_and_printed(
     done = CliRunner().invoke(app, ["process", str(path), "--json"])
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
-    assert [each["shot"] for each in result["shots"]] == list(range(shot))
-    assert [index for index, _ in result["shots_without_result"]] == list(range(shot, SHOTS))
+    assert [each["shot"] for each in result["shots"]] == list(range(1, shot + 1))
+    assert [number for number, _ in result["shots_without_result"]] == list(range(shot + 1, SHOTS + 1))
     done = CliRunner().invoke(app, ["report", str(path)])
     assert done.exit_code == 0, done.output
     assert f"{shot} of {SHOTS} planned" in path.with_suffix(".html").read_text(encoding="utf-8")
@@ -104,7 +104,7 @@ def test_too_few_records_of_one_shot_cost_no_other_its_result(undisturbed: Path,
         file["records/recorded"][1, 1:] = 0
     found = process(path)
     assert [shot.estimates for shot in found.shots] == [whole.shots[0].estimates, whole.shots[2].estimates]
-    assert [index for index, _ in found.shots_without_result] == [1]
+    assert [number for number, _ in found.shots_without_result] == [2]
     assert any(text.startswith("shot 2 left out: ") for text in found.warnings)
 
 

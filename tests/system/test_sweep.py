@@ -55,7 +55,7 @@ def test_windows_are_taken_from_the_same_records(prepared, tmp_path):
     assert len(setup.plan.shots) == 1
     assert [shot.window_length_s for shot in shots] == [20e-3, 40e-3]
     assert [shot.pulses_used for shot in shots] == [80, 160]
-    found = [shot.estimates[0].amplitude_uncertainty_m for shot in shots]
+    found = [shot.estimates[0].tracked_amplitude_uncertainty_m for shot in shots]
     # Twice the pulses: the variance halves, and is itself known to sqrt(2 / 40).
     assert found[0] / found[1] == pytest.approx(np.sqrt(2), rel=0.5)
 

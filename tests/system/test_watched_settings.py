@@ -175,7 +175,7 @@ def test_an_untrusted_shot_is_marked_in_the_result_its_table_and_the_report(
     # The mean over repeats is of those that can be trusted, of which one is left.
     assert not result.means
     rows = list(csv.DictReader(io.StringIO(result_csv(result))))
-    assert {row["shot"] for row in rows if row["untrusted"]} == {"0"}
+    assert {row["shot"] for row in rows if row["untrusted"]} == {"1"}
     assert "UNTRUSTED" in str(result)
     print_result(result)
     shown = capsys.readouterr().out

@@ -100,10 +100,11 @@ def _motion_steps(scene: Scene, plan: Plan, twin: TwinDeclaration) -> Iterator[C
     if not step_m < quarter_m:
         text = f"the twin moves by up to {step_m * 1e6:.3g} um from a pulse to the next, a quarter wavelength is "
         text += f"{quarter_m * 1e6:.3g} um: the direction of the motion is ambiguous"
-        remedy = (
-            f"{0.9 * quarter_m / step_m:.2g} of the motion by simulation.specimen or excitation.force_fraction, "
-            "a higher tracking.pulse_rate_hz, or a lower tracking.carrier_hz"
-        )
+        fraction, specimen = 0.9 * quarter_m / step_m, twin.settings.specimen
+        less = f"{fraction:.2g} of the motion, by [simulation] or excitation.force_fraction"
+        if specimen is not None and specimen.sphere is None:
+            less = f"simulation.specimen.force_density_n_per_m3 = {fraction * specimen.force_density_n_per_m3:.2g}"
+        remedy = f"{less}, a higher tracking.pulse_rate_hz, or a lower tracking.carrier_hz"
         yield CheckResult("motion between pulses", "refused", text, remedy)
 
 

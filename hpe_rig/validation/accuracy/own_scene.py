@@ -221,8 +221,7 @@ def _trial(run: Run, run_s: float) -> _Trial:
         missing = np.full(len(run.scene.wanted_frequencies_hz), np.nan)
         return _Trial(missing, missing, run_s, math.nan)
     estimates = result.shots[0].estimates
-    # Amplitudes are corrected for beam averaging where that is predicted.
-    estimated = [e.amplitude_m if e.corrected_amplitude_m is None else e.corrected_amplitude_m for e in estimates]
+    estimated = [e.amplitude_m for e in estimates]
     true_m = np.array([e.true_amplitude_m or 0.0 for e in estimates])
     return _Trial(np.array(estimated) - true_m, true_m, run_s + estimation_s, estimation_s)
 

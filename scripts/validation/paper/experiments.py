@@ -126,9 +126,9 @@ def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, FloatArray]:
 def repeated(shots: Sequence[ShotResult]) -> Repeated:
     """Return the statistics of the repeats of one setting."""
     estimates = [shot.estimates for shot in shots]
-    amplitude_m = np.array([[item.amplitude_m for item in row] for row in estimates])
+    amplitude_m = np.array([[item.tracked_amplitude_m for item in row] for row in estimates])
     # Phases are averaged on the unit circle.
-    phasor = np.exp(1j * np.array([[item.phase_rad for item in row] for row in estimates]))
+    phasor = np.exp(1j * np.array([[item.tracked_phase_rad for item in row] for row in estimates]))
     mean_phasor = phasor.mean(axis=0)
     return Repeated(
         frequency_hz=np.array([item.frequency_hz for item in estimates[0]]),

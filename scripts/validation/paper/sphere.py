@@ -65,7 +65,9 @@ def fit_sphere(scene: Scene, result: Result) -> SphereFit:
 
     shot = result.shots[0]
     estimates = shot.estimates
-    measured = np.array([estimate.amplitude_m * np.exp(1j * estimate.phase_rad) for estimate in estimates])
+    measured = np.array(
+        [estimate.tracked_amplitude_m * np.exp(1j * estimate.tracked_phase_rad) for estimate in estimates]
+    )
     # The noise is equal in both quadratures and at all frequencies; the model includes aliasing.
     u_m = shot.residual_m * math.sqrt(2 / shot.pulses_used)
 
@@ -93,9 +95,9 @@ def steel_sphere(seed: int = 1) -> Experiment:
     result = result_of(scene)
     estimates = result.shots[0].estimates
     hz = np.array([estimate.frequency_hz for estimate in estimates])
-    nm = np.array([estimate.amplitude_m for estimate in estimates]) * 1e9
-    u_nm = np.array([estimate.amplitude_uncertainty_m for estimate in estimates]) * 1e9
-    degrees = np.degrees(np.unwrap([estimate.phase_rad for estimate in estimates]))
+    nm = np.array([estimate.tracked_amplitude_m for estimate in estimates]) * 1e9
+    u_nm = np.array([estimate.tracked_amplitude_uncertainty_m for estimate in estimates]) * 1e9
+    degrees = np.degrees(np.unwrap([estimate.tracked_phase_rad for estimate in estimates]))
     true_nm = np.array([estimate.true_amplitude_m or np.nan for estimate in estimates]) * 1e9
     exact, sampled_exact = (sphere_phasors(scene, *PAPER_MODULI, sampled) for sampled in (False, True))
     fit = fit_sphere(scene, result)

@@ -56,15 +56,15 @@ def test_the_result_begins_with_one_sentence(capsys: pytest.CaptureFixture[str])
 
 
 def test_the_sentence_of_several_settings_states_their_range() -> None:
-    weak = replace(ESTIMATE, amplitude_m=1.2e-6)
-    shots = (SHOT, replace(SHOT, shot=1, force_fraction=0.1, estimates=(weak,)))
+    weak = replace(ESTIMATE, tracked_amplitude_m=1.2e-6)
+    shots = (SHOT, replace(SHOT, index=1, force_fraction=0.1, estimates=(weak,)))
     said = headline_sentence(result_of(*shots))
     assert said.startswith("1.3 +- 1.7 to 13.9 +- 1.7 um at 1000 Hz")
     assert "over 2 settings, 2 shots" in said
 
 
 def test_the_mean_of_repeats_comes_before_one_line_per_shot(capsys: pytest.CaptureFixture[str]) -> None:
-    shots = [replace(SHOT, shot=index, repeat=index) for index in range(25)]
+    shots = [replace(SHOT, index=index, repeat=index) for index in range(25)]
     lines = printed(capsys, *shots)
     assert "25 shots; simulated" in lines[1]
     (title,) = [at for at, line in enumerate(lines) if line.startswith("MEAN of 25 repeats, shots 1 to 25")]
@@ -76,7 +76,7 @@ def test_the_mean_of_repeats_comes_before_one_line_per_shot(capsys: pytest.Captu
 
 
 def test_wide_has_a_table_for_every_shot(capsys: pytest.CaptureFixture[str]) -> None:
-    shots = [replace(SHOT, shot=index, repeat=index) for index in range(3)]
+    shots = [replace(SHOT, index=index, repeat=index) for index in range(3)]
     lines = printed(capsys, *shots, wide=True)
     starts = [line.split(",")[0] for line in lines if line.startswith(("MEAN", "shot "))]
     assert starts == ["MEAN of 3 repeats", "shot 1", "shot 2", "shot 3"]
@@ -87,8 +87,8 @@ def test_nothing_is_wider_than_the_terminal(
     columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", f"{columns}")
-    shots = [replace(SHOT, shot=index, force_fraction=1 / (index + 1), warnings=(LONG,)) for index in range(4)]
-    for printed_shots in (shots[:1], shots, [replace(shot, force_fraction=0.8, repeat=shot.shot) for shot in shots]):
+    shots = [replace(SHOT, index=index, force_fraction=1 / (index + 1), warnings=(LONG,)) for index in range(4)]
+    for printed_shots in (shots[:1], shots, [replace(shot, force_fraction=0.8, repeat=shot.index) for shot in shots]):
         lines = printed(capsys, *printed_shots)
         assert max(map(len, lines)) <= columns
         headers = [line.split() for line in lines if "phase" in line and "u" in line.split()]
@@ -113,7 +113,7 @@ def test_without_beams_only_the_tracked_values_are_printed_and_the_legend_explai
 def test_an_untrusted_shot_is_named_in_the_first_line_and_in_its_row(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    lines = list(_lines(printed(capsys, SHOT, replace(SHOT, shot=1, repeat=1, untrusted="the amplitude was changed"))))
+    lines = list(_lines(printed(capsys, SHOT, replace(SHOT, index=1, repeat=1, untrusted="the amplitude was changed"))))
     assert "1 NOT TO BE TRUSTED" in lines[0]
     assert any(line.split()[:1] == ["2"] and line.endswith("UNTRUSTED") for line in lines)
 

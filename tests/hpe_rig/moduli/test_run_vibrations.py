@@ -89,7 +89,7 @@ def from_result_file(run: hpe.Run, direct: Sequence[Vibration]) -> list[Vibratio
         # From the peak to the tracked displacement, by the stated ratio and lag of beam averaging.
         factor = np.array(
             [
-                estimate.amplitude_m * np.exp(1j * estimate.phase_rad) / estimate.phasor_m
+                estimate.tracked_amplitude_m * np.exp(1j * estimate.tracked_phase_rad) / estimate.phasor_m
                 for estimate in result.shots[row].estimates
             ]
         )

@@ -68,7 +68,7 @@ def test_the_stated_uncertainty_is_the_predicted_noise(tmp_path: Path) -> None:
     assert found is not None
     first = run.estimate().shots[0].estimates[0]
     # SNR of this draw of scatterers, noise of 598 residuals, and 0.19 nm of aliasing on 0.77
-    assert first.amplitude_uncertainty_m == pytest.approx(found.error_m(0), rel=0.25)
+    assert first.tracked_amplitude_uncertainty_m == pytest.approx(found.error_m(0), rel=0.25)
 
 
 @pytest.mark.parametrize(

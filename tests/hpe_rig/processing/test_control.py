@@ -54,7 +54,7 @@ def trials_of(controls: int, random_phase: bool) -> tuple[FloatArray, FloatArray
         sources = ErrorSources(sound_speed_uncertainty=0.0, control=control)
         held.append(
             [
-                abs(estimate.amplitude_m - abs(true)) < estimate.interval_95_m
+                abs(estimate.tracked_amplitude_m - abs(true)) < estimate.interval_95_m
                 for estimate, true in zip(estimates_of(fit, sources), VIBRATION, strict=True)
             ]
         )

@@ -32,7 +32,7 @@ def covariance_of_draw(rng: np.random.Generator) -> Covariance:
     sources = ErrorSources(sound_speed_uncertainty=0.005)
     estimates = estimates_of(fit, sources)
     shot = ShotResult(
-        shot=0,
+        index=0,
         repeat=0,
         burst_length_s=None,
         force_fraction=None,

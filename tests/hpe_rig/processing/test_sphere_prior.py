@@ -54,9 +54,12 @@ def errors_m(run: Run, **changed: object) -> tuple[NDArray[np.complex128], NDArr
     """Return complex errors (frequency,) of the tracked values and their u, root sum of squares of both quadratures."""
     scene = run.scene.with_({name.replace("__", "."): value for name, value in changed.items()})
     estimates = replace(run, scene=scene).estimate("coherent").shots[0].estimates
-    phasor = np.array([each.amplitude_m * np.exp(1j * each.phase_rad) for each in estimates])
+    phasor = np.array([each.tracked_amplitude_m * np.exp(1j * each.tracked_phase_rad) for each in estimates])
     true = np.array([(each.true_amplitude_m or 0) * np.exp(1j * (each.true_phase_rad or 0)) for each in estimates])
-    u = [np.hypot(each.amplitude_uncertainty_m, each.phase_uncertainty_rad * each.amplitude_m) for each in estimates]
+    u = [
+        np.hypot(each.tracked_amplitude_uncertainty_m, each.tracked_phase_uncertainty_rad * each.tracked_amplitude_m)
+        for each in estimates
+    ]
     return phasor - true, np.array(u)
 
 

@@ -184,8 +184,10 @@ def test_every_format_gives_the_true_motion_of_its_echoes(
     assert not run.stored.simulated
     (found,) = run.estimate().shots[0].estimates
     # What 40 pulses of exact echoes leave: gate edge 0.1 %, and 5 nm of speckle's own motion within the gate.
-    assert found.amplitude_m == pytest.approx(AMPLITUDE_M, abs=3 * found.amplitude_uncertainty_m + 1e-3 * AMPLITUDE_M)
-    assert found.phase_rad == pytest.approx(PHASE_RAD, abs=3e-3)
+    assert found.tracked_amplitude_m == pytest.approx(
+        AMPLITUDE_M, abs=3 * found.tracked_amplitude_uncertainty_m + 1e-3 * AMPLITUDE_M
+    )
+    assert found.tracked_phase_rad == pytest.approx(PHASE_RAD, abs=3e-3)
 
 
 def test_an_imported_run_is_sound_states_its_origin_and_is_not_resumed(scene: Path, tmp_path: Path) -> None:
@@ -221,7 +223,7 @@ def test_an_imported_run_is_swept_over_its_processing_settings(scene: Path) -> N
     assert len({shot.estimates for shot in result.shots}) == 4
     together = run.sweep({"gate_length_m": [0.6e-3, 1e-3], "background_order": [0, 1]}, together=True)
     assert len(together.shots) == 2
-    assert together.shots[1].estimates[0].amplitude_m != result.shots[2].estimates[0].amplitude_m
+    assert together.shots[1].estimates[0].tracked_amplitude_m != result.shots[2].estimates[0].tracked_amplitude_m
 
 
 def test_a_swept_window_replaces_the_windows_of_the_scene(scene: Path) -> None:
@@ -239,12 +241,12 @@ def test_a_shot_without_result_at_some_points_of_a_sweep_names_them(scene: Path)
     settings = RATES | {"axes": "line,pulse,sample", "line_pitch_m": 0.3e-3, "not_finite": "missing"}
     run = hpe.import_records(holed, scene, scene.parent / "run.h5", lines="all", **settings)
     result = run.sweep({"window_start_s": [0.0, 5e-3]})
-    assert [(shot.shot, shot.swept["processing.window_start_s"]) for shot in result.shots] == [
+    assert [(shot.index, shot.swept["processing.window_start_s"]) for shot in result.shots] == [
         *((0, 0.0), (1, 0.0), (2, 0.0)),
         *((0, 5e-3), (2, 5e-3)),
     ]
-    ((index, why),) = result.shots_without_result
-    assert index == 1
+    ((number, why),) = result.shots_without_result
+    assert number == 2
     assert why.startswith("at processing.window_start_s = 0.005: ")
     assert any(text.startswith("at processing.window_start_s = 0.005: shot 2 left out") for text in result.warnings)
 
@@ -360,7 +362,7 @@ def test_irregular_pulses_keep_their_times(scene: Path) -> None:
     del settings["pulse_rate_hz"]
     run = hpe.import_records(echoes(time_s, 1)[0], scene, scene.parent / "uneven.h5", **settings)
     (found,) = run.estimate().shots[0].estimates
-    assert found.amplitude_m == pytest.approx(AMPLITUDE_M, rel=1e-3)
+    assert found.tracked_amplitude_m == pytest.approx(AMPLITUDE_M, rel=1e-3)
 
 
 def test_records_that_are_not_finite_may_count_as_missing(scene: Path) -> None:

@@ -177,11 +177,15 @@ def test_the_table_holds_the_results_numbers(page: str, result: Result) -> None:
         row = re.search(rf'<tr><th scope="row">{estimate.frequency_hz:g}</th>(.*?)</tr>', page)
         assert row is not None
         cells = re.findall(r"<td>(.*?)</td>", row.group(1))
-        for first, value in ((0, estimate.headline), (4, estimate)):
-            assert float(cells[first]) == pytest.approx(value.amplitude_m * 1e9, rel=1e-3)
-            assert float(cells[first + 1]) == pytest.approx(value.amplitude_uncertainty_m * 1e9, rel=0.06)
-            assert float(cells[first + 2]) == pytest.approx(np.degrees(value.phase_rad), abs=0.006)
-            assert float(cells[first + 3]) == pytest.approx(np.degrees(value.phase_uncertainty_rad), rel=0.06)
+        for first, prefix in ((0, ""), (4, "tracked_")):
+            assert float(cells[first]) == pytest.approx(getattr(estimate, f"{prefix}amplitude_m") * 1e9, rel=1e-3)
+            u_m = getattr(estimate, f"{prefix}amplitude_uncertainty_m")
+            assert float(cells[first + 1]) == pytest.approx(u_m * 1e9, rel=0.06)
+            assert float(cells[first + 2]) == pytest.approx(
+                np.degrees(getattr(estimate, f"{prefix}phase_rad")), abs=0.006
+            )
+            u_rad = getattr(estimate, f"{prefix}phase_uncertainty_rad")
+            assert float(cells[first + 3]) == pytest.approx(np.degrees(u_rad), rel=0.06)
     assert f'<p class="headline">{symbols(headline_sentence(result))}.</p>' in page
 
 
@@ -245,7 +249,7 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
 def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result: Result) -> None:
     (shot,) = result.shots
     texts = [f"not significant at {90 + n}, 100 Hz: take more" for n in range(20)]
-    shots = [replace(shot, shot=n, warnings=(text, "clipped") if n == 3 else (text,)) for n, text in enumerate(texts)]
+    shots = [replace(shot, index=n, warnings=(text, "clipped") if n == 3 else (text,)) for n, text in enumerate(texts)]
     assert shot_warnings(shots) == [
         f"shot {', '.join(map(str, range(1, 13)))} ... (20 of 20 shots): such as in shot 1, {texts[0]}",
         "shot 4: clipped",

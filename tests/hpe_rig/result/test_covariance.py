@@ -56,7 +56,7 @@ def shots(lateral_m: Sequence[float] = (0.0, 0.0, 1e-3)) -> tuple[ShotResult, ..
         )
         results.append(
             ShotResult(
-                shot=index,
+                index=index,
                 repeat=index,
                 burst_length_s=1e-4,
                 force_fraction=1.0,

@@ -27,17 +27,17 @@ def shot(number: int, force_fraction: float, repeat: int, **changes: Any) -> Sho
     estimates = tuple(
         Estimate(
             frequency_hz=hz,
-            amplitude_m=force_fraction * 1e-4 / hz + repeat * 2e-9,
-            amplitude_uncertainty_m=2e-9,
+            tracked_amplitude_m=force_fraction * 1e-4 / hz + repeat * 2e-9,
+            tracked_amplitude_uncertainty_m=2e-9,
             # Phases of 170 and 190 degrees, the latter as -170.
-            phase_rad=math.radians(170 if hz == FREQUENCIES_HZ[0] else -170),
-            phase_uncertainty_rad=0.01,
+            tracked_phase_rad=math.radians(170 if hz == FREQUENCIES_HZ[0] else -170),
+            tracked_phase_uncertainty_rad=0.01,
         )
         for hz in FREQUENCIES_HZ
     )
     settings: dict[str, Any] = {"burst_length_s": 1e-4, "pulse_rate_hz": 4000.0, "window_length_s": 0.1} | changes
     return ShotResult(
-        shot=number, repeat=repeat, force_fraction=force_fraction, pulses_used=400, pulses_missing=0,
+        index=number, repeat=repeat, force_fraction=force_fraction, pulses_used=400, pulses_missing=0,
         residual_m=1e-8, estimates=estimates, warnings=(), **settings,
     )  # fmt: skip
 

@@ -468,8 +468,8 @@ def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(setup: Setup, tmp_pa
     estimate = result.shots[1].estimates[0]
     for row in (read[1], frame.iloc[1]):
         assert float(row["amplitude_m"]) == estimate.amplitude_m
-        assert float(row["phase_uncertainty_rad"]) == estimate.phase_uncertainty_rad
-        assert int(row["shot"]) == 1
+        assert float(row["tracked_phase_uncertainty_rad"]) == estimate.tracked_phase_uncertainty_rad
+        assert int(row["shot"]) == 2
     assert frame.attrs["simulated"] is True
 
 

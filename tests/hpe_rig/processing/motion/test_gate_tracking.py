@@ -29,8 +29,8 @@ def measured(scene: Scene, path: Path) -> tuple[float, float]:
     """Return the errors of amplitude and phase in units of their u."""
     estimate = hpe.measure(scene, path=path).estimate().shots[0].estimates[0]
     assert estimate.true_amplitude_m == pytest.approx(100e-9, rel=1e-5)
-    phase = (estimate.phase_rad - PHASE_RAD) / estimate.phase_uncertainty_rad
-    return (estimate.amplitude_m - 100e-9) / estimate.amplitude_uncertainty_m, phase
+    phase = (estimate.tracked_phase_rad - PHASE_RAD) / estimate.tracked_phase_uncertainty_rad
+    return (estimate.tracked_amplitude_m - 100e-9) / estimate.tracked_amplitude_uncertainty_m, phase
 
 
 @pytest.mark.parametrize("background", [[HEART], [BREATHING]], ids=["heart", "breathing"])
