@@ -12,7 +12,7 @@ import typer
 
 from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
-from hpe_rig.result import rich_table
+from hpe_rig.result import probability_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 from hpe_rig.store import (
     StoreError,
@@ -141,7 +141,7 @@ def _difference_row(row: ResultDifference) -> tuple[str, ...]:
         cells.append(f"{row.amplitude_m[run] * 1e9:.4g}, {row.amplitude_uncertainty_m[run] * 1e9:.2g}")
         cells.append(f"{math.degrees(row.phase_rad[run]):.2f}, {math.degrees(row.phase_uncertainty_rad[run]):.2g}")
     cells += [f"{row.amplitude_change * 100:+.1f}", f"{math.degrees(row.phase_change_rad):+.2f}"]
-    return (*cells, f"{row.p_all:.2g}", f"{row.p_noise:.2g}", row.verdict)
+    return (*cells, probability_text(row.p_all), probability_text(row.p_noise), row.verdict)
 
 
 def _value(value: Any) -> str:

@@ -131,6 +131,7 @@ def design(
     ] = False,
 ) -> None:
     """Optimise a scene within limits. By the analytic model, checked by Monte Carlo; no instrument is opened."""
+    from hpe_rig.cli.terminal import progress_reporter
     from hpe_rig.design import Request, write_design
 
     request = Request(
@@ -146,7 +147,8 @@ def design(
         output=output,
         report=report,
     )
-    write_design(request, typer.echo, announce)
+    with progress_reporter("design") as report_progress:
+        write_design(request, typer.echo, announce, report_progress)
 
 
 @dataclass(frozen=True, slots=True)

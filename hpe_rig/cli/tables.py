@@ -25,6 +25,7 @@ from hpe_rig.result import (
     frequency_error_text,
     headline_sentence,
     lead_frequency_hz,
+    probability_text,
     rich_table,
     scale_of,
     setting_texts,
@@ -146,7 +147,7 @@ def _print_means(result: Result, printer: Printer) -> None:
     rows = [
         (
             *(f"{len(mean.shots)}", *cells, *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m, scale)),
-            *(*_angle(mean.phase_rad, mean.phase_uncertainty_rad), f"{mean.probability:.2g}"),
+            *(*_angle(mean.phase_rad, mean.phase_uncertainty_rad), probability_text(mean.probability)),
         )
         for mean, cells in zip(leads, settings, strict=True)
     ]
@@ -279,7 +280,7 @@ def _mean_row(mean: RepeatMean, has_truth: bool, scale: float) -> list[str]:
     row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m, scale)]
     row += _angle(mean.phase_rad, mean.phase_uncertainty_rad)
     row += [_digits(mean.amplitude_sd_m / scale), _digits(math.degrees(mean.phase_sd_rad))]
-    row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
+    row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", probability_text(mean.probability)]
     if has_truth and mean.true_amplitude_m and mean.true_phase_rad is not None:
         error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)
         row += [f"{mean.true_amplitude_m / scale:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+z.1f}"]

@@ -42,8 +42,16 @@ class Request:
     report: bool = False
 
 
-def write_design(request: Request, show: Callable[[str], None], announce: Callable[[str], None]) -> None:
-    """Search, show the table and write the new scene; raise ``SettingsError`` with all mistakes before the search."""
+def write_design(
+    request: Request,
+    show: Callable[[str], None],
+    announce: Callable[[str], None],
+    report_progress: Callable[[int, int, str], None],
+) -> None:
+    """Search, show the table and write the new scene; raise ``SettingsError`` with all mistakes before the search.
+
+    ``report_progress`` gets the curve points of the report that are computed, their number, and the varied key.
+    """
     problem, text = _problem(request)
     announce(f"searching {', '.join(str(variable.key) for variable in problem.space)}")
     design = find_design(problem, request.seed)
@@ -56,7 +64,8 @@ def write_design(request: Request, show: Callable[[str], None], announce: Callab
         from hpe_rig.design.page import write_page
 
         announce("computing the goal over each number")
-        show(f"{write_page(design, comparison, request.scene, command)}: open it in any browser")
+        page = write_page(design, comparison, request.scene, command, report_progress)
+        show(f"{page}: open it in any browser")
     if request.output is not None:
         write_file(request.output, f"# {command}\n{edited_text(text, design.best.values)}", overwrite=False)
         show(f"{request.output}: hpe-rig check {request.output}")

@@ -20,6 +20,9 @@ JITTER_TOLERANCE, BIAS_TOLERANCE, STANDARD_ERRORS = 0.15, 0.02, 3.0
 MAX_RELATIVE_ERROR = 0.25
 """Standard error relative to a jitter above which the simulation cannot test the model."""
 
+GAIN_STANDARD_ERRORS = 2.0
+"""A simulated gain below this number of its standard errors may be chance."""
+
 Row = tuple[str, str, str]
 """Name, before, after."""
 
@@ -52,8 +55,9 @@ def compare(design: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:
     after = _outcome(problem, best, draws, seed)
     # Without a better scene both columns are equal: one simulation is enough.
     before = _outcome(problem, start, draws, seed) if best.values else after
-    outcome = [(name, before.get(name, "-"), text) for name, text in after.items()]
-    return Comparison(_request_text(design), varied, outcome, list(_remarks(design)))
+    outcome = [(name, before.rows.get(name, "-"), text) for name, text in after.rows.items()]
+    remarks = [*_remarks(design), *(_unconfirmed_gains(before, after) if best.values else ())]
+    return Comparison(_request_text(design), varied, outcome, remarks)
 
 
 def _request_text(design: DesignResult) -> str:
@@ -65,6 +69,26 @@ def _request_text(design: DesignResult) -> str:
         f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
         f"{problem.longest_s:.4g} s{target}; {problem.evaluations} scenes evaluated"
     )
+
+
+def _unconfirmed_gains(before: _Outcome, after: _Outcome) -> Iterator[str]:
+    """Yield the jitters that the model predicts to fall, and whose simulation shows no fall beyond chance."""
+    if before.prediction is None or after.prediction is None or before.simulated is None or after.simulated is None:
+        return
+    quantities = (("jitter", "jitter_m", 1e9, "nm"), ("phase jitter", "phase_jitter_rad", math.degrees(1), "deg"))
+    pairs = zip(quantities, before.simulated, after.simulated, strict=True)
+    for (name, attribute, scale, unit), simulated_before, simulated_after in pairs:
+        first, second = (getattr(item.prediction, attribute) for item in (before, after))
+        gain, u = (
+            simulated_before.jitter - simulated_after.jitter,
+            math.hypot(simulated_before.jitter_se, simulated_after.jitter_se),
+        )
+        if second < (1 - JITTER_TOLERANCE) * first and gain < GAIN_STANDARD_ERRORS * u:
+            yield (
+                f"the simulation does not confirm the gain in {name}: it falls by {gain * scale:.2g} +- "
+                f"{u * scale:.2g} {unit}, by the model from {first * scale:.3g} to {second * scale:.3g} {unit}. Try: "
+                "more --draws, or hpe-rig accuracy with both scenes"
+            )
 
 
 def _remarks(design: DesignResult) -> Iterator[str]:
@@ -80,11 +104,20 @@ def _number(value: float | None) -> str:
     return "absent" if value is None else f"{value:.6g}"
 
 
-def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> dict[str, str]:
-    """Return predictions, simulation, time and dose of a candidate in words; empty without a plan."""
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """Rows of the table by name, prediction, and simulated errors of amplitude and phase; empty without a plan."""
+
+    rows: dict[str, str]
+    prediction: EstimatorErrors | None = None
+    simulated: tuple[Errors, Errors] | None = None
+
+
+def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> _Outcome:
+    """Return predictions, simulation, time and dose of a candidate."""
     scene, plan, setting = candidate.scene, candidate.plan, candidate.setting
     if scene is None or plan is None or setting is None:
-        return {}
+        return _Outcome({})
     # Bias and jitter have the beam averaging of ``hpe-rig check`` and of a result's budget.
     averaging = predicted_averaging(scene, scene.processing.estimator)[0]
     prediction = with_beam_averaging(candidate.predict(FINAL_DRAWS, FINAL_SEED), setting, averaging)
@@ -116,7 +149,9 @@ def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> d
         "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
         "I_spta": "not calibrated" if output is None else f"{output.spta_w_per_m2 / 10:.3g} mW/cm2",
     }
-    return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
+    if not draws:
+        rows = {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
+    return _Outcome(rows, prediction, simulated)
 
 
 def _moduli(problem: Problem, candidate: Candidate) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,6 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.design.comparison import Comparison, Row
 from hpe_rig.design.problem import INFEASIBLE_COST, Goal
 from hpe_rig.design.search import DesignResult
-from hpe_rig.design.variables import Variable
 from hpe_rig.report import PageSection, page_table, render_sections
 from hpe_rig.result import Colour, Picture, label_decades, legend, panel, picture
 from hpe_rig.store import versions, write_file
@@ -47,14 +46,23 @@ CURVES_TEXT = (
 )
 
 
-def write_page(design: DesignResult, comparison: Comparison, scene_name: str, command: str) -> Path:
+def write_page(
+    design: DesignResult,
+    comparison: Comparison,
+    scene_name: str,
+    command: str,
+    report_progress: Callable[[int, int, str], None],
+) -> Path:
     """Write SCENE-design.html into the current folder and return its path; raise ``StoreError`` if impossible.
 
-    ``scene_name`` is the scene's name or file; the page states ``command``.
+    ``scene_name`` is the scene's name or file; the page states ``command``. ``report_progress`` gets the points of the
+    curves that are computed, their number, and the key that varies.
     """
     scene, _, _ = design.best.inputs()
     path = Path(f"{Path(scene_name).name.removesuffix('.toml')}-design.html")
-    curves = PageSection("over-section", "Goal over each number", CURVES_TEXT, tuple(_pictures(design)))
+    curves = PageSection(
+        "over-section", "Goal over each number", CURVES_TEXT, tuple(_pictures(design, report_progress))
+    )
     sections = (_before_and_after(comparison), curves)
     facts = {"command": command, **versions()}
     title = f"A better scene: {scene.title}"
@@ -90,11 +98,11 @@ def _rows(rows: Sequence[Row]) -> list[dict[str, str]]:
     return [{"": name, "before": before, "after": after} for name, before, after in rows]
 
 
-def _pictures(design: DesignResult) -> Iterator[Picture]:
+def _pictures(design: DesignResult, report_progress: Callable[[int, int, str], None]) -> Iterator[Picture]:
     """Yield the goal over each varied number."""
     problem, label = design.problem, GOAL_LABELS[design.problem.goal]
     for index, variable in enumerate(problem.space):
-        x, cost = _curve(design, variable)
+        x, cost = _curve(design, index, report_progress)
         # The cost is the logarithm of the goal; infeasible scenes make a gap.
         goal = np.where(cost < INFEASIBLE_COST, label.scale * np.exp(np.minimum(cost, INFEASIBLE_COST)), np.nan)
         figure, axes = panel()
@@ -116,9 +124,15 @@ def _pictures(design: DesignResult) -> Iterator[Picture]:
         yield picture(figure, f"over-{index}", f"{variable.key}", alt)
 
 
-def _curve(design: DesignResult, variable: Variable) -> tuple[FloatArray, FloatArray]:
-    """Return values of ``variable`` and the cost of the best scene with each, (point,)."""
+def _curve(
+    design: DesignResult, index: int, report_progress: Callable[[int, int, str], None]
+) -> tuple[FloatArray, FloatArray]:
+    """Return values of the variable ``index`` and the cost of the best scene with each, (point,)."""
+    space, best = design.problem.space, design.best.values
+    variable = space[index]
     axis = variable.axis(CURVE_POINTS)
-    best = design.best.values
-    costs = [design.problem.cost({**best, variable.key.path: value}) for value in axis.labels]
+    costs = list[float]()
+    for value in axis.labels:
+        costs.append(design.problem.cost({**best, variable.key.path: value}))
+        report_progress(index * CURVE_POINTS + len(costs), len(space) * CURVE_POINTS, str(variable.key))
     return np.array(axis.labels, dtype=np.float64), np.array(costs)

@@ -15,7 +15,7 @@ from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_tracking import DAMAGED
 from hpe_rig.processing.time_base import TimeBase
-from hpe_rig.result import DETECTED, Estimate, with_u
+from hpe_rig.result import DETECTED, Estimate, probability_text, with_u
 from hpe_rig.scene import Scene
 
 LARGE_STEP = 0.8
@@ -225,9 +225,10 @@ def drift_warnings(
     worst = int(in_u.argmax())
     change, frequency_hz = drift.log_change[worst], estimates[worst].frequency_hz
     yield (
-        f"the motion changes: {common} (probability in steady motion {drift.probability:.1g}). The results are "
-        f"means over the window; at its first pulse the amplitude at {frequency_hz:g} Hz differs by "
-        f"{np.expm1(-change.real) * 100:+.2g} % and the phase by {-np.degrees(change.imag):+.2g} deg. Tissue warms, "
+        f"the motion changes: {common} (probability of both together in steady motion "
+        f"{probability_text(drift.probability)}). The results are means over the window; at its first pulse the "
+        f"amplitude at {frequency_hz:g} Hz differs by {np.expm1(-change.real) * 100:+.2g} % and the phase by "
+        f"{-np.degrees(change.imag):+.2g} deg. Tissue warms, "
         "clocks differ, tonebursts are missing, or the start-up is in the window: set "
         'processing.drift = "linear" for the results at the first pulse (hpe-rig process RUN.h5 --drift linear), lower '
         "the drive, connect a common 10 MHz reference, compare the bench's burst count with excitation.burst_count, or "

@@ -188,7 +188,7 @@ def _has_truth(result: Result) -> bool:
 
 def _settings_texts(shot: ShotResult) -> list[str]:
     """Return the settings and the number of pulses of a shot in words."""
-    texts = [] if shot.force_fraction is None else [f"F = {shot.force_fraction:g} F_0"]
+    texts = [] if shot.force_fraction is None else [f"F = {shot.force_fraction:.4g} F_0"]
     texts += [] if shot.burst_length_s is None else [f"T_b = {shot.burst_length_s * 1e6:g} us"]
     texts += [f"{name} = {value:g}" for name, value in shot.swept.items()]
     texts.append(f"{shot.pulses_used} pulses, {shot.pulses_missing} missing")

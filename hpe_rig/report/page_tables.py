@@ -11,7 +11,7 @@ from hpe_rig.plan import Shot
 from hpe_rig.prediction import conditions_of, predict
 from hpe_rig.report.page_writer import PageTable
 from hpe_rig.report.sweep import Sweep
-from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult
+from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult, probability_text
 from hpe_rig.scene import Estimator, Scene
 
 MAX_ROWS = 1000
@@ -41,7 +41,7 @@ def means_table(means: Sequence[RepeatMean]) -> PageTable:
             "sd (nm)": nm(mean.amplitude_sd_m, 2),
             "sd (°)": deg(mean.phase_sd_rad, ".2g"),
             "chi-square": f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}",
-            "p": f"{mean.probability:.2g}",
+            "p": probability_text(mean.probability),
             "verdict": "agrees" if mean.agrees else "scatters",
         }
         for mean in means

@@ -16,6 +16,7 @@ from scipy.special import chdtrc, kolmogorov
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.report.views import MotionView
+from hpe_rig.result import probability_text
 
 Outcome = Literal["passed", "noticed", "not possible"]
 
@@ -40,10 +41,14 @@ def residual_tests(view: MotionView) -> list[ResidualTest]:
     for name, (test, meaning) in _TESTS.items():
         try:
             p, value = test(view)
+            words = probability_text(p)
+            relation = words if words.startswith("<") else f"= {words}"
         except ValueError as error:
             outcomes.append(ResidualTest(name, "not possible", str(error), ""))
         else:
-            outcomes.append(ResidualTest(name, "passed" if p >= MIN_P else "noticed", f"{value}, p = {p:.2g}", meaning))
+            outcomes.append(
+                ResidualTest(name, "passed" if p >= MIN_P else "noticed", f"{value}, p {relation}", meaning)
+            )
     return outcomes
 
 

@@ -88,7 +88,7 @@ class _Setting:
 
 LATERAL = _Setting("lateral offset (mm)", "lateral_offset_m", 1e3, "x = {:g} mm")
 AXIAL = _Setting("axial offset (mm)", "axial_offset_m", 1e3, "z = {:g} mm")
-FORCE_FRACTION = _Setting(FORCE, "force_fraction", 1.0, "F = {:g} F_0")
+FORCE_FRACTION = _Setting(FORCE, "force_fraction", 1.0, "F = {:.4g} F_0")
 PULSE_RATE = _Setting("pulse rate f_prf (Hz)", "pulse_rate_hz", 1.0, "f_prf = {:g} Hz")
 WINDOW = _Setting("window T_s (ms)", "window_length_s", 1e3, "T_s = {:g} ms")
 BURST_LENGTH = _Setting("burst length T_b (us)", "burst_length_s", 1e6, "T_b = {:g} us")

@@ -34,6 +34,7 @@ from .sentence import (
     frequency_error_text as frequency_error_text,
     headline_sentence as headline_sentence,
     lead_frequency_hz as lead_frequency_hz,
+    probability_text as probability_text,
     scale_of as scale_of,
     with_u as with_u,
 )

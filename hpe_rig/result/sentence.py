@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.values import Estimate, Headline, ShotResult
 
+MIN_PROBABILITY = 1e-16
+"""Probability below which its numerical value means nothing, about the resolution of double precision."""
 UNITS = ((1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"), (1e-12, "pm"))
 
 
@@ -75,6 +77,11 @@ def frequency_error_text(shot: ShotResult) -> str:
         return ""
     error, u = shot.frequency_error * 1e6, shot.frequency_error_uncertainty * 1e6
     return f"motion's frequencies {with_u(error, u)} ppm from nominal by the clock of the pulses, corrected"
+
+
+def probability_text(probability: float) -> str:
+    """Return a probability with two digits; one below the precision of the computation as a bound."""
+    return f"< {MIN_PROBABILITY:g}" if probability < MIN_PROBABILITY else f"{probability:.2g}"
 
 
 def with_u(value: float, uncertainty: float) -> str:

@@ -8,22 +8,25 @@ from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.values import ShotResult
 
 _SETTINGS = (
-    ("burst_length_s", 1e6, "T_b\nus", "T_b = {:g} us"),
-    ("force_fraction", 1.0, "F\nF_0", "F = {:g} F_0"),
-    ("pulse_rate_hz", 1.0, "f_prf\nHz", "f_prf = {:g} Hz"),
-    ("window_length_s", 1e3, "T_s\nms", "T_s = {:g} ms"),
-    ("lateral_offset_m", 1e3, "lateral\nmm", "{:g} mm lateral offset"),
-    ("axial_offset_m", 1e3, "axial\nmm", "{:+g} mm axial offset"),
+    ("burst_length_s", 1e6, "T_b\nus", "g", "T_b = {} us"),
+    ("force_fraction", 1.0, "F\nF_0", ".4g", "F = {} F_0"),
+    ("pulse_rate_hz", 1.0, "f_prf\nHz", "g", "f_prf = {} Hz"),
+    ("window_length_s", 1e3, "T_s\nms", "g", "T_s = {} ms"),
+    ("lateral_offset_m", 1e3, "lateral\nmm", "g", "{} mm lateral offset"),
+    ("axial_offset_m", 1e3, "axial\nmm", "+g", "{} mm axial offset"),
 )
-"""Settings that can differ between shots: attribute, scale, header of a column, and text in a title."""
+"""Settings that can differ between shots: attribute, scale, header, format, and text in a title.
+
+A force follows from the voltage of a generator, which is set with four digits.
+"""
 
 
 def setting_texts(item: ShotResult | RepeatMean, without: str = "") -> Iterator[str]:
     """Yield the settings of a shot or mean for a title, except ``without``; offsets of zero are omitted."""
-    for name, factor, _, text in _SETTINGS:
+    for name, factor, _, form, text in _SETTINGS:
         value = getattr(item, name)
         if name != without and value is not None and (value or not name.endswith("offset_m")):
-            yield text.format(value * factor)
+            yield text.format(format(value * factor, form))
     yield from (f"{name} = {value:g}" for name, value in item.swept.items())
 
 
@@ -50,7 +53,10 @@ def common_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
 
 def varied_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
     """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
-    cells = {header: [_cell(getattr(item, name), factor) for item in items] for name, factor, header, _ in _SETTINGS}
+    cells = {
+        header: [_cell(getattr(item, name), factor, form) for item in items]
+        for name, factor, header, form, _ in _SETTINGS
+    }
     # Keys of a sweep are shortened to their last part.
     for name in items[0].swept:
         cells[f"{name.rpartition('.')[2]}\n"] = [f"{item.swept[name]:g}" for item in items]
@@ -58,5 +64,5 @@ def varied_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple
     return varied, [[cells[header][index] for header in varied] for index in range(len(items))]
 
 
-def _cell(value: float | None, factor: float) -> str:
-    return "-" if value is None else f"{value * factor:g}"
+def _cell(value: float | None, factor: float, form: str) -> str:
+    return "-" if value is None else format(value * factor, form.removeprefix("+"))

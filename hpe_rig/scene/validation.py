@@ -152,6 +152,7 @@ _KINDS = {
     "bool": "true or false",
     "string": "a text in quotes",
     "tuple": "a list",
+    "list": "a list",
     "model": "a table",
     "dict": "a table",
     "date": "a date such as 2026-03-05, without quotes",

@@ -67,13 +67,19 @@ def write_study_report(
 
 
 def _headline(results: Sequence[StudyResult]) -> str:
-    """Return the first study's bias and jitter in one sentence."""
-    view = _main_views(results[0])[0]
+    """Return the first study's bias and jitter in one sentence, of the estimator with the smallest error."""
+    view = min(views(results[0]), key=_largest_error)
     bias, jitter, _, phase_jitter = spans(view.rows)
     return (
         f"{view.title}: over {len(view.rows)} cases the amplitude has a bias of {bias} % and a jitter of {jitter} %, "
         f"and the phase a jitter of {phase_jitter} deg."
     )
+
+
+def _largest_error(view: View) -> float:
+    """Return the largest root mean square error of the amplitude over the cases, in %; infinite if none is finite."""
+    errors = [math.hypot(bias, jitter) for (bias, _), (jitter, _), *_ in map(error_figures, view.rows)]
+    return max((error for error in errors if math.isfinite(error)), default=math.inf)
 
 
 def overview_section(results: Sequence[StudyResult]) -> PageSection:

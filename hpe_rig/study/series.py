@@ -36,6 +36,8 @@ class View:
     estimator: str
     frequency_hz: float
     rows: tuple[StudyRow, ...]
+    names_frequency: bool = False
+    """Whether the title states the frequency: the study has several."""
 
     @property
     def key(self) -> str:
@@ -45,7 +47,8 @@ class View:
     @property
     def title(self) -> str:
         """Title of the view's figure."""
-        return f"{READINGS[self.reading]}, {spec_of(self.estimator).label}"
+        frequency = f", {self.frequency_hz:g} Hz" if self.names_frequency else ""
+        return f"{READINGS[self.reading]}, {spec_of(self.estimator).label}{frequency}"
 
     def values(self, column: str) -> FloatArray:
         """Return a column, (row,)."""
@@ -80,7 +83,8 @@ def views(result: StudyResult) -> list[View]:
     groups: dict[tuple[str, str, float], list[StudyRow]] = {}
     for row in result.rows:
         groups.setdefault((row["reading"], row["estimator"], row["frequency_hz"]), []).append(row)
-    return [View(*key, tuple(rows)) for key, rows in groups.items()]
+    several = len({frequency_hz for *_, frequency_hz in groups}) > 1
+    return [View(*key, tuple(rows), several) for key, rows in groups.items()]
 
 
 def paper_view(result: StudyResult, reading: str) -> View | None:

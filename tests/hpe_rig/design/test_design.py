@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, write_design
-from hpe_rig.design.comparison import compare
+from hpe_rig.design.comparison import _Outcome, _unconfirmed_gains, compare
 from hpe_rig.design.model import effective_pulses, predicted
 from hpe_rig.design.page import write_page
 from hpe_rig.design.problem import Goal, Problem
@@ -21,8 +21,10 @@ from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.measurement.setup import Setup, prepare, prepare_text
+from hpe_rig.prediction import EstimatorErrors
 from hpe_rig.result import symbols
 from hpe_rig.scene import SettingsError, scene_text
+from hpe_rig.study import Errors
 
 # Everything moves alike and by little: hardly any speckle jitter, and the noise is the Cramer-Rao bound's.
 NO_SPECKLE = scene_text("table-1")[1].replace("[0.17e-3, 0.17e-3, 1.80e-3]", "[1.0, 1.0, 1.0]")
@@ -92,7 +94,7 @@ def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     comparison = compare(most_pulses)
-    path = write_page(most_pulses, comparison, "my scenes/mine.toml", "hpe-rig design mine.toml")
+    path = write_page(most_pulses, comparison, "my scenes/mine.toml", "hpe-rig design mine.toml", lambda *_: None)
     page = path.read_text(encoding="utf-8")
     assert path.name == "mine-design.html"
     before, after = next(row[1:] for row in comparison.outcome if row[0] == "jitter over amplitude")
@@ -128,7 +130,7 @@ def test_places_are_moved_to_where_the_moduli_are_told_best() -> None:
 
 def test_moduli_need_a_push_to_be_designed_for() -> None:
     with pytest.raises(SettingsError, match="nothing pushes"):
-        write_design(Request("table-1", "gate_length_m", "modulus-uncertainty"), print, print)
+        write_design(Request("table-1", "gate_length_m", "modulus-uncertainty"), print, print, print)
 
 
 def test_the_same_seed_gives_the_same_design() -> None:
@@ -223,7 +225,7 @@ def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
         output=taken,
     )
     with pytest.raises(SettingsError) as caught:
-        write_design(request, print, print)
+        write_design(request, print, print, print)
     named = [mistake.path for mistake in caught.value.mistakes]
     assert named == [
         *("--minimise", "--longest-s", "--draws", "--seed", "--output", "--target"),
@@ -324,3 +326,18 @@ def test_the_command_writes_a_scene_that_check_passes(tmp_path: Path) -> None:
     assert "jitter, simulated" in result.output
     assert "pulse_length_m = 1.32e-3    # 1.71 us" in output.read_text(encoding="utf-8")
     assert prepare(str(output)).plan.duration_s <= 0.03
+
+
+def test_a_predicted_gain_that_the_simulation_lacks_is_said() -> None:
+    def outcome(predicted_m: float, simulated_m: float) -> _Outcome:
+        prediction = EstimatorErrors("coherent", 0.0, predicted_m, predicted_m, 0.0, 1e-3)
+        amplitude, phase = (
+            Errors(0.0, 0.1 * jitter, jitter, jitter_se, jitter, jitter_se, 0.0, 0.0)
+            for jitter, jitter_se in ((simulated_m, 0.3e-9), (1e-3, 1e-4))
+        )
+        return _Outcome({}, prediction, (amplitude, phase))
+
+    before = outcome(5.2e-9, 5.1e-9)
+    (text,) = _unconfirmed_gains(before, outcome(3.2e-9, 5.0e-9))
+    assert text.startswith("the simulation does not confirm the gain in jitter: it falls by 0.1 +- 0.42 nm")
+    assert not list(_unconfirmed_gains(before, outcome(3.2e-9, 3.3e-9)))

@@ -73,9 +73,12 @@ def test_every_variant_changes_the_error_and_a_failing_fit_is_reported(rows: lis
 
 def test_the_text_states_the_benefit_of_a_setting_that_is_beaten(rows: list[SceneRow]) -> None:
     unchanged = replace(rows[0], on_front=False, error=0.02, time_s=1.0)
-    faster = replace(rows[2], on_front=True, beats_own=True, error=0.005, time_s=0.5)
+    faster = replace(rows[2], on_front=True, beats_own=True, is_more_exact=True, error=0.005, time_s=0.5)
     text = scene_text([unchanged, faster])
     assert "gate half beats the scene's settings: rms error 0.5 instead of 2 %, 0.5 instead of 1 s" in text
+    # An error within that of the seeds is no gain.
+    text = scene_text([unchanged, replace(faster, is_more_exact=False, error=0.0202)])
+    assert "beats the scene's settings: 0.5 instead of 1 s, its error is as good within that of the seeds;" in text
     assert "resolution in depth" in text
     assert "lie on the Pareto front" in scene_text(
         [replace(unchanged, on_front=True), replace(faster, beats_own=False)]

@@ -3,6 +3,7 @@
 import pytest
 
 from hpe_rig.measurement.setup import prepare, prepare_text
+from hpe_rig.plan import plan_text
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.scene import load_scene, shipped_scenes
 
@@ -117,3 +118,22 @@ def test_motion_of_no_amplitude_is_not_named():
 def test_motion_that_the_pulses_tell_apart_is_not(moving_hz):
     extra = f"\n[[simulation.motion]]\nfrequency_hz = {moving_hz}\namplitude_m = 1e-6\n"
     assert not found(TABLE_1 + extra, "motion aliased")
+
+
+def test_too_fast_a_motion_names_a_force_that_passes():
+    text = shipped_scenes()["gelatin-15"]
+    force = next(line for line in text.splitlines() if line.startswith("force_density_n_per_m3"))
+    (finding,) = found(text.replace(force, "force_density_n_per_m3 = 5.0e8"), "motion between pulses")
+    key, _, value = finding.remedy.partition(",")[0].rpartition(" = ")
+    assert key == "simulation.specimen.force_density_n_per_m3"
+    assert not found(text.replace(force, f"force_density_n_per_m3 = {value}"), "motion between pulses")
+
+
+def test_delays_that_are_all_disturbed_are_a_refusal_unless_disturbed_pulses_are_skipped():
+    text = shipped_scenes()["gelatin-15"]
+    rate = next(line for line in text.splitlines() if line.startswith("pulse_rate_hz"))
+    for skip, words in (("", "none: at any delay"), ('\ndisturbed = "skip"', ", which are skipped")):
+        lines = text.replace(rate, f"pulse_rate_hz = 3990.0{skip}").splitlines()
+        scene = "\n".join(line for line in lines if not line.startswith("disturbed") or line in skip)
+        setup = prepare_text("a", scene, refuse=False)
+        assert words in plan_text("a", setup.plan, setup.findings)
