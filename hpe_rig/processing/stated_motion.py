@@ -79,7 +79,7 @@ def estimate_stated_motion(
     for index, series in enumerate(motion):
         try:
             shot = _estimate_series(series, pulse_rate_hz, frequencies_hz, quantity, frequency_accuracy, len(motion))
-            shots.append(replace(shot, shot=index))
+            shots.append(replace(shot, index=index))
         except ValueError as error:
             errors[index] = error
     if errors and not shots:
@@ -114,7 +114,7 @@ def _estimate_series(
     if line is not None and quantity == "velocity":
         line = replace(line, amplitude_m=line.amplitude_m / (2 * math.pi * line.frequency_hz))
     return ShotResult(
-        shot=0,
+        index=0,
         repeat=0,
         burst_length_s=None,
         force_fraction=None,
