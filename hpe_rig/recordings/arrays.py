@@ -6,7 +6,6 @@ import math
 import struct
 import tempfile
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,7 +59,10 @@ def read_numpy(path: Path, settings: RecordingSettings) -> Contents:
                 return contents({name: loaded[name] for name in loaded.files})
     except InvalidContentError as error:
         raise ValueError(f"{error}: {PLAIN_FILE}") from None
-    except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except OSError:
+        raise
+    except Exception as error:
+        # Damaged bytes may raise any exception, such as one of Python's tokenizer.
         kind, function = ("NPZ", "savez") if path.suffix.lower() == ".npz" else ("NPY", "save")
         if "Object arrays" in str(error) or "Python objects" in str(error):
             raise ValueError(

@@ -36,11 +36,11 @@ def si_motion(statements: Statements, values: NDArray[Any], quantity: Quantity) 
         if getattr(statements.settings, key) is not None:
             statements.add_mistake(key, f"echoes have it, and the values are a {quantity}", f"no {key}, or no quantity")
     name, unit = quantity.split("_")[:2]
-    motion = values * UNITS[unit]
-    # The spread over the train: a displacement is known up to a constant.
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
+        motion = values * UNITS[unit]
+        # The spread over the train: a displacement is known up to a constant.
         spread = np.fmax.reduce(motion, axis=2) - np.fmin.reduce(motion, axis=2)
-    largest = float(np.nanmax(spread)) if np.isfinite(spread).any() else 0.0
+    largest = float(np.max(spread[np.isfinite(spread)], initial=0.0))
     per_second = "" if name == "displacement" else "/s"
     sentence = f"the {name} changes by up to {largest * 1e6:.4g} um{per_second} within the train"
     if largest > (MAX_SPEED_M_PER_S if per_second else MAX_CHANGE_M):

@@ -12,6 +12,8 @@ from hpe_rig.arrays import BoolArray
 
 MAX_LISTED = 4
 """Records that a message lists."""
+MAX_VALUE = 1e18
+"""Largest value of an echo in any unit; its square fits into single precision."""
 MIN_SAMPLES = 8
 """Shortest record."""
 
@@ -22,15 +24,13 @@ def per_record(values: NDArray[Any], test: Callable[[NDArray[Any]], BoolArray]) 
 
 
 def are_finite(records: NDArray[Any]) -> BoolArray:
-    """Return which ``records`` (pulse, sample) hold finite values alone."""
-    finite = np.ones(len(records), np.bool_)
+    """Return which ``records`` (pulse, sample) hold finite values of up to ``MAX_VALUE`` alone."""
     if records.dtype.kind in "iu":
-        return finite
-    # The sum of a record is finite if all of its values are, unless it overflows: only the others need a closer look.
-    with np.errstate(over="ignore", invalid="ignore"):
-        suspects = np.flatnonzero(~np.isfinite(records.sum(axis=-1)))
-    finite[suspects] = np.isfinite(records[suspects]).all(axis=-1)
-    return finite
+        return np.ones(len(records), np.bool_)
+    parts = (records.real, records.imag) if records.dtype.kind == "c" else (records,)
+    # Maximum and minimum of a record with NaN are NaN, which no comparison accepts.
+    in_range = [(part.max(axis=-1) <= MAX_VALUE) & (part.min(axis=-1) >= -MAX_VALUE) for part in parts]
+    return np.asarray(np.logical_and.reduce(in_range))
 
 
 def are_constant(records: NDArray[Any]) -> BoolArray:

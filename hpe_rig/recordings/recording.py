@@ -24,7 +24,15 @@ from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import BUILT_IN, read_contents
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.recordings.motion import NOMINAL_SPEED_M_PER_S, depth_rate_hz, kind_of, si_motion
-from hpe_rig.recordings.record_checks import MAX_LISTED, MIN_SAMPLES, are_constant, are_finite, list_records, per_record
+from hpe_rig.recordings.record_checks import (
+    MAX_LISTED,
+    MAX_VALUE,
+    MIN_SAMPLES,
+    are_constant,
+    are_finite,
+    list_records,
+    per_record,
+)
 from hpe_rig.recordings.series import read_series, series_name
 from hpe_rig.recordings.settings import DIMENSIONS, KEYS_OF_FORMAT, Dimension, RecordingSettings
 from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
@@ -281,7 +289,8 @@ class _Reader:
         missing = int((~recorded).sum())
         if missing and self.settings.not_finite != "missing":
             what = f"{missing} of {recorded.size} records hold values that are not finite: {list_records(~recorded)}"
-            self.statements.add_mistake("", what, 'numbers, or not_finite = "missing"')
+            remedy = f'numbers of up to {MAX_VALUE:g}, or not_finite = "missing"'
+            self.statements.add_mistake("", what, remedy)
         elif missing:
             self.statements.inferred.append(f"{missing} records hold values that are not finite: missing")
             if not recorded.any():

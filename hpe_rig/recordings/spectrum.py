@@ -16,6 +16,8 @@ from hpe_rig.arrays import ComplexArray, FloatArray
 
 MAX_RECORDS = 64
 """Records, evenly spaced, for the mean spectrum."""
+MAX_POWER = 1e60
+"""Largest power of a bin."""
 SMOOTHING_BINS = 16
 """The lowest mean of this part of the spectrum's bins is its noise floor."""
 USED_BAND = 0.5
@@ -65,8 +67,11 @@ def echo_band(values: NDArray[Any], rate_hz: float, demodulation_hz: float, carr
     # One record at a time: the spectra of long records take more memory than all samples.
     for index in range(0, count, max(1, count // MAX_RECORDS)):
         record = values[np.unravel_index(index, values.shape[:-1])]
-        if np.isfinite(record).all():
-            power += np.abs(np.fft.fft((record - record.mean() if is_real else record) * window)) ** 2
+        with np.errstate(invalid="ignore", over="ignore"):
+            spectrum = np.abs(np.fft.fft((record - record.mean() if is_real else record) * window)) ** 2
+        # Values that are not finite, or no echoes, have no spectrum; NaN fails the comparison.
+        if spectrum.max() <= MAX_POWER:
+            power += spectrum
     frequency_hz = np.asarray(np.fft.fftfreq(power.size, 1 / rate_hz), np.float64)
     if is_real:
         frequency_hz, power = frequency_hz[: power.size // 2], power[: power.size // 2]
