@@ -5,6 +5,7 @@ from .runs import (
     check as check,
     estimate as estimate,
     estimate_motion as estimate_motion,
+    fit_map_moduli as fit_map_moduli,
     fit_moduli as fit_moduli,
     import_records as import_records,
     map_motion as map_motion,

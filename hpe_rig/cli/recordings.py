@@ -60,11 +60,14 @@ def map_command(
         Path | None, typer.Option("--output", "-o", help="NetCDF file of the map (needs the extra 'frames').")
     ] = None,
     figure: Annotated[Path | None, typer.Option(help="Figure of the map, .png, .svg or .pdf.")] = None,
+    moduli: Annotated[
+        bool, typer.Option("--moduli", help="Also fit the moduli of the medium to the lines at the focus.")
+    ] = False,
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
     from hpe_rig.cli.stored import refuse_outputs, write_map
     from hpe_rig.cli.terminal import progress_reporter
-    from hpe_rig.runs import map_recording
+    from hpe_rig.runs import fit_map_moduli, map_recording
 
     refuse_outputs(figure, output)
     with progress_reporter("lines") as report:
@@ -74,6 +77,8 @@ def map_command(
     for text in (*inferred, str(motion_map)):
         typer.echo(text)
     write_map(motion_map, output, figure)
+    if moduli:
+        typer.echo(str(fit_map_moduli(motion_map, scene)))
 
 
 def _source(paths: list[Path]) -> Path | tuple[Path, ...]:

@@ -3,6 +3,7 @@ from .inversion import Moduli as Moduli, bound as bound, fit_medium as fit_mediu
 from .outcome import (
     ModuliResult as ModuliResult,
     moduli_of as moduli_of,
+    moduli_of_map as moduli_of_map,
     moduli_schema as moduli_schema,
     plane_wave_of as plane_wave_of,
 )

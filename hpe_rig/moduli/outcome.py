@@ -11,11 +11,13 @@ import numpy as np
 
 from hpe_rig.medium import MediumLaw, law_of
 from hpe_rig.moduli.inversion import Contribution, Moduli, compare_media
+from hpe_rig.moduli.map_vibrations import vibrations_of_map
 from hpe_rig.moduli.run_vibrations import Source, vibrations_of
 from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
-from hpe_rig.moduli.vibration_model import Vibration
-from hpe_rig.result import dataclass_schema, json_values, object_schema, titled
+from hpe_rig.moduli.vibration_model import Push, Vibration
+from hpe_rig.result import MotionMap, dataclass_schema, json_values, object_schema, titled
+from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -206,6 +208,34 @@ def moduli_of(
     """
     push = push_of([source.scene for source in sources], width_uncertainty)
     vibrations, omitted = vibrations_of(sources, estimator)
+    result = _fitted(sources[0].scene.title, vibrations, omitted, push, laws, common_amplitude)
+    return replace(result, simulated=any(source.stored.simulated for source in sources))
+
+
+def moduli_of_map(
+    motion_map: MotionMap,
+    scene: Scene,
+    laws: Sequence[MediumLaw] | None = None,
+    width_uncertainty: float = WIDTH_UNCERTAINTY,
+) -> ModuliResult:
+    """Return the moduli of the medium from the lines of a map in the depth of the focus; raise as ``moduli_of``.
+
+    ``scene`` states the push and the tracking beam.
+    """
+    push = push_of([scene], width_uncertainty)
+    vibrations, omitted = vibrations_of_map(motion_map, scene)
+    return _fitted(scene.title, vibrations, omitted, push, laws, common_amplitude=True)
+
+
+def _fitted(
+    title: str,
+    vibrations: Sequence[Vibration],
+    omitted: Sequence[str],
+    push: Push,
+    laws: Sequence[MediumLaw] | None,
+    common_amplitude: bool,
+) -> ModuliResult:
+    """Return the moduli fitted to measured ``vibrations``; raise ``ValueError`` if there are none."""
     if not common_amplitude:
         vibrations = [replace(vibration, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for vibration in vibrations]
     if not vibrations:
@@ -214,8 +244,8 @@ def moduli_of(
     fits, probability = compare_media(vibrations, push, laws)
     wave, why_not = plane_wave_of(vibrations, push.density_kg_per_m3)
     return ModuliResult(
-        title=sources[0].scene.title,
-        simulated=any(source.stored.simulated for source in sources),
+        title=title,
+        simulated=False,
         fits=fits,
         probability=tuple(probability.tolist()),
         vibrations=tuple(vibrations),

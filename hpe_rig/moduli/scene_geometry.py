@@ -87,7 +87,7 @@ def gates_at_depths(scene: Scene, plan: Plan, omitted: list[str]) -> Iterator[Ga
 
     Gates must be near the focus and share no echoes. Omissions are added to ``omitted`` in words.
     """
-    gates, focus_m = depth_gates(scene, plan.shots[0]) if plan.shots else (), _focus_depth_m(scene)
+    gates, focus_m = depth_gates(scene, plan.shots[0]) if plan.shots else (), focus_depth_m(scene)
     if not gates:
         yield GateAtDepth(scene, plan, scene.gate_depth_m - focus_m)
         return
@@ -109,7 +109,7 @@ def _depths_mm(gates: Sequence[DepthGate]) -> str:
     return ", ".join(f"{gate.depth_m * 1e3:.4g}" for gate in gates) + " mm"
 
 
-def _focus_depth_m(scene: Scene) -> float:
+def focus_depth_m(scene: Scene) -> float:
     """Return the depth of the tracking focus; that of the gate if none is declared."""
     declared = scene.beams.focus_depth_m if scene.beams else None
     return scene.acquisition.gate_depth_m if declared is None else declared

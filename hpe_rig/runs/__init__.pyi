@@ -9,7 +9,11 @@ from .api import (
 from .checked_scene import CheckedScene as CheckedScene, check as check
 from .estimation import chosen_estimator as chosen_estimator
 from .importing import import_recording as import_recording, import_records as import_records
-from .mapping import map_motion as map_motion, map_recording as map_recording
+from .mapping import (
+    fit_map_moduli as fit_map_moduli,
+    map_motion as map_motion,
+    map_recording as map_recording,
+)
 from .run import (
     Run as Run,
     estimate_points as estimate_points,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.measurement import BenchSource, prepare, provenance_now, record_run, source_text
 from hpe_rig.result import Result, Stages
-from hpe_rig.runs.arguments import number_list, require_axes, require_numbers, text_list
+from hpe_rig.runs.arguments import known_laws, number_list, require_axes, require_numbers
 from hpe_rig.runs.echoes import MAX_FREQUENCY_ACCURACY, EchoSettings, Samples, estimate_trains
 from hpe_rig.runs.estimation import chosen_estimator
 from hpe_rig.runs.result_warnings import incomplete_warnings
@@ -97,16 +97,10 @@ def fit_moduli(
 
     >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
     """
-    from hpe_rig.medium import law_names
     from hpe_rig.moduli import Source, moduli_of
 
     require_numbers("fit_moduli", width_uncertainty=width_uncertainty)
-    if unknown := [law for law in text_list("fit_moduli", "laws", laws) if law not in law_names()]:
-        raise SettingsError(
-            "moduli", [Mistake("law", f"there is no {law} medium", ", ".join(law_names())) for law in unknown]
-        )
-    # In the order of the laws, whatever the order of the request.
-    fitted_laws = [law for law in law_names() if law in laws] or list(law_names())
+    fitted_laws = known_laws("fit_moduli", laws)
     stored_runs = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
     if not stored_runs:
         raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])

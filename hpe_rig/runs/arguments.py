@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hpe_rig.scene import Mistake, SettingsError
+
 
 def require_numbers(function: str, *, whole: bool = False, **arguments: Any) -> None:
     """Raise ``TypeError`` that names each argument of ``function`` that is no number, or no ``whole`` number.
@@ -38,6 +40,17 @@ def text_list(function: str, name: str, values: Any) -> Sequence[str]:
     if isinstance(values, str) or not isinstance(values, Sequence) or not all(isinstance(text, str) for text in values):
         raise TypeError(f'{function} expects {name} as a list of texts, such as ["{values}"], not {values!r}')
     return values
+
+
+def known_laws(function: str, laws: Any) -> list[str]:
+    """Return the laws of media in ``laws``, all for none, in their usual order; raise ``SettingsError`` for others."""
+    from hpe_rig.medium import law_names
+
+    if unknown := [law for law in text_list(function, "laws", laws) if law not in law_names()]:
+        raise SettingsError(
+            "moduli", [Mistake("law", f"there is no {law} medium", ", ".join(law_names())) for law in unknown]
+        )
+    return [law for law in law_names() if law in laws] or list(law_names())
 
 
 def require_axes(axes: Any) -> None:

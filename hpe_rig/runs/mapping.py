@@ -6,14 +6,18 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from hpe_rig.recordings import Recording, Source, as_source, read_recording, read_settings
 from hpe_rig.result import MotionMap
+from hpe_rig.runs.arguments import known_laws, require_numbers
 from hpe_rig.runs.importing import stated_by_scene
 from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, edited_text, parse_scene, path_of, scene_text
+
+if TYPE_CHECKING:
+    from hpe_rig.moduli import ModuliResult
 
 
 def map_motion(
@@ -39,6 +43,29 @@ def map_motion(
     """
     sidecar_file = None if sidecar is None else Path(sidecar)
     return map_recording(as_source(recording), scene, sidecar_file, settings, progress)[0]
+
+
+def fit_map_moduli(
+    motion_map: MotionMap, scene: SceneSource, *, laws: Sequence[str] = (), width_uncertainty: float = 0.05
+) -> ModuliResult:
+    """Return the moduli of the medium fitted to the lines of a map in the depth of the focus.
+
+    ``scene`` states tonebursts and [beams]. Positions of the lines count from the push, phases from the onset of a
+    toneburst (``first_pulse_s``). ``laws`` and ``width_uncertainty``: as for ``fit_moduli``. At most 12 lines, evenly
+    spread, are fitted. Raises ``SettingsError`` if geometry, push or motion do not allow a fit.
+
+    >>> fit_map_moduli(map_motion("shear.npz", "push.toml", quantity="displacement_um"), "push.toml", laws=["voigt"])
+    """
+    from hpe_rig.moduli import moduli_of_map
+
+    fitted_laws = known_laws("fit_map_moduli", laws)
+    require_numbers("fit_map_moduli", width_uncertainty=width_uncertainty)
+    try:
+        return moduli_of_map(motion_map, parse_scene(*scene_text(scene)).scene, fitted_laws, width_uncertainty)
+    except ValueError as error:
+        what, _, remedy = str(error).partition(" Try: ")
+        mistake = Mistake("", what.rstrip("."), remedy or "another scene or recording")
+        raise SettingsError("moduli of the map", [mistake]) from error
 
 
 def map_recording(

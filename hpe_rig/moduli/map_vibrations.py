@@ -1,0 +1,75 @@
+"""Vibrations at the lines of a motion map, in the depth of the focus, with their covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.moduli.problem import MAX_LATERAL_M
+from hpe_rig.moduli.scene_geometry import detected, focus_depth_m, vibration_at
+from hpe_rig.moduli.vibration_model import Vibration
+from hpe_rig.result import DETECTED, MotionMap
+from hpe_rig.scene import Scene
+
+MAX_LINES = 12
+"""Lines that are fitted: each has six unknowns, and the fit takes some seconds."""
+
+
+def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibration], list[str]]:
+    """Return the vibrations of all lines in the depth nearest to the focus, and a list of omitted lines in words.
+
+    ``scene`` states tonebursts and [beams]; phases of the map count from the onset of a toneburst. Raises
+    ``ValueError`` if the lines have no positions, or none of the depths is at the focus.
+    """
+    if not motion_map.lines_are_placed:
+        raise ValueError("the lines of the map have no positions. Try: line_pitch_m, or line_position_m")
+    depth_m, focus_m = motion_map.depth_m, focus_depth_m(scene)
+    index = int(np.argmin(np.abs(depth_m - focus_m)))
+    # Half a distance between pixels, or half a gate, away from the focus still counts as at the focus.
+    step_m = float(np.diff(depth_m).mean()) if depth_m.size > 1 else scene.acquisition.gate_length_m
+    if abs(depth_m[index] - focus_m) > step_m:
+        range_mm = f"{depth_m.min() * 1e3:.4g} to {depth_m.max() * 1e3:.4g} mm"
+        raise ValueError(
+            f"the focus at {focus_m * 1e3:.4g} mm lies outside the depths of the map, {range_mm}. "
+            "Try: beams.focus_depth_m, or first_sample_depth_m of the recording"
+        )
+    vibrations, omitted = list[Vibration](), list[str]()
+    for line, lateral_m in enumerate(motion_map.line_m.tolist()):
+        label = f"{lateral_m * 1e3:.4g} mm"
+        if abs(lateral_m) > MAX_LATERAL_M:
+            omitted.append(f"{label}: more than {MAX_LATERAL_M * 1e3:g} mm from the push")
+            continue
+        if motion_map.bad[line, index]:
+            omitted.append(f"{label}: no estimate in this pixel")
+            continue
+        place = scene.with_({"tracking.lateral_offset_m": lateral_m})
+        vibration = vibration_at(place, "coherent", label, _pixel(motion_map, line, index))
+        selected = detected(vibration)
+        if not selected.all():
+            below = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])
+            omitted.append(f"{label}: {below} Hz, less than {DETECTED:g} times its uncertainty")
+        if selected.any():
+            vibrations.append(vibration.at_frequencies(selected))
+    if len(vibrations) <= MAX_LINES:
+        return vibrations, omitted
+    omitted.append(f"{len(vibrations) - MAX_LINES} of {len(vibrations)} lines: {MAX_LINES}, evenly spread, are fitted")
+    spread = np.rint(np.linspace(0, len(vibrations) - 1, MAX_LINES)).astype(int)
+    return [vibrations[index] for index in spread], omitted
+
+
+def _pixel(motion_map: MotionMap, line: int, depth: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Return frequencies and phasors (frequency,) of a pixel, and the covariance of their real and imaginary parts.
+
+    The covariance (2 * frequency, 2 * frequency) has no terms between frequencies, which a long train separates.
+    """
+    at = line, depth
+    amplitude_m, phase_rad = motion_map.amplitude_m[at], motion_map.phase_rad[at]
+    along_m, across_m = motion_map.amplitude_uncertainty_m[at], amplitude_m * motion_map.phase_uncertainty_rad[at]
+    covariance = np.zeros((2 * phase_rad.size, 2 * phase_rad.size))
+    for index, (angle, *sigma) in enumerate(zip(phase_rad, along_m, across_m, strict=True)):
+        # From errors along and across the phasor to those of its real and imaginary parts.
+        rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        pair = slice(2 * index, 2 * index + 2)
+        covariance[pair, pair] = rotation @ np.diag(np.square(sigma)) @ rotation.T
+    phasor_m = np.asarray(amplitude_m * np.exp(1j * phase_rad), np.complex128)
+    return motion_map.frequency_hz, phasor_m, covariance
