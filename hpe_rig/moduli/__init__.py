@@ -3,6 +3,7 @@
     vibration_model.py   data: vibrations with the uncertainties of their positions, and the push
     scene_geometry.py    push, gates and position uncertainties that a scene states
     run_vibrations.py    vibrations of stored runs
+    map_vibrations.py    vibrations at the lines of a motion map
     problem.py           least-squares problem: y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; G, A_p, B)
     inversion.py         the fit: minima, covariance, evidence of each material law, contributions of the data
     shear_speed.py       plane-wave moduli from the phase's fall with distance, for comparison
@@ -10,7 +11,7 @@
     figure.py            figure of measured and fitted vibrations
     forecast.py          expected uncertainties of a scene, by the Cramer-Rao bound
 
-Callers use ``moduli_of`` for stored runs, ``moduli_forecast`` for scenes, ``fit_medium`` and ``bound`` for vibrations.
+Callers use ``moduli_of`` for stored runs, ``moduli_of_map`` for maps, ``moduli_forecast`` for scenes, ``fit_medium`` and ``bound`` for vibrations.
 Derivation: docs/explanation/moduli.md.
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 
 # Names in lower case, letters and digits only, by the key of ``RecordingSettings``; same unit as the key.
 NAMES: Mapping[str, tuple[str, ...]] = {
@@ -47,6 +48,7 @@ MIN_RECORD = 8
 """Samples below which a number is no length of a record."""
 
 
+@lru_cache(maxsize=1024)
 def key_of(name: str) -> str | None:
     """Return the key of ``RecordingSettings`` with the meaning of ``name``; "sample_interval_s" for an interval.
 
