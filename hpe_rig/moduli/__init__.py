@@ -11,8 +11,8 @@
     figure.py            figure of measured and fitted vibrations
     forecast.py          expected uncertainties of a scene, by the Cramer-Rao bound
 
-Callers use ``moduli_of`` for stored runs, ``moduli_of_map`` for maps, ``moduli_forecast`` for scenes, ``fit_medium`` and ``bound`` for vibrations.
-Derivation: docs/explanation/moduli.md.
+Callers use ``moduli_of`` for stored runs, ``moduli_of_map`` for maps, ``moduli_forecast`` for scenes,
+``fit_medium`` and ``bound`` for vibrations. Derivation: docs/explanation/moduli.md.
 """
 
 import lazy_loader
