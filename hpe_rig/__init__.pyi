@@ -6,6 +6,7 @@ from .runs import (
     estimate as estimate,
     estimate_motion as estimate_motion,
     fit_map_moduli as fit_map_moduli,
+    export_run as export_run,
     fit_moduli as fit_moduli,
     import_records as import_records,
     map_motion as map_motion,

@@ -1,15 +1,15 @@
-"""Commands on recordings of other programs: ``import``, ``map``."""
+"""Commands on recordings of other programs: ``import``, ``map``, ``export``."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from hpe_rig.cli.console import guarded
-from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions
+from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions, RunFile, check_file_name
 
 recordings = typer.Typer()
 
@@ -79,6 +79,30 @@ def map_command(
     write_map(motion_map, output, figure)
     if moduli:
         typer.echo(str(fit_map_moduli(motion_map, scene)))
+
+
+@recordings.command("export")
+@guarded
+def export_command(
+    run_file: RunFile,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", callback=check_file_name, help="New file: .hdf5 (zea), .uff (USTB) or .mat."),
+    ],
+    file_format: Annotated[
+        Literal["zea", "uff", "mat"] | None, typer.Option("--format", help="Format. Default: by the ending.")
+    ] = None,
+    shot: Annotated[
+        list[int] | None, typer.Option(help="Shot to export, counted from 1; repeatable. Default: all good ones.")
+    ] = None,
+) -> None:
+    """Write the echoes of a run for zea, USTB or MATLAB, with rates and times; a simulated run with its truth."""
+    from hpe_rig.runs import export_run
+
+    shots = None if shot is None else [number - 1 for number in shot]
+    for text in export_run(run_file, output, file_format, shots):
+        typer.echo(text)
+    typer.echo(f"{output}: hpe-rig import {output} --scene SCENE reads it again")
 
 
 def _source(paths: list[Path]) -> Path | tuple[Path, ...]:

@@ -6,7 +6,8 @@ In the order of the flow::
     contents.py      content of a file as an importer reads it: arrays and stated settings; ``Importer``
     names.py         names of settings in the files of common programs
     arrays.py        NPY, NPZ, MATLAB, HDF5, WAV and raw samples
-    scanners.py      layouts of scanners: UFF, zea, Verasonics
+    scanners.py      layouts of scanners: UFF, zea, Verasonics; exported runs
+    export_files.py  echoes of a run -> files of zea, USTB and MATLAB
     coordinates.py   times and indices in a table of echoes
     text.py          text: tables of numbers, exports of oscilloscopes
     matlab.py        MATLAB's version 5, read in a separate process

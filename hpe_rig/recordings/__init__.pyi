@@ -1,4 +1,10 @@
 from .contents import Contents as Contents, Importer as Importer
+from .export_files import (
+    Echoes as Echoes,
+    ExportFormat as ExportFormat,
+    Label as Label,
+    export_image as export_image,
+)
 from .importers import foreign_importer as foreign_importer
 from .recording import (
     Recording as Recording,

@@ -1,4 +1,4 @@
-"""Layouts of research scanners in MATLAB and HDF5 files: UFF of USTB, zea, and buffers of Verasonics.
+"""Layouts of research scanners in MATLAB and HDF5 files: UFF of USTB, zea, buffers of Verasonics; exported runs.
 
 UFF stores samples as (frame, wave, channel, sample) and pixels as (frame, wave, channel, pixel), the depth fastest; zea
 as (frame, transmit, sample, element, component). Verasonics stores ``RcvData`` as (row, channel, frame), where the rows
@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.recordings.contents import Contents
+from hpe_rig.recordings.export_files import CODES, LABEL_GROUPS
 from hpe_rig.recordings.settings import Dimension
+from hpe_rig.store import MISSING
 
 Values = Mapping[str, NDArray[Any]]
 """Numbers and arrays of a file by their path."""
@@ -23,6 +25,12 @@ Stated = dict[str, tuple[Any, str]]
 """Settings by key, each with its name in the file."""
 SAME_RATIO = 1e-3
 """Largest relative difference between times that count as equal."""
+SAME_DELAY_S = 1e-10
+"""Largest difference between the delays of waves that count as equal: a hundredth of a sample at 100 MHz."""
+UFF_SIBLINGS = ("modulation_frequency", "initial_time", "scan/z_axis")
+"""Values that are only in the group of samples or pixels of UFF."""
+EXPORTED_KEYS = ("sample_rate_hz", "carrier_hz", "sound_speed_m_per_s", "first_sample_s")
+"""Settings that an exported file states under their own names."""
 
 
 def scanner_contents(values: Values, variable: str | None) -> Contents | None:
@@ -33,11 +41,15 @@ def scanner_contents(values: Values, variable: str | None) -> Contents | None:
     layouts: tuple[tuple[str, tuple[int, ...], Callable[[Values, str], Contents]], ...] = (
         ("data/raw_data", (5,), _zea),
         ("data/real", (3, 4), _uff),
+        ("data", (2, 3, 4), _uff),
         ("RcvData", (2, 3, 4), _verasonics),
+        (CODES, (2, 3), _exported),
     )
     for suffix, axis_counts, read in layouts:
         names = [name for name in values if name == suffix or name.endswith(f"/{suffix}")]
         names = [name for name in names if values[name].ndim in axis_counts]
+        if suffix == "data":
+            names = [name for name in names if any(f"{_owner(name)}/{key}" in values for key in UFF_SIBLINGS)]
         if variable is not None:
             names = [name for name in names if variable.strip("/") in (name, name.removesuffix("/real"))]
         if len(names) > 1:
@@ -62,6 +74,9 @@ def _zea(values: Values, name: str) -> Contents:
         ),
     )
     component: tuple[Dimension, ...] = () if array.shape[-1] == 1 else ("iq",)
+    if not component:
+        # The frequency at which zea would demodulate real samples.
+        stated.pop("demodulation_hz", None)
     array = array if component else array[..., 0]
     array, axes, text = _pulses(array, ("sample", "line", *component), "transmit")
     interval = f"{scan}/time_to_next_transmit"
@@ -72,13 +87,14 @@ def _zea(values: Values, name: str) -> Contents:
         if "shot" in axes and not np.allclose(trains, interval_s, rtol=SAME_RATIO):
             raise ValueError(f"{interval} differs between frames: one file per frame, or pulse_rate_hz")
         stated["pulse_time_s"] = (tuple(np.cumsum([0.0, *interval_s[:-1]]).tolist()), interval)
+    array, stated = _with_exported(values, f"{LABEL_GROUPS['zea']}/", array, stated)
     return Contents({name: array}, stated, axes, inferred=(f"zea: {text}",))
 
 
 def _uff(values: Values, name: str) -> Contents:
     """Return the samples or the pixels of an object in a UFF file of USTB."""
     data = name.removesuffix("/real")
-    owner = data.removesuffix("/data")
+    owner = _owner(data)
     real, imag = values[name], values.get(f"{data}/imag")
     if imag is not None and imag.shape != real.shape:
         raise ValueError(
@@ -105,9 +121,33 @@ def _uff(values: Values, name: str) -> Contents:
         stated.pop("demodulation_hz", None)
     if stated.get("carrier_hz", (1.0, ""))[0] == 0:
         del stated["carrier_hz"]
+    if delay := _wave_delay_s(values, f"{owner}/sequence"):
+        start_s, origin = stated.get("first_sample_s", (0.0, f"{owner}/initial_time"))
+        stated["first_sample_s"] = (start_s + delay, f"{origin} and sequence/delay")
     array = _with_pixels(values, owner, array, stated)
     array, axes, text = _pulses(array, ("line", "sample"), "wave")
+    array, stated = _with_exported(values, f"{LABEL_GROUPS['uff']}/", array, stated)
     return Contents({data: array}, stated, axes, inferred=(f"UFF: {text}",))
+
+
+def _owner(data: str) -> str:
+    """Return the path of the group that holds the dataset ``data`` of UFF."""
+    return data.removesuffix("/data")
+
+
+def _wave_delay_s(values: Values, sequence: str) -> float:
+    """Return the time from the reference time of a wave to the initial time of its samples; 0 without any."""
+    delays_s = [
+        float(np.ravel(value)[0])
+        for name, value in values.items()
+        if name.startswith(f"{sequence}/") and name.endswith("/delay") and value.size
+    ]
+    if not delays_s:
+        return 0.0
+    if max(delays_s) - min(delays_s) > SAME_DELAY_S:
+        extremes = f"{min(delays_s):g} to {max(delays_s):g} s"
+        raise ValueError(f"{sequence}/delay differs between waves ({extremes}): waves of one kind alone")
+    return delays_s[0]
 
 
 def _with_pixels(values: Values, owner: str, array: NDArray[Any], stated: Stated) -> NDArray[Any]:
@@ -157,6 +197,38 @@ def _verasonics(values: Values, name: str) -> Contents:
     array, axes, text = _pulses(records, ("line", "sample"), "acquisition")
     array, stated = _unpack_quadrature(values, array, stated)
     return Contents({name: array}, stated, axes, inferred=(f"Verasonics: {text}{interval_text}",))
+
+
+def _exported(values: Values, name: str) -> Contents:
+    """Return the codes (sample, pulse, shot) of a run that was exported to MATLAB."""
+    codes = values[name].reshape(*values[name].shape[:2], -1)
+    volts = codes * _number(values, "scale_v") + _number(values, "offset_v")
+    array, stated = _with_exported(values, "", np.where(codes == MISSING, np.nan, volts), {})
+    return Contents({name: array}, stated, ("sample", "pulse", "shot"), inferred=("MATLAB: a run of hpe_rig",))
+
+
+def _with_exported(values: Values, group: str, array: NDArray[Any], stated: Stated) -> tuple[NDArray[Any], Stated]:
+    """Return the codes of volts that hpe_rig exported and the settings in ``group``; other samples unchanged.
+
+    Volts of missing records are NaN, which have no code: then the volts are returned.
+    """
+    scale_v, offset_v, times_s = (values.get(f"{group}{key}") for key in ("scale_v", "offset_v", "pulse_time_s"))
+    if scale_v is None or offset_v is None or times_s is None:
+        return array, stated
+    for key in EXPORTED_KEYS:
+        if (number := _number(values, f"{group}{key}")) is not None:
+            stated[key] = (number, f"{group}{key}")
+    # MATLAB counts the shots along the last axis.
+    times_s = times_s if group else times_s.T
+    for key, rows in (("pulse_time_s", times_s), ("lateral_offset_m", values.get(f"{group}lateral_offset_m"))):
+        if rows is not None and rows.size and np.ptp(rows.reshape(len(times_s), -1), axis=0).max() > SAME_DELAY_S:
+            raise ValueError(f"its shots differ in {key}: hpe-rig export RUN.h5 --shot for shots of one {key}")
+    stated["pulse_time_s"] = (tuple(times_s[0].tolist()), f"{group}pulse_time_s")
+    if not np.isfinite(array).all():
+        return array, stated
+    scale = float(np.ravel(scale_v)[0])
+    codes = np.rint((array - float(np.ravel(offset_v)[0])) / scale).astype(np.int16)
+    return codes, stated | {"scale_v": (scale, f"{group}scale_v")}
 
 
 def _record_rows(values: Values, count: int) -> NDArray[np.intp]:

@@ -1,4 +1,4 @@
-"""Stored runs: open, estimate, process again, sweep, import and map; the functions of the public API.
+"""Stored runs: open, estimate, process again, sweep, import, export and map; the functions of the public API.
 
 arguments.py        types of the arguments of public functions
 estimation.py       stored records -> estimates of every shot and of every gate over depth
@@ -10,6 +10,7 @@ checked_scene.py    predictions for a scene before it is measured
 codes.py            integers of a recording as codes
 echoes.py           gated echoes of any program as records in memory, estimated like those of a stored run
 importing.py        a recording of another program -> run file
+exporting.py        a run -> file of zea, USTB or MATLAB
 mapping.py          a recording of many lines -> map of its motion
 settings_files.py   schemas of scene, bench and simulation; files with every key
 api.py              ``measure``, ``estimate``, ``fit_moduli`` and the other functions offered by ``hpe_rig``

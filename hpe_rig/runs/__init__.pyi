@@ -8,6 +8,7 @@ from .api import (
 )
 from .checked_scene import CheckedScene as CheckedScene, check as check
 from .estimation import chosen_estimator as chosen_estimator
+from .exporting import export_run as export_run
 from .importing import import_recording as import_recording, import_records as import_records
 from .mapping import (
     fit_map_moduli as fit_map_moduli,
