@@ -85,7 +85,7 @@ def export_image(echoes: Echoes, file_format: ExportFormat) -> bytes:
     return memory.getvalue()
 
 
-def _write_matlab(file: io.BytesIO, echoes: Echoes) -> None:
+def _write_matlab(file: Any, echoes: Echoes) -> None:
     """Write codes (sample, pulse, shot) and all labels as variables, and a variable ``readme`` that describes them."""
     from scipy.io import savemat
 

@@ -29,7 +29,7 @@ SAME_DELAY_S = 1e-10
 """Largest difference between the delays of waves that count as equal: a hundredth of a sample at 100 MHz."""
 UFF_SIBLINGS = ("modulation_frequency", "initial_time", "scan/z_axis")
 """Values that are only in the group of samples or pixels of UFF."""
-EXPORTED_KEYS = ("sample_rate_hz", "carrier_hz", "sound_speed_m_per_s", "first_sample_s")
+EXPORTED_KEYS = ("sample_rate_hz", "carrier_hz", "sound_speed_m_per_s", "first_sample_s", "scale_v")
 """Settings that an exported file states under their own names."""
 
 
@@ -87,7 +87,7 @@ def _zea(values: Values, name: str) -> Contents:
         if "shot" in axes and not np.allclose(trains, interval_s, rtol=SAME_RATIO):
             raise ValueError(f"{interval} differs between frames: one file per frame, or pulse_rate_hz")
         stated["pulse_time_s"] = (tuple(np.cumsum([0.0, *interval_s[:-1]]).tolist()), interval)
-    array, stated = _with_exported(values, f"{LABEL_GROUPS['zea']}/", array, stated)
+    array, stated = _with_exported(values, LABEL_GROUPS["zea"], array, stated)
     return Contents({name: array}, stated, axes, inferred=(f"zea: {text}",))
 
 
@@ -126,13 +126,13 @@ def _uff(values: Values, name: str) -> Contents:
         stated["first_sample_s"] = (start_s + delay, f"{origin} and sequence/delay")
     array = _with_pixels(values, owner, array, stated)
     array, axes, text = _pulses(array, ("line", "sample"), "wave")
-    array, stated = _with_exported(values, f"{LABEL_GROUPS['uff']}/", array, stated)
+    array, stated = _with_exported(values, LABEL_GROUPS["uff"], array, stated)
     return Contents({data: array}, stated, axes, inferred=(f"UFF: {text}",))
 
 
 def _owner(data: str) -> str:
     """Return the path of the group that holds the dataset ``data`` of UFF."""
-    return data.removesuffix("/data")
+    return data.removesuffix("data").removesuffix("/")
 
 
 def _wave_delay_s(values: Values, sequence: str) -> float:
@@ -202,33 +202,40 @@ def _verasonics(values: Values, name: str) -> Contents:
 def _exported(values: Values, name: str) -> Contents:
     """Return the codes (sample, pulse, shot) of a run that was exported to MATLAB."""
     codes = values[name].reshape(*values[name].shape[:2], -1)
-    volts = codes * _number(values, "scale_v") + _number(values, "offset_v")
-    array, stated = _with_exported(values, "", np.where(codes == MISSING, np.nan, volts), {})
-    return Contents({name: array}, stated, ("sample", "pulse", "shot"), inferred=("MATLAB: a run of hpe_rig",))
+    stated = _exported_settings(values, "")
+    if (codes == MISSING).any() and "scale_v" in stated:
+        volts = codes * stated.pop("scale_v")[0] + (_number(values, "offset_v") or 0.0)
+        codes = np.where(codes == MISSING, np.nan, volts)
+    return Contents({name: codes}, stated, ("sample", "pulse", "shot"), inferred=("MATLAB: a run of hpe_rig",))
 
 
 def _with_exported(values: Values, group: str, array: NDArray[Any], stated: Stated) -> tuple[NDArray[Any], Stated]:
-    """Return the codes of volts that hpe_rig exported and the settings in ``group``; other samples unchanged.
+    """Return the codes and settings of volts that hpe_rig exported, with values in ``group``; others unchanged.
 
-    Volts of missing records are NaN, which have no code: then the volts are returned.
+    Volts of missing records are NaN, which has no code: then the volts are returned.
     """
-    scale_v, offset_v, times_s = (values.get(f"{group}{key}") for key in ("scale_v", "offset_v", "pulse_time_s"))
-    if scale_v is None or offset_v is None or times_s is None:
+    exported = _exported_settings(values, f"{group}/")
+    if not exported:
         return array, stated
-    for key in EXPORTED_KEYS:
-        if (number := _number(values, f"{group}{key}")) is not None:
-            stated[key] = (number, f"{group}{key}")
+    scale_v, origin = exported.pop("scale_v")
+    if np.isfinite(array).all():
+        array = np.rint((array - (_number(values, f"{group}/offset_v") or 0.0)) / scale_v).astype(np.int16)
+        exported["scale_v"] = (scale_v, origin)
+    return array, stated | exported
+
+
+def _exported_settings(values: Values, group: str) -> Stated:
+    """Return the settings that hpe_rig wrote under their own names in ``group``; empty for a file of others."""
+    times_s = values.get(f"{group}pulse_time_s")
+    exported = _numbers(values, ((key, f"{group}{key}") for key in EXPORTED_KEYS))
+    if times_s is None or exported.keys() != set(EXPORTED_KEYS):
+        return {}
     # MATLAB counts the shots along the last axis.
     times_s = times_s if group else times_s.T
     for key, rows in (("pulse_time_s", times_s), ("lateral_offset_m", values.get(f"{group}lateral_offset_m"))):
-        if rows is not None and rows.size and np.ptp(rows.reshape(len(times_s), -1), axis=0).max() > SAME_DELAY_S:
+        if rows is not None and np.ptp(rows.reshape(len(times_s), -1), axis=0).max() > SAME_DELAY_S:
             raise ValueError(f"its shots differ in {key}: hpe-rig export RUN.h5 --shot for shots of one {key}")
-    stated["pulse_time_s"] = (tuple(times_s[0].tolist()), f"{group}pulse_time_s")
-    if not np.isfinite(array).all():
-        return array, stated
-    scale = float(np.ravel(scale_v)[0])
-    codes = np.rint((array - float(np.ravel(offset_v)[0])) / scale).astype(np.int16)
-    return codes, stated | {"scale_v": (scale, f"{group}scale_v")}
+    return exported | {"pulse_time_s": (tuple(times_s[0].tolist()), f"{group}pulse_time_s")}
 
 
 def _record_rows(values: Values, count: int) -> NDArray[np.intp]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -52,12 +52,12 @@ def export_run(
 
 
 def _format_of(path: Path, file_format: str | None) -> ExportFormat:
-    chosen = SUFFIXES.get(path.suffix.lower()) if file_format is None else file_format
-    for known in get_args(ExportFormat):
-        if chosen == known:
-            return known
-    what = f"the ending of {path.name} implies no format" if file_format is None else f"{file_format!r} is no format"
-    raise SettingsError("export", [Mistake("format", what, f"one of {', '.join(get_args(ExportFormat))}")])
+    formats: dict[str, ExportFormat] = {name: name for name in SUFFIXES.values()}
+    chosen = SUFFIXES.get(path.suffix.lower()) if file_format is None else formats.get(file_format)
+    if chosen is None:
+        what = f"the ending of {path.name} implies no format" if file_format is None else f"{file_format!r} is unknown"
+        raise SettingsError("export", [Mistake("format", what, f"one of {', '.join(formats)}")])
+    return chosen
 
 
 def _selected_shots(run: Run, shots: Sequence[int] | None) -> tuple[list[Shot], tuple[str, ...]]:
@@ -76,7 +76,7 @@ def _selected_shots(run: Run, shots: Sequence[int] | None) -> tuple[list[Shot], 
     if not indices:
         raise StoreError(f"{run.path} has no complete shot to export. Try: another run, or hpe-rig resume.")
     omitted = [
-        f"shot {shot + 1} is left out: {f'marked bad ({marks[shot]})' if complete[shot] else 'incomplete'}"
+        f"shot {shot + 1} is left out: {marks[shot] if complete[shot] else 'incomplete'}"
         for shot in wanted
         if shot not in indices
     ]
@@ -87,13 +87,14 @@ def _conflicts(run: Run, shots: Sequence[Shot], file_format: ExportFormat) -> It
     """Yield a mistake for each value of which the format holds one, and the shots have several."""
     remedy = "--shot for shots with one value of it, and another file for the others"
     scenes = [scene_of_shot(run.scene, shot) for shot in shots]
-    for name, values in {
+    settings: dict[str, list[Any]] = {
         "acquisition.sample_rate_hz": [shot.capture.sample_rate_hz for shot in shots],
         "acquisition.input_range_v": [shot.capture.input_range_v for shot in shots],
         "tracking.carrier_hz": [scene.tracking.carrier_hz for scene in scenes],
         "start of the record, s": [shot.timeline.record_offset_s[0] for shot in shots],
         "processing.frequencies_hz": [scene.wanted_frequencies_hz for scene in scenes],
-    }.items():
+    }
+    for name, values in settings.items():
         if len(distinct := list(dict.fromkeys(values))) > 1:
             yield Mistake("shots", f"the shots have several values: {name}, {distinct[0]}, {distinct[1]}", remedy)
     intervals_s = np.stack([np.diff(shot.timeline.pulse_onset_s) for shot in shots])

@@ -91,6 +91,7 @@ RUN_ELSEWHERE = {
     "README.md": "test_readme.py",
     "docs/how-to/cluster.md": "a cluster is needed; tests/hpe_rig/study/test_run.py starts a scheduler",
     "docs/how-to/import.md": "test_import_of_simulations.py, which needs the simulators",
+    "docs/how-to/research-scanners.md": "tests/hpe_rig/recordings/test_scanners.py, which makes a buffer of Verasonics",
 }
 """Pages with a command that these tests do not run, and the test that runs it."""
 
