@@ -1,8 +1,10 @@
+from .moduli import phase_velocity_map as phase_velocity_map
 from .result import Result as Result
 from .runs import (
     CheckedScene as CheckedScene,
     Run as Run,
     check as check,
+    dispersion as dispersion,
     estimate as estimate,
     estimate_motion as estimate_motion,
     export_run as export_run,

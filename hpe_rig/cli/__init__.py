@@ -7,7 +7,7 @@ Modules, from the typed command to its output::
     streams.py      standard streams without waiting
     options.py      arguments and options of several commands
     measuring.py    commands that measure: run, resume, queue, live, align
-    stored_runs.py  commands on stored runs: process, report, compare, moduli, verify, list
+    stored_runs.py  commands on stored runs: process, report, compare, moduli, dispersion, verify, list
     recordings.py   commands on recordings of other programs: import, map
     scenes.py       commands on settings: check, scenes, new, schema, extensions
     benches.py      commands on benches: bench, commission, emulate
@@ -21,7 +21,7 @@ Modules, from the typed command to its output::
     off.py          outputs switched off and verified
     commission.py   questions and table of a commissioning
     listing.py      runs of a folder; extensions of other packages
-    stored.py       damage, comparisons, moduli and maps
+    stored.py       damage, comparisons, moduli, dispersion and maps
     study.py        workers and progress of a study
     tables.py       a result as one sentence and tables
     terminal.py     width of the terminal; progress; logging

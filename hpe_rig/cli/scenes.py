@@ -91,7 +91,8 @@ def schema(
     of: Annotated[
         str,
         typer.Argument(
-            metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify, moduli, compare."
+            metavar="FILE",
+            help="One of scene, bench, simulation, queue, result, list, verify, moduli, dispersion, compare.",
         ),
     ] = "scene",
 ) -> None:

@@ -1,4 +1,4 @@
-"""Output of stored runs and recordings: marks, damage, comparisons, moduli and maps."""
+"""Output of stored runs and recordings: marks, damage, comparisons, moduli, dispersion and maps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from hpe_rig.store import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hpe_rig.moduli import ModuliResult
+    from hpe_rig.moduli import DispersionResult, ModuliResult
     from hpe_rig.report import ResultDifference
     from hpe_rig.result import FigureKind, MotionMap
 
@@ -159,10 +159,20 @@ def print_moduli(result: ModuliResult, figure: Path | None, json: bool) -> None:
         typer.echo(str(result))
 
 
+def print_dispersion(result: DispersionResult, figure: Path | None, *, json: bool, csv: bool) -> None:
+    """Print ``result`` and write its ``figure``; raise ``StoreError`` if it cannot be written."""
+    if figure is not None:
+        _save(result.figure(), figure, "phase velocity and attenuation")
+    if json:
+        print_json(result.as_dict())
+    else:
+        typer.echo(result.to_csv() if csv else str(result), nl=not csv)
+
+
 def draw_figure(
     run_files: Sequence[Path],
     output: Path,
-    kind: Literal[FigureKind, "moduli"],
+    kind: Literal[FigureKind, "moduli", "dispersion"],
     width: str,
     *,
     frequencies_hz: Sequence[float] | None,
@@ -173,15 +183,19 @@ def draw_figure(
     from matplotlib import rc_context
 
     from hpe_rig.result import STYLE
-    from hpe_rig.runs import fit_moduli, open_run
+    from hpe_rig.runs import dispersion, fit_moduli, open_run
     from hpe_rig.scene import length_m
 
     mistakes = []
-    if kind != "moduli" and len(run_files) > 1:
-        mistakes.append(Mistake("RUN.h5", f"--kind {kind} draws one run", "one run file, or --kind moduli"))
+    if kind not in {"moduli", "dispersion"} and len(run_files) > 1:
+        what, remedy = f"--kind {kind} draws one run", "one run file, or --kind moduli or dispersion"
+        mistakes.append(Mistake("RUN.h5", what, remedy))
+    if kind == "dispersion" and profile_step_m is not None:
+        what = "--kind dispersion uses the gates of the scene"
+        mistakes.append(Mistake("--gate-profile-step", what, "leave it out"))
     if kind == "profile" and profile_step_m is None:
         mistakes.append(Mistake("--kind profile", "no gates over depth are named", "--gate-profile-step 0.5mm"))
-    if frequencies_hz and kind in {"displacement", "moduli"}:
+    if frequencies_hz and kind in {"displacement", "moduli", "dispersion"}:
         mistakes.append(Mistake("--frequency", f"--kind {kind} draws all frequencies", "leave it out"))
     if not (width_m := length_m(width, "--width", MAX_WIDTH_M)) >= MIN_WIDTH_M:
         mistakes.append(Mistake("--width", f"{width!r} is too narrow for a figure", "a width such as 85mm"))
@@ -193,6 +207,8 @@ def draw_figure(
     with rc_context({**STYLE, "font.size": 8, "pdf.fonttype": 42, "figure.figsize": size}):
         if kind == "moduli":
             drawing = fit_moduli(*run_files, estimator=estimator, profile_step_m=profile_step_m).figure(figsize=size)
+        elif kind == "dispersion":
+            drawing = dispersion(*run_files, estimator=estimator).figure(figsize=size)
         else:
             result = open_run(run_files[0]).with_profile(profile_step_m).estimate(estimator)
             try:

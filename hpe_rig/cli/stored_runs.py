@@ -1,4 +1,4 @@
-"""Commands on stored runs: process, report, compare, moduli, figure, mark, verify, list."""
+"""Commands on stored runs: process, report, compare, moduli, dispersion, figure, mark, verify, list."""
 
 from __future__ import annotations
 
@@ -21,6 +21,16 @@ from hpe_rig.cli.options import (
 from hpe_rig.result import FigureKind, Stages
 
 MAX_STEP_M = 0.1
+
+RunsAtOffsets = Annotated[
+    list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each with one lateral offset or more.")
+]
+WidthUncertainty = Annotated[
+    float, typer.Option(min=0.0, max=1.0, help="Relative uncertainty of the widths of the force.")
+]
+PerPlace = Annotated[
+    bool, typer.Option("--per-place", help="The force differed between lateral offsets: fit every amplitude.")
+]
 
 stored_runs = typer.Typer()
 
@@ -106,20 +116,14 @@ def compare(
 @stored_runs.command()
 @guarded
 def moduli(
-    run_files: Annotated[
-        list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each with one lateral offset or more.")
-    ],
+    run_files: RunsAtOffsets,
     law: Annotated[
         list[str] | None,
         typer.Option(metavar="LAW", help="Medium to try: voigt, zener, power_law, maxwell; repeatable. Default: all."),
     ] = None,
     estimator: Estimator = None,
-    width_uncertainty: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Relative uncertainty of the widths of the force.")
-    ] = 0.05,
-    per_place: Annotated[
-        bool, typer.Option("--per-place", help="The force differed between lateral offsets: fit every amplitude.")
-    ] = False,
+    width_uncertainty: WidthUncertainty = 0.05,
+    per_place: PerPlace = False,
     gate_profile_step: ProfileStep = None,
     figure: Annotated[Path | None, file_option("Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
     json: Json = False,
@@ -142,16 +146,44 @@ def moduli(
 
 @stored_runs.command()
 @guarded
+def dispersion(
+    run_files: RunsAtOffsets,
+    estimator: Estimator = None,
+    width_uncertainty: WidthUncertainty = 0.05,
+    per_place: PerPlace = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", callback=check_file_name, help="Figure of both quantities: .pdf, .svg or .png."),
+    ] = None,
+    json: Json = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Print CSV, one row per method and frequency.")] = False,
+) -> None:
+    """Phase velocity and attenuation of shear waves at every harmonic, beside those of plane-wave methods."""
+    from hpe_rig.cli.options import refuse_two_formats
+    from hpe_rig.cli.stored import print_dispersion
+    from hpe_rig.runs import dispersion as dispersion_of
+
+    refuse_two_formats(json, csv)
+    result = dispersion_of(
+        *run_files, estimator=estimator, width_uncertainty=width_uncertainty, common_amplitude=not per_place
+    )
+    print_dispersion(result, output, json=json, csv=csv)
+
+
+@stored_runs.command()
+@guarded
 def figure(
     run_files: Annotated[
-        list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run file; several for --kind moduli only.")
+        list[Path],
+        typer.Argument(metavar="RUN.h5 ...", help="Run file; several for moduli and dispersion only."),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", callback=check_file_name, help="File: .pdf, .svg or .png.")],
     kind: Annotated[
-        Literal[FigureKind, "moduli"],
+        Literal[FigureKind, "moduli", "dispersion"],
         typer.Option(
             help="Amplitude and phase over frequency (spectrum), relative force (drive), lateral offset (distance) or "
-            "depth (profile); largest displacement over time; vibrations and the fitted medium (moduli)."
+            "depth (profile); largest displacement over time; vibrations and the fitted medium (moduli); phase "
+            "velocity and attenuation (dispersion)."
         ),
     ] = "spectrum",
     width: Annotated[str, typer.Option(help="Width of the figure, such as 85mm for a column of a journal.")] = "120mm",

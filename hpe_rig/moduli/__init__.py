@@ -6,13 +6,18 @@
     map_vibrations.py    vibrations at the lines of a motion map
     problem.py           least-squares problem: y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; G, A_p, B)
     inversion.py         the fit: minima, covariance, evidence of each material law, contributions of the data
+    wavenumber_fit.py    phase velocity and attenuation: of a fitted law, and fitted frequency by frequency
     shear_speed.py       plane-wave moduli from the phase's fall with distance, for comparison
     outcome.py           results of all laws as text and JSON
     figure.py            figure of measured and fitted vibrations
+    wave_methods.py      phase gradient, 2-D FT, GST-SFK, LPVI and amplitude decay, for comparison
+    dispersion.py        dispersion of runs: near-field fit beside these methods, with their predicted bias
+    dispersion_figure.py figure of dispersion
     forecast.py          expected uncertainties of a scene, by the Cramer-Rao bound
 
-Callers use ``moduli_of`` for stored runs, ``moduli_of_map`` for maps, ``moduli_forecast`` for scenes,
-``fit_medium`` and ``bound`` for vibrations. Derivation: docs/explanation/moduli.md.
+Callers use ``moduli_of`` and ``dispersion_of`` for stored runs, ``moduli_of_map`` for maps, ``moduli_forecast`` for
+scenes, ``fit_medium``, ``dispersion_of_vibrations`` and ``bound`` for vibrations. Derivation:
+docs/explanation/moduli.md.
 """
 
 import lazy_loader

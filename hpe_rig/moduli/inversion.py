@@ -149,11 +149,11 @@ def _minima(problem: Problem) -> list[_Minimum]:
     then refined.
     """
     quick = problem.with_quick_field()
-    rough = sorted((_solve(quick, start, ROUGH) for start in _starts(quick)), key=lambda minimum: minimum.chi_square)
+    rough = sorted((solve(quick, start, ROUGH) for start in _starts(quick)), key=lambda minimum: minimum.chi_square)
     # The quick field has found the basin; the full field gives the minimum.
-    best = _solve(problem, rough[0].unknown, FINE)
+    best = solve(problem, rough[0].unknown, FINE)
     candidates = (
-        _solve(problem, minimum.unknown, FINE)
+        solve(problem, minimum.unknown, FINE)
         for minimum in rough[1:]
         if minimum.chi_square - best.chi_square < 10 * SECOND_MINIMUM and _differ(problem, minimum, best)
     )
@@ -166,7 +166,7 @@ def _differ(problem: Problem, first: _Minimum, second: _Minimum) -> bool:
     return bool(np.abs(difference).max() > MINIMUM_DISTANCE)
 
 
-def _solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
+def solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
     """Return the minimum of chi-square next to the unknowns ``start``, within the limits of the law's parameters.
 
     The solver stops at a relative ``change`` of chi-square.

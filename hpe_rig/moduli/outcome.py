@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from hpe_rig.moduli.run_vibrations import Source, vibrations_of
 from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 from hpe_rig.moduli.vibration_model import Push, Vibration
-from hpe_rig.result import MotionMap, dataclass_schema, json_values, object_schema, titled
+from hpe_rig.moduli.wavenumber_fit import DispersionCurve, curve_of_law
+from hpe_rig.result import MotionMap, dataclass_schema, json_values, object_schema, titled, with_u
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
@@ -41,15 +42,17 @@ NAMES = {
 class ModuliResult:
     """Media fitted to the vibrations of one or more runs, the most likely first.
 
-    ``probability`` of each, from equal priors. ``omitted``: data that were left out, in words. ``plane_wave``: the
-    Voigt moduli from the phase's fall with distance, for comparison, since near the push the wave is not plane. It is
-    None for one lateral offset or a phase that does not fall; ``why_not`` is the reason.
+    ``probability`` of each, from equal priors; ``dispersion``: phase velocity and attenuation in each. ``omitted``:
+    data that were left out, in words. ``plane_wave``: the Voigt moduli from the phase's fall with distance, for
+    comparison, since near the push the wave is not plane. It is None for one lateral offset or a phase that does not
+    fall; ``why_not`` is the reason.
     """
 
     title: str
     simulated: bool
     fits: tuple[Moduli, ...]
     probability: tuple[float, ...]
+    dispersion: tuple[DispersionCurve, ...]
     vibrations: tuple[Vibration, ...]
     omitted: tuple[str, ...]
     plane_wave: Voigt | None
@@ -99,14 +102,14 @@ class ModuliResult:
     def as_dict(self) -> dict[str, Any]:
         """Return the result as a dictionary of plain values for JSON, with the keys of ``moduli_schema``."""
         wave = self.plane_wave
-        pairs = zip(self.fits, self.probability, strict=True)
+        laws = zip(self.fits, self.probability, self.dispersion, strict=True)
         modelled = zip(self.vibrations, self.best.modelled_m, strict=True)
         plain: dict[str, Any] = json_values(
             {
                 "title": self.title,
                 "simulated": self.simulated,
                 "omitted": self.omitted,
-                "fits": [_fit_as_dict(fit, probability) for fit, probability in pairs],
+                "fits": [_fit_as_dict(*law) for law in laws],
                 "places": [
                     {
                         "label": vibration.label,
@@ -126,12 +129,13 @@ class ModuliResult:
         return plain
 
 
-def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
+def _fit_as_dict(fit: Moduli, probability: float, dispersion: DispersionCurve) -> dict[str, Any]:
     """Return the fit of one law as a dictionary for JSON, with the keys of ``moduli_schema``.
 
     ``probability`` of the law among the fitted ones. ``freedom``: degrees of freedom of ``chi_square``. ``adjusted``:
     nuisance parameters, in units of their uncertainty. ``second``: another minimum that is nearly as good, with its
-    chi-square above the best, or None. ``at_limit``: parameters at the end of their range.
+    chi-square above the best, or None. ``at_limit``: parameters at the end of their range. ``dispersion``: phase
+    velocity and attenuation by frequency.
     """
     second_minimum = None
     if fit.second is not None:
@@ -141,6 +145,7 @@ def _fit_as_dict(fit: Moduli, probability: float) -> dict[str, Any]:
     return {
         **{name: getattr(fit, name) for name in names},
         "probability": probability,
+        "dispersion": {name: values.tolist() for name, values in asdict(dispersion).items()},
         "excluded": fit.excluded,
         "covariance": fit.covariance.tolist(),
         "adjusted": fit.adjusted,
@@ -156,6 +161,7 @@ def moduli_schema() -> dict[str, Any]:
     """Return the JSON schema of the output of ``hpe-rig moduli --json``."""
     second = object_schema("Another minimum.", {"values": dict[str, float], "chi_square": float})
     contributions = {"type": "array", "items": dataclass_schema(Contribution)}
+    curve_names = [field.name for field in fields(DispersionCurve)]
     fit = {
         "law": str,
         "values": dict[str, float],
@@ -164,6 +170,7 @@ def moduli_schema() -> dict[str, Any]:
         "freedom": int,
         "significance": float,
         "probability": float,
+        "dispersion": object_schema(DispersionCurve.__doc__ or "", dict.fromkeys(curve_names, tuple[float, ...])),
         "excluded": bool,
         "covariance": tuple[tuple[float, ...], ...],
         "adjusted": dict[str, float],
@@ -242,12 +249,14 @@ def _fitted(
         raise ValueError("no vibration exceeds its noise: " + "; ".join(omitted))
     # Every law is fitted, because the user needs to know which ones the data exclude.
     fits, probability = compare_media(vibrations, push, laws)
+    frequency_hz = np.unique(np.concatenate([vibration.frequency_hz for vibration in vibrations]))
     wave, why_not = plane_wave_of(vibrations, push.density_kg_per_m3)
     return ModuliResult(
         title=title,
         simulated=False,
         fits=fits,
         probability=tuple(probability.tolist()),
+        dispersion=tuple(curve_of_law(fit, frequency_hz, push.density_kg_per_m3) for fit in fits),
         vibrations=tuple(vibrations),
         omitted=tuple(omitted),
         plane_wave=wave,
@@ -282,12 +291,13 @@ def _lines(result: ModuliResult) -> Iterator[str]:
     yield result.title
     yield _data_line(result)
     yield ""
-    for fit, probability in zip(result.fits, result.probability, strict=True):
+    for fit, probability, dispersion in zip(result.fits, result.probability, result.dispersion, strict=True):
         misfit = f"chi-square {fit.chi_square:.4g}, {fit.freedom} degrees of freedom"
         verdict = "EXCLUDED by the data" if fit.excluded else f"probability {probability:.2g}"
         yield f"{law_of(fit.law).title}, {verdict} ({misfit})"
         if fit is result.best or not fit.excluded:
             yield from (f"  {line}" for line in _fit_lines(fit))
+            yield f"  phase velocity {_speed_text(dispersion, 0)}, {_speed_text(dispersion, -1)}"
     if result.plane_wave is not None:
         wave = result.plane_wave
         yield f"plane wave, for comparison: mu1 {wave.elasticity_pa * 1e-3:.4g} kPa, mu2 {wave.viscosity_pa_s:.3g} Pa s"
@@ -330,6 +340,12 @@ def _fit_lines(fit: Moduli) -> Iterator[str]:
                 f"largest contribution by {kind}: {largest.label}; without it the uncertainty of "
                 f"{_name(next(iter(fit.values)))} is {largest.growth[0]:.2f} times as large"
             )
+
+
+def _speed_text(curve: DispersionCurve, index: int) -> str:
+    """Return the text of the phase velocity at the frequency of this index."""
+    speed, u = curve.phase_velocity_m_per_s[index], curve.phase_velocity_uncertainty_m_per_s[index]
+    return f"{with_u(speed, u)} m/s at {curve.frequency_hz[index]:g} Hz"
 
 
 def _unit(parameter: str) -> tuple[float, str]:

@@ -1,4 +1,5 @@
 from .api import (
+    dispersion as dispersion,
     estimate as estimate,
     estimate_motion as estimate_motion,
     fit_moduli as fit_moduli,

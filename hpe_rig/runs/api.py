@@ -22,7 +22,7 @@ from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, parse_scen
 from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
-    from hpe_rig.moduli import ModuliResult
+    from hpe_rig.moduli import DispersionResult, ModuliResult, Source
     from hpe_rig.processing import Estimates
 
 
@@ -97,17 +97,53 @@ def fit_moduli(
 
     >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
     """
-    from hpe_rig.moduli import Source, moduli_of
+    from hpe_rig.moduli import moduli_of
 
     require_numbers("fit_moduli", width_uncertainty=width_uncertainty)
     fitted_laws = known_laws("fit_moduli", laws)
+    with _sources("moduli", runs, estimator, profile_step_m) as sources:
+        return moduli_of(sources, fitted_laws, estimator, width_uncertainty, common_amplitude)
+
+
+def dispersion(
+    *runs: str | os.PathLike[str] | Run,
+    estimator: str | None = None,
+    width_uncertainty: float = 0.05,
+    common_amplitude: bool = True,
+) -> DispersionResult:
+    """Return phase velocity and attenuation of shear waves at every harmonic, from one or more runs.
+
+    At least three lateral offsets are needed. The exact near field is fitted with one complex wave number for each
+    frequency. Other methods are stated with their bias, as the exact field predicts it. Arguments and errors are those
+    of ``fit_moduli``.
+
+    >>> result = hpe.dispersion("gelatin-moduli.h5")
+    >>> result.near_field.phase_velocity_m_per_s
+    >>> result.figure().savefig("dispersion.pdf")
+    """
+    from hpe_rig.moduli import dispersion_of
+
+    require_numbers("dispersion", width_uncertainty=width_uncertainty)
+    with _sources("dispersion", runs, estimator, None) as sources:
+        return dispersion_of(sources, estimator, width_uncertainty, common_amplitude)
+
+
+@contextmanager
+def _sources(
+    command: str, runs: Sequence[str | os.PathLike[str] | Run], estimator: str | None, profile_step_m: float | None
+) -> Iterator[list[Source]]:
+    """Yield the stored ``runs`` for an inversion; a ``ValueError`` of the block becomes a ``StoreError``.
+
+    Raises ``SettingsError`` without a run and for an unknown estimator.
+    """
+    from hpe_rig.moduli import Source
+
     stored_runs = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
     if not stored_runs:
-        raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])
+        raise SettingsError(command, [Mistake("", "no run is named", f"hpe-rig {command} RUN.h5")])
     chosen_estimator(estimator, stored_runs[0].scene)
     try:
-        sources = [Source(run.path.name, run.scene, run.plan, run.stored) for run in stored_runs]
-        return moduli_of(sources, fitted_laws, estimator, width_uncertainty, common_amplitude)
+        yield [Source(run.path.name, run.scene, run.plan, run.stored) for run in stored_runs]
     except ValueError as error:
         raise StoreError(f"{stored_runs[0].path}: {error}") from error
 

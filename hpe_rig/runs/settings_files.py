@@ -28,7 +28,7 @@ def json_schema(of: str, additional: Mapping[str, Callable[[], dict[str, Any]]] 
     """
     # Imported here: pages and editors ask for one schema at a time.
     from hpe_rig.measurement import QueueList
-    from hpe_rig.moduli import moduli_schema
+    from hpe_rig.moduli import dispersion_schema, moduli_schema
     from hpe_rig.store import listing_schema, verification_schema
 
     schemas: dict[str, Callable[[], dict[str, Any]]] = {
@@ -40,6 +40,7 @@ def json_schema(of: str, additional: Mapping[str, Callable[[], dict[str, Any]]] 
         "list": listing_schema,
         "verify": verification_schema,
         "moduli": moduli_schema,
+        "dispersion": dispersion_schema,
         **(additional or {}),
     }
     if of not in schemas:

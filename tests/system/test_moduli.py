@@ -54,6 +54,27 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
     assert len(result.figure().axes) == 2
 
 
+def test_the_phase_velocity_of_the_shipped_scene_is_the_twins(run: hpe.Run, tmp_path: Path) -> None:
+    """gelatin-moduli, seed 1: c and alpha of the Voigt medium of 7.25 kPa and 1 Pa s, and the bias of other methods."""
+    printed = CliRunner().invoke(app, ["dispersion", str(run.path), "--json", "-o", str(tmp_path / "c.svg")])
+    assert printed.exit_code == 0, printed.output
+    assert (tmp_path / "c.svg").read_text(encoding="utf-8").startswith("<?xml")
+    result = json.loads(printed.stdout)
+    jsonschema.Draft202012Validator(json_schema("dispersion")).validate(result)
+    for row in result["rows"]:
+        omega = 2 * np.pi * row["frequency_hz"]
+        wavenumber = omega * np.sqrt(1000 / (7.25e3 + 1j * omega))
+        speed, attenuation = omega / wavenumber.real, -wavenumber.imag
+        true = {"phase_velocity": ("m_per_s", speed), "attenuation": ("np_per_m", attenuation)}
+        for quantity, (unit, value) in true.items():
+            measured, u, bias = (row[f"{quantity}{kind}_{unit}"] for kind in ("", "_uncertainty", "_bias"))
+            if measured is not None:
+                assert abs(measured - (bias or 0.0) - value) < 4 * u
+    fitted = as_its_schema_says(hpe.fit_moduli(run, laws=["voigt"]))["fits"][0]["dispersion"]
+    near = [row["phase_velocity_m_per_s"] for row in result["rows"] if row["method"] == "near field"]
+    assert fitted["phase_velocity_m_per_s"] == pytest.approx(near, rel=0.003)
+
+
 def test_every_offset_has_a_truth_and_an_estimate(run: hpe.Run) -> None:
     result = run.estimate()
     places = [shot.lateral_offset_m for shot in result.shots]
