@@ -15,6 +15,8 @@ from .panels import figure_panels as figure_panels
 from .phase import (
     DETECTED as DETECTED,
     PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT,
+    PRIOR_ODDS as PRIOR_ODDS,
+    RAYLEIGH_SQUARE as RAYLEIGH_SQUARE,
     phase_variance_at_rad2 as phase_variance_at_rad2,
     phase_variance_rad2 as phase_variance_rad2,
     rectified_variance_m2 as rectified_variance_m2,

@@ -34,7 +34,8 @@ class MotionMap:
     ``frequency_hz`` (frequency,); ``depth_m`` (depth,); ``line_m`` (line,): lateral offset from the push, or the line's
     number if ``lines_are_placed`` is False. ``amplitude_m`` and ``phase_rad`` (line, depth, frequency) of
     A sin(2 pi f t + phase), positive away from the transducer; ``velocity_m_per_s`` (line, depth) of the remaining
-    motion. Their standard uncertainties include noise from the residual, echo frequency and sound speed.
+    motion. Their standard uncertainties include noise, decorrelation of the echoes, echo frequency and sound
+    speed.
     ``residual_m``: displacement noise of one pulse. ``power``: echo power, in the recording's units squared.
     """
 
@@ -60,7 +61,7 @@ class MotionMap:
         lines, gates = self.bad.shape
         good = self.bad == 0
         yield f"{lines} lines of {gates} gates, {int(good.sum())} of {good.size} pixels estimated"
-        for kind in (BadPixel.NOISE, BadPixel.NO_ECHO, BadPixel.NOT_FINITE):
+        for kind in list(BadPixel)[1:]:
             if count := int((self.bad == kind).sum()):
                 yield f"{count} pixels excluded: {_REASONS[kind]}"
         if not good.any():

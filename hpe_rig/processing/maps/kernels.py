@@ -7,11 +7,10 @@ import math
 import numpy as np
 
 from hpe_rig.arrays import ComplexSingleArray, SingleArray
+from hpe_rig.result import phase_variance_rad2, rectified_variance_m2
 
 MAX_DIRECT_RAD = math.pi / 2
 """Phase against the first pulse up to which no pulse can have passed pi, where the phase would wrap."""
-UNKNOWN_PHASE_RAD = np.float32(math.pi / math.sqrt(3))
-"""Standard deviation of a phase uniform over a whole period."""
 
 
 def unwrapped(z: ComplexSingleArray) -> SingleArray:
@@ -29,37 +28,60 @@ def unwrapped(z: ComplexSingleArray) -> SingleArray:
     return angle
 
 
-def squared_distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
-    """Return the sum of squares (pixel,) of ``fitted`` - ``phase`` (pixel, pulse); ``fitted`` is overwritten."""
+def log_amplitude(echo: ComplexSingleArray) -> SingleArray:
+    """Return the logarithm of the amplitude of ``echo`` (..., pulse) relative to its root mean square.
+
+    For the ratio r of both, ln r = 2 u + 2 u³ / 3 + ... with u = (r - 1) / (r + 1): bounded where an echo vanishes.
+    """
+    # In place, since every new array costs as much as the arithmetic.
+    ratio = echo.real**2
+    ratio += echo.imag**2
+    ratio /= np.maximum(ratio.mean(axis=-1, keepdims=True), np.finfo(np.float32).tiny)
+    np.sqrt(ratio, out=ratio)
+    result = ratio - np.float32(1)
+    ratio += np.float32(1)
+    result /= ratio
+    np.square(result, out=ratio)
+    ratio += np.float32(3)
+    ratio *= np.float32(2 / 3)
+    result *= ratio
+    return np.asarray(result)
+
+
+def residual_energies(fitted: SingleArray, phase: SingleArray) -> SingleArray:
+    """Return the sum of squares of the residual ``fitted`` - ``phase`` (pixel, pulse), and of its steps, (pixel, 2).
+
+    ``fitted`` is overwritten.
+    """
     fitted -= phase
-    return np.asarray(np.einsum("ij,ij->i", fitted, fitted))
+    step = np.diff(fitted, axis=-1)
+    return np.stack([np.einsum("ij,ij->i", rows, rows) for rows in (fitted, step)], axis=-1)
 
 
 def write_amplitude_and_phase(
     state: SingleArray,
-    noise_m2: SingleArray,
+    covariance: SingleArray,
     metres_per_radian: SingleArray,
     relative_variance: SingleArray,
-    unit_covariance: SingleArray,
     results: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
     """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
 
-    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``noise_m2`` (pixel,): noise variance of a
-    pulse. ``relative_variance`` (pixel,): of ``metres_per_radian``. ``unit_covariance`` (3, frequency): of in-phase and
-    quadrature for a noise variance of 1: mean of their variances, half the difference of these, their covariance.
+    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``covariance`` (pixel, 3, frequency) of
+    in-phase and quadrature, rad²: mean of their variances, half the difference of these, their covariance.
+    ``relative_variance`` (pixel,): of ``metres_per_radian``.
     """
     amplitude, amplitude_u, phase, phase_u = results
-    mean, half_difference, covariance = unit_covariance
-    scaled = state[:, : 2 * mean.size] * metres_per_radian[:, None]
+    mean, half_difference, cross = (covariance[:, kind] * metres_per_radian[:, None] ** 2 for kind in range(3))
+    scaled = state[:, : 2 * amplitude.shape[1]] * metres_per_radian[:, None]
     in_phase, quadrature = scaled[:, ::2], scaled[:, 1::2]
     squared = in_phase**2 + quadrature**2
     np.sqrt(squared, out=amplitude)
     np.arctan2(quadrature, in_phase, out=phase)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
-        difference = half_difference * (in_phase**2 - quadrature**2)
-        anisotropy = (difference + 2 * covariance * in_phase * quadrature) / squared
-        np.sqrt(noise_m2[:, None] * (mean + anisotropy) + relative_variance[:, None] * squared, out=amplitude_u)
-        np.sqrt(noise_m2[:, None] * (mean - anisotropy) / squared, out=phase_u)
-    np.minimum(phase_u, UNKNOWN_PHASE_RAD, out=phase_u)
+        anisotropy = (half_difference * (in_phase**2 - quadrature**2) + 2 * cross * in_phase * quadrature) / squared
+        along, across = mean + anisotropy, mean - anisotropy
+        variance = along + rectified_variance_m2(amplitude, along, across) + relative_variance[:, None] * squared
+        np.sqrt(variance, out=amplitude_u)
+        np.sqrt(phase_variance_rad2(amplitude, across, along), out=phase_u)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexSingleArray, SingleArray
 from hpe_rig.processing.compilation import compiler
+from hpe_rig.result import DETECTED, PHASE_VARIANCE_LIMIT, PRIOR_ODDS, RAYLEIGH_SQUARE
 
 # Sums may be reordered, so that the compiler can process several pulses at once. NaN is preserved.
 _FASTMATH: Final = ("nsz", "contract", "reassoc", "arcp")
@@ -27,8 +28,12 @@ C0, C1, C2, C3, C4, C5, C6, C7 = (
     )
 )
 TINY: Final = np.float32(1e-38)
+TWO_THIRDS: Final = np.float32(2 / 3)
 QUARTER_TURN, HALF_TURN, TURN = (np.float32(half_turns * math.pi) for half_turns in (0.5, 1, 2))
-UNKNOWN_PHASE_RAD: Final = np.float32(math.pi / math.sqrt(3))
+# Constants of result/phase.py in single precision; at MAX_SNR the probability of no motion is below rounding.
+ODDS, RECTIFIED, UNIFORM = (np.float32(c) for c in (PRIOR_ODDS, RAYLEIGH_SQUARE - 1, PHASE_VARIANCE_LIMIT))
+AT_DETECTION: Final = np.float32(1 / (1 + PRIOR_ODDS * math.exp(DETECTED**2 / 2)))
+MAX_SNR: Final = np.float32(100)
 
 
 @compiler(*_FASTMATH, inline=True)
@@ -84,42 +89,79 @@ def _unwrap(real_and_imag: SingleArray, angle: SingleArray) -> None:
                 phase[k] = now - turns * TURN
 
 
+def log_amplitude(echo: ComplexSingleArray) -> SingleArray:
+    """Return the logarithm of the amplitude of ``echo`` (..., pulse) over its root mean square, as in `kernels`."""
+    flat = np.ascontiguousarray(echo).reshape(-1, echo.shape[-1])
+    result = np.empty(flat.shape, np.float32)
+    _log_amplitude(flat.view(np.float32), result)
+    return result.reshape(echo.shape)
+
+
 @_compile
-def squared_distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
-    """Return the residual's sum of squares (pixel,): of ``fitted`` - ``phase`` (pixel, pulse), over the pulses."""
-    total = np.empty(len(phase), np.float32)
+def _log_amplitude(real_and_imag: SingleArray, result: SingleArray) -> None:
+    """Write the logarithms (pixel, pulse); ``real_and_imag`` (pixel, 2 * pulse): real, imaginary, real, ..."""
+    pulses = result.shape[1]
+    for i in range(len(result)):
+        row, log, total = real_and_imag[i], result[i], np.float32(0)
+        for k in range(pulses):
+            log[k] = row[2 * k] * row[2 * k] + row[2 * k + 1] * row[2 * k + 1]
+            total += log[k]
+        scale = 1 / max(total / np.float32(pulses), TINY)
+        for k in range(pulses):
+            r = np.sqrt(log[k] * scale)
+            u = (r - 1) / (r + 1)
+            log[k] = u * (u * u + 3) * TWO_THIRDS
+
+
+@_compile
+def residual_energies(fitted: SingleArray, phase: SingleArray) -> SingleArray:
+    """Return the sum of squares of the residual ``fitted`` - ``phase`` (pixel, pulse), and of its steps, (pixel, 2)."""
+    energies = np.empty((len(phase), 2), np.float32)
     for i in range(len(phase)):
-        squares = np.float32(0)
+        squares, steps = np.float32(0), np.float32(0)
         for k in range(phase.shape[1]):
-            squares += (fitted[i, k] - phase[i, k]) ** 2
-        total[i] = squares
-    return total
+            fitted[i, k] -= phase[i, k]
+            squares += fitted[i, k] ** 2
+        for k in range(1, phase.shape[1]):
+            steps += (fitted[i, k] - fitted[i, k - 1]) ** 2
+        energies[i, 0], energies[i, 1] = squares, steps
+    return energies
+
+
+@compiler(*_FASTMATH, inline=True)
+def _no_motion_probability(snr: Any) -> Any:
+    """Return the probability that an amplitude is noise, from its square over the noise variance (result/phase.py)."""
+    return np.float32(1) / (np.float32(1) + ODDS * np.exp(min(snr, MAX_SNR) / 2))
 
 
 @_compile
 def write_amplitude_and_phase(
     state: SingleArray,
-    noise_m2: SingleArray,
+    covariance: SingleArray,
     metres_per_radian: SingleArray,
     relative_variance: SingleArray,
-    unit_covariance: SingleArray,
     results: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
     """Write amplitude and phase (pixel, frequency) of a motion map, each followed by its standard uncertainty.
 
-    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``noise_m2`` (pixel,): noise variance of a
-    pulse. ``relative_variance`` (pixel,): of ``metres_per_radian``. ``unit_covariance`` (3, frequency): of in-phase and
-    quadrature for a noise variance of 1: mean of their variances, half the difference of these, their covariance.
+    ``state`` (pixel, state): in-phase and quadrature of each frequency, rad. ``covariance`` (pixel, 3, frequency) of
+    in-phase and quadrature, rad²: mean of their variances, half the difference of these, their covariance.
+    ``relative_variance`` (pixel,): of ``metres_per_radian``.
     """
     amplitude, amplitude_u, phase, phase_u = results
     for i in range(len(state)):
+        scale = metres_per_radian[i]
         for j in range(amplitude.shape[1]):
-            mean, half_difference, covariance = unit_covariance[0, j], unit_covariance[1, j], unit_covariance[2, j]
-            x, y = state[i, 2 * j] * metres_per_radian[i], state[i, 2 * j + 1] * metres_per_radian[i]
+            mean, half_difference, cross = covariance[i, 0, j], covariance[i, 1, j], covariance[i, 2, j]
+            x, y = state[i, 2 * j], state[i, 2 * j + 1]
             squared = x * x + y * y
             # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
-            anisotropy = (half_difference * (x * x - y * y) + 2 * covariance * x * y) / squared
-            amplitude[i, j], phase[i, j] = np.sqrt(squared), _angle(y, x)
-            amplitude_u[i, j] = np.sqrt(noise_m2[i] * (mean + anisotropy) + relative_variance[i] * squared)
-            unlimited_u = np.sqrt(noise_m2[i] * (mean - anisotropy) / squared)
-            phase_u[i, j] = UNKNOWN_PHASE_RAD if unlimited_u > UNKNOWN_PHASE_RAD else unlimited_u
+            anisotropy = (half_difference * (x * x - y * y) + 2 * cross * x * y) / squared
+            along, across = mean + anisotropy, mean - anisotropy
+            no_motion = _no_motion_probability(squared / max(along, TINY))
+            rectified = RECTIFIED * max(no_motion - AT_DETECTION, np.float32(0)) / (1 - AT_DETECTION) * across
+            variance = along + rectified + relative_variance[i] * squared
+            amplitude[i, j], phase[i, j] = np.sqrt(squared) * abs(scale), _angle(y * scale, x * scale)
+            amplitude_u[i, j] = np.sqrt(variance) * abs(scale)
+            angle_variance = min(across / max(squared, TINY), UNIFORM)
+            phase_u[i, j] = np.sqrt(no_motion * UNIFORM + (1 - no_motion) * angle_variance)

@@ -5,8 +5,9 @@
     D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + v t + constant                                 least squares
 
 With one sample per gate the steps add up to the phase of that sample, and the noise is white. With several samples
-the phase is measured again against the mean of all aligned echoes. The uncertainty of a pixel combines its residual
-with the uncertainties of f, which grows where speckle interferes destructively, and of the sound speed c.
+the phase is measured again against the mean of all aligned echoes. The uncertainty of a pixel combines noise and
+decorrelation (pixel_noise.py) with the uncertainties of f, which grows where speckle interferes destructively, and of
+the sound speed c.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from hpe_rig.processing.compilation import use_numba
 from hpe_rig.processing.echo.band import BAND
 from hpe_rig.processing.harmonics.model import LinearModel, linear_model
 from hpe_rig.processing.maps import kernels
+from hpe_rig.processing.maps.pixel_noise import NoiseModel, hidden_variance
 from hpe_rig.result import BadPixel, MotionMap
 
 RESULTS: Final = (
@@ -47,11 +49,11 @@ SERIAL_PRODUCTS: Final = 200_000
 """Products in one matrix multiplication; OpenBLAS starts its own threads from 262 144."""
 MIN_POWER: Final = 1e-41
 """Power of a pixel, in units of the samples squared, that single precision (steps of 1e-45) resolves to 1e-4."""
-MAX_RESIDUAL_RAD: Final = 0.5
-"""Root-mean-square residual phase above which a pixel is noise, or moves more than its steps can follow.
+MAX_STEP_VARIANCE: Final = 0.5
+"""Mean square step of the residual, rad², above which a pixel is noise, or moves more than its steps can follow.
 
-Intervals of 2 u cover 92 to 96 % up to it in white noise of the echoes, 75 to 89 % above 0.8. If the echoes decorrelate
-within the train, those of the velocity cover 10 to 30 % at any residual: a higher limit would add pixels whose u fails.
+White noise of 0.5 rad: intervals of 2 u cover 92 to 96 % up to it, 75 to 89 % above 0.8 rad. Steps of a phase without
+echo have 3.3 rad².
 """
 ECHO_PULSE_STEP: Final = 12
 """One pulse in so many contributes to echo frequency and power, which are nearly equal in all pulses."""
@@ -95,9 +97,11 @@ def map_pixels(
     gates = count // settings.gate_samples
     _refuse(settings, gates, is_iq)
     decimation = 1 if is_iq else _decimation(settings)
+    model = linear_model(time_s, np.ones(pulses, bool), frequency_hz, background_order=1)
     pixels = _Pixels(
         settings=settings,
-        model=linear_model(time_s, np.ones(pulses, bool), frequency_hz, background_order=1),
+        model=model,
+        noise=NoiseModel.of(model),
         time_s=time_s,
         decimation=decimation,
         mixing_hz=settings.carrier_hz if settings.demodulation_hz is None else settings.demodulation_hz,
@@ -180,6 +184,7 @@ class _Pixels:
 
     settings: MapSettings
     model: LinearModel
+    noise: NoiseModel
     time_s: FloatArray
     decimation: int
     mixing_hz: float
@@ -201,8 +206,9 @@ class _Pixels:
         baseband = self._baseband(samples, gates * length)
         # Pulses become the last axis, contiguous in memory, since all later operations run along them.
         z = np.ascontiguousarray(baseband.transpose(0, 2, 1)).reshape(samples.shape[0], gates, length, -1)
-        phase, power = self._phases(z), _mean_power(z)
-        return self._fit(phase, power, np.float32(self.mixing_hz) + self._frequency_offset_hz(z, power), not_finite)
+        power = _mean_power(z)
+        phase, log_amplitude = self._phases(z)
+        return self._fit(phase, log_amplitude, power, self._mean_offset_hz(z, power), not_finite)
 
     def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingleArray:
         """Return ``count`` samples of the complex baseband (line, pulse, sample), mixed by the carrier and decimated.
@@ -236,16 +242,16 @@ class _Pixels:
             shifted[..., -below:] = transmitted[..., :below]
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
-    def _phases(self, z: ComplexSingleArray) -> SingleArray:
-        """Return the unwrapped phase of every pulse relative to the first, rad (line, gate, pulse).
+    def _phases(self, z: ComplexSingleArray) -> tuple[SingleArray, SingleArray]:
+        """Return the unwrapped phase of every pulse relative to the first, rad, and the logarithm of its amplitude.
 
-        ``z`` (line, gate, sample, pulse): complex baseband of the echoes. The phase steps between consecutive echoes
-        align all echoes. The phase of each aligned echo against the sum of the others is then added, which has less
-        noise.
+        Both (line, gate, pulse). ``z`` (line, gate, sample, pulse): complex baseband of the echoes. The phase steps
+        between consecutive echoes align all echoes. The phase of each aligned echo against the sum of the others is
+        then added, which has less noise.
         """
         if z.shape[2] == 1:
             phase: SingleArray = self.kernels.unwrapped(z[:, :, 0])
-            return phase
+            return phase, self.kernels.log_amplitude(z[:, :, 0])
         # Phase of each step, from the products of consecutive echoes summed over the gate.
         with_next = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
         for sample in range(z.shape[2]):
@@ -261,13 +267,14 @@ class _Pixels:
         with_others = (total.conj()[:, :, None] @ z)[:, :, 0] * phasor.conj()
         # The sum contains the pulse itself. Its noise would bias the phase to zero, so its energy is subtracted.
         with_others -= (z.real**2 + z.imag**2).sum(axis=2)
-        return np.asarray(accumulated + np.angle(with_others), np.float32)
+        return np.asarray(accumulated + np.angle(with_others), np.float32), self.kernels.log_amplitude(with_others)
 
-    def _frequency_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> SingleArray:
+    def _mean_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> ComplexSingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
-        Im sum conj(z) dz/dt / (2 pi sum |z|²) over the gate and one pulse in ``ECHO_PULSE_STEP``, with the derivative
-        taken along the whole line. ``power`` (line, gate): mean power of those pulses.
+        sum conj(z) dz/dt / (2 pi j sum |z|²) over the gate and one pulse in ``ECHO_PULSE_STEP``, with the derivative
+        taken along the whole line. The imaginary part is the change of the logarithm of the amplitude with depth, over
+        -2 pi. ``power`` (line, gate): mean power of those pulses.
         """
         from scipy.fft import fft, ifft
 
@@ -280,20 +287,24 @@ class _Pixels:
         derivative = ifft(spectrum, axis=-1, overwrite_x=True)
         shape = (lines, -1, gates, length)
         echo, derivative = echo.reshape(shape), derivative.reshape(shape)
-        pairs = ((echo.real, derivative.real), (echo.imag, derivative.imag))
         # Sums over pulses p and samples s of each gate g of line l.
-        moment = np.asarray(sum(np.einsum("lpgs,lpgs->lg", *pair) for pair in pairs))
+        moment = np.einsum("lpgs,lpgs->lg", echo.conj(), derivative)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
 
     def _fit(
-        self, phase: SingleArray, power: SingleArray, frequency_hz: SingleArray, not_finite: BoolArray | None
+        self,
+        phase: SingleArray,
+        log_amplitude: SingleArray,
+        power: SingleArray,
+        offset_hz: ComplexSingleArray,
+        not_finite: BoolArray | None,
     ) -> tuple[list[SingleArray], ByteArray]:
         """Return the results of every pixel, in the order of ``RESULTS``, and marks of bad pixels (line, gate).
 
         ``phase`` (line, gate, pulse), rad, is fitted by vibrations of known frequency, a constant and a slope, the mean
-        velocity. ``power`` and ``frequency_hz`` (line, gate): of the echo. ``not_finite`` (line, gate): gates with
-        samples that are not finite.
+        velocity. ``log_amplitude`` (line, gate, pulse) and ``power`` (line, gate): of the echo. ``offset_hz`` (line,
+        gate): complex mean frequency. ``not_finite`` (line, gate): gates with samples that are not finite.
         """
         pixel_shape = phase.shape[:-1]
         pulses, states = self.model.matrix.shape
@@ -301,65 +312,94 @@ class _Pixels:
         # with H'H = R'R, H the model's ``matrix`` (pulse, state).
         columns = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         solver = (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
-        data, power = phase.reshape(-1, pulses), power.reshape(-1)
+        data = phase.reshape(-1, pulses)
         # BLAS must not start threads here, since batches of lines run in parallel on every core.
         state = _serial_matmul(data, solver)
-        residual = self.kernels.squared_distance(_serial_matmul(state, columns), data)
-        variance = residual / np.float32(pulses - states)
+        energies = self.kernels.residual_energies(_serial_matmul(state, columns), data)
+        frequency_hz = (np.float32(self.mixing_hz) + offset_hz.real).reshape(-1)
+        noise = self.noise.variances(energies)
         with np.errstate(invalid="ignore", divide="ignore"):
-            metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
-            # Relative variance of that factor: of the echo frequency plus of the sound speed. The frequency follows
-            # from the phase step between samples, which has twice the variance of a phase and is averaged over one
-            # pulse in ``ECHO_PULSE_STEP``. The frequency is nearly the carrier.
-            phase_per_sample = 2 * np.pi * self.settings.carrier_hz / self.settings.sample_rate_hz * self.decimation
-            frequency_noise = np.float32(2 * ECHO_PULSE_STEP / self.time_s.size / phase_per_sample**2)
-            relative_variance = variance * frequency_noise + np.float32(self.settings.sound_speed_uncertainty**2)
-        noise_m2 = variance * metres_per_radian**2
-        fitted = [*self._estimates(state, noise_m2, metres_per_radian, relative_variance), np.sqrt(noise_m2)]
+            metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz
+            # Motion changes the amplitude as well, by its slope over depth; decorrelation causes the remaining change.
+            amplitude_state = _serial_matmul(log_amplitude.reshape(-1, pulses), solver).T.copy()
+            amplitude_state += state.T * (offset_hz.imag.reshape(-1) / frequency_hz)
         # Negated comparisons are also true for NaN. ``metres_per_radian`` is negative for every positive frequency.
         bad = np.zeros(len(data), np.uint8)
-        bad[~(variance < MAX_RESIDUAL_RAD**2) | ~(metres_per_radian < 0)] = BadPixel.NOISE
-        bad[~(power >= MIN_POWER)] = BadPixel.NO_ECHO
+        bad[~(energies[:, 1] < MAX_STEP_VARIANCE * (pulses - 1)) | ~(metres_per_radian < 0)] = BadPixel.NOISE
+        bad[~(power.reshape(-1) >= MIN_POWER)] = BadPixel.NO_ECHO
         if not_finite is not None:
             bad[not_finite.reshape(-1)] = BadPixel.NOT_FINITE
+        amplitude_state = amplitude_state.reshape(states, *pixel_shape)
+        has_echo = (bad == 0).reshape(pixel_shape)
+        covariance, slope_variance = self._state_covariance(noise, amplitude_state, power, has_echo)
+        fitted = [
+            *self._estimates(state, covariance, slope_variance, metres_per_radian, self._relative_variance(noise)),
+            np.sqrt(energies[:, 0] / np.float32(pulses - states)) * np.abs(metres_per_radian),
+        ]
         # Bad pixels have a power, but no fitted results.
         if bad.any():
             for values in fitted:
                 values[bad > 0] = np.nan
-        results = [*fitted, power]
+        results = [*fitted, power.reshape(-1)]
         return [values.reshape(*pixel_shape, *values.shape[1:]) for values in results], bad.reshape(pixel_shape)
 
+    def _relative_variance(self, noise: FloatArray) -> SingleArray:
+        """Return the relative variance of the metres per radian (pixel,): of echo frequency and sound speed.
+
+        The frequency follows from the phase step between samples, which has twice the variance of a phase, ``noise``
+        (pixel, 3), and is averaged over one pulse in ``ECHO_PULSE_STEP``. The frequency is nearly the carrier.
+        """
+        phase_per_sample = 2 * np.pi * self.settings.carrier_hz / self.settings.sample_rate_hz * self.decimation
+        of_frequency = noise[:, 0] * (2 * ECHO_PULSE_STEP / self.time_s.size / phase_per_sample**2)
+        return np.asarray(of_frequency + self.settings.sound_speed_uncertainty**2, np.float32)
+
+    def _state_covariance(
+        self, noise: FloatArray, amplitude_state: SingleArray, power: SingleArray, has_echo: BoolArray
+    ) -> tuple[SingleArray, SingleArray]:
+        """Return the covariance of each frequency's states (pixel, 3, frequency) and the slope's variance (pixel,).
+
+        In rad². The covariance is the mean of both variances, half their difference, and their covariance. ``noise``
+        (pixel, 3): variances of `NoiseModel`. ``amplitude_state`` (state, line, gate); ``power``, ``has_echo`` (line,
+        gate).
+        """
+        unit = self.noise.state_covariance
+        # The states are in-phase and quadrature of each frequency, then constant and slope.
+        slope = unit.shape[-1] - 1
+        in_phase = np.arange(0, slope - 1, 2)
+        quadrature = in_phase + 1
+        sin_variance, cos_variance = unit[:, in_phase, in_phase], unit[:, quadrature, quadrature]
+        # Mean and half difference give the variances along and across a phasor of any phase.
+        mean, half_difference = (sin_variance + cos_variance) / 2, (sin_variance - cos_variance) / 2
+        kinds = np.stack([mean, half_difference, unit[:, in_phase, quadrature]], axis=1).reshape(3, -1)
+        pixel_noise = noise.astype(np.float32)
+        covariance = (pixel_noise @ kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
+        slope_variance = pixel_noise @ unit[:, slope, slope].astype(np.float32)
+        visible = np.concatenate([covariance[:, 0].T, slope_variance[None]]).reshape(-1, *power.shape)
+        hidden = hidden_variance(amplitude_state, visible, power, has_echo).reshape(len(visible), -1)
+        covariance[:, 0] += hidden[:-1].T
+        return covariance, slope_variance + hidden[-1]
+
     def _estimates(
-        self, state: SingleArray, noise_m2: SingleArray, metres_per_radian: SingleArray, relative_variance: SingleArray
+        self,
+        state: SingleArray,
+        covariance: SingleArray,
+        slope_variance: SingleArray,
+        metres_per_radian: SingleArray,
+        relative_variance: SingleArray,
     ) -> list[SingleArray]:
         """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each followed by its standard uncertainty.
 
-        ``state`` (pixel, state): fitted states of the phase, rad. ``metres_per_radian`` (pixel,) converts them; it has
-        the ``relative_variance`` (pixel,). ``noise_m2`` (pixel,): displacement variance of one pulse.
+        ``state`` (pixel, state): fitted states of the phase, rad, with the ``covariance`` (pixel, 3, frequency) and
+        ``slope_variance`` (pixel,). ``metres_per_radian`` (pixel,) converts them; it has the ``relative_variance``.
         """
-        # Covariance of the states for a noise variance of 1, to be multiplied by ``noise_m2``.
-        covariance = (self.model.root @ self.model.root.T).astype(np.float32)
-        # The states are in-phase and quadrature of each frequency, then constant and slope.
-        slope = covariance.shape[0] - 1
-        in_phase = np.arange(0, slope - 1, 2)
-        quadrature = in_phase + 1
-        in_phase_variance, quadrature_variance = covariance[in_phase, in_phase], covariance[quadrature, quadrature]
-        # Mean and half difference give the variances along and across a phasor of any phase.
-        mean = (in_phase_variance + quadrature_variance) / 2
-        half_difference = (in_phase_variance - quadrature_variance) / 2
-        unit_covariance = np.stack([mean, half_difference, covariance[in_phase, quadrature]])
         # Amplitude, its uncertainty, phase, its uncertainty.
-        results = tuple(np.empty((len(state), in_phase.size), np.float32) for _ in range(4))
-        self.kernels.write_amplitude_and_phase(
-            state, noise_m2, metres_per_radian, relative_variance, unit_covariance, results
-        )
+        results = tuple(np.empty((len(state), covariance.shape[-1]), np.float32) for _ in range(4))
+        self.kernels.write_amplitude_and_phase(state, covariance, metres_per_radian, relative_variance, results)
         # The column of the slope runs from -1 to 1 over the train.
-        per_second = np.float32(2 / (self.time_s[-1] - self.time_s[0]))
-        velocity = state[:, slope] * metres_per_radian * per_second
-        slope_variance = covariance[slope, slope] * per_second**2
+        scale = metres_per_radian * np.float32(2 / (self.time_s[-1] - self.time_s[0]))
+        velocity = state[:, -1] * scale
         # Errors of the fit and of the conversion factor, which are independent.
-        velocity_u = np.sqrt(noise_m2 * slope_variance + relative_variance * velocity**2)
-        return [*results, velocity, velocity_u]
+        return [*results, velocity, np.sqrt(slope_variance * scale**2 + relative_variance * velocity**2)]
 
 
 def _mean_power(z: ComplexSingleArray) -> SingleArray:

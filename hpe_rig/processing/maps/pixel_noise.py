@@ -1,0 +1,127 @@
+"""Noise of a pixel's phase over the pulses, and what it does to the fitted states.
+
+    phase_k = fit + w_k + b_k,      b_k+1 = b_k + a_k (+ c_0 + ... + c_k)
+
+w_k is white: noise of the receiver. The random walk b_k is decorrelation: each echo differs a little from the one
+before, and the phase steps add up. Its steps are independent (a_k) or change slowly (c_k), as where scatterers cross
+the beam. The three variances follow from the energies of the residual and of its steps.
+
+A slow decorrelation hides in the fit, since it looks like a velocity. It changes the amplitude of the echoes by as
+much as their phase, because in-phase and quadrature of the change have equal variances. The amplitude does not move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hpe_rig.arrays import BoolArray, FloatArray, SingleArray
+from hpe_rig.processing.harmonics.model import LinearModel
+
+BLOCK: Final = 32
+"""Gates over which the amplitude changes are compared: enough for a median with an error of a quarter."""
+EXCESS: Final = 1.5
+"""Variance of the amplitude's states over that of the residual's noise from which the amplitude shows more noise."""
+FEW_DEGREES_OF_FREEDOM: Final = 1.25
+"""Variance factor of Student's t with ten degrees of freedom, about those of a walk in a short train and of a block."""
+MEDIAN_OF_SQUARE: Final = 0.4549
+"""Median of the square of a standard normal variable."""
+MEDIAN_OF_MEAN_SQUARE: Final = 0.6931
+"""Median of the mean square of two of them, ln 2."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """Effect of white noise, a random walk and a smooth random walk, each of unit variance, on a pixel's fit.
+
+    ``state_covariance`` (3, state, state): of the fitted states. ``energies`` (3, 2): mean energy of the residual, and
+    of its steps from pulse to pulse.
+    """
+
+    state_covariance: FloatArray
+    energies: FloatArray
+
+    @classmethod
+    def of(cls, model: LinearModel) -> NoiseModel:
+        """Return the noise model of a least-squares fit."""
+        # Orthonormal columns Q of the fit, whose residual is (1 - QQ') phase. Noise is C e with e white: C is the
+        # identity, the cumulative sum, and the cumulative sum of that; A = C'Q and CA are (pulse, state).
+        basis = model.matrix @ model.root
+        n = len(basis)
+        numbers = np.arange(1.0, n + 1)
+        # Squared norms of C and of its differences between rows.
+        norms = (
+            (n, 2 * (n - 1)),
+            (n * (n + 1) / 2, n - 1),
+            (float(numbers**2 @ numbers[::-1]), n * (n + 1) / 2 - 1),
+        )
+        step = np.diff(basis, axis=0)
+        covariances, energies = [], []
+        for order, (norm, step_norm) in enumerate(norms):
+            projected = basis
+            for _ in range(order):
+                projected = np.cumsum(projected[::-1], axis=0)[::-1]
+            noise = projected
+            for _ in range(order):
+                noise = np.cumsum(noise, axis=0)
+            inner = projected.T @ projected
+            of_steps = step_norm - 2 * np.sum(np.diff(noise, axis=0) * step) + np.sum((step.T @ step) * inner)
+            energies.append((norm - np.trace(inner), of_steps))
+            covariances.append(model.root @ inner @ model.root.T)
+        return cls(np.array(covariances), np.array(energies))
+
+    def variances(self, energies: SingleArray) -> FloatArray:
+        """Return the variances (pixel, 3) of white noise, walk and smooth walk from ``energies`` (pixel, 2), rad².
+
+        White noise and walk explain steps that are large for the residual, walk and smooth walk those that are small.
+        """
+        measured = energies.astype(np.float64)
+        rough = np.maximum(measured @ np.linalg.inv(self.energies[:2]), 0.0)
+        smooth = np.maximum(measured @ np.linalg.inv(self.energies[1:]), 0.0)
+        white, walk, smooth_walk = self.energies[:, 0]
+        residual = measured[:, 0]
+        # The ratio of steps to residual increases from smooth walk over walk to white noise.
+        is_rough = measured[:, 1] * walk > residual * self.energies[1, 1]
+        result = np.zeros((len(measured), 3))
+        result[:, 0] = np.where(is_rough, np.where(rough[:, 1] > 0, rough[:, 0], residual / white), 0.0)
+        result[:, 1] = np.where(is_rough, rough[:, 1], smooth[:, 0])
+        result[:, 2] = np.where(is_rough, 0.0, np.where(smooth[:, 0] > 0, smooth[:, 1], residual / smooth_walk))
+        result[:, 1:] *= FEW_DEGREES_OF_FREEDOM
+        return result
+
+
+def hidden_variance(
+    amplitude_state: SingleArray, visible: SingleArray, power: SingleArray, has_echo: BoolArray
+) -> SingleArray:
+    """Return the variance of the states that the residual does not show (frequency + 1, line, gate), rad².
+
+    ``amplitude_state`` (state, line, gate): fit of the logarithm of the echo amplitude without the part that motion
+    causes. ``visible`` (frequency + 1, line, gate): variance of each quadrature and of the slope by the residual.
+    ``power`` and ``has_echo`` (line, gate). Neighbouring echoes change by similar absolute amounts: weak ones change by
+    more.
+    """
+    slope = len(amplitude_state) - 1
+    # States are in-phase and quadrature of each frequency, constant and slope.
+    square = np.empty(visible.shape, np.float32)
+    np.square(amplitude_state[: slope - 1 : 2], out=square[:-1])
+    square[:-1] += np.square(amplitude_state[1 : slope - 1 : 2])
+    square[:-1] /= 2 * MEDIAN_OF_MEAN_SQUARE
+    square[-1] = np.square(amplitude_state[slope]) / MEDIAN_OF_SQUARE
+    square *= power
+    with np.errstate(invalid="ignore", divide="ignore"):
+        pooled = _block_median(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
+        return np.where(pooled > EXCESS * visible, pooled - visible, np.float32(0))
+
+
+def _block_median(values: SingleArray, valid: BoolArray) -> SingleArray:
+    """Return the median over blocks of ``BLOCK`` gates of ``values`` (..., line, gate), of the ``valid`` pixels."""
+    result = np.where(valid, values, np.float32(np.inf))
+    gates = values.shape[-1]
+    for gate in np.array_split(np.arange(gates), max(1, gates // BLOCK)):
+        block = slice(gate[0], gate[-1] + 1)
+        ordered = np.sort(result[..., block], axis=-1)
+        middle = np.maximum(valid[:, block].sum(axis=-1) - 1, 0) // 2
+        result[..., block] = ordered[..., np.arange(len(middle)), middle][..., None]
+    return result
