@@ -11,6 +11,7 @@
     forecast.py         forecast of every estimator; settings that reach a target
     detection.py        smallest amplitude that exceeds the noise
     bounds.py           Cramer-Rao bound from a scene's own echoes
+    time_base.py        phase uncertainty from the clocks
     output_text.py      acoustic output, dose and calibration as text
     text.py             forecasts as text
 

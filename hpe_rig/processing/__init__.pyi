@@ -73,4 +73,4 @@ from .stated_motion import (
     estimate_stated_motion as estimate_stated_motion,
     map_stated_motion as map_stated_motion,
 )
-from .time_base import shot_fit as shot_fit
+from .time_base import prior_rate_error as prior_rate_error, shot_fit as shot_fit

@@ -130,6 +130,7 @@ def _predictions(setup: Setup, target_m: float | None) -> Iterator[str]:
     yield from prediction.extrapolation_text(scene, bench)
     yield from prediction.averaging_text(scene)
     yield from prediction.prediction_text(scene, shot, target_m, bench.simulated)
+    yield from prediction.time_base_text(scene, bench, shot)
     if len(scene.places) > 1:
         from hpe_rig.moduli import moduli_text
 

@@ -265,9 +265,10 @@ class _Pixels:
         total = (z @ phasor.conj()[..., None])[..., 0]
         # Inner product over the gate of that sum with each aligned echo, (line, gate, pulse).
         with_others = (total.conj()[:, :, None] @ z)[:, :, 0] * phasor.conj()
+        log_amplitude = self.kernels.log_amplitude(with_others)
         # The sum contains the pulse itself. Its noise would bias the phase to zero, so its energy is subtracted.
         with_others -= (z.real**2 + z.imag**2).sum(axis=2)
-        return np.asarray(accumulated + np.angle(with_others), np.float32), self.kernels.log_amplitude(with_others)
+        return np.asarray(accumulated + np.angle(with_others), np.float32), log_amplitude
 
     def _mean_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> ComplexSingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
@@ -289,7 +290,7 @@ class _Pixels:
         echo, derivative = echo.reshape(shape), derivative.reshape(shape)
         # Sums over pulses p and samples s of each gate g of line l.
         moment = np.einsum("lpgs,lpgs->lg", echo.conj(), derivative)
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
 
     def _fit(
@@ -317,20 +318,19 @@ class _Pixels:
         state = _serial_matmul(data, solver)
         energies = self.kernels.residual_energies(_serial_matmul(state, columns), data)
         frequency_hz = (np.float32(self.mixing_hz) + offset_hz.real).reshape(-1)
-        noise = self.noise.variances(energies)
         with np.errstate(invalid="ignore", divide="ignore"):
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz
             # Motion changes the amplitude as well, by its slope over depth; decorrelation causes the remaining change.
-            amplitude_state = _serial_matmul(log_amplitude.reshape(-1, pulses), solver).T.copy()
-            amplitude_state += state.T * (offset_hz.imag.reshape(-1) / frequency_hz)
+            amplitude_state = _serial_matmul(log_amplitude.reshape(-1, pulses), solver)
+            amplitude_state += state * (offset_hz.imag.reshape(-1) / frequency_hz)[:, None]
         # Negated comparisons are also true for NaN. ``metres_per_radian`` is negative for every positive frequency.
         bad = np.zeros(len(data), np.uint8)
         bad[~(energies[:, 1] < MAX_STEP_VARIANCE * (pulses - 1)) | ~(metres_per_radian < 0)] = BadPixel.NOISE
         bad[~(power.reshape(-1) >= MIN_POWER)] = BadPixel.NO_ECHO
         if not_finite is not None:
             bad[not_finite.reshape(-1)] = BadPixel.NOT_FINITE
-        amplitude_state = amplitude_state.reshape(states, *pixel_shape)
         has_echo = (bad == 0).reshape(pixel_shape)
+        noise = self.noise.variances(energies, has_echo)
         covariance, slope_variance = self._state_covariance(noise, amplitude_state, power, has_echo)
         fitted = [
             *self._estimates(state, covariance, slope_variance, metres_per_radian, self._relative_variance(noise)),
@@ -359,8 +359,7 @@ class _Pixels:
         """Return the covariance of each frequency's states (pixel, 3, frequency) and the slope's variance (pixel,).
 
         In rad². The covariance is the mean of both variances, half their difference, and their covariance. ``noise``
-        (pixel, 3): variances of `NoiseModel`. ``amplitude_state`` (state, line, gate); ``power``, ``has_echo`` (line,
-        gate).
+        (pixel, 3): variances of `NoiseModel`. ``amplitude_state`` (pixel, state); ``power``, ``has_echo`` (line, gate).
         """
         unit = self.noise.state_covariance
         # The states are in-phase and quadrature of each frequency, then constant and slope.
@@ -372,7 +371,7 @@ class _Pixels:
         mean, half_difference = (sin_variance + cos_variance) / 2, (sin_variance - cos_variance) / 2
         kinds = np.stack([mean, half_difference, unit[:, in_phase, quadrature]], axis=1).reshape(3, -1)
         pixel_noise = noise.astype(np.float32)
-        covariance = (pixel_noise @ kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
+        covariance = _serial_matmul(pixel_noise, kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
         slope_variance = pixel_noise @ unit[:, slope, slope].astype(np.float32)
         visible = np.concatenate([covariance[:, 0].T, slope_variance[None]]).reshape(-1, *power.shape)
         hidden = hidden_variance(amplitude_state, visible, power, has_echo).reshape(len(visible), -1)

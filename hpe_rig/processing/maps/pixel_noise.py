@@ -24,6 +24,8 @@ BLOCK: Final = 32
 """Gates over which the amplitude changes are compared: enough for a median with an error of a quarter."""
 EXCESS: Final = 1.5
 """Variance of the amplitude's states over that of the residual's noise from which the amplitude shows more noise."""
+NO_WALK: Final = 0.3
+"""Fraction of a block's pixels without a walk up to which it has one; half of them, by chance, in white noise."""
 FEW_DEGREES_OF_FREEDOM: Final = 1.25
 """Variance factor of Student's t with ten degrees of freedom, about those of a walk in a short train and of a block."""
 MEDIAN_OF_SQUARE: Final = 0.4549
@@ -72,22 +74,25 @@ class NoiseModel:
             covariances.append(model.root @ inner @ model.root.T)
         return cls(np.array(covariances), np.array(energies))
 
-    def variances(self, energies: SingleArray) -> FloatArray:
+    def variances(self, energies: SingleArray, has_echo: BoolArray) -> FloatArray:
         """Return the variances (pixel, 3) of white noise, walk and smooth walk from ``energies`` (pixel, 2), rad².
 
         White noise and walk explain steps that are large for the residual, walk and smooth walk those that are small.
+        Steps alone are white noise in a block of gates where not most echoes show a walk. ``has_echo`` (line, gate).
         """
         measured = energies.astype(np.float64)
-        rough = np.maximum(measured @ np.linalg.inv(self.energies[:2]), 0.0)
+        rough = measured @ np.linalg.inv(self.energies[:2])
         smooth = np.maximum(measured @ np.linalg.inv(self.energies[1:]), 0.0)
-        white, walk, smooth_walk = self.energies[:, 0]
+        walks = np.asarray(rough[:, 1].reshape(has_echo.shape), np.float32)
+        rough[_block_quantile(walks, has_echo, NO_WALK).reshape(-1) <= 0, 1] = 0.0
+        white, _, smooth_walk = self.energies[:, 0]
         residual = measured[:, 0]
-        # The ratio of steps to residual increases from smooth walk over walk to white noise.
-        is_rough = measured[:, 1] * walk > residual * self.energies[1, 1]
+        # The walk alone explains more than the steps: its steps are correlated.
+        is_smooth = (rough[:, 1] > 0) & (rough[:, 0] < 0)
         result = np.zeros((len(measured), 3))
-        result[:, 0] = np.where(is_rough, np.where(rough[:, 1] > 0, rough[:, 0], residual / white), 0.0)
-        result[:, 1] = np.where(is_rough, rough[:, 1], smooth[:, 0])
-        result[:, 2] = np.where(is_rough, 0.0, np.where(smooth[:, 0] > 0, smooth[:, 1], residual / smooth_walk))
+        result[:, 0] = np.where(rough[:, 1] > 0, np.maximum(rough[:, 0], 0.0), residual / white)
+        result[:, 1] = np.where(is_smooth, smooth[:, 0], np.maximum(rough[:, 1], 0.0))
+        result[:, 2] = np.where(is_smooth, np.where(smooth[:, 0] > 0, smooth[:, 1], residual / smooth_walk), 0.0)
         result[:, 1:] *= FEW_DEGREES_OF_FREEDOM
         return result
 
@@ -97,31 +102,31 @@ def hidden_variance(
 ) -> SingleArray:
     """Return the variance of the states that the residual does not show (frequency + 1, line, gate), rad².
 
-    ``amplitude_state`` (state, line, gate): fit of the logarithm of the echo amplitude without the part that motion
-    causes. ``visible`` (frequency + 1, line, gate): variance of each quadrature and of the slope by the residual.
-    ``power`` and ``has_echo`` (line, gate). Neighbouring echoes change by similar absolute amounts: weak ones change by
-    more.
+    ``amplitude_state`` (pixel, state): fit of the logarithm of the echo amplitude without the part that motion causes.
+    ``visible`` (frequency + 1, line, gate): variance of each quadrature and of the slope by the residual. ``power`` and
+    ``has_echo`` (line, gate). Neighbouring echoes change by similar absolute amounts: weak ones change by more.
     """
-    slope = len(amplitude_state) - 1
     # States are in-phase and quadrature of each frequency, constant and slope.
-    square = np.empty(visible.shape, np.float32)
-    np.square(amplitude_state[: slope - 1 : 2], out=square[:-1])
-    square[:-1] += np.square(amplitude_state[1 : slope - 1 : 2])
-    square[:-1] /= 2 * MEDIAN_OF_MEAN_SQUARE
-    square[-1] = np.square(amplitude_state[slope]) / MEDIAN_OF_SQUARE
+    state_square = np.square(amplitude_state)
+    slope = state_square.shape[1] - 1
+    pairs = state_square[:, : slope - 1].reshape(len(state_square), -1, 2)
+    square = np.empty((len(visible), len(state_square)), np.float32)
+    square[:-1] = ((pairs[..., 0] + pairs[..., 1]) * np.float32(0.5 / MEDIAN_OF_MEAN_SQUARE)).T
+    square[-1] = state_square[:, slope] / np.float32(MEDIAN_OF_SQUARE)
+    square = square.reshape(visible.shape)
     square *= power
     with np.errstate(invalid="ignore", divide="ignore"):
-        pooled = _block_median(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
+        pooled = _block_quantile(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
         return np.where(pooled > EXCESS * visible, pooled - visible, np.float32(0))
 
 
-def _block_median(values: SingleArray, valid: BoolArray) -> SingleArray:
-    """Return the median over blocks of ``BLOCK`` gates of ``values`` (..., line, gate), of the ``valid`` pixels."""
+def _block_quantile(values: SingleArray, valid: BoolArray, quantile: float = 0.5) -> SingleArray:
+    """Return the quantile over blocks of ``BLOCK`` gates of ``values`` (..., line, gate), of the ``valid`` pixels."""
     result = np.where(valid, values, np.float32(np.inf))
     gates = values.shape[-1]
     for gate in np.array_split(np.arange(gates), max(1, gates // BLOCK)):
         block = slice(gate[0], gate[-1] + 1)
         ordered = np.sort(result[..., block], axis=-1)
-        middle = np.maximum(valid[:, block].sum(axis=-1) - 1, 0) // 2
-        result[..., block] = ordered[..., np.arange(len(middle)), middle][..., None]
+        rank = (quantile * np.maximum(valid[:, block].sum(axis=-1) - 1, 0)).astype(np.int64)
+        result[..., block] = ordered[..., np.arange(len(rank)), rank][..., None]
     return result

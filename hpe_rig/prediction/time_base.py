@@ -1,0 +1,57 @@
+"""Phase uncertainty from the clocks: what the fit of the rate error will leave of their accuracy.
+
+    phase = phi + 2 pi f e t,   I = sum over f of (2 pi f A)² sum (t - mean t)² / (2 s²),   u(e)² = 1 / (1 / a² + I)
+
+e is the rate error of the motion by the clock of the pulses, a the accuracy of the clocks, A the amplitude, s the noise
+of a pulse. u(e) changes the phase at time zero by 2 pi f mean(t) u(e). The trigger times, which measure the rate of the
+pulses, are left out: they reduce a if the digitizer's clock is more accurate than that of the pulses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from hpe_rig.arrays import FloatArray
+from hpe_rig.bench import BenchFile, clock_covariance
+from hpe_rig.plan import Shot, select
+from hpe_rig.prediction.conditions import expected_amplitude_m
+from hpe_rig.prediction.linear_fit import echo_noise_m, trigger_noise_m
+from hpe_rig.processing import prior_rate_error, spec_of
+from hpe_rig.scene import Scene
+
+
+def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[float, float, FloatArray]:
+    """Return accuracy of the clocks and u of the rate error after the fit, both relative, and u of the phases, rad.
+
+    Phases: (frequency,), of the wanted frequencies, from the rate error alone.
+    """
+    accuracy = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
+    pulses = select(scene, shot)
+    time_s, wanted_hz = pulses.time_s[pulses.used], pulses.wanted_hz
+    # The rate error is estimated with the coherent displacement, whichever estimator a scene chooses.
+    noise_m = math.hypot(echo_noise_m(scene, spec_of("coherent")), trigger_noise_m(scene, bench.simulated))
+    uncertainty = accuracy
+    if accuracy and noise_m and time_s.size:
+        amplitude_m = np.array([expected_amplitude_m(scene, float(hz), shot) for hz in wanted_hz])
+        slope_m_per_s = 2 * np.pi * wanted_hz * amplitude_m
+        information = float(slope_m_per_s @ slope_m_per_s) * time_s.size * float(np.var(time_s)) / (2 * noise_m**2)
+        uncertainty = 1 / math.sqrt(1 / accuracy**2 + information)
+    mean_s = float(time_s.mean()) if time_s.size else 0.0
+    return accuracy, uncertainty, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * uncertainty)
+
+
+def time_base_text(scene: Scene, bench: BenchFile, shot: Shot) -> Iterator[str]:
+    """Yield the line of the predicted u that the clocks add; nothing for one clock and with a linear drift."""
+    accuracy, uncertainty, phase_u = time_base_uncertainty(scene, bench, shot)
+    if not accuracy or not phase_u.size or scene.processing.drift == "linear":
+        return
+    wanted_hz, phase_deg = select(scene, shot).wanted_hz, np.degrees(phase_u)
+    ends = dict.fromkeys((0, len(wanted_hz) - 1))
+    phases = ", ".join(f"{phase_deg[index]:.2g} deg at {wanted_hz[index]:g} Hz" for index in ends)
+    yield (
+        f"time base: clocks of {accuracy * 1e6:.2g} ppm, {uncertainty * 1e6:.2g} ppm after the fit, add u of the phase "
+        f"of {phases}"
+    )
