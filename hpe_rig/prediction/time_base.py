@@ -1,4 +1,4 @@
-"""Phase uncertainty from the clocks: what the fit of the rate error will leave of their accuracy.
+"""Phase uncertainty from the clocks, after the fit has narrowed their rate error.
 
     phase = phi + 2 pi f e t,   I = sum over f of (2 pi f A)² sum (t - mean t)² / (2 s²),   u(e)² = 1 / (1 / a² + I)
 

@@ -99,8 +99,8 @@ def disk(path: Path) -> str:
             delay_s = (depth_m + np.hypot(depth_m, offset_m)) / values["c"]
             position = (delay_s - values["t0"]) * values["fs"]
             first = np.clip(position.astype(int), 0, len(echoes) - 2)
-            part = (position - first)[:, None]
-            echo = baseband[first, element] * (1 - part) + baseband[first + 1, element] * part
+            fraction = (position - first)[:, None]
+            echo = baseband[first, element] * (1 - fraction) + baseband[first + 1, element] * fraction
             weight = (np.abs(offset_m) < depth_m / 2.4) * np.exp(2j * np.pi * values["fc"] * delay_s)
             image[index] += (echo * weight[:, None]).T
     rate_hz = values["c"] / 2 / 0.5e-3

@@ -36,8 +36,7 @@ DEVIATION = 0.5
 """Standard deviation of the growth and delay of one harmonic from those of all, relative to the two above."""
 RELATIVE_U = 0.1
 """Standard uncertainty of the change relative to itself. Heat that leaves the focus bends the line, which moves the
-value at the first pulse by T / 3 t of half the change (T: length of the train; t = 0.8 s for a focus of 0.34 mm). The
-twin's media, with widths of the force that differ from the declared ones, change the estimate by up to 8 %."""
+value at the first pulse by T / 3 t of half the change (T: length of the train; t = 0.8 s for a focus of 0.34 mm)."""
 MAX_ITERATIONS = 30
 """Largest number of Gauss-Newton steps of an estimate."""
 CONVERGED_U = 0.2

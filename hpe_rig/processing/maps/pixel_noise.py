@@ -1,4 +1,4 @@
-"""Noise of a pixel's phase over the pulses, and what it does to the fitted states.
+"""Noise of a pixel's phase over the pulses, and its effect on the fitted states.
 
     phase_k = fit + w_k + b_k,      b_k+1 = b_k + a_k (+ c_0 + ... + c_k)
 
@@ -23,7 +23,7 @@ from hpe_rig.processing.harmonics.model import LinearModel
 BLOCK: Final = 32
 """Gates over which the amplitude changes are compared: enough for a median with an error of a quarter."""
 EXCESS: Final = 1.5
-"""Variance of the amplitude's states over that of the residual's noise from which the amplitude shows more noise."""
+"""Ratio of the amplitude's variance to that of the residual above which the difference is added to u."""
 NO_WALK: Final = 0.3
 """Fraction of a block's pixels without a walk up to which it has one; half of them, by chance, in white noise."""
 FEW_DEGREES_OF_FREEDOM: Final = 1.25
@@ -115,9 +115,9 @@ def hidden_variance(
     square[-1] = state_square[:, slope] / np.float32(MEDIAN_OF_SQUARE)
     square = square.reshape(visible.shape)
     square *= power
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         pooled = _block_quantile(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
-        return np.where(pooled > EXCESS * visible, pooled - visible, np.float32(0))
+        return np.where(has_echo & (pooled > EXCESS * visible), pooled - visible, np.float32(0))
 
 
 def _block_quantile(values: SingleArray, valid: BoolArray, quantile: float = 0.5) -> SingleArray:
