@@ -81,7 +81,8 @@ def write_amplitude_and_phase(
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
         anisotropy = (half_difference * (in_phase**2 - quadrature**2) + 2 * cross * in_phase * quadrature) / squared
-        along, across = mean + anisotropy, mean - anisotropy
-        variance = along + rectified_variance_m2(amplitude, along, across) + relative_variance[:, None] * squared
+        along, across = (np.asarray(mean + sign * anisotropy, np.float64) for sign in (1, -1))
+        amplitude_m = amplitude.astype(np.float64)
+        variance = along + rectified_variance_m2(amplitude_m, along, across) + relative_variance[:, None] * squared
         np.sqrt(variance, out=amplitude_u)
-        np.sqrt(phase_variance_rad2(amplitude, across, along), out=phase_u)
+        np.sqrt(phase_variance_rad2(amplitude_m, across, along), out=phase_u)

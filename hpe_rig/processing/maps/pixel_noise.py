@@ -110,10 +110,10 @@ def hidden_variance(
     state_square = np.square(amplitude_state)
     slope = state_square.shape[1] - 1
     pairs = state_square[:, : slope - 1].reshape(len(state_square), -1, 2)
-    square = np.empty((len(visible), len(state_square)), np.float32)
-    square[:-1] = ((pairs[..., 0] + pairs[..., 1]) * np.float32(0.5 / MEDIAN_OF_MEAN_SQUARE)).T
-    square[-1] = state_square[:, slope] / np.float32(MEDIAN_OF_SQUARE)
-    square = square.reshape(visible.shape)
+    per_pixel = np.empty((len(visible), len(state_square)), np.float32)
+    per_pixel[:-1] = ((pairs[..., 0] + pairs[..., 1]) * np.float32(0.5 / MEDIAN_OF_MEAN_SQUARE)).T
+    per_pixel[-1] = state_square[:, slope] / np.float32(MEDIAN_OF_SQUARE)
+    square: SingleArray = per_pixel.reshape(visible.shape)
     square *= power
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         pooled = _block_quantile(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
