@@ -67,8 +67,20 @@ class Verification:
     damage: tuple[Damage, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON values; shots and records count from 0."""
-        return asdict(self) | {"path": str(self.path), "sound": self.checksums and not self.damage}
+        """Return the fields as JSON values; shots and records count from 1."""
+        damage = [
+            asdict(item)
+            | {
+                "shot": None if item.shot is None else item.shot + 1,
+                "records": [(first + 1, last + 1) for first, last in item.records],
+            }
+            for item in self.damage
+        ]
+        return asdict(self) | {
+            "path": str(self.path),
+            "sound": self.checksums and not self.damage,
+            "damage": damage,
+        }
 
 
 def verification_schema() -> dict[str, Any]:

@@ -87,7 +87,7 @@ def test_one_bit_of_an_echo_costs_its_chunk_and_is_listed_by_shot_and_record(pat
     assert "DAMAGED: shot 2: record 124 to 246 fail their checksums" in done.output
     done = CliRunner().invoke(app, ["verify", str(path), "--json"])
     jsonschema.Draft202012Validator(json_schema("verify")).validate(json.loads(done.stdout))
-    assert json.loads(done.stdout)["damage"][0]["records"] == [[123, 245]]
+    assert json.loads(done.stdout)["damage"][0]["records"] == [[124, 246]]
     records = open_run(path).records[1]
     assert np.flatnonzero(~records.valid).tolist() == list(range(123, 246))
     found = process(path)
