@@ -32,7 +32,7 @@ from hpe_rig.store import StoreError, write_file
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure
-from hpe_rig.study.report import study_section, write_study_report
+from hpe_rig.study.report import _headline, study_section, write_study_report
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.run import run_study
 from hpe_rig.study.series import is_map, refused_text, value_text, views
@@ -267,3 +267,18 @@ def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(StoreError, match="cannot be written"):
         write_file(tmp_path / "file" / "page.html", "")
+
+
+def test_figures_of_several_frequencies_state_theirs(tiny: StudyResult) -> None:
+    assert not [view.title for view in views(tiny) if view.title.endswith("Hz")]
+    several = replace(tiny, rows=[*tiny.rows, *({**row, "frequency_hz": 400.0} for row in tiny.rows)])
+    titles = [view.title for view in views(several)]
+    assert len(set(titles)) == len(titles) == 2 * len(views(tiny))
+    assert all(title.endswith(" Hz") for title in titles)
+
+
+def test_the_headline_is_that_of_the_most_exact_estimator(tiny: StudyResult) -> None:
+    exact = views(tiny)[0]
+    inexact = [{**row, "estimator": "loupas", "amplitude_bias_m": 10 * row["amplitude_true_m"]} for row in exact.rows]
+    headline = _headline([replace(tiny, rows=[*inexact, *exact.rows])])
+    assert headline.startswith(f"{exact.title}: over {len(exact.rows)} cases")
