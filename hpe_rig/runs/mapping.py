@@ -14,7 +14,19 @@ from hpe_rig.recordings import Recording, Source, as_source, read_recording, rea
 from hpe_rig.result import MotionMap
 from hpe_rig.runs.arguments import known_laws, require_numbers
 from hpe_rig.runs.importing import stated_by_scene
-from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, edited_text, parse_scene, path_of, scene_text
+from hpe_rig.scene import (
+    Mistake,
+    Scene,
+    SceneSource,
+    SettingsError,
+    edited_text,
+    parse_scene,
+    parse_toml,
+    path_of,
+    scene_text,
+)
+
+UNUSED_RATE_HZ = 1000.0
 
 if TYPE_CHECKING:
     from hpe_rig.moduli import ModuliResult
@@ -60,8 +72,13 @@ def fit_map_moduli(
 
     fitted_laws = known_laws("fit_map_moduli", laws)
     require_numbers("fit_map_moduli", width_uncertainty=width_uncertainty)
+    name, text = scene_text(scene)
+    tracking = parse_toml(text, f"scene {name}").get("tracking", {})
+    if isinstance(tracking, dict) and "pulse_rate_hz" not in tracking:
+        # The recording has a rate, which the fit does not use, and every scene needs one.
+        text = edited_text(text, {path_of("tracking.pulse_rate_hz"): UNUSED_RATE_HZ})
     try:
-        return moduli_of_map(motion_map, parse_scene(*scene_text(scene)).scene, fitted_laws, width_uncertainty)
+        return moduli_of_map(motion_map, parse_scene(name, text).scene, fitted_laws, width_uncertainty)
     except ValueError as error:
         what, _, remedy = str(error).partition(" Try: ")
         mistake = Mistake("", what.rstrip("."), remedy or "another scene or recording")
