@@ -42,8 +42,8 @@ def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibrati
         if motion_map.bad[line, index]:
             omitted.append(f"{label}: no estimate in this pixel")
             continue
-        place = scene.with_({"tracking.lateral_offset_m": lateral_m})
-        vibration = vibration_at(place, "coherent", label, _pixel(motion_map, line, index))
+        scene_at_line = scene.with_({"tracking.lateral_offset_m": lateral_m})
+        vibration = vibration_at(scene_at_line, "coherent", label, _pixel(motion_map, line, index))
         selected = detected(vibration)
         if not selected.all():
             below = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])

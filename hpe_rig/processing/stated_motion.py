@@ -41,7 +41,7 @@ def fit_stated_motion(
     not resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, np.float64)
-    is_velocity, wanted = quantity == "velocity", slice(2 * frequency_hz.size)
+    is_velocity, wanted_states = quantity == "velocity", slice(2 * frequency_hz.size)
     # The constant of a velocity is the slope of the displacement.
     order = 0 if is_velocity else 1
     model = linear_model(time_s, valid, frequency_hz, background_order=order)
@@ -52,10 +52,10 @@ def fit_stated_motion(
     # The velocity of a phasor x is j w x, with the in-phase and quadrature states -w Im x and w Re x.
     omega = 2 * np.pi * frequency_hz
     turn = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]]) if is_velocity else np.eye(2 * frequency_hz.size)
-    covariance = variance[..., None, None] * (turn @ unit_covariance[wanted, wanted] @ turn.T)
+    covariance = variance[..., None, None] * (turn @ unit_covariance[wanted_states, wanted_states] @ turn.T)
     residual_m = np.asarray(np.sqrt(variance) / (omega.min() if is_velocity else 1.0))
     quality = FitQuality(residual_m, float(pulses - states), pulses, model.condition)
-    fit = fit_from_state(frequency_hz, state[..., wanted] @ turn.T, covariance, quality)
+    fit = fit_from_state(frequency_hz, state[..., wanted_states] @ turn.T, covariance, quality)
     # The column of the slope runs from -1 to 1 over the train.
     per_second = 1.0 if is_velocity else 2 / (time_s[valid][-1] - time_s[valid][0])
     slope = 2 * frequency_hz.size + order

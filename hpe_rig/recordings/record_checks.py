@@ -27,9 +27,11 @@ def are_finite(records: NDArray[Any]) -> BoolArray:
     """Return which ``records`` (pulse, sample) hold finite values of up to ``MAX_VALUE`` alone."""
     if records.dtype.kind in "iu":
         return np.ones(len(records), np.bool_)
-    parts = (records.real, records.imag) if records.dtype.kind == "c" else (records,)
+    components = (records.real, records.imag) if records.dtype.kind == "c" else (records,)
     # Maximum and minimum of a record with NaN are NaN, which no comparison accepts.
-    in_range = [(part.max(axis=-1) <= MAX_VALUE) & (part.min(axis=-1) >= -MAX_VALUE) for part in parts]
+    in_range = [
+        (component.max(axis=-1) <= MAX_VALUE) & (component.min(axis=-1) >= -MAX_VALUE) for component in components
+    ]
     return np.asarray(np.logical_and.reduce(in_range))
 
 

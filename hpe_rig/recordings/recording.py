@@ -169,21 +169,14 @@ class _Reader:
         self._refuse_unused_settings(file_format)
         label, array = select_array(statements)
         array, axes = (None, None) if array is None else with_axes(statements, array, label)
-        sound_speed = statements.number("sound_speed_m_per_s", needed=False)
-        if self.settings.quantity is None:
-            rate_hz, carrier_hz = statements.number("sample_rate_hz"), statements.number("carrier_hz")
-        else:
-            sound_speed = sound_speed or NOMINAL_SPEED_M_PER_S
-            rate_hz, carrier_hz = depth_rate_hz(statements, sound_speed, "sample" in (axes or ())), 0.0
+        rate_hz, carrier_hz, sound_speed = self._rates(axes or ())
         pulse_count = None if axes is None or array is None else array.shape[axes.index("pulse")]
         pulse_time_s, pulse_rate_hz, regular = statements.pulse_times(pulse_count)
         first_s = statements.first_sample_s(sound_speed)
         if array is None or axes is None:
             raise self._error()
         # All further steps collect mistakes, so that one error reports all of them.
-        values = self._cut_samples(self._arrange(array, axes))
-        if self.settings.quantity is not None:
-            values = si_motion(statements, values, self.settings.quantity)
+        values = self._in_si(self._cut_samples(self._arrange(array, axes)))
         demodulation_hz = self._demodulation_hz(values)
         recorded = self._find_recorded(values)
         position_m = statements.line_positions_m(values.shape[0])
@@ -224,6 +217,20 @@ class _Reader:
             demodulation_hz=demodulation_hz,
             quantity=kind_of(self.settings.quantity),
         )
+
+    def _rates(self, axes: tuple[Dimension, ...]) -> tuple[float | None, float | None, float | None]:
+        """Return sampling rate, carrier and sound speed; the carrier of a motion is 0."""
+        number = self.statements.number
+        if self.settings.quantity is None:
+            sample_rate_hz, carrier_hz = number("sample_rate_hz"), number("carrier_hz")
+            return sample_rate_hz, carrier_hz, number("sound_speed_m_per_s", needed=False)
+        sound_speed_m_per_s = number("sound_speed_m_per_s", needed=False) or NOMINAL_SPEED_M_PER_S
+        return depth_rate_hz(self.statements, sound_speed_m_per_s, "sample" in axes), 0.0, sound_speed_m_per_s
+
+    def _in_si(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return a motion in m or m/s, and echoes unchanged."""
+        quantity = self.settings.quantity
+        return values if quantity is None else si_motion(self.statements, values, quantity)
 
     def _error(self) -> SettingsError:
         return SettingsError(f"recording {self.name}", list(dict.fromkeys(self.statements.mistakes)))
