@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import hpe_rig as hpe
 from hpe_rig.cli import stored
 from hpe_rig.cli.app import app
-from hpe_rig.store import StoreError
+from hpe_rig.store import StoreError, result_path
 
 SCENE = """
 title = "Map"
@@ -55,6 +56,22 @@ def test_an_output_is_refused_before_the_input_is_read(command: list[str], messa
     assert done.exit_code != 0
     assert message in " ".join(done.output.split()), done.output
     assert sorted(path.name for path in folder.iterdir()) == ["s.toml", "taken.h5", "u.npy"]
+
+
+def test_a_result_file_is_refused_before_the_run_is_estimated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pulse = np.cos(2 * np.pi * 9e6 * np.arange(200) / 50e6) * np.hanning(200)
+    rf = np.round(1000 * pulse + np.random.default_rng(1).normal(size=(40, 200))).astype(np.int16)
+    rates = {"sample_rate_hz": 50e6, "pulse_rate_hz": 4e3, "carrier_hz": 9e6}
+    run = hpe.import_records(rf, "s.toml", "run.h5", axes="pulse,sample", **rates)
+    result_path(run.path, "coherent").mkdir()
+
+    def fail(*arguments: object) -> None:
+        raise AssertionError("the run is estimated")
+
+    monkeypatch.setattr(hpe.Run, "estimate", fail)
+    done = CliRunner().invoke(app, ["process", "run.h5"])
+    assert done.exit_code == 2, done.output
+    assert "run.coherent.h5 cannot be written" in " ".join(done.output.split())
 
 
 def test_a_map_file_needs_its_extra_before_anything_is_computed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
