@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from hpe_rig.bench import check_declared, twin_of
+from hpe_rig.bench import TwinDeclaration, check_declared, read_bench, twin_of, twin_tables
 from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 from sim_backend.settings import SimulationSettings
 
@@ -123,3 +125,145 @@ def test_only_driven_tonebursts_displace_the_specimen() -> None:
     pushed_m, undriven_m = (twin.displacement_m(time_s, onset_s, 100e-6, drive)[0] for drive in ((3e6, 1.0), None))
     assert pushed_m != undriven_m
     assert undriven_m == 0.0
+
+
+def declared(name: str, simulation: dict[str, Any]) -> TwinDeclaration:
+    """Return the twin of the shipped scene ``name`` with ``simulation`` in the place of its [simulation]."""
+    twin = twin_of(scene(name).model_copy(update={"simulation": simulation}))
+    assert twin is not None
+    return twin
+
+
+def test_scatterers_or_reflectors_make_echoes_up_to_the_farthest_of_them() -> None:
+    reflector = {"reflectors": [{"position_m": (0.0, 0.0, -4e-3)}, {"position_m": (0.0, 0.0, 1e-3)}]}
+    nothing, reflectors, scatterers, both = (
+        declared("table-1", {"scatterers": settings})
+        for settings in ({"per_cell": 0.0}, {"per_cell": 0.0, **reflector}, {}, reflector)
+    )
+    assert [twin.has_echoes for twin in (nothing, reflectors, scatterers, both)] == [False, True, True, True]
+    # Without reflectors half the depth of the scatterers, 5 mm by default.
+    assert [twin.echo_reach_m for twin in (nothing, reflectors, scatterers, both)] == [0.0, 4e-3, 2.5e-3, 4e-3]
+
+
+def test_clock_errors_are_those_of_any_instrument_or_of_the_sampling_clock() -> None:
+    settings: tuple[dict[str, Any], ...] = ({}, {"clock_error": {"toneburst": 1e-6}}, {"sample_clock_offset": 1e-6})
+    assert [declared("table-1", {"instruments": errors}).has_clock_errors for errors in settings] == [False, True, True]
+    slow = declared("table-1", {"instruments": {"clock_error": {"burst_train": -2e-6}}})
+    assert slow.burst_clock_rate == pytest.approx(1 - 2e-6, abs=1e-12)
+
+
+def test_the_length_of_an_echo_is_that_of_its_measured_pulse_or_of_its_bandwidth() -> None:
+    measured, burst, hann = (
+        declared("table-1", {"scatterers": settings}).echo_pulse_s(5e6)
+        for settings in (
+            {"measured_pulse": [0.0, 1.0, -1.0, 0.0], "measured_pulse_rate_hz": 40e6},
+            {"pulse": "burst", "band_centre_hz": 8e6, "bandwidth": 0.5},
+            {"bandwidth": 0.5},
+        )
+    )
+    # Four samples at 40 MHz; half of the transducer's 8 MHz; half of the carrier's 5 MHz.
+    assert (measured, burst, hann) == pytest.approx((100e-9, 250e-9, 400e-9), rel=1e-12)
+
+
+def test_the_echo_level_follows_amplitude_length_distance_and_loss() -> None:
+    twin = declared("table-1", {"specimen": {"depth_m": 20e-3}})
+    receiver, width_m = twin.settings.receiver, twin.settings.beams.tracking_width_m[2]
+    reference_v = twin.echo_v(1.0, 3.0, receiver.reference_carrier_hz)
+    assert reference_v == pytest.approx(receiver.echo_rms_v, rel=1e-12)
+    assert twin.echo_v(0.5, 6.0, 9e6) == pytest.approx(reference_v, rel=1e-12)
+    # One sigma off the focus the beam's Gaussian is exp(-1/2); beyond the scatterers it is that at their end.
+    assert twin.echo_v(1.0, 3.0, 9e6, width_m) == pytest.approx(reference_v * np.exp(-0.5), rel=1e-12)
+    assert twin.echo_v(1.0, 3.0, 9e6, 1.0) == twin.echo_v(1.0, 3.0, 9e6, twin.echo_reach_m) > 0
+    loss_db = twin.settings.loss_to_focus_db(10e6) - twin.settings.loss_to_focus_db(9e6)
+    assert loss_db > 0
+    assert twin.echo_v(1.0, 3.0, 10e6) == pytest.approx(reference_v * 10 ** (-loss_db / 20), rel=1e-12)
+
+
+def test_prescribed_components_of_one_frequency_add_up_with_their_phases_at_the_start() -> None:
+    motion = [
+        {"frequency_hz": 200.0, "amplitude_m": 3e-6},
+        {"frequency_hz": 200.0, "amplitude_m": 4e-6, "phase_rad": 0.5 * np.pi},
+    ]
+    twin = declared("table-1", {"motion": [*motion, {"frequency_hz": 300.0, "amplitude_m": 1e-6}]})
+    assert twin.prescribed_phasor_m(200.0) == pytest.approx(3e-6 + 4e-6j, abs=1e-18)
+    # An eighth of a period later every phase is larger by 45 degrees.
+    assert twin.prescribed_phasor_m(200.0, 5e-3 / 8) == pytest.approx((3e-6 + 4e-6j) * np.exp(0.25j * np.pi), abs=1e-18)
+    time_s = np.array([0.4e-3, 1.1e-3])
+    expected_m = sum((twin.prescribed_phasor_m(hz) * np.exp(2j * np.pi * hz * time_s)).imag for hz in (200.0, 300.0))
+    np.testing.assert_allclose(twin.displacement_m(time_s, np.zeros(0), 1e-4, None), expected_m, rtol=1e-9)
+
+
+def test_what_a_declaration_lacks_is_none() -> None:
+    at_rest = declared("table-1", {"motion": []})
+    assert at_rest.background_m(np.array([0.1])) is None
+    assert at_rest.push(3e6) is None
+    assert at_rest.water_output(1e5, 3e6) is None
+    assert at_rest.medium(np.array([100.0])) is None
+    assert at_rest.foreign_medium is None
+    assert at_rest.steady_response_m(100.0) == 0.0
+    excitation = scene("bovine-muscle").excitation
+    assert excitation is not None
+    frequency_hz = np.array([100.0])
+    assert at_rest.dose(excitation, 1e-4, frequency_hz) is None
+    reflector = {"per_cell": 0.0, "reflectors": [{}]}
+    sphere = declared("bovine-muscle", {"specimen": {"sphere": {}, "field": "gaussian"}, "scatterers": reflector})
+    assert sphere.dose(excitation, 1e-4, frequency_hz) is None
+    assert declared("bovine-muscle", {"specimen": {}}).dose(excitation, 1e-4, frequency_hz) is not None
+    # A displacement by the Gaussian of eq. (12) has no modulus.
+    assert declared("bovine-muscle", {"specimen": {"field": "gaussian"}}).medium(frequency_hz) is None
+    with pytest.raises(OverflowError, match="106 days"):
+        declared("table-1", {"background": [{"frequency_hz": 1.0, "amplitude_m": 1e-6}]}).background_m(np.array([1e7]))
+
+
+def test_the_record_is_deeper_than_planned_by_the_latencies_that_the_bench_file_does_not_state() -> None:
+    bench = read_bench().bench
+    planned_s = bench.digitizer.latency_s - bench.digitizer.aux_latency_s - bench.generators.tracking_pulser.latency_s
+
+    def shift_s(**instruments: Any) -> float:
+        twin = declared("table-1", {"sound_speed_m_per_s": 1500.0, "instruments": instruments})
+        return twin.depth_shift_m(bench, 10e-6) / 750.0
+
+    assert shift_s(generator_latency_s=100e-9) == pytest.approx(-100e-9 - planned_s, abs=1e-15)
+    latencies = {"generator_latency_s": 100e-9, "digitizer_latency_s": 300e-9, "aux_latency_s": 50e-9}
+    assert shift_s(**latencies) == pytest.approx(150e-9 - planned_s, abs=1e-15)
+    # A board whose AUX output waits for the trigger delay, unlike in the bench file: the pulse comes 10 us later.
+    assert not bench.digitizer.aux_waits_for_trigger_delay
+    assert shift_s(**latencies, aux_waits_for_trigger_delay=True) == pytest.approx(
+        150e-9 - planned_s - 10e-6, abs=1e-15
+    )
+    waiting = bench.model_copy(
+        update={"digitizer": bench.digitizer.model_copy(update={"aux_waits_for_trigger_delay": True})}
+    )
+    twin = declared("table-1", {"instruments": {**latencies, "aux_waits_for_trigger_delay": True}})
+    assert twin.depth_shift_m(waiting, 10e-6) == twin.depth_shift_m(waiting, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("dual_port", "mode", "record_samples", "records"),
+    [
+        (True, "traditional", 2048, np.inf),
+        (False, "traditional", 2048, 4),
+        (True, "single_port", 2048, 4),
+        (True, "traditional", 1 << 20, 0),
+    ],
+)
+def test_records_of_a_capture_fit_the_boards_memory_unless_they_are_read_meanwhile(
+    dual_port: bool, mode: str, record_samples: int, records: float
+) -> None:
+    bench = read_bench().bench
+    board = bench.digitizer.model_copy(update={"acquisition_mode": mode})
+    memory = 4 * (2048 + board.board_model.record_overhead_samples)
+    twin = declared("table-1", {"instruments": {"samples_per_channel": memory, "dual_port_memory": dual_port}})
+    assert twin.max_records(bench.model_copy(update={"digitizer": board}), record_samples) == records
+
+
+def test_the_twins_tables_have_the_scenes_beams_unless_the_simulation_states_its_own() -> None:
+    declaring = scene("bovine-muscle", ("[beams]\n", "[beams]\nfocus_depth_m = 60e-3\npush_focus_depth_m = 65e-3\n"))
+    beams = twin_tables(declaring)["beams"]
+    assert (beams["tracking_focus_depth_m"], beams["focus_depth_m"]) == (60e-3, 65e-3)
+    assert not {"pulse_length_m", "push_focus_depth_m"} & beams.keys()
+    simulation = {**(declaring.simulation or {}), "beams": {"focus_depth_m": 55e-3}}
+    assert twin_tables(declaring.model_copy(update={"simulation": simulation}))["beams"]["focus_depth_m"] == 55e-3
+    one = scene("bovine-muscle", ("[beams]\n", "[beams]\nfocus_depth_m = 60e-3\n"))
+    assert "tracking_focus_depth_m" not in twin_tables(one)["beams"]
+    assert "beams" in twin_tables(one.model_copy(update={"beams": None}))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
 import pytest
 
 from hpe_rig.bench import read_bench
-from hpe_rig.measurement import plan_and_check, prepare_text
+from hpe_rig.measurement import plan_and_check, prepare, prepare_text, record_run, setup_of_run
 from hpe_rig.measurement.setup import with_scan_in_folder
 from hpe_rig.plan import PlanError
 from hpe_rig.scene import SettingsError, parse_scene, shipped_scenes
+from hpe_rig.store import read_run
 
 TABLE_1 = shipped_scenes()["table-1"]
 MUSCLE = shipped_scenes()["bovine-muscle"]
@@ -44,10 +46,13 @@ def test_only_a_simulated_bench_gets_a_default_specimen(real_bench: Callable[...
     assert prepare_text("muscle", WITHOUT_SIMULATION, real_bench(), refuse=False).scene.scene.simulation is None
 
 
-def test_a_conflict_is_refused_unless_the_caller_wants_the_findings() -> None:
+def test_a_conflict_is_refused_unless_the_caller_wants_the_findings(tmp_path: Path) -> None:
     conflict = TABLE_1.replace("pulse_rate_hz = 4000.0", "pulse_rate_hz = 20000.0")
     with pytest.raises(PlanError):
         prepare_text("conflict", conflict)
+    (path := tmp_path / "conflict.toml").write_text(conflict, "utf-8")
+    with pytest.raises(PlanError):
+        prepare(path)
     findings = prepare_text("conflict", conflict, refuse=False).findings
     assert "refused" in {finding.level for finding in findings}
 
@@ -58,6 +63,19 @@ def test_rules_on_settings_that_go_together_apply_to_a_scene_but_not_to_that_of_
     with pytest.raises(SettingsError, match=r"processing\.estimator"):
         prepare_text("scene", text)
     assert prepare_text("scene", text, stored=tmp_path / "run.h5").scene.scene.processing.estimator == "coherent"
+
+
+def test_the_scene_of_a_run_file_is_planned_again_by_the_rules_for_stored_scenes(tmp_path: Path) -> None:
+    path = record_run(
+        prepare_text("short", TABLE_1.replace("pulse_count = 101", "pulse_count = 11"), refuse=False),
+        tmp_path / "run.h5",
+    )
+    assert prepare(path, refuse=False).scene.scene.tracking.pulse_count == 11
+    stored = read_run(path)
+    removed = replace(
+        stored, scene_toml=stored.scene_toml.replace("[processing]\n", '[processing]\nestimator = "joint"\n')
+    )
+    assert setup_of_run(removed).scene.scene.processing.estimator == "coherent"
 
 
 def test_a_scan_is_found_beside_the_run_file_if_its_path_is_of_another_computer(tmp_path: Path) -> None:
