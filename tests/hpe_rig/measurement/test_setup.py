@@ -67,10 +67,10 @@ def test_rules_on_settings_that_go_together_apply_to_a_scene_but_not_to_that_of_
 
 def test_the_scene_of_a_run_file_is_planned_again_by_the_rules_for_stored_scenes(tmp_path: Path) -> None:
     path = record_run(
-        prepare_text("short", TABLE_1.replace("pulse_count = 101", "pulse_count = 11"), refuse=False),
+        prepare_text("short", TABLE_1.replace("pulse_count = 101", "pulse_count = 41"), refuse=False),
         tmp_path / "run.h5",
     )
-    assert prepare(path, refuse=False).scene.scene.tracking.pulse_count == 11
+    assert prepare(path, refuse=False).scene.scene.tracking.pulse_count == 41
     stored = read_run(path)
     removed = replace(
         stored, scene_toml=stored.scene_toml.replace("[processing]\n", '[processing]\nestimator = "joint"\n')
