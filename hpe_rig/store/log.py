@@ -15,6 +15,7 @@ from __future__ import annotations
 import errno
 import os
 import struct
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -232,7 +233,8 @@ def _frame(header: bytes, position: int, nonce: bytes) -> Frame | None:
     mark, name, shot, first, size, payload_checksum = _HEADER.unpack(fields)
     if mark != MARK or checksum != _header_checksum(fields, position, nonce):
         return None
-    text = name.rstrip(b"\0").decode("ascii", "replace")
+    # One string for all frames of a dataset: a large run has tens of thousands.
+    text = sys.intern(name.rstrip(b"\0").decode("ascii", "replace"))
     return Frame(text, shot, first, position + HEADER_BYTES, size, payload_checksum)
 
 

@@ -208,7 +208,9 @@ def test_what_a_declaration_lacks_is_none() -> None:
     reflector = {"per_cell": 0.0, "reflectors": [{}]}
     sphere = declared("bovine-muscle", {"specimen": {"sphere": {}, "field": "gaussian"}, "scatterers": reflector})
     assert sphere.dose(excitation, 1e-4, frequency_hz) is None
-    assert declared("bovine-muscle", {"specimen": {}}).dose(excitation, 1e-4, frequency_hz) is not None
+    muscle = declared("bovine-muscle", {"specimen": {}})
+    assert muscle.foreign_medium is None
+    assert muscle.dose(excitation, 1e-4, frequency_hz) is not None
     # A displacement by the Gaussian of eq. (12) has no modulus.
     assert declared("bovine-muscle", {"specimen": {"field": "gaussian"}}).medium(frequency_hz) is None
     with pytest.raises(OverflowError, match="106 days"):

@@ -46,6 +46,13 @@ def test_only_a_simulated_bench_gets_a_default_specimen(real_bench: Callable[...
     assert prepare_text("muscle", WITHOUT_SIMULATION, real_bench(), refuse=False).scene.scene.simulation is None
 
 
+def test_a_bench_is_the_path_of_a_file_or_nothing(real_bench: Callable[..., Path]) -> None:
+    with pytest.raises(TypeError, match="the path of a bench file or None, not int"):
+        prepare("table-1", 3)  # type: ignore[arg-type]
+    assert prepare("table-1").bench.bench.simulated
+    assert not prepare("table-1", str(real_bench()), refuse=False).bench.bench.simulated
+
+
 def test_a_conflict_is_refused_unless_the_caller_wants_the_findings(tmp_path: Path) -> None:
     conflict = TABLE_1.replace("pulse_rate_hz = 4000.0", "pulse_rate_hz = 20000.0")
     with pytest.raises(PlanError):
