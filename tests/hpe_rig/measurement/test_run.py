@@ -11,7 +11,7 @@ import pytest
 from hpe_rig.measurement import Progress, Setup, Step, prepare_text, record_run, run as run_module
 from hpe_rig.result import Stages
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.store import read_run
+from hpe_rig.store import WriteOptions, read_run
 
 TEXT = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 41").replace("snr_db = 40.0", "")
 SWEEP_OF_THE_TWIN = '\n[sweep]\n"simulation.seed" = [1, 2]\n'
@@ -50,6 +50,15 @@ def test_no_check_of_the_run_file_waits_for_the_disk_while_outputs_are_on(setup:
         observe(Progress(step, setup.plan.shots[0]))
     without_wait = [step.value for step, wait in zip(Step, recorder.waits, strict=True) if not wait]
     assert without_wait == ["wait", "fire", "collect"]
+
+
+def test_a_run_file_has_the_name_of_its_scene_unless_it_is_stated(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert record_run(setup) == Path("short.h5")
+    # Permission to replace a file that does not exist.
+    assert record_run(setup, "stated.h5", options=WriteOptions(overwrite=True)) == Path("stated.h5")
 
 
 def test_run_times_are_stored_by_step_if_they_are_asked_for(setup: Setup, tmp_path: Path) -> None:
