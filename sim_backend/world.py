@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -28,7 +29,7 @@ from sim_backend.digitizer import (
     latencies_of,
     pulse_onsets_ps,
 )
-from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A, with_serial
+from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A, ScpiError, with_serial
 from sim_backend.settings import Instruments, SimulationSettings
 from sim_backend.wiring import (
     PS_PER_S,
@@ -102,20 +103,25 @@ class GeneratorConnection:
         self._generator.close()
 
 
-def _generator(clock: SimulatedClock, instruments: Instruments, model: str, role: str) -> Generator33250A:
+def _generator(
+    clock: SimulatedClock, instruments: Instruments, model: str, role: str, stated: str | None
+) -> Generator33250A:
     """Return the twin's generator of ``role``, of ``model``.
 
     With ``instruments.serial_numbers`` each generator is unique: by its serial number, or, as a 33250A reports none, by
-    the name of its stored state 4.
+    the name of its stored state 4. ``stated`` is that number or name; default: the twin's.
     """
     number = 1 + GENERATORS.index(role)
-    serial = f"MY4400000{number}" if instruments.serial_numbers else "0"
+    serial = (stated or f"MY4400000{number}") if instruments.serial_numbers else "0"
     clock_error: float = getattr(instruments.clock_error, role)
     generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial), clock_error)
     # A clock without an error is locked to the reference of the bench.
     generator.status.has_external_reference = clock_error == 0
     if instruments.serial_numbers:
         generator.states.rename(("4", f"SIM_BOX_{number}"))
+        # A text that is no name of a state cannot be the label of a 33250A: the twin keeps its label.
+        with suppress(ScpiError):
+            generator.states.rename(("4", stated or f"SIM_BOX_{number}"))
     return generator
 
 
@@ -144,6 +150,7 @@ class World:
         first_capture: index of the first arming, which seeds its noise.
         board: name of the digitizer's type.
         boxes: by role, the generator of the wiring that answers at the role's address; default: the role's.
+        serials: serial numbers and labels by role, the digitizer's included; default: the twin's.
 
     Raises ``ValueError`` for an unknown end of a cable, and for a loop of triggers.
     """
@@ -157,6 +164,7 @@ class World:
         first_capture: int = 0,
         board: str = "ATS460",
         boxes: Mapping[str, str] | None = None,
+        serials: Mapping[str, str] | None = None,
     ) -> None:
         """Build the simulated bench: clock, generators, digitizer and the cables of ``wiring``."""
         instruments = settings.instruments
@@ -171,11 +179,15 @@ class World:
         self._lateral_m = 0.0
         self.clock = SimulatedClock()
         self._generators = {
-            role: _generator(self.clock, instruments, (models or {}).get(role, "33250A"), role) for role in GENERATORS
+            role: _generator(
+                self.clock, instruments, (models or {}).get(role, "33250A"), role, (serials or {}).get(role)
+            )
+            for role in GENERATORS
         }
         latencies = latencies_of(
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
+        board_serial = (serials or {}).get("digitizer", "")
         self.board = Board(
             latencies,
             BOARDS[board],
@@ -183,6 +195,7 @@ class World:
             count=first_capture,
             faults=instruments.trigger_faults,
             clock_error=instruments.digitizer_clock_error,
+            serial_number=int(board_serial) if board_serial.isdecimal() else None,
         )
         # The last evaluation, and the instruments' counters of changes for which it is valid.
         self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None

@@ -24,7 +24,7 @@ from .comparison import (
     settings_differences as settings_differences,
 )
 from .conditions import Reading as Reading, read_conditions as read_conditions
-from .emulation import emulate as emulate
+from .emulation import emulate as emulate, is_bench_file as is_bench_file
 from .identification import (
     displayed_roles as displayed_roles,
     lasting_serial as lasting_serial,

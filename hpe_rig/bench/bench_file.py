@@ -411,6 +411,9 @@ class BenchFile(Section):
     """True for the twin; it selects the connections under the drivers and is written into every file."""
     transport: Transport | None = None
     """How VISA reaches the simulated generators, by loopback; default: they are called in the same process."""
+    emulated: Annotated[bool, Field(strict=True)] = False
+    """Whether the instruments of a simulated bench answer with the serial numbers of this file; hpe-rig emulate writes
+    it for a real bench."""
     limits: OutputLimits
     """Limits that the bench must never exceed."""
     calibration: Calibration | None = None

@@ -5,41 +5,74 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
-from hpe_rig.bench.bench_file import TRANSPORTS, Transport
+from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, Transport
 from hpe_rig.bench.bench_loading import BenchText, parse_bench
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_emulator
-from hpe_rig.scene import Mistake, Scene, SettingsError
+from hpe_rig.bench.resource_name import LOOPBACK, literal_host
+from hpe_rig.scene import Mistake, Scene, SettingsError, parse_toml, read_settings_text
 
-ADDRESSING = re.compile(r"^\s*(address|interface|transport)\s*=.*\n", re.MULTILINE)
+ADDRESSING = re.compile(r"^\s*(address|interface|transport|emulated)\s*=.*\n", re.MULTILINE)
+RAW_SOCKET = re.compile(r"TCPIP\d*::(?P<host>[^:]+|\[.+\])::(?P<port>\d+)::SOCKET", re.IGNORECASE)
 HEAD = """\
-# Served on loopback over {transport} until this program ends: a generator an address, one world, one clock.
-# The digitizer has no address. hpe-rig run --bench THIS.toml serves such a bench again, with the digitizer, in its
-# process and at other addresses.
+# Emulated: generators served on loopback over {transport} until hpe-rig emulate ends, each at an address, in one world
+# with one clock. The digitizer has no address. With this file run, check, commission and bench serve such generators
+# again, with the digitizer's library emulated, in their process and at other addresses.
 """
 
 
-def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[str], None]) -> None:
-    """Serve the simulated generators of ``bench`` until Ctrl-C; announce the bench file that reaches them.
+def is_bench_file(name: str) -> bool:
+    """Return whether ``name`` is a TOML file with generators, which no scene has."""
+    path = Path(name)
+    if path.suffix != ".toml" or not path.is_file():
+        return False
+    try:
+        return "generators" in parse_toml(read_settings_text(path), name)
+    except (OSError, ValueError, SettingsError):
+        # Whatever it is, its reader reports what is wrong with it.
+        return False
 
-    Raises ``SettingsError`` for a real bench and an unknown transport, ``InstrumentError`` if the platform lacks it.
+
+def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[str], None]) -> None:
+    """Serve the generators of ``bench``, simulated, until Ctrl-C; announce the bench file that reaches them.
+
+    Generators with a raw socket on this machine are served at their addresses. Those of a real bench have the serial
+    numbers of its file. Raises ``SettingsError`` for an unknown transport and for an imported recording,
+    ``InstrumentError`` if the platform lacks the transport.
     """
     known_transport = next((name for name in TRANSPORTS if name == transport), None)
     if known_transport is None:
         mistake = Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))
         raise SettingsError("command line", [mistake])
-    if not bench.bench.simulated:
-        remedy = "simulated = true, or leave --bench out"
-        raise SettingsError(f"bench {bench.name}", [Mistake("simulated", "a real bench is not emulated", remedy)])
+    if bench.bench.recording is not None:
+        what = "this bench file describes an imported recording, without instruments"
+        raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file with instruments")])
+    twin = bench.bench.model_copy(update=_emulation(bench.bench))
     try:
-        with open_emulator(scene, bench.bench, known_transport) as addresses:
+        with open_emulator(scene, twin, known_transport, _loopback_ports(bench.bench)) as addresses:
             announce(addressed(bench, known_transport, addresses))
             while True:
                 # In short pieces, because on Windows a long wait would not end for Ctrl-C.
                 time.sleep(0.2)
     except (KeyboardInterrupt, Terminated):
         return
+
+
+def _emulation(bench: BenchFile) -> dict[str, bool]:
+    """Return the keys that make ``bench`` a simulated one."""
+    return {"simulated": True, "emulated": bench.emulated or not bench.simulated}
+
+
+def _loopback_ports(bench: BenchFile) -> dict[str, int]:
+    """Return by role the port of each generator with a raw socket on this machine."""
+    sockets = {role: RAW_SOCKET.fullmatch(item.address or "") for role, item in bench.generators.by_role.items()}
+    return {
+        role: int(match["port"])
+        for role, match in sockets.items()
+        if match is not None and literal_host(match["host"]) == LOOPBACK
+    }
 
 
 def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tuple[str, str | None]]) -> str:
@@ -49,7 +82,7 @@ def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tu
     """
     # The addresses of the file are replaced, and each generator's is put below the header of its table.
     text = ADDRESSING.sub("", bench.text)
-    lines = f'simulated = true\ntransport = "{transport}"'
+    lines = f'simulated = true\ntransport = "{transport}"' + "\nemulated = true" * _emulation(bench.bench)["emulated"]
     text = re.sub(r"^simulated\s*=.*$", lines, text, count=1, flags=re.MULTILINE)
     for role, (address, interface) in addresses.items():
         lines = f'[generators.{role}]\naddress = "{address}"'

@@ -338,17 +338,24 @@ def _world(
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(cable.source, cable.target, cable.delay_s) for cable in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}
-    return World(settings, wiring, acoustics, models, first_shot, bench.digitizer.model)
+    serials = bench.serials if bench.emulated else None
+    return World(settings, wiring, acoustics, models, first_shot, bench.digitizer.model, serials=serials)
 
 
-def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:
+def _emulator(
+    world: World, bench: BenchFile, transport: Transport, tcp_ports: Mapping[str, int] | None = None
+) -> Emulator:
     from sim_backend.transports import Emulator
 
     try:
-        return Emulator(transport, world.connect, tuple(bench.generators.by_role))
+        return Emulator(transport, world.connect, tuple(bench.generators.by_role), tcp_ports)
     except OSError as error:
         what = f"the generators cannot be served over {transport}"
-        raise InstrumentError("simulated bench", what, str(error), "take another transport") from error
+        remedy = "take another transport"
+        if tcp_ports:
+            listed = ", ".join(f"{role} {port}" for role, port in tcp_ports.items())
+            remedy += f", or end the program that uses one of the ports of the bench file ({listed})"
+        raise InstrumentError("simulated bench", what, str(error), remedy) from error
 
 
 def _addresses(emulator: Emulator) -> dict[str, tuple[str, str | None]]:
@@ -358,13 +365,14 @@ def _addresses(emulator: Emulator) -> dict[str, tuple[str, str | None]]:
 
 @contextmanager
 def open_emulator(
-    scene: Scene, bench: BenchFile, transport: Transport
+    scene: Scene, bench: BenchFile, transport: Transport, tcp_ports: Mapping[str, int]
 ) -> Iterator[Mapping[str, tuple[str, str | None]]]:
     """Yield by role the VISA address of each simulated generator, and the interface before it if there is one.
 
-    They listen on loopback only, share one world and one clock, and end on exit.
+    They listen on loopback only, share one world and one clock, and end on exit. Raw sockets have ``tcp_ports`` by
+    role, and free ones for the other roles.
     """
-    with interruptible(), _emulator(_world(twin_tables(scene), bench), bench, transport) as emulator:
+    with interruptible(), _emulator(_world(twin_tables(scene), bench), bench, transport, tcp_ports) as emulator:
         yield _addresses(emulator)
 
 

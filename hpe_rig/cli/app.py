@@ -7,13 +7,20 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any, Final
 
 import typer
 
 from hpe_rig.cli.benches import benches
 from hpe_rig.cli.bug_report import reporting
-from hpe_rig.cli.console import EXIT_INTERRUPTED, announce, ignore_interrupts, print_version, refuse_undecodable
+from hpe_rig.cli.console import (
+    EXIT_INTERRUPTED,
+    EXIT_MISTAKE,
+    announce,
+    ignore_interrupts,
+    print_version,
+    refuse_undecodable,
+)
 from hpe_rig.cli.measuring import measuring
 from hpe_rig.cli.recordings import recordings
 from hpe_rig.cli.scenes import scene_commands
@@ -21,6 +28,9 @@ from hpe_rig.cli.stored_runs import stored_runs
 from hpe_rig.cli.streams import finish_streams, queue_streams
 from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
+
+REFUSED_ARGUMENTS: Final = typer.BadParameter.__mro__[1]
+"""Arguments that typer refuses; it exports only this subclass of the exception."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 for group in (measuring, stored_runs, recordings, scene_commands, benches, studies, reporting):
@@ -44,14 +54,25 @@ def _run() -> int:
     """Run the command and return its exit code."""
     try:
         refuse_undecodable(sys.argv)
-        app()
+        exit_code = app(standalone_mode=False)
+        return exit_code if isinstance(exit_code, int) else 0
+    except REFUSED_ARGUMENTS as error:
+        announce(_refusal(error))
+        return EXIT_MISTAKE
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
         # The interrupt came before the command began, so nothing is open.
         announce("hpe-rig: interrupted")
         return EXIT_INTERRUPTED
-    return 0
+
+
+def _refusal(error: Any) -> str:
+    """Return the message of refused arguments in one sentence with its remedy; without arguments it is the help."""
+    message, context = error.format_message(), error.ctx
+    if context is None or "\n" in message:
+        return str(message)
+    return f"{context.command_path}: {message.rstrip('.')}. Try: {context.command_path} --help"
 
 
 @app.callback()

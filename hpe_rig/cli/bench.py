@@ -21,6 +21,7 @@ from hpe_rig.bench import (
     settings_differences,
     survey,
 )
+from hpe_rig.cli.console import print_json
 from hpe_rig.cli.tables import Printer, wide_console
 from hpe_rig.measurement import prepare_text, program_shot
 from hpe_rig.plan import calibration_expiry
@@ -116,6 +117,37 @@ def print_report(report: BenchReport, wide: bool = False) -> None:
         )
     if report.settings:
         console.print(_safe_text(list(report.settings)))
+
+
+def report_json(report: BenchReport, bench: BenchFile) -> bool:
+    """Print the instruments and conditions as JSON; return whether a run could begin."""
+    conditions = read_conditions(bench.conditions)
+    is_ready = report.complete and all(reading.accepted for reading in conditions)
+    print_json(
+        {
+            "title": report.title,
+            "simulated": report.simulated,
+            "ready": is_ready,
+            "instruments": [_instrument_as_dict(item) for item in report.instruments],
+            "conditions": [{"text": str(reading), "accepted": reading.accepted} for reading in conditions],
+        }
+    )
+    return is_ready
+
+
+def _instrument_as_dict(instrument: InstrumentReport) -> dict[str, Any]:
+    """Return the identity of an instrument, null if it did not answer, and its problems."""
+    identity = instrument.identity
+    return {
+        "role": instrument.role,
+        "address": instrument.address,
+        "model": identity and identity.model,
+        "serial": identity and identity.serial,
+        "firmware": identity and identity.firmware,
+        "self_test": instrument.self_test,
+        "round_trip_s": instrument.latency_s,
+        "problems": list(instrument.problems),
+    }
 
 
 def _safe_text(roles: Sequence[str]) -> str:

@@ -7,20 +7,25 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.cli.console import EXIT_INSTRUMENT, guarded
-from hpe_rig.cli.options import BenchPath, SceneName
+from hpe_rig.cli.console import EXIT_INSTRUMENT, guarded, printing
+from hpe_rig.cli.options import BenchPath, Json, output_option
 from hpe_rig.cli.streams import results_accepted
+
+DEFAULT_SCENE = "bovine-muscle"
 
 benches = typer.Typer()
 
 
 @benches.command("bench")
 @guarded
+@printing
 def bench_command(
     bench: Annotated[
-        Path | None, typer.Argument(metavar="BENCH", help="Bench file or run file. Default: the simulated bench.")
+        Path | None, typer.Argument(metavar="BENCH.toml", help="Bench file or run file. Default: the simulated bench.")
     ] = None,
-    compare: Annotated[Path | None, typer.Option(help="Run file. Print how its bench differs from this one.")] = None,
+    compare: Annotated[
+        Path | None, typer.Option(metavar="RUN.h5", help="Run file. Print how its bench differs from this one.")
+    ] = None,
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Also run each generator's self-test, outputs off.")
     ] = False,
@@ -35,12 +40,16 @@ def bench_command(
         typer.Option("--identify", help="Show each role on its instrument, ask, and write serial numbers to BENCH."),
     ] = False,
     wide: Annotated[bool, typer.Option("--wide", help="Print every column.")] = False,
+    json: Json = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
     from hpe_rig.scene import Mistake, SettingsError
 
     # A run file describes a bench that may no longer exist: nothing can be switched or tested.
     is_run_file = bench is not None and bench.suffix == ".h5"
+    if json and (off or identify or compare is not None):
+        what = "it prints the state of a bench, without --off, --identify and --compare"
+        raise SettingsError("--json", [Mistake("", what, "hpe-rig bench BENCH.toml --json")])
     if off:
         if compare is not None or self_test or identify or is_run_file:
             what = "it only switches the instruments of a bench file off"
@@ -58,16 +67,25 @@ def bench_command(
     if bench is not None and is_run_file and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
-    _show_bench(bench, compare, self_test=self_test, wide=wide)
+    _show_bench(bench, compare, self_test=self_test, wide=wide, json=json)
 
 
-def _show_bench(bench: Path | None, compare: Path | None, *, self_test: bool, wide: bool) -> None:
+def _show_bench(bench: Path | None, compare: Path | None, *, self_test: bool, wide: bool, json: bool) -> None:
     """Print the state of a bench and its comparison; exit with a code if an instrument is not ready."""
-    from hpe_rig.cli.bench import bench_state, compare_with, print_calibration, print_conditions, print_report
+    from hpe_rig.cli.bench import (
+        bench_state,
+        compare_with,
+        print_calibration,
+        print_conditions,
+        print_report,
+        report_json,
+    )
 
     state = bench_state(bench, self_test)
     ready = True
-    if state.report is not None and state.bench is not None:
+    if json and state.report is not None and state.bench is not None:
+        ready = report_json(state.report, state.bench)
+    elif state.report is not None and state.bench is not None:
         print_report(state.report, wide)
         ready = print_conditions(state.bench) and state.report.complete
         print_calibration(state.bench)
@@ -81,7 +99,7 @@ def _show_bench(bench: Path | None, compare: Path | None, *, self_test: bool, wi
 @guarded
 def commission_command(
     bench: Annotated[
-        Path | None, typer.Argument(metavar="BENCH", help="Bench file. Default: the simulated bench.")
+        Path | None, typer.Argument(metavar="BENCH.toml", help="Bench file. Default: the simulated bench.")
     ] = None,
 ) -> None:
     """Drive every cable with the amplifier off, find it at the digitizer, write its delay into the bench file."""
@@ -93,18 +111,42 @@ def commission_command(
 @benches.command()
 @guarded
 def emulate(
-    scene: SceneName = "bovine-muscle",
+    bench_or_scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="BENCH.toml|SCENE",
+            help="Bench file to emulate, real or simulated; or a scene, for the simulated bench or that of --bench.",
+        ),
+    ] = DEFAULT_SCENE,
     bench: BenchPath = None,
-    transport: Annotated[str, typer.Option(help="One of socket, serial, hislip, vxi11, prologix.")] = "socket",
+    transport: Annotated[
+        str, typer.Option(metavar="NAME", help="One of socket, serial, hislip, vxi11, prologix.")
+    ] = "socket",
+    output: Annotated[
+        Path | None, output_option("Bench file with the addresses that are served, .toml. Default: it is printed.")
+    ] = None,
 ) -> None:
-    """Serve the simulated generators to any VISA program. On loopback; prints the bench file; stop with Ctrl-C."""
-    from hpe_rig.bench import emulate as serve
+    """Serve the simulated generators of a bench to any VISA program. On loopback; stop with Ctrl-C."""
+    from hpe_rig.bench import emulate as serve, is_bench_file
     from hpe_rig.measurement import prepare
+    from hpe_rig.scene import Mistake, SettingsError
+    from hpe_rig.store import write_file
 
+    scene = bench_or_scene
+    if is_bench_file(bench_or_scene):
+        if bench is not None:
+            what = f"{bench_or_scene} is a bench file too"
+            raise SettingsError("command line", [Mistake("--bench", what, "one of the two")])
+        scene, bench = DEFAULT_SCENE, Path(bench_or_scene)
     setup = prepare(scene, bench, refuse=False)
 
     def announce_addresses(text: str) -> None:
-        typer.echo(text)
+        if output is None:
+            typer.echo(text)
+        else:
+            write_file(output, text, overwrite=False)
+            typer.echo(f"{output}: bench file of the generators served until Ctrl-C; rehearse with it:")
+            typer.echo(f"  hpe-rig bench {output}\n  hpe-rig commission {output}\n  hpe-rig run SCENE --bench {output}")
         # Without its addresses the bench is of no use. The end of the program states the cause.
         if not results_accepted():
             raise typer.Exit(EXIT_INSTRUMENT)

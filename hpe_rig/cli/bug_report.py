@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from hpe_rig.cli.console import announce, guarded
-from hpe_rig.cli.options import check_file_name
+from hpe_rig.cli.options import output_option
 
 REMOVED: Final = "REMOVED"
 RUN_SUFFIXES: Final = (".h5", ".hdf5")
@@ -59,7 +59,7 @@ def bug_report(
     ] = None,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", callback=check_file_name, help="Text file; an existing one is not replaced."),
+        output_option("Text file; an existing one is not replaced."),
     ] = Path("bug-report.txt"),
 ) -> None:
     """Collect versions, scene, bench and log of a problem in one text file, without addresses and names."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import inspect
+import io
 import os
 import shlex
 import signal
@@ -10,13 +12,14 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from contextlib import contextmanager, redirect_stdout, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hpe_rig.bench import END_SIGNALS
-from hpe_rig.cli.options import ResultOptions, expand_option_groups
+from hpe_rig.cli.options import ResultOptions, expand_option_groups, output_option
 from hpe_rig.cli.streams import EXIT_SIGNAL, wait_for_messages
 
 if TYPE_CHECKING:
@@ -57,6 +60,37 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
                 raise typer.Exit(exit_code) from None
 
     return guard
+
+
+def printing(command: Callable[..., None]) -> Callable[..., None]:
+    """Return ``command`` with the option -o: a file that receives what the command otherwise prints."""
+    signature, option = inspect.signature(command), output_option("File instead of standard output.")
+    parameter = inspect.Parameter("print_to", inspect.Parameter.KEYWORD_ONLY, default=None)
+    annotation = Annotated[Path | None, option]
+
+    @functools.wraps(command)
+    def printer(print_to: Path | None, **values: Any) -> None:
+        if print_to is None:
+            command(**values)
+            return
+        from hpe_rig.store import refuse_unwritable, write_file
+
+        refuse_unwritable(print_to)
+        text = io.StringIO()
+        try:
+            with redirect_stdout(text):
+                command(**values)
+        except typer.Exit:
+            # The exit code of a refused scene or a damaged file does not change what is written about it.
+            write_file(print_to, text.getvalue())
+            raise
+        write_file(print_to, text.getvalue())
+        announce(f"{print_to}: written")
+
+    printer.__annotations__ = command.__annotations__ | {"print_to": annotation}
+    signed: Any = printer
+    signed.__signature__ = signature.replace(parameters=[*signature.parameters.values(), parameter])
+    return printer
 
 
 def _wrapped_interrupt(error: BaseException) -> BaseException | None:

@@ -20,7 +20,7 @@ from hpe_rig.cli.options import (
     SceneName,
     SceneOptions,
     WatchOptions,
-    file_option,
+    output_option,
 )
 from hpe_rig.result import Stages
 
@@ -35,7 +35,7 @@ def run(
     watch: WatchOptions,
     scene_options: SceneOptions,
     output: Annotated[
-        Path | None, file_option("Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
+        Path | None, output_option("Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
     ] = None,
     compress: Compress = False,
     overwrite: Overwrite = False,
@@ -77,10 +77,11 @@ def resume(
     result: ResultOptions,
     watch: WatchOptions,
     scene: Annotated[
-        str | None, typer.Option(help="Scene that must equal the run's. Default: the scene in the run file.")
+        str | None,
+        typer.Option(metavar="SCENE", help="Scene that must equal the run's. Default: the scene in the run file."),
     ] = None,
     bench: BenchPath = None,
-    output: Annotated[Path | None, file_option("New run file. Default: beside the old one, numbered.")] = None,
+    output: Annotated[Path | None, output_option("New run file. Default: beside the old one, numbered.")] = None,
     compress: Compress = False,
 ) -> None:
     """Continue a stopped run. Its complete shots are copied to a new file, and the other shots are measured."""
@@ -115,7 +116,9 @@ def queue(
         typer.Argument(metavar="SCENE ...", help="Scenes or run files in order, or one TOML list: [[run]]."),
     ] = None,
     bench: BenchPath = None,
-    output: Annotated[Path | None, typer.Option(help="New folder for the run files. Default: queue, numbered.")] = None,
+    output: Annotated[
+        Path | None, output_option("New folder for the run files. Default: queue, numbered.", "FOLDER")
+    ] = None,
     resume: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Continue the queue in FOLDER that was stopped or failed.")
     ] = None,
@@ -137,7 +140,7 @@ def queue(
 @guarded
 def live(
     run_file: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5, or the folder of a queue.")
+        Path, typer.Argument(metavar="RUN.h5", help="Run file, such as bovine-muscle.h5, or the folder of a queue.")
     ],
     port: Port = 0,
     open: Open = False,

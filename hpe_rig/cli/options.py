@@ -25,7 +25,12 @@ def check_file_name(path: Path | None) -> Path | None:
 
 def file_option(text: str) -> Any:
     """Return an option for the name of a file, with the help ``text``."""
-    return typer.Option(callback=check_file_name, help=text)
+    return typer.Option(metavar="FILE", callback=check_file_name, help=text)
+
+
+def output_option(text: str, metavar: str = "FILE") -> Any:
+    """Return the option -o, --output, which every command that writes a file has, with the help ``text``."""
+    return typer.Option("--output", "-o", metavar=metavar, callback=check_file_name, help=text)
 
 
 def complete_scene(incomplete: str) -> list[str]:
@@ -39,21 +44,28 @@ def complete_scene(incomplete: str) -> list[str]:
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE", help="Name of a shipped scene, or a TOML file.", autocompletion=complete_scene)
 ]
-BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file. Default: the simulated bench.")]
-RunFile = Annotated[Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5.")]
+BenchPath = Annotated[
+    Path | None, typer.Option("--bench", metavar="BENCH.toml", help="Bench file. Default: the simulated bench.")
+]
+RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="Run file, such as bovine-muscle.h5.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")]
 ProfileStep = Annotated[
-    str | None, typer.Option("--gate-profile-step", help="Add gates over depth with this step, such as 0.5mm.")
+    str | None,
+    typer.Option("--gate-profile-step", metavar="LENGTH", help="Add gates over depth with this step, such as 0.5mm."),
 ]
-Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
+Estimator = Annotated[
+    str | None, typer.Option(metavar="NAME", help="Motion estimator, as in [processing]. Default: the scene's.")
+]
 Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Value instead of the scene's, by its full key; repeatable."),
 ]
 Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
+Port = Annotated[
+    int, typer.Option(min=0, max=65535, metavar="PORT", help="Local port of the live page. 0: any free port.")
+]
 
 
 def refuse_two_formats(json: bool, csv: bool) -> None:
@@ -103,7 +115,7 @@ class WatchOptions:
     """Log, confirmations and live page of a run."""
 
     yes: Annotated[
-        bool, typer.Option("--yes", help="Do not ask for confirmation that the transducer has been moved.")
+        bool, typer.Option("--yes", help="Announce each movement of the transducer, and continue without confirmation.")
     ] = False
     live: Annotated[
         bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")
@@ -143,7 +155,8 @@ class RecordingOptions:
     """Settings of a recording of another program."""
 
     lines: Annotated[
-        str | None, typer.Option(help="Of several lines: 12, 10-20 or all, one result each, or mean, mean:10-20.")
+        str | None,
+        typer.Option(metavar="LINES", help="Of several lines: 12, 10-20 or all, one result each, or mean, mean:10-20."),
     ] = None
     setting: Annotated[
         list[str] | None,
@@ -152,7 +165,8 @@ class RecordingOptions:
         ),
     ] = None
     sidecar: Annotated[
-        Path | None, typer.Option(help="TOML file about the recording. Default: RECORDING.toml, if any.")
+        Path | None,
+        typer.Option(metavar="FILE", help="TOML file about the recording. Default: RECORDING.toml, if any."),
     ] = None
 
 
@@ -160,15 +174,22 @@ class RecordingOptions:
 class SchedulerOptions:
     """Processes on this machine, or a Dask scheduler."""
 
-    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes. Default: the number of cores.")] = (
-        None
-    )
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler: tls://HOST:8786, or tcp:// in a trusted network, or local.")
+    workers: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Number of processes. Default: the number of cores.")
     ] = None
-    tls_ca: Annotated[Path | None, typer.Option(help="Authority of the scheduler's certificate, a PEM file.")] = None
-    tls_cert: Annotated[Path | None, typer.Option(help="Client certificate for the scheduler, a PEM file.")] = None
-    tls_key: Annotated[Path | None, typer.Option(help="Key of that certificate, a PEM file.")] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Dask scheduler: tls://HOST:8786, or tcp:// in a trusted network, or local."
+        ),
+    ] = None
+    tls_ca: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Authority of the scheduler's certificate, a PEM file.")
+    ] = None
+    tls_cert: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Client certificate for the scheduler, a PEM file.")
+    ] = None
+    tls_key: Annotated[Path | None, typer.Option(metavar="FILE", help="Key of that certificate, a PEM file.")] = None
 
 
 def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:

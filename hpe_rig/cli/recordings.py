@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from hpe_rig.cli.console import guarded
-from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions, RunFile, check_file_name
+from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions, RunFile, file_option, output_option
 
 recordings = typer.Typer()
 
@@ -21,7 +21,8 @@ RecordingFiles = Annotated[
     ),
 ]
 RecordedScene = Annotated[
-    str, typer.Option(help="Scene: gate, frequencies, beams. The recording replaces its rates and counts.")
+    str,
+    typer.Option(metavar="SCENE", help="Scene: gate, frequencies, beams. The recording replaces its rates and counts."),
 ]
 
 
@@ -31,9 +32,7 @@ def import_command(
     recording: RecordingFiles,
     scene: RecordedScene,
     settings: RecordingOptions,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Run file. Default: RECORDING.h5 in this folder, numbered.")
-    ] = None,
+    output: Annotated[Path | None, output_option("Run file. Default: RECORDING.h5 in this folder, numbered.")] = None,
     compress: Compress = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -56,6 +55,7 @@ def map_command(
     recording: RecordingFiles,
     scene: RecordedScene,
     settings: RecordingOptions,
+<<<<<<< HEAD
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="NetCDF file of the map (needs the extra 'frames').")
     ] = None,
@@ -63,6 +63,10 @@ def map_command(
     moduli: Annotated[
         bool, typer.Option("--moduli", help="Also fit the moduli of the medium to the lines at the focus.")
     ] = False,
+=======
+    output: Annotated[Path | None, output_option("NetCDF file of the map (needs the extra 'frames').")] = None,
+    figure: Annotated[Path | None, file_option("Figure of the map, .png, .svg or .pdf.")] = None,
+>>>>>>> d50f3750 (Options -o and --json on commands that write or print, emulate serves a real bench file, dask workers as asked for)
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
     from hpe_rig.cli.stored import refuse_outputs, write_map
@@ -85,15 +89,12 @@ def map_command(
 @guarded
 def export_command(
     run_file: RunFile,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", callback=check_file_name, help="New file: .hdf5 (zea), .uff (USTB) or .mat."),
-    ],
+    output: Annotated[Path, output_option("New file: .hdf5 (zea), .uff (USTB) or .mat.")],
     file_format: Annotated[
         Literal["zea", "uff", "mat"] | None, typer.Option("--format", help="Format. Default: by the ending.")
     ] = None,
     shot: Annotated[
-        list[int] | None, typer.Option(help="Shot to export, counted from 1; repeatable. Default: all good ones.")
+        list[int] | None, typer.Option(metavar="SHOT", help="Shot to export, counted from 1; repeatable. Default: all good ones.")
     ] = None,
 ) -> None:
     """Write the echoes of a run for zea, USTB or MATLAB, with rates and times; a simulated run with its truth."""

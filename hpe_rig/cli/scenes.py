@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.cli.console import EXIT_MISTAKE, guarded, print_json
+from hpe_rig.cli.console import EXIT_MISTAKE, guarded, print_json, printing
 from hpe_rig.cli.options import BenchPath, Json, SceneName, Settings
 
 scene_commands = typer.Typer()
@@ -15,13 +15,15 @@ scene_commands = typer.Typer()
 
 @scene_commands.command()
 @guarded
+@printing
 def check(
     scene: SceneName,
     bench: BenchPath = None,
     target: Annotated[
         str | None,
         typer.Option(
-            help="Wanted uncertainty, such as 20nm. Print the pulse count, pulse rate or SNR that reaches it."
+            metavar="LENGTH",
+            help="Wanted uncertainty, such as 20nm. Print the pulse count, pulse rate or SNR that reaches it.",
         ),
     ] = None,
     verbose: Annotated[bool, typer.Option("--verbose", help="List the checks that passed as well.")] = False,
@@ -45,6 +47,7 @@ def check(
 
 @scene_commands.command()
 @guarded
+@printing
 def scenes(json: Json = False) -> None:
     """List the shipped scenes."""
     from hpe_rig.scene import parse_scene, shipped_scenes
@@ -62,7 +65,7 @@ def scenes(json: Json = False) -> None:
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
     like: Annotated[
-        str, typer.Option(help="Scene or run file to copy, or 'bench' for a bench file.")
+        str, typer.Option(metavar="SOURCE", help="Scene or run file to copy, or 'bench' for a bench file.")
     ] = "bovine-muscle",
     full: Annotated[
         bool, typer.Option("--full", help="Add every other key in a comment: meaning, unit, bounds, default.")
@@ -87,6 +90,7 @@ def new(
 
 @scene_commands.command()
 @guarded
+@printing
 def schema(
     of: Annotated[
         str,
@@ -106,12 +110,15 @@ def schema(
 
 @scene_commands.command()
 @guarded
-def extensions() -> None:
+@printing
+def extensions(json: Json = False) -> None:
     """List the estimators, media and importers of other packages. Each is loaded and checked."""
     from hpe_rig.cli.listing import extension_lines
 
     lines, all_load = extension_lines()
-    for line in lines:
-        typer.echo(line)
+    if json:
+        print_json({"extensions": lines, "all_load": all_load})
+    else:
+        typer.echo("\n".join(lines or ["no extension is installed; docs/how-to/extend.md explains how to write one"]))
     if not all_load:
         raise typer.Exit(EXIT_MISTAKE)

@@ -69,7 +69,7 @@ def _verdict(verification: Verification) -> str:
     return "sound: all data match their checksums"
 
 
-def mark_shots(run_file: Path, shots: Sequence[int], why: str | None, good: bool) -> None:
+def mark_shots(run_file: Path, shots: Sequence[int], why: str | None, good: bool, json: bool) -> None:
     """Mark ``shots`` as bad, or as ``good`` again, then print all marks of the run."""
     stored = read_run(run_file)
     total = stored.shot_complete.size
@@ -89,6 +89,10 @@ def mark_shots(run_file: Path, shots: Sequence[int], why: str | None, good: bool
             f"{path}: written; results and reports from before do not have these marks: hpe-rig process {run_file}"
         )
         stored = read_run(run_file)
+    if json:
+        marks = [{"shot": shot + 1, "mark": text} for shot, text in stored.marks.items()]
+        print_json({"shots": total, "marks": marks})
+        return
     for shot, text in stored.marks.items():
         typer.echo(f"shot {shot + 1} {text}")
     typer.echo(f"{len(stored.marks)} of {total} shots are marked bad")

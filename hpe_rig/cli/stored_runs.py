@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, guarded, show
+from hpe_rig.cli.console import EXIT_DAMAGED, EXIT_NO_CHECKSUMS, guarded, printing, show
 from hpe_rig.cli.options import (
     Estimator,
     Json,
@@ -15,8 +15,8 @@ from hpe_rig.cli.options import (
     ResultOptions,
     RunFile,
     SweepOptions,
-    check_file_name,
     file_option,
+    output_option,
 )
 from hpe_rig.result import FigureKind, Stages
 
@@ -26,7 +26,7 @@ RunsAtOffsets = Annotated[
     list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each with one lateral offset or more.")
 ]
 WidthUncertainty = Annotated[
-    float, typer.Option(min=0.0, max=1.0, help="Relative uncertainty of the widths of the force.")
+    float, typer.Option(min=0.0, max=1.0, metavar="U", help="Relative uncertainty of the widths of the force.")
 ]
 PerPlace = Annotated[
     bool, typer.Option("--per-place", help="The force differed between lateral offsets: fit every amplitude.")
@@ -37,6 +37,7 @@ stored_runs = typer.Typer()
 
 @stored_runs.command()
 @guarded
+@printing
 def process(
     run_file: RunFile,
     result: ResultOptions,
@@ -64,9 +65,10 @@ def report(
     run_file: RunFile,
     points: SweepOptions,
     estimator: Estimator = None,
-    output: Annotated[Path | None, file_option("HTML file. Default: RUN.html beside the run file.")] = None,
+    output: Annotated[Path | None, output_option("HTML file. Default: RUN.html beside the run file.")] = None,
     shot: Annotated[
-        int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
+        int | None,
+        typer.Option(metavar="SHOT", help="Shot to draw, counted from 1. Default: the one with the largest motion."),
     ] = None,
 ) -> None:
     """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
@@ -100,11 +102,12 @@ def _step_m(text: str | None) -> float | None:
 
 @stored_runs.command()
 @guarded
+@printing
 def compare(
     first: Annotated[Path, typer.Argument(metavar="A.h5", help="Run file.")],
     second: Annotated[Path, typer.Argument(metavar="B.h5", help="Run file to compare with it.")],
     estimator: Estimator = None,
-    figure: Annotated[Path | None, typer.Option(help="Both results and their differences, .svg, .png or .pdf.")] = None,
+    figure: Annotated[Path | None, file_option("Both results and their differences, .svg, .png or .pdf.")] = None,
     json: Json = False,
 ) -> None:
     """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
@@ -115,6 +118,7 @@ def compare(
 
 @stored_runs.command()
 @guarded
+@printing
 def moduli(
     run_files: RunsAtOffsets,
     law: Annotated[
@@ -177,7 +181,7 @@ def figure(
         list[Path],
         typer.Argument(metavar="RUN.h5 ...", help="Run file; several for moduli and dispersion only."),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", callback=check_file_name, help="File: .pdf, .svg or .png.")],
+    output: Annotated[Path, output_option("File: .pdf, .svg or .png.")],
     kind: Annotated[
         Literal[FigureKind, "moduli", "dispersion"],
         typer.Option(
@@ -186,7 +190,9 @@ def figure(
             "velocity and attenuation (dispersion)."
         ),
     ] = "spectrum",
-    width: Annotated[str, typer.Option(help="Width of the figure, such as 85mm for a column of a journal.")] = "120mm",
+    width: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Width of the figure, such as 85mm for a column of a journal.")
+    ] = "120mm",
     frequency: Annotated[
         list[float] | None, typer.Option(metavar="HZ", help="Frequency to draw; repeatable. Default: all.")
     ] = None,
@@ -209,20 +215,23 @@ def figure(
 
 @stored_runs.command()
 @guarded
+@printing
 def mark(
     run_file: RunFile,
     shots: Annotated[list[int] | None, typer.Argument(metavar="SHOT ...", help="Shots, counted from 1.")] = None,
     bad: Annotated[str | None, typer.Option(metavar="WHY", help="Leave the shots out of every later result.")] = None,
     good: Annotated[bool, typer.Option("--good", help="Take the marks of the shots back.")] = False,
+    json: Json = False,
 ) -> None:
     """Mark shots of a run as bad, or list the marks. The run file stays unchanged: marks are in RUN.marks.json."""
     from hpe_rig.cli.stored import mark_shots
 
-    mark_shots(run_file, shots or (), bad, good)
+    mark_shots(run_file, shots or (), bad, good, json)
 
 
 @stored_runs.command()
 @guarded
+@printing
 def verify(
     file: Annotated[
         Path,
@@ -244,13 +253,14 @@ def verify(
 
 @stored_runs.command("list")
 @guarded
+@printing
 def list_command(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder with run files. Default: this one.")
     ] = Path(),
     find: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Only runs with TEXT in file name, title, state or notes; repeatable."),
+        typer.Option(metavar="WORDS", help="Only runs with WORDS in file name, title, state or notes; repeatable."),
     ] = None,
     since: Annotated[str | None, typer.Option(metavar="DATE", help="Only runs from this date on.")] = None,
     until: Annotated[str | None, typer.Option(metavar="DATE", help="Only runs up to this date.")] = None,

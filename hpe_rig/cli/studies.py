@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import announce, guarded
-from hpe_rig.cli.options import BenchPath, SceneName, SchedulerOptions, file_option
+from hpe_rig.cli.options import BenchPath, Json, SceneName, SchedulerOptions, file_option, output_option
 
 studies = typer.Typer()
 
@@ -19,18 +19,22 @@ class AccuracyOptions:
     """Sizes and draws of the accuracy studies (None: the default of ``hpe_rig.validation.Effort``), or a scene."""
 
     largest: Annotated[
-        int | None, typer.Option(help="Largest number of scatterers. Default: 100000, with --full 1000000.")
+        int | None,
+        typer.Option(metavar="N", help="Largest number of scatterers. Default: 100000, with --full 1000000."),
     ] = None
     most_echoes: Annotated[
-        int | None, typer.Option(help="Largest number of echoes. Default: 1000, with --full 10000.")
+        int | None, typer.Option(metavar="N", help="Largest number of echoes. Default: 1000, with --full 10000.")
     ] = None
     longest_s: Annotated[
-        float | None, typer.Option(help="Skip cases expected to take longer, in s. Default: 0.5, with --full 5.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Skip cases expected to take longer, in s. Default: 0.5, with --full 5."),
     ] = None
     draws: Annotated[
         int | None,
         typer.Option(
-            min=2, help="Draws per case in motion; ten times as many end to end. Default: 10, with --full 100."
+            min=2,
+            metavar="N",
+            help="Draws per case in motion; ten times as many end to end. Default: 10, with --full 100.",
         ),
     ] = None
     scene: Annotated[
@@ -40,7 +44,9 @@ class AccuracyOptions:
         ),
     ] = None
     bench: BenchPath = None
-    seeds: Annotated[int | None, typer.Option(min=2, help="Draws of scatterers and noise with --scene.")] = None
+    seeds: Annotated[
+        int | None, typer.Option(min=2, metavar="N", help="Draws of scatterers and noise with --scene.")
+    ] = None
     quick: Annotated[bool, typer.Option("--quick", help="With --scene: fewer seeds, within a minute.")] = False
 
 
@@ -56,7 +62,7 @@ def accuracy(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(help="Table, .csv or .json. Default: printed. Without PART: the report, default accuracy.html."),
+        output_option("Table, .csv or .json. Default: printed. Without PART: the report, default accuracy.html."),
     ] = None,
     figure: Annotated[Path | None, file_option("Work-precision figure, .svg, .png or .pdf.")] = None,
     full: Annotated[
@@ -96,22 +102,27 @@ def _refuse_part(part: str | None) -> None:
 class GoalOptions:
     """Variables, goal and limits of a design."""
 
-    over: Annotated[str, typer.Option(help="Keys to vary, such as pulse_rate_hz,gate_length_m.")]
+    over: Annotated[str, typer.Option(metavar="KEY,KEY", help="Keys to vary, such as pulse_rate_hz,gate_length_m.")]
     minimise: Annotated[
         str,
         typer.Option(
-            help="One of jitter, bias (both relative to the amplitude), phase-jitter, time, modulus-uncertainty."
+            metavar="GOAL",
+            help="One of jitter, bias (both relative to the amplitude), phase-jitter, time, modulus-uncertainty.",
         ),
     ] = "jitter"
     bound: Annotated[
-        list[str] | None, typer.Option(help="KEY=low:high, repeatable. Default: the limits that scene and bench imply.")
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=LOW:HIGH", help="Limits of a key; repeatable. Default: the limits that scene and bench imply."
+        ),
     ] = None
     longest_s: Annotated[
-        float | None, typer.Option(help="Longest measurement, in s. Default: 1 % more than the scene's duration.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Longest measurement, in s. Default: 1 % more than the scene's duration."),
     ] = None
-    target: Annotated[str | None, typer.Option(help="Largest jitter of noise and speckle combined, such as 20nm.")] = (
-        None
-    )
+    target: Annotated[
+        str | None, typer.Option(metavar="LENGTH", help="Largest jitter of noise and speckle combined, such as 20nm.")
+    ] = None
 
 
 @studies.command()
@@ -121,10 +132,10 @@ def design(
     goal: GoalOptions,
     bench: BenchPath = None,
     draws: Annotated[
-        int, typer.Option(help="Monte Carlo draws of scatterers and noise that check the model. 0: none.")
+        int, typer.Option(metavar="N", help="Monte Carlo draws of scatterers and noise that check the model. 0: none.")
     ] = 200,
-    seed: Annotated[int, typer.Option(help="Seed of the search and the draws.")] = 0,
-    output: Annotated[Path | None, file_option("New scene file, .toml. Default: none.")] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the search and the draws.")] = 0,
+    output: Annotated[Path | None, output_option("New scene file, .toml. Default: none.")] = None,
     report: Annotated[
         bool,
         typer.Option("--report", help="Write a page, SCENE-design.html: before and after, the goal over each key."),
@@ -155,15 +166,17 @@ def design(
 class SizeOptions:
     """Settings that replace those of the study."""
 
-    points: Annotated[int | None, typer.Option(help="Number of values in every range; 101 gives the finest maps.")] = (
-        None
-    )
+    points: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of values in every range; 101 gives the finest maps.")
+    ] = None
     scatterers: Annotated[
         int | None,
-        typer.Option("--draws", "--scatterers", help="Draws of scatterers per case. Default: the study's, 160."),
+        typer.Option(
+            "--draws", "--scatterers", metavar="N", help="Draws of scatterers per case. Default: the study's, 160."
+        ),
     ] = None
-    noise: Annotated[int | None, typer.Option(help="Draws of noise per draw of scatterers.")] = None
-    seed: Annotated[int | None, typer.Option(help="Seed of the random numbers.")] = None
+    noise: Annotated[int | None, typer.Option(metavar="N", help="Draws of noise per draw of scatterers.")] = None
+    seed: Annotated[int | None, typer.Option(metavar="N", help="Seed of the random numbers.")] = None
 
 
 @studies.command()
@@ -177,16 +190,17 @@ def study(
     ],
     scheduling: SchedulerOptions,
     size: SizeOptions,
-    output: Annotated[Path, typer.Option(help="Folder of the results. Cases finished there are not repeated.")] = Path(
-        "studies"
-    ),
+    output: Annotated[
+        Path, output_option("Folder of the results. Cases finished there are not repeated.", "FOLDER")
+    ] = Path("studies"),
     report: Annotated[
         bool, typer.Option("--report", help="Write STUDY.html, and every figure as SVG and PNG.")
     ] = False,
+    json: Json = False,
 ) -> None:
     """Run a Monte Carlo parameter study. Bias and jitter of amplitude and phase, each with its standard error."""
     from hpe_rig.cli.study import run_and_print
     from hpe_rig.store import extra
 
     with extra("cluster"):
-        run_and_print(name, output, scheduling, asdict(size), report)
+        run_and_print(name, output, scheduling, asdict(size), report=report, json=json)

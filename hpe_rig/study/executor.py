@@ -26,14 +26,15 @@ MAX_LOSSES = 5
 """Consecutive losses of a worker, without a completed task between them, that end a study."""
 WORKER_TIMEOUT_S = 10.0
 """Time that a scheduler may have no worker, such as right after the start of a cluster."""
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _LOCAL_WORKERS = {
     # The sampling profiler of dask takes a quarter of a worker's time.
     "distributed.worker.profile.enabled": False,
     # Dask's threshold returns every freed array to the system, which clears its pages again for the next one.
-    "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**25},
+    "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 2**30, "MALLOC_MMAP_THRESHOLD_": 2**25}
+    | dict.fromkeys(_THREAD_COUNTS, 1),
 }
 """Settings of dask for workers on this machine."""
-_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def completed(
@@ -171,7 +172,7 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
         with (
             importlib.import_module("dask.config").set(_LOCAL_WORKERS),
             distributed.LocalCluster(
-                workers, threads_per_worker=1, silence_logs=level, dashboard_address=None
+                n_workers=workers, threads_per_worker=1, silence_logs=level, dashboard_address=None
             ) as local,
             distributed.Client(local) as client,
         ):

@@ -313,6 +313,7 @@ class Board:
     changes: int = 0
     faults: TriggerFaults = NO_FAULTS
     clock_error: float = 0.0
+    serial_number: int | None = None
 
     @property
     def times_out(self) -> bool:

@@ -75,7 +75,7 @@ class AlazarState:
         """Return the fixed properties of the board, by the numbers of the vendor's library."""
         dual_port = codes.OPTION_DUAL_PORT if self.dual_port else 0
         return {
-            codes.CAPABILITY_SERIAL: codes.SERIAL_NUMBER,
+            codes.CAPABILITY_SERIAL: self._board.serial_number or codes.SERIAL_NUMBER,
             codes.CAPABILITY_CALIBRATION: 10110,
             codes.CAPABILITY_MEMORY: self.instruments.samples_per_channel,
             codes.CAPABILITY_BOARD: self.type.kind,

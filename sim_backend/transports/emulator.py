@@ -22,7 +22,6 @@ FIRST_GPIB_ADDRESS = 10
 
 Server = TypeVar("Server", SocketServer | SerialServer | HislipServer, Vxi11Gateway, PrologixAdapter)
 SERVERS: Mapping[Transport, Callable[[Port], SocketServer | SerialServer | HislipServer]] = {
-    "socket": SocketServer,
     "serial": serial_server,
     "hislip": HislipServer,
 }
@@ -46,11 +45,16 @@ class Emulator:
     """
 
     def __init__(
-        self, transport: Transport, instrument: Callable[[str, bool], Instrument], roles: tuple[str, ...]
+        self,
+        transport: Transport,
+        instrument: Callable[[str, bool], Instrument],
+        roles: tuple[str, ...],
+        tcp_ports: Mapping[str, int] | None = None,
     ) -> None:
         """Open servers for the instruments of ``roles`` over ``transport``.
 
-        ``instrument`` returns the instrument of a role, given whether it is on a serial line.
+        ``instrument`` returns the instrument of a role, given whether it is on a serial line. ``tcp_ports`` holds the
+        ports of raw sockets by role; default: free ones.
         """
         self._stack = ExitStack()
         lock = threading.RLock()
@@ -58,7 +62,7 @@ class Emulator:
         # If a server does not open, those already open are closed; after success they stay open.
         with ExitStack() as opening:
             opening.callback(self._stack.close)
-            self.served = self._serve(transport, ports)
+            self.served = self._serve(transport, ports, tcp_ports or {})
             opening.pop_all()
 
     def __enter__(self) -> Self:
@@ -71,11 +75,18 @@ class Emulator:
         """Close all connections; the instruments keep their state."""
         self._stack.close()
 
-    def _serve(self, transport: Transport, ports: Mapping[str, Port]) -> dict[str, Served]:
+    def _serve(
+        self, transport: Transport, ports: Mapping[str, Port], tcp_ports: Mapping[str, int]
+    ) -> dict[str, Served]:
         """Open the servers of ``transport`` and return the address of each instrument, by role.
 
         Socket, serial and HiSLIP need one server for each instrument; VXI-11 and Prologix one for all.
         """
+        if transport == "socket":
+            servers = {
+                role: self._open(SocketServer(port, tcp_port=tcp_ports.get(role, 0))) for role, port in ports.items()
+            }
+            return {role: Served(server.address) for role, server in servers.items()}
         if transport in SERVERS:
             return {role: Served(self._open(SERVERS[transport](port)).address) for role, port in ports.items()}
         by_gpib_address = dict(enumerate(ports.values(), FIRST_GPIB_ADDRESS))

@@ -35,10 +35,10 @@ class LineBuffer:
 class SocketServer:
     """A SCPI instrument on a raw TCP socket at the VISA resource name ``address``."""
 
-    def __init__(self, port: Port, address: str = "TCPIP0::{host}::{port}::SOCKET") -> None:
-        """Listen on the loopback interface for clients of the instrument at ``port``."""
+    def __init__(self, port: Port, address: str = "TCPIP0::{host}::{port}::SOCKET", tcp_port: int = 0) -> None:
+        """Listen on the loopback interface for clients of the instrument at ``port``; ``tcp_port`` 0: any free one."""
         self._port = port
-        listener = Listener(self._converse)
+        listener = Listener(self._converse, tcp_port)
         self.close = listener.close
         self.address = address.format(host=LOOPBACK, port=listener.port)
 

@@ -3,13 +3,79 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
+from hpe_rig.cli import app as program
 from hpe_rig.cli.app import app
+
+COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
+NO_FILE = {
+    "new": "its argument is the file",
+    "commission": "it writes into the bench file",
+    "live": "it serves a page",
+    "align": "it serves a page",
+}
+"""Commands without -o, and why."""
+NO_JSON = {
+    "queue": "queue.json",
+    "schema": "it prints JSON",
+    "accuracy": "-o FILE.json",
+    **dict.fromkeys(
+        ("report", "figure", "import", "export", "map", "new", "design", "bug-report", "emulate"), "it writes a file"
+    ),
+    **{name: why for name, why in NO_FILE.items() if name != "new"},
+}
+"""Commands without --json, and why."""
+
+
+def options(command: str) -> set[str]:
+    return {name for parameter in COMMANDS[command].params for name in parameter.opts}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_has_the_options_that_people_try_first_and_names_the_value_of_each(command: str) -> None:
+    assert ({"-o", "--output"} <= options(command)) == (command not in NO_FILE)
+    assert ("--json" in options(command)) == (command not in NO_JSON)
+    text = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "80"}).output
+    listed = text.partition("Options:")[2]
+    # A choice may be listed, a type says nothing.
+    assert re.findall(r"<(?:str|path|int|float|list)[^>]*>|\b(?:TEXT|PATH|INTEGER|FLOAT)\b(?! in)", listed) == []
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_what_is_printed_goes_to_the_file_of_o(tmp_path: Path) -> None:
+    for arguments in (["scenes"], ["scenes", "--json"], ["check", "table-1"], ["schema"], ["bench", "--json"]):
+        printed = CliRunner().invoke(app, arguments)
+        written = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "out.txt")])
+        assert (written.exit_code, written.stdout) == (printed.exit_code, "")
+        times = r'"round_trip_s": [^,]*'
+        assert re.sub(times, "", (tmp_path / "out.txt").read_text("utf-8")) == re.sub(times, "", printed.stdout)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "table-1", "--foo"], r"(.+ run): No such option: --foo\. Try: \1 --help"),
+        (["study"], r"(.+ study): Missing argument 'STUDY'\. Try: \1 --help"),
+        (["nothing"], r"(.+): No such command 'nothing'\. Try: \1 --help"),
+    ],
+)
+def test_refused_arguments_end_with_one_sentence(
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["hpe-rig", *arguments])
+    assert program._run() == 2
+    output = capsys.readouterr()
+    assert re.fullmatch(message, output.err.strip())
+    assert output.out == ""
 
 
 @pytest.mark.parametrize("command", [["run", "table-1"], ["process", "run.h5"], ["list"]])

@@ -323,7 +323,7 @@ def test_a_killed_worker_of_a_dask_cluster_changes_nothing(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_workers_of_a_local_dask_cluster_keep_freed_memory_and_are_not_profiled() -> None:
+def test_a_local_dask_cluster_has_the_workers_asked_for_which_keep_freed_memory_and_are_not_profiled() -> None:
     distributed = pytest.importorskip("distributed")
 
     def settings() -> tuple[bool, int]:
@@ -332,7 +332,7 @@ def test_workers_of_a_local_dask_cluster_keep_freed_memory_and_are_not_profiled(
         return dask.config.get("distributed.worker.profile.enabled"), int(os.environ["MALLOC_TRIM_THRESHOLD_"])
 
     with cluster("local", 1):
-        # Dask's defaults are a profiler, and 65536 bytes.
+        # Dask's defaults are a worker for each core, a profiler, and 65536 bytes.
         assert list(distributed.default_client().run(settings).values()) == [(False, 2**30)]
 
 

@@ -1,0 +1,103 @@
+"""A real bench file is served on loopback, and the file written beside it is measured with as the real one would be."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.bench import emulate, is_bench_file, read_bench
+from hpe_rig.cli.app import app
+from hpe_rig.measurement import prepare, record_run
+from hpe_rig.scene import SettingsError
+from hpe_rig.store import read_run
+
+SERIALS = {
+    **{role: f"HPE_00000{n}" for n, role in enumerate(read_bench().bench.generators.by_role)},
+    "digitizer": "460777",
+}
+
+
+@pytest.fixture
+def free_port() -> int:
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        return int(server.getsockname()[1])
+
+
+@pytest.fixture
+def real(tmp_path: Path, free_port: int) -> Path:
+    """Return a real bench file: one generator on a socket of this machine, the others on GPIB, all with labels."""
+    text = read_bench().text.replace("simulated = true", "simulated = false").replace("Simulated bench", "Bench")
+    for number, role in enumerate(read_bench().bench.generators.by_role):
+        address = f"TCPIP0::localhost::{free_port}::SOCKET" if role == "master" else f"GPIB0::{10 + number}::INSTR"
+        lines = f'[generators.{role}]\naddress = "{address}"\nserial = "{SERIALS[role]}"'
+        text = text.replace(f"[generators.{role}]", lines)
+    text = text.replace("[digitizer]", f'[digitizer]\nserial = "{SERIALS["digitizer"]}"')
+    path = tmp_path / "room-12.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def emulated(real: Path, free_port: int) -> Iterator[Path]:
+    """Yield the bench file of the emulation of ``real``, after a question to the served master."""
+    path = real.with_name("emulated.toml")
+
+    def ask_master(text: str) -> None:
+        path.write_text(text, encoding="utf-8")
+        with socket.create_connection(("127.0.0.1", free_port), timeout=5) as line:
+            line.sendall(b"*IDN?\n")
+            assert b"33250A" in line.recv(200)
+        raise KeyboardInterrupt
+
+    setup = prepare("bovine-muscle", real, refuse=False)
+    emulate(setup.scene.scene, setup.bench, "socket", ask_master)
+    yield path
+
+
+def test_a_real_bench_file_is_rehearsed_with_its_serials_wiring_and_limits(
+    emulated: Path, real: Path, free_port: int, tmp_path: Path
+) -> None:
+    bench, before = read_bench(emulated).bench, read_bench(real).bench
+    assert (bench.simulated, bench.emulated, bench.transport) == (True, True, "socket")
+    assert bench.generators.master.address == f"TCPIP0::127.0.0.1::{free_port}::SOCKET"
+    assert all("::127.0.0.1::" in (item.address or "") for item in bench.generators.by_role.values())
+    assert (bench.wiring, bench.limits, bench.serials) == (before.wiring, before.limits, SERIALS)
+
+    shown = CliRunner().invoke(app, ["bench", str(emulated), "--json"])
+    assert shown.exit_code == 0, shown.output
+    assert all(serial in shown.stdout for serial in SERIALS.values())
+    assert CliRunner().invoke(app, ["commission", str(emulated)]).exit_code == 0
+    run = read_run(record_run(prepare("table-1", emulated), tmp_path / "run.h5"))
+    assert (run.status, run.simulated) == ("complete", True)
+
+
+def test_without_its_key_the_serial_numbers_of_a_file_are_compared_with_those_of_the_twin(emulated: Path) -> None:
+    emulated.write_text(emulated.read_text("utf-8").replace("emulated = true\n", ""), encoding="utf-8")
+    shown = CliRunner().invoke(app, ["bench", str(emulated)])
+    assert shown.exit_code == 1
+    assert "expected HPE_000000" in shown.output
+
+
+def test_a_bench_file_is_told_from_a_scene(real: Path, tmp_path: Path) -> None:
+    assert is_bench_file(str(real))
+    assert not is_bench_file("bovine-muscle")
+    assert CliRunner().invoke(app, ["new", str(tmp_path / "scene.toml")]).exit_code == 0
+    assert not is_bench_file(str(tmp_path / "scene.toml"))
+    refused = CliRunner().invoke(app, ["emulate", str(real), "--bench", str(real)])
+    assert refused.exit_code == 2
+    assert "is a bench file too" in refused.output
+
+
+def test_an_imported_recording_has_no_instruments_to_emulate() -> None:
+    bench = read_bench()
+    recording = {"source": "a", "sha256": "0" * 64, "format": "npy", "first_sample_s": 0.0}
+    imported = type(bench.bench).model_validate(bench.bench.model_dump() | {"recording": recording})
+    setup = prepare("bovine-muscle")
+    with pytest.raises(SettingsError, match="imported recording, without instruments"):
+        emulate(setup.scene.scene, replace(bench, bench=imported), "socket", print)
