@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -44,8 +43,8 @@ def real(tmp_path: Path, free_port: int) -> Path:
 
 
 @pytest.fixture
-def emulated(real: Path, free_port: int) -> Iterator[Path]:
-    """Yield the bench file of the emulation of ``real``, after a question to the served master."""
+def emulated(real: Path, free_port: int) -> Path:
+    """Return the bench file of the emulation of ``real``, after a question to the served master."""
     path = real.with_name("emulated.toml")
 
     def ask_master(text: str) -> None:
@@ -57,7 +56,7 @@ def emulated(real: Path, free_port: int) -> Iterator[Path]:
 
     setup = prepare("bovine-muscle", real, refuse=False)
     emulate(setup.scene.scene, setup.bench, "socket", ask_master)
-    yield path
+    return path
 
 
 def test_a_real_bench_file_is_rehearsed_with_its_serials_wiring_and_limits(
