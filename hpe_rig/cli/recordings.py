@@ -55,18 +55,11 @@ def map_command(
     recording: RecordingFiles,
     scene: RecordedScene,
     settings: RecordingOptions,
-<<<<<<< HEAD
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="NetCDF file of the map (needs the extra 'frames').")
-    ] = None,
-    figure: Annotated[Path | None, typer.Option(help="Figure of the map, .png, .svg or .pdf.")] = None,
+    output: Annotated[Path | None, output_option("NetCDF file of the map (needs the extra 'frames').")] = None,
+    figure: Annotated[Path | None, file_option("Figure of the map, .png, .svg or .pdf.")] = None,
     moduli: Annotated[
         bool, typer.Option("--moduli", help="Also fit the moduli of the medium to the lines at the focus.")
     ] = False,
-=======
-    output: Annotated[Path | None, output_option("NetCDF file of the map (needs the extra 'frames').")] = None,
-    figure: Annotated[Path | None, file_option("Figure of the map, .png, .svg or .pdf.")] = None,
->>>>>>> d50f3750 (Options -o and --json on commands that write or print, emulate serves a real bench file, dask workers as asked for)
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
     from hpe_rig.cli.stored import refuse_outputs, write_map
@@ -94,7 +87,8 @@ def export_command(
         Literal["zea", "uff", "mat"] | None, typer.Option("--format", help="Format. Default: by the ending.")
     ] = None,
     shot: Annotated[
-        list[int] | None, typer.Option(metavar="SHOT", help="Shot to export, counted from 1; repeatable. Default: all good ones.")
+        list[int] | None,
+        typer.Option(metavar="SHOT", help="Shot to export, counted from 1; repeatable. Default: all good ones."),
     ] = None,
 ) -> None:
     """Write the echoes of a run for zea, USTB or MATLAB, with rates and times; a simulated run with its truth."""
