@@ -29,7 +29,7 @@ from hpe_rig.cli.streams import finish_streams, queue_streams
 from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
 
-REFUSED_ARGUMENTS: Final = typer.BadParameter.__mro__[1]
+REFUSED_ARGUMENTS: Final[Any] = typer.BadParameter.__mro__[1]
 """Arguments that typer refuses; it exports only this subclass of the exception."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)

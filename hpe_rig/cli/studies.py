@@ -172,7 +172,7 @@ class SizeOptions:
     scatterers: Annotated[
         int | None,
         typer.Option(
-            "--draws", "--scatterers", metavar="N", help="Draws of scatterers per case. Default: the study's, 160."
+            "--draws", "--scatterers", metavar="N", help="Draws of scatterers per case. Default: the study's."
         ),
     ] = None
     noise: Annotated[int | None, typer.Option(metavar="N", help="Draws of noise per draw of scatterers.")] = None
