@@ -155,10 +155,7 @@ def dispersion(
     estimator: Estimator = None,
     width_uncertainty: WidthUncertainty = 0.05,
     per_place: PerPlace = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", callback=check_file_name, help="Figure of both quantities: .pdf, .svg or .png."),
-    ] = None,
+    output: Annotated[Path | None, output_option("Figure of both quantities: .pdf, .svg or .png.")] = None,
     json: Json = False,
     csv: Annotated[bool, typer.Option("--csv", help="Print CSV, one row per method and frequency.")] = False,
 ) -> None:

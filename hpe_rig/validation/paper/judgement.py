@@ -132,7 +132,10 @@ def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judg
     directions = ("falls", "rises") if falls else ("rises", "falls")
     names = np.select([stated, opposite, level], [*directions, "level"], "unclear")
     values = zip(snr_db[columns], first, last, margin / SIGNIFICANT, names, strict=True)
-    text = "; ".join(f"{db:g} dB {start:.3g} to {end:.3g} ± {u:.2g}, {name}" for db, start, end, u, name in values)
+    text = "; ".join(
+        f"{db:g} dB {_digits(start, 3)} to {_digits(end, 3)} ± {_digits(u, 2)}, {name}"
+        for db, start, end, u, name in values
+    )
 
     # Without a significant trend, an opposite or level quantity contradicts the statement.
     otherwise = DIFFERS if opposite.any() or level.all() else INCONCLUSIVE
@@ -140,6 +143,11 @@ def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judg
     # An unclear SNR can still become one of the three, except beside two that contradict each other.
     decided = (stated | opposite | level).all() or (stated.any() and (opposite | level).any())
     return Judgement(f"{QUANTITIES[quantity]} ({_printed_unit(quantity)}): {text}", verdict, bool(decided))
+
+
+def _digits(value: float, digits: int) -> str:
+    """Return ``value`` with ``digits`` significant digits, without an exponent: 1300."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 @judge_factory
