@@ -75,6 +75,16 @@ def test_the_phase_velocity_of_the_shipped_scene_is_the_twins(run: hpe.Run, tmp_
     assert fitted["phase_velocity_m_per_s"] == pytest.approx(near, rel=0.003)
 
 
+def test_a_figure_of_dispersion_refuses_frequencies_and_gates_over_depth(run: hpe.Run) -> None:
+    options = ["--kind", "dispersion", "--frequency", "100", "--gate-profile-step", "1mm", "-o", "never.pdf"]
+    refused = CliRunner().invoke(app, ["figure", str(run.path), *options])
+    assert refused.exit_code != 0
+    assert "--kind dispersion draws all frequencies" in refused.output
+    assert "--kind dispersion uses the gates of the scene" in refused.output
+    both = CliRunner().invoke(app, ["dispersion", str(run.path), "--json", "--csv"])
+    assert "both formats are requested" in both.output
+
+
 def test_every_offset_has_a_truth_and_an_estimate(run: hpe.Run) -> None:
     result = run.estimate()
     places = [shot.lateral_offset_m for shot in result.shots]
