@@ -8,7 +8,7 @@ for, such as the times of the pulses and the truth of a simulation, are in a gro
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -28,6 +28,8 @@ ZEA_VERSION, UFF_VERSION = "0.1.8", "v1.2.0"
 """Versions of the layouts, which their readers compare."""
 LIBVER = ("earliest", "v110")
 """MATLAB reads HDF5 of these versions."""
+BLOCK_SAMPLES = 1 << 20
+"""Samples that are converted to volts at a time."""
 SPHERICAL_WAVE = 1
 """Number of a focused wave in UFF."""
 
@@ -63,10 +65,14 @@ class Echoes:
     pulse_time_s: FloatArray
     labels: Mapping[str, Label]
 
-    def volts(self, shot: int) -> NDArray[np.float32]:
-        """Return the volts of ``shot``, (pulse, sample); NaN where no record exists."""
+    def volts(self, shot: int) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+        """Yield pulses of ``shot`` and their volts, (pulse, sample), block by block; NaN where no record exists."""
         codes = self.codes_of(shot)
-        return np.where(codes == MISSING, np.nan, codes * self.scale_v + self.offset_v).astype(np.float32)
+        step = max(1, BLOCK_SAMPLES // codes.shape[1])
+        for first in range(0, codes.shape[0], step):
+            block = codes[first : first + step]
+            volts = np.where(block == MISSING, np.nan, block * self.scale_v + self.offset_v)
+            yield slice(first, first + len(block)), volts.astype(np.float32)
 
 
 def export_image(echoes: Echoes, file_format: ExportFormat) -> bytes:
@@ -112,7 +118,8 @@ def _write_zea(file: h5py.File, echoes: Echoes) -> None:
     )
     data = file.create_dataset("tracks/track_0/data/raw_data", (shots, pulses, samples, 1, 1), "f4", chunks=True)
     for shot in range(shots):
-        data[shot, ..., 0, 0] = echoes.volts(shot)
+        for pulses_of_block, volts in echoes.volts(shot):
+            data[shot, pulses_of_block, :, 0, 0] = volts
     intervals_s = np.diff(echoes.pulse_time_s, append=2 * echoes.pulse_time_s[:, -1:] - echoes.pulse_time_s[:, -2:-1])
     scan = {
         "sampling_frequency": echoes.sample_rate_hz,
@@ -142,7 +149,8 @@ def _write_uff(file: h5py.File, echoes: Echoes) -> None:
     data = channel_data.create_dataset("data", (shots, pulses, 1, samples), "f4")
     data.attrs.update(_uff_attributes("data", "single"))
     for shot in range(shots):
-        data[shot, :, 0] = echoes.volts(shot)
+        for pulses_of_block, volts in echoes.volts(shot):
+            data[shot, pulses_of_block, 0] = volts
     intervals_s = np.diff(echoes.pulse_time_s[0])
     numbers = {
         "sampling_frequency": echoes.sample_rate_hz,

@@ -14,6 +14,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.recordings.contents import Contents
+from hpe_rig.recordings.coordinates import find_coordinate
 from hpe_rig.recordings.settings import RecordingSettings
 from hpe_rig.scene import Mistake, mistakes_of
 
@@ -68,10 +69,19 @@ class Statements:
             self.inferred.append(f"{key} = {self.scene[key]:g}, from the scene")
             return self.scene[key]
         if needed:
-            self.add_mistake(
-                key, "neither options, sidecar, file nor scene state it", f"--set {key}=... or a sidecar file"
-            )
+            remedy = f"--set {key}=... or a sidecar file"
+            remedy += self._rate_of_times() if key == "sample_rate_hz" else ""
+            self.add_mistake(key, "neither options, sidecar, file nor scene state it", remedy)
         return None
+
+    def _rate_of_times(self) -> str:
+        """Return the rate of the times in the file, whose unit is unknown, in words; "" without times."""
+        for name, array in self.contents.arrays.items():
+            times = find_coordinate(array) if array.ndim == 1 else None
+            if times is not None and not times.is_index:
+                rate = 1 / times.step
+                return f"; {name!r} ascends by {times.step:g}: {rate:.6g} if in s, {1e6 * rate:.6g} if in us"
+        return ""
 
     def _number_of_file(self, key: str, value: float, name: str) -> float | None:
         """Return the ``value`` that the file states under ``name``, unless it is out of bounds."""

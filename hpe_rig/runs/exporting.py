@@ -29,11 +29,12 @@ def export_run(
     file_format: ExportFormat | None = None,
     shots: Sequence[int] | None = None,
 ) -> tuple[str, ...]:
-    """Write the echoes of ``run`` to ``path`` for other programs, and return in words what was left out.
+    """Write the echoes of ``run`` to ``path`` for other programs; return in words which shots and records are absent.
 
     ``file_format``: "zea", "uff" of USTB, or "mat"; default: by the ending .hdf5, .uff or .mat. ``shots``, counted
-    from 0; default: all complete ones that are not marked as bad. A simulated run has its truth as labels. Raises
-    ``SettingsError`` if the format cannot hold the shots, and ``StoreError`` if the file exists or cannot be written.
+    from 0; default: all complete ones that are not marked as bad. Missing records are NaN, or -32768 in MATLAB. A
+    simulated run has its truth as labels. Raises ``SettingsError`` if the format cannot hold the shots, and
+    ``StoreError`` if the file exists or cannot be written.
 
     >>> export_run("bovine-muscle.h5", "bovine-muscle.hdf5")
     """
@@ -42,22 +43,22 @@ def export_run(
         raise StoreError(f"{path} already exists and is not overwritten. Try: another name.")
     refuse_unwritable(path)
     selected, omitted = _selected_shots(run, shots)
-    chosen = _format_of(path, file_format)
-    mistakes = list(_conflicts(run, selected, chosen))
+    selected_format = _format_of(path, file_format)
+    mistakes = list(_conflicts(run, selected, selected_format))
     if mistakes:
         raise SettingsError("export", mistakes)
-    echoes = _echoes_of(run, selected)
-    write_file(path, export_image(echoes, chosen), overwrite=False)
-    return omitted
+    missing: dict[int, int] = {}
+    write_file(path, export_image(_echoes_of(run, selected, missing), selected_format), overwrite=False)
+    return (*omitted, *(f"shot {shot + 1}: {count} missing records" for shot, count in missing.items() if count))
 
 
 def _format_of(path: Path, file_format: str | None) -> ExportFormat:
     formats: dict[str, ExportFormat] = {name: name for name in SUFFIXES.values()}
-    chosen = SUFFIXES.get(path.suffix.lower()) if file_format is None else formats.get(file_format)
-    if chosen is None:
+    known = SUFFIXES.get(path.suffix.lower()) if file_format is None else formats.get(file_format)
+    if known is None:
         what = f"the ending of {path.name} implies no format" if file_format is None else f"{file_format!r} is unknown"
         raise SettingsError("export", [Mistake("format", what, f"one of {', '.join(formats)}")])
-    return chosen
+    return known
 
 
 def _selected_shots(run: Run, shots: Sequence[int] | None) -> tuple[list[Shot], tuple[str, ...]]:
@@ -84,7 +85,7 @@ def _selected_shots(run: Run, shots: Sequence[int] | None) -> tuple[list[Shot], 
 
 
 def _conflicts(run: Run, shots: Sequence[Shot], file_format: ExportFormat) -> Iterator[Mistake]:
-    """Yield a mistake for each value of which the format holds one, and the shots have several."""
+    """Yield a mistake for each setting with several values in ``shots`` that the format holds once."""
     remedy = "--shot for shots with one value of it, and another file for the others"
     scenes = [scene_of_shot(run.scene, shot) for shot in shots]
     settings: dict[str, list[Any]] = {
@@ -107,13 +108,16 @@ def _conflicts(run: Run, shots: Sequence[Shot], file_format: ExportFormat) -> It
         yield Mistake("shots", what, "--shot for some of the shots, and further files for the others")
 
 
-def _echoes_of(run: Run, shots: Sequence[Shot]) -> Echoes:
+def _echoes_of(run: Run, shots: Sequence[Shot], missing: dict[int, int]) -> Echoes:
+    """Return the echoes of ``shots``; reading a shot writes its number of missing records to ``missing``."""
     from hpe_rig.processing import assign_pulses
 
     def codes_of(index: int) -> Int16Array:
         shot = shots[index]
         placement = assign_pulses(shot, run.stored).placement
-        return run.records.gated(shot.index, slice(0, run.records.shape[2]), placement=placement).codes
+        records = run.records.gated(shot.index, slice(0, run.records.shape[2]), placement=placement)
+        missing[shot.index] = int((~records.valid).sum())
+        return records.codes
 
     scene, first = scene_of_shot(run.scene, shots[0]), shots[0]
     record = run.records.gated(first.index, slice(0, 1))

@@ -1,6 +1,6 @@
 """Recordings that other people published are read as their own programs read them.
 
-The files are no part of this repository. Folder HPE_RIG_PUBLIC_FILES holds clones of two repositories of GitHub:
+The files are no part of this repository. Folder HPE_RIG_PUBLIC_FILES holds clones of eight repositories of GitHub:
 
 * scottprahl/RigolWFM at 159e647c, tests/files: 97 files of oscilloscopes of seven vendors, from many owners; 86 were
   read. Refused with the reason: a LeCroy file without samples (lecroy_1.trc), a capture of several acquisitions of
@@ -9,6 +9,16 @@ The files are no part of this repository. Folder HPE_RIG_PUBLIC_FILES holds clon
 * Lars27/ultrasound-measurements at fab0a202: echoes of a PicoScope and calibrations of hydrophones. The MATLAB file
   (30000, 2) states step and start; the axes of its two channels are asked for. The .wfm files of its program in LabVIEW
   are raw values behind a header. The calibrations are tables of frequencies, which are asked for their unit of time.
+* kelu124/un0rick at c7f7c9f: pulse echoes of a board with one element. The times in its NPZ files have no unit: the
+  message states the rates that they would be. Its text files are bytes, and are asked for the length of a record.
+* Guokr1991/Ultrasound_Elastography at 4e7e313, AM2D: radio-frequency frames of a Siemens scanner with the sampling rate
+  in the saved header; two files are two pulses.
+* AbdelrahmanZayed/PCA-GLUE_Ultrasound_Elastography at 3dfcd5e: beamformed frames of an Alpinion scanner without rates.
+  Two simulated frames of different lengths are refused as such.
+* buenlb/verasonics at 424f8df, MonkeyTx/lib/sampleData.mat: a workspace of Verasonics without SeqControl, 4 MB. Its
+  buffer of 1.07 GB is nearly empty and refused by its size; with the used rows alone it is read.
+* SAFEERHYDER/Ultrasound_Elastography at 8e5261e (in folder SAFEERHYDER): positions of scatterers, and
+  swklemmer/ElastographySim at f008a1c: maps of displacement. Neither is an echo; both are asked for axes and rates.
 """
 
 from __future__ import annotations
@@ -19,8 +29,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import loadmat, savemat
 
-from hpe_rig.recordings import RecordingSettings, read_recording
+from hpe_rig.recordings import Recording, RecordingSettings, Source, read_recording
 from hpe_rig.recordings.importers import read_contents
 from hpe_rig.scene import SettingsError
 
@@ -81,3 +92,80 @@ def test_a_raw_file_of_another_program_is_read_behind_its_header() -> None:
     _, contents = read_contents(path / "US_2023_10_20_0051.wfm", RecordingSettings.model_validate(raw))
     (volts,) = contents.arrays.values()
     assert 1e-3 < np.abs(volts).max() < 20.0
+
+
+def read(source: Source, **stated: Any) -> Recording:
+    return read_recording(source, RecordingSettings.model_validate(stated))
+
+
+@pytest.mark.parametrize("name", ["20210117173109", "20240208182809_ndt"])
+def test_times_without_unit_are_no_rate_but_a_suggestion(name: str) -> None:
+    path = public(f"un0rick/usb/{name}.npz")
+    stated: dict[str, Any] = {"axes": "pulse,sample", "carrier_hz": 5e6, "pulse_rate_hz": 1e3}
+    with pytest.raises(SettingsError, match=r"'t' ascends by 0\.015625: 64 if in s, 6\.4e\+07 if in us"):
+        read(path, **stated)
+    recording = read(path, **stated, sample_rate_hz=64e6)
+    with np.load(path) as file:
+        np.testing.assert_array_equal(recording.values[0, 0], file["signal"])
+
+
+def test_bytes_in_a_text_file_are_asked_for_the_length_of_a_record() -> None:
+    path = public("un0rick/images/20180403/p_A-130us-1-VGA@0x22-spimode1-64msps.csv")
+    with pytest.raises(SettingsError, match="a signal of 16640 samples has no axis pulse"):
+        read(path, sample_rate_hz=64e6, carrier_hz=5e6, pulse_rate_hz=1e3)
+
+
+@pytest.mark.parametrize(
+    ("names", "variable"), [(("rf01", "rf03"), "RfDataDouble"), (("rf052", "rf054"), "RfDataFilt")]
+)
+def test_frames_of_a_siemens_scanner_state_their_sampling_rate(names: tuple[str, str], variable: str) -> None:
+    paths = tuple(public(f"Ultrasound_Elastography/AM2D/{name}.mat") for name in names)
+    recording = read(paths, axes="pulse,sample,line", carrier_hz=6.67e6, pulse_rate_hz=30.0, lines="100")
+    assert recording.sample_rate_hz == 40e6
+    for path, pulse in zip(paths, recording.values[0, 0], strict=True):
+        np.testing.assert_array_equal(pulse, loadmat(path)[variable][:, 99])
+
+
+def test_frames_of_an_alpinion_scanner_are_asked_for_their_rates() -> None:
+    folder = public("PCA-GLUE_Ultrasound_Elastography")
+    paths = tuple(folder / f"{index}_layer0_idx{index}_BDATA_BF.mat" for index in (248, 253))
+    with pytest.raises(SettingsError, match="sample_rate_hz: neither options") as refused:
+        read(paths)
+    assert str(refused.value).count("\n") == 4
+    rates = {"sample_rate_hz": 40e6, "carrier_hz": 10e6, "pulse_rate_hz": 30.0}
+    recording = read(paths, axes="pulse,sample,line", lines="100", **rates)
+    np.testing.assert_array_equal(recording.values[0, 0, 1], loadmat(paths[1])["BfData"][:, 99])
+    simulated = tuple(folder / f"Im{index}_with_tstart_level_1.mat" for index in (0, 1))
+    with pytest.raises(SettingsError, match=r"holds samples of \(2285, 250\), Im0_with_tstart_level_1\.mat of"):
+        read(simulated, **rates)
+
+
+def test_the_used_rows_of_a_verasonics_workspace_are_256_acquisitions(tmp_path: Path) -> None:
+    path = public("verasonics/MonkeyTx/lib/sampleData.mat")
+    with pytest.raises(SettingsError, match="than the 256 MB that this file may expand to"):
+        read(path)
+    variables = {name: value for name, value in loadmat(path).items() if not name.startswith("__")}
+    rows = variables["RcvData"][0, 0][:65536]
+    variables["RcvData"][0, 0] = rows
+    savemat(tmp_path / "used.mat", variables)
+    # Each acquisition receives on the first channel and on one other.
+    with pytest.raises(SettingsError, match="65025 records hold one value throughout: line 2 shot 1 pulse 1"):
+        read(tmp_path / "used.mat", pulse_rate_hz=100.0, lines="3")
+    recording = read(tmp_path / "used.mat", pulse_rate_hz=100.0, lines="1")
+    np.testing.assert_array_equal(recording.values[0, 0], rows[:, 0].reshape(256, 256))
+    stated = (recording.sample_rate_hz, recording.carrier_hz, recording.sound_speed_m_per_s, recording.first_sample_s)
+    assert stated == pytest.approx((62.5e6 / 24, 62.5e6 / 96, 1490.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("SAFEERHYDER/cyst_phantom_test/pht_data.mat", "(1000, 3)"),
+        ("ElastographySim/out_experiments/random_experiment_d23.9_win_1.50.mat", "(20, 200, 200)"),
+    ],
+)
+def test_numbers_that_are_no_echoes_are_asked_for_axes_and_rates(name: str, shape: str) -> None:
+    with pytest.raises(SettingsError, match="the order of axes of") as refused:
+        read(public(name))
+    for said in (shape, "sample_rate_hz", "carrier_hz", "pulse_rate_hz"):
+        assert said in str(refused.value)

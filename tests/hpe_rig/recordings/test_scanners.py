@@ -84,6 +84,26 @@ def test_real_samples_come_in_with_every_rate_that_the_file_states(
     assert "are the pulses" in recording.inferred[0]
 
 
+def plain_uff(array: Any, *delays_s: float) -> dict[str, Any]:
+    """Return real channel data as USTB and pyuff_ustb write them, one dataset, with a delay of every wave."""
+    values = {name: value for name, value in uff(array).items() if not name.startswith("channel_data/data/")}
+    delays = {f"channel_data/sequence/sequence_{n + 1:04d}/delay": [[value]] for n, value in enumerate(delays_s)}
+    return values | {"channel_data/data": array} | delays
+
+
+def test_the_time_of_real_samples_in_uff_includes_the_delay_of_their_wave(tmp_path: Path) -> None:
+    recording = read(write(tmp_path / "a.uff", plain_uff(RF[None], *([0.5e-6] * PULSES))))
+    np.testing.assert_allclose(recording.values[0, 0], RF[:, 1])
+    assert recording.first_sample_s == pytest.approx(1.5e-6)
+    assert recording.carrier_hz == CARRIER_HZ
+
+
+def test_times_without_unit_are_suggested_as_rates(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", rf=RF[:, 1], t=np.arange(SAMPLES) / 40)
+    with pytest.raises(SettingsError, match=r"'t' ascends by 0\.025: 40 if in s, 4e\+07 if in us"):
+        read(tmp_path / "a.npz", axes="pulse,sample", lines="1", carrier_hz=CARRIER_HZ, pulse_rate_hz=PULSE_RATE_HZ)
+
+
 def test_transmits_of_several_frames_are_pulses_of_several_shots(tmp_path: Path) -> None:
     frames = zea_frames(RF).swapaxes(0, 1)
     both = np.concatenate([frames, -frames])
@@ -170,6 +190,7 @@ DAMAGED: dict[str, tuple[dict[str, Any], str]] = {
     "UFF with an impossible sound speed": (UFF | {"channel_data/sound_speed": 1.54}, "of the file states 1.54"),
     "UFF with a late first sample": (UFF | {"channel_data/initial_time": 1e9}, "of the file states 1e+09"),
     "UFF with values that are not finite": (uff(np.where(RF > 0, RF, np.nan)[:, None]), "not finite"),
+    "UFF of waves with other delays": (plain_uff(RF[None], *TIME_S[:12]), "sequence/delay differs between waves (0 to"),
     "UFF of zeros": (uff(0 * RF[:, None]), "same value everywhere"),
     "UFF of five axes": (uff(RF[:, None, None]), "several arrays may be the samples"),
     "UFF of pixels without sound speed": (
