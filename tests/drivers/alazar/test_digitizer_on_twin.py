@@ -539,7 +539,7 @@ def test_the_snapshot_holds_what_was_programmed_and_what_the_board_reports(rig: 
 
 
 @pytest.mark.parametrize("mode", ["single_port", "traditional", "npt"])
-@pytest.mark.parametrize("monitor_range_v", [None, 0.2])
+@pytest.mark.parametrize("monitor_range_v", [pytest.param(None, marks=pytest.mark.slow), 0.2])
 def test_every_mode_with_one_channel_or_two_gives_the_same_echoes(mode: str, monitor_range_v: float | None) -> None:
     expected, _ = Rig(dual=False).shot(LONG_CAPTURE)
     rig = Rig(dual=True)

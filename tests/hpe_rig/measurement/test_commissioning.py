@@ -165,13 +165,13 @@ def faults_of(results: Sequence[CableResult]) -> Mapping[tuple[str, str], str]:
     [
         (with_plug(0, source=None), 0, "The cable is open"),
         (with_plug(2, inverted=True), 2, "arrives inverted at toneburst.trigger"),
-        (with_plug(5, inverted=True), 5, "arrives inverted at transducer.drive"),
+        pytest.param(with_plug(5, inverted=True), 5, "arrives inverted at transducer.drive", marks=pytest.mark.slow),
         (with_plug(5, source="tracking_pulser.output"), 5, "the signal of tracking_pulser arrives at transducer.drive"),
-        (with_plug(1, inverted=True), 1, "no pulse of the master arrives"),
-        (with_plug(3, inverted=True), 3, "the pulses arrive inverted"),
+        pytest.param(with_plug(1, inverted=True), 1, "no pulse of the master arrives", marks=pytest.mark.slow),
+        pytest.param(with_plug(3, inverted=True), 3, "the pulses arrive inverted", marks=pytest.mark.slow),
         (with_plug(3, source="burst_train.output"), 3, "the pulses of burst_train arrive there"),
-        (with_plug(3, source=None), 3, "no pulse arrives"),
-        (with_plug(4, source=None), 4, "no signal at tracking_pulser.trigger"),
+        pytest.param(with_plug(3, source=None), 3, "no pulse arrives", marks=pytest.mark.slow),
+        pytest.param(with_plug(4, source=None), 4, "no signal at tracking_pulser.trigger", marks=pytest.mark.slow),
         (
             ActualBench(as_stated().plugs, {"toneburst": "tracking_pulser", "tracking_pulser": "toneburst"}),
             5,
@@ -241,12 +241,15 @@ def edited(*edits: tuple[str, str]) -> BenchFile:
 @pytest.mark.parametrize(
     "bench",
     [
-        edited(("dual_port_memory = true", "dual_port_memory = false")),
+        pytest.param(edited(("dual_port_memory = true", "dual_port_memory = false")), marks=pytest.mark.slow),
         edited(("dual_port_memory = true", 'dual_port_memory = true\nacquisition_mode = "npt"')),
         edited(('model = "ATS460"', 'model = "ATS9870"')),
-        edited(('model = "33250A"', 'model = "33600A"')),
+        pytest.param(edited(('model = "33250A"', 'model = "33600A"')), marks=pytest.mark.slow),
         edited(("simulated = true", 'simulated = true\ntransport = "socket"')),
-        edited(("load_ohm = 50.0\namplitude_vpp = 1.0", "load_ohm = inf\namplitude_vpp = 1.0\nmax_vpp = 1.5")),
+        pytest.param(
+            edited(("load_ohm = 50.0\namplitude_vpp = 1.0", "load_ohm = inf\namplitude_vpp = 1.0\nmax_vpp = 1.5")),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["single port", "npt", "8 bit", "33600A", "socket", "high impedance"],
 )

@@ -26,7 +26,10 @@ def stop_at_shot_2(progress: Progress) -> None:
 
 @pytest.mark.parametrize(
     ("path_of", "name"),
-    [(lambda folder: None, "stopped/run-2.h5"), (lambda folder: folder / "continued.h5", "continued.h5")],
+    [
+        (lambda folder: None, "stopped/run-2.h5"),
+        pytest.param(lambda folder: folder / "continued.h5", "continued.h5", marks=pytest.mark.slow),
+    ],
     ids=["beside the stopped run", "as named"],
 )
 def test_a_resumed_run_is_a_new_file(

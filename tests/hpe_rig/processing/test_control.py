@@ -83,7 +83,7 @@ def test_the_error_of_a_control_is_in_amplitude_and_phase_where_a_weak_phase_is_
     assert added[0, 1] == pytest.approx(np.pi**2 / 3)
 
 
-@pytest.mark.parametrize("controls", [1, 4])
+@pytest.mark.parametrize("controls", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_a_hum_of_random_phase_is_covered(controls: int) -> None:
     ratio, held = trials_of(controls, random_phase=True)
     assert ratio[0] == pytest.approx(1.0, abs=3 / np.sqrt(TRIALS))

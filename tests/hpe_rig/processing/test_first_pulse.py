@@ -67,7 +67,7 @@ def test_a_lost_first_trigger_without_tonebursts_is_part_of_the_uncertainty(tmp_
 @pytest.mark.parametrize(
     ("lines", "cables", "faults", "remark"),
     [
-        ("", "", {"lost": [0]}, "the first trigger was lost"),
+        pytest.param("", "", {"lost": [0]}, "the first trigger was lost", marks=pytest.mark.slow),
         ("monitor_range_v = 4.0", T_PIECE, {"lost": [0, 1, 300]}, "the first 2 triggers were lost"),
         (NPT, "", {"lost": [300]}, "a trigger was lost between record"),
         pytest.param(NPT, "", {"stray_s": [0.1001]}, "a trigger was too many", marks=pytest.mark.slow),
@@ -88,7 +88,11 @@ def test_tonebursts_in_the_records_show_which_pulse_came_first(
 
 @pytest.mark.parametrize(
     "faults",
-    [{"stray_s": [10.125e-3]}, {"stamp_jumps": [{"record": 31, "jump_s": 0.25}]}, {"frozen_stamps": [20, 60]}],
+    [
+        {"stray_s": [10.125e-3]},
+        {"stamp_jumps": [{"record": 31, "jump_s": 0.25}]},
+        pytest.param({"frozen_stamps": [20, 60]}, marks=pytest.mark.slow),
+    ],
 )
 def test_faults_that_the_trigger_times_reveal_change_no_result(tmp_path: Path, faults: dict[str, Any]) -> None:
     shot = estimated(tmp_path, "table-1", **faults)
@@ -160,7 +164,7 @@ def drawn(shot: Shot, seed: int, timed: bool, visible: bool) -> tuple[np.ndarray
 
 
 @pytest.mark.parametrize("visible", [True, False])
-@pytest.mark.parametrize("timed", [True, False])
+@pytest.mark.parametrize("timed", [pytest.param(True, marks=pytest.mark.slow), False])
 @pytest.mark.parametrize("draws", [5, pytest.param(400, marks=pytest.mark.slow)])
 def test_drawn_faults_are_corrected_or_stated(muscle: Shot, draws: int, timed: bool, visible: bool) -> None:
     corrected = 0

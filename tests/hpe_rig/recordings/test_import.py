@@ -265,11 +265,15 @@ def test_conflicting_options_of_a_sweep_are_refused(scene: Path) -> None:
     ("axes", "said"),
     [
         ({"pulse_rate_hz": [1e3], "snr": [1.0], "carrier_hz": [1e6]}, "snr"),
-        ({"pulse_rate_hz": [1e3], "carrier_hz": [1e6]}, r"(?s)2 mistakes.*pulse_rate_hz.*carrier_hz.*hpe-rig run"),
+        pytest.param(
+            {"pulse_rate_hz": [1e3], "carrier_hz": [1e6]},
+            r"(?s)2 mistakes.*pulse_rate_hz.*carrier_hz.*hpe-rig run",
+            marks=pytest.mark.slow,
+        ),
         ({"gate_depth_m": [1.2e-3, 20e-3]}, "a gate leaves the records, which go from 0 to 2.464 mm"),
-        ({"background_order": [-3]}, "background_order"),
-        ({"gate_profile_step_m": [1e-3]}, "a sweep has no depth profile"),
-        ({"gate_length_m": []}, "gate_length_m"),
+        pytest.param({"background_order": [-3]}, "background_order", marks=pytest.mark.slow),
+        pytest.param({"gate_profile_step_m": [1e-3]}, "a sweep has no depth profile", marks=pytest.mark.slow),
+        pytest.param({"gate_length_m": []}, "gate_length_m", marks=pytest.mark.slow),
     ],
 )
 def test_an_axis_of_the_acquisition_is_not_swept_after_it(

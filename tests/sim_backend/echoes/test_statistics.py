@@ -18,7 +18,7 @@ def drawn(settings, displacement_m, gate_s, draws, seed=0):
     return np.concatenate(list(drawn_echoes(settings, displacement_m, pulse, gate_s, rng, draws)))
 
 
-@pytest.mark.parametrize("per_cell", [11.0, 22.0])
+@pytest.mark.parametrize("per_cell", [11.0, pytest.param(22.0, marks=pytest.mark.slow)])
 def test_envelope_of_fully_developed_speckle_has_a_ratio_of_mean_to_deviation_of_1_91(per_cell):
     """Rayleigh: sqrt(pi / (4 - pi)) = 1.913. The pulse reaches 0.66 mm of depth, so some 20 cells are summed."""
     settings, draws = SimulationSettings(scatterers=Scatterers(per_cell=per_cell)), 2000

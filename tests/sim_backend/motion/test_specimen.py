@@ -55,7 +55,10 @@ def test_frequency_response_reproduces_the_table_of_the_model_notes(modulus_pa, 
     assert np.degrees(np.angle(response[[1, 3, 5]])) == pytest.approx(phase_deg, abs=0.5)
 
 
-@pytest.mark.parametrize("frequency_hz", [0.0, 30.0, 400.0, 5000.0])
+@pytest.mark.parametrize(
+    "frequency_hz",
+    [0.0, pytest.param(30.0, marks=pytest.mark.slow), 400.0, pytest.param(5000.0, marks=pytest.mark.slow)],
+)
 def test_frequency_response_equals_the_double_integral_over_wave_vectors(frequency_hz):
     specimen = Specimen()
     omega = 2 * np.pi * frequency_hz

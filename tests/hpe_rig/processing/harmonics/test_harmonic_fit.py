@@ -134,7 +134,16 @@ def _chain(noise: FloatArray, time_s: FloatArray) -> HarmonicFit:
 
 
 @pytest.mark.parametrize("fit", [_white, _filtered, _steps, _walk, _chain])
-@pytest.mark.parametrize("pulses", [6, 8, 12, 30, 100])
+@pytest.mark.parametrize(
+    "pulses",
+    [
+        6,
+        pytest.param(8, marks=pytest.mark.slow),
+        pytest.param(12, marks=pytest.mark.slow),
+        30,
+        pytest.param(100, marks=pytest.mark.slow),
+    ],
+)
 def test_intervals_of_few_pulses_hold_the_truth_as_often_as_those_of_many(
     fit: Callable[[FloatArray, FloatArray], HarmonicFit], pulses: int
 ) -> None:

@@ -202,7 +202,7 @@ def test_columns_are_those_of_every_harmonic() -> None:
 
 
 @pytest.mark.parametrize("train", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
-@pytest.mark.parametrize("noise_m", [77e-9, 7.7e-9])
+@pytest.mark.parametrize("noise_m", [pytest.param(77e-9, marks=pytest.mark.slow), 7.7e-9])
 def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Pulses, noise_m: float) -> None:
     motion = noisy(train, harmonics(voigt(9e3, 2.0))[0], noise_m, 1)
     result = medium_fit(motion, WANTED_HZ, PRIOR)
@@ -300,7 +300,7 @@ def _drawn(count: int) -> list[ComplexArray]:
 
 def _many(train: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tuple[FloatArray, FloatArray]:
     generator, errors_over_u, significance = np.random.default_rng(8), [], []
-    for wave in _drawn(120)[:count]:
+    for wave in _drawn(count):
         noise = noise_m * generator.standard_normal(train.time_s.size)
         result = medium_fit(train.motion(drive * at(train, wave) + noise), WANTED_HZ, PRIOR)
         errors_over_u.append(errors(result, drive * wave))
@@ -309,17 +309,18 @@ def _many(train: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tupl
 
 
 @pytest.mark.parametrize(
-    ("train", "noise_m"),
+    ("train", "noise_m", "count"),
     [
-        pytest.param(SHIFTING, 770e-9, marks=pytest.mark.slow),
-        pytest.param(SHIFTING, 77e-9, marks=pytest.mark.slow),
-        pytest.param(SHIFTING, 7.7e-9, marks=pytest.mark.slow),
-        pytest.param(AT_4000, 77e-9, marks=pytest.mark.slow),
-        (AT_4000, 7.7e-9),
+        pytest.param(SHIFTING, 770e-9, 120, marks=pytest.mark.slow),
+        pytest.param(SHIFTING, 77e-9, 120, marks=pytest.mark.slow),
+        pytest.param(SHIFTING, 7.7e-9, 120, marks=pytest.mark.slow),
+        pytest.param(AT_4000, 77e-9, 120, marks=pytest.mark.slow),
+        pytest.param(AT_4000, 7.7e-9, 120, marks=pytest.mark.slow),
+        (AT_4000, 7.7e-9, 60),
     ],
 )
-def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float) -> None:
-    over_u, significance = _many(train, noise_m, 120)
+def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float, count: int) -> None:
+    over_u, significance = _many(train, noise_m, count)
     assert 0.8 < np.mean(over_u**2) < 1.25
     assert abs(np.mean(np.abs(over_u) < 1) - 0.683) < 0.07
     assert abs(np.mean(np.abs(over_u) < 1.96) - 0.95) < 0.03
@@ -327,9 +328,9 @@ def test_intervals_cover_media_of_every_family(train: Pulses, noise_m: float) ->
 
 
 def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_together() -> None:
-    noise = 7.7e-9 * np.random.default_rng(8).standard_normal((120, AT_4000.time_s.size))
+    noise = 7.7e-9 * np.random.default_rng(8).standard_normal((60, AT_4000.time_s.size))
     ratios = []
-    for (tracked, peak), each in zip(_drawn_pairs(120), noise, strict=True):
+    for (tracked, peak), each in zip(_drawn_pairs(60), noise, strict=True):
         result = medium_fit(AT_4000.motion(at(AT_4000, tracked) + each), WANTED_HZ, PRIOR).fit
         assert result.medium is not None
         state = result.state[::2] + 1j * result.state[1::2]
@@ -341,9 +342,11 @@ def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_
     assert 0.8 < together < 1.25
 
 
-@pytest.mark.parametrize("drive", [0.01, 0.1, 10.0])
+@pytest.mark.parametrize(
+    "drive", [0.01, pytest.param(0.1, marks=pytest.mark.slow), pytest.param(10.0, marks=pytest.mark.slow)]
+)
 def test_drives_of_any_size_are_covered(drive: float) -> None:
-    over_u, _ = _many(SHIFTING, 77e-9, 80, drive)
+    over_u, _ = _many(SHIFTING, 77e-9, 60, drive)
     assert 0.75 < np.mean(over_u**2) < 1.3
 
 
@@ -360,7 +363,7 @@ def test_a_hundredfold_drive_is_off_by_less_than_a_fifth_of_a_percent() -> None:
 def test_what_every_period_repeats_is_no_medium(noise_m: float) -> None:
     # a receiver's error of 0.1 % of the rms motion, the same at an instant in all periods, so that no residual shows it
     generator, over_u, significance = np.random.default_rng(3), [], []
-    for wave in _drawn(40):
+    for wave in _drawn(60)[:40]:
         repeated = 1e-3 * RMS_M * np.tile(generator.standard_normal(40), AT_4000.time_s.size // 40)
         noise = noise_m * generator.standard_normal(AT_4000.time_s.size)
         result = medium_fit(AT_4000.motion(at(AT_4000, wave) + repeated + noise), WANTED_HZ, PRIOR)
@@ -400,7 +403,10 @@ def test_the_evidence_detects_a_medium_with_a_wall() -> None:
     assert np.mean(errors(result, reflected) ** 2) < 1.25
 
 
-@pytest.mark.parametrize(("reflected", "max_nev"), [(0.0, 1.17), (0.1, 1.35), (0.3, 1.0)])
+@pytest.mark.parametrize(
+    ("reflected", "max_nev"),
+    [pytest.param(0.0, 1.17, marks=pytest.mark.slow), (0.1, 1.35), pytest.param(0.3, 1.0, marks=pytest.mark.slow)],
+)
 def test_u_contains_the_effect_of_an_undamped_wall_in_much_noise(reflected: float, max_nev: float) -> None:
     # 360 nm at 100 Hz, echoes of 15 dB. A reflection of 10 % is hardly detected. NEV over 40 walls has a standard error
     # of 0.06, 0.04 and 0.02. With the deviation of the prior it is 1.00, 1.57 and 2.34.
@@ -638,7 +644,7 @@ def test_a_record_of_nothing_at_a_null_of_the_bursts_spectrum_has_no_nan() -> No
     np.testing.assert_array_equal(result.amplitude_m, 0.0)
 
 
-@pytest.mark.parametrize("lateral_m", [0.25e-3, 1e-3])
+@pytest.mark.parametrize("lateral_m", [0.25e-3, pytest.param(1e-3, marks=pytest.mark.slow)])
 def test_off_axis_motion_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: float) -> None:
     """Stiff and viscous: a thousandth of the motion is faster. Its own field, 1000 harmonics, 1 nm of noise a pulse."""
     beams = replace(BEAMS, lateral_offset_m=lateral_m)

@@ -24,7 +24,10 @@ def echoes(generator: np.random.Generator, amplitude_m: float) -> np.ndarray:
     return np.asarray(volts / volts.std())
 
 
-@pytest.mark.parametrize(("code_v", "noise_v"), [(0.08, 0.01), (0.16, 0.01), (0.08, 0.03)])
+@pytest.mark.parametrize(
+    ("code_v", "noise_v"),
+    [(0.08, 0.01), pytest.param(0.16, 0.01, marks=pytest.mark.slow), pytest.param(0.08, 0.03, marks=pytest.mark.slow)],
+)
 def test_errors_of_coarse_codes_are_as_large_as_stated(code_v: float, noise_v: float) -> None:
     generator, ratio = np.random.default_rng(3), []
     for _ in range(DRAWS):

@@ -40,7 +40,7 @@ def medium_motion(prior: MediumPrior) -> ComplexArray:
     return np.asarray(0.5e-6 * (prior.spectrum @ (real + 1j * imaginary)))
 
 
-@pytest.mark.parametrize("error", [0.0, 5e-5])
+@pytest.mark.parametrize("error", [pytest.param(0.0, marks=pytest.mark.slow), 5e-5])
 def test_error_and_phases_with_a_prior_of_media_are_within_their_uncertainties(error: float) -> None:
     prior = medium_prior(BEAMS, 100.0, 100e-6)
     truth_m = medium_motion(prior)

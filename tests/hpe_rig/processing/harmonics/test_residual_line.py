@@ -67,7 +67,9 @@ def test_aliases_of_a_wanted_frequency_leave_no_line_and_too_few_bins_give_none(
     assert residual_line(few, [200.0, 600.0]) is None
 
 
-@pytest.mark.parametrize(("line_hz", "warned"), [(3300.0, True), (800.0, True), (None, False)])
+@pytest.mark.parametrize(
+    ("line_hz", "warned"), [pytest.param(3300.0, True, marks=pytest.mark.slow), (800.0, True), (None, False)]
+)
 def test_a_run_warns_of_motion_that_nobody_asked_for(line_hz: float | None, warned: bool, tmp_path: Path) -> None:
     scene = load_scene("table-1")
     motions = [{"frequency_hz": 200.0, "amplitude_m": 1e-6}]

@@ -33,7 +33,9 @@ def measured(scene: Scene, path: Path) -> tuple[float, float]:
     return (estimate.tracked_amplitude_m - 100e-9) / estimate.tracked_amplitude_uncertainty_m, phase
 
 
-@pytest.mark.parametrize("background", [[HEART], [BREATHING]], ids=["heart", "breathing"])
+@pytest.mark.parametrize(
+    "background", [[HEART], pytest.param([BREATHING], marks=pytest.mark.slow)], ids=["heart", "breathing"]
+)
 def test_100_nm_are_measured_in_moving_tissue(background: list[dict[str, object]], tmp_path: Path) -> None:
     short = {"tracking.pulse_count": 400, "acquisition.record_samples": 2048, "processing.background_order": 10}
     errors = measured(moving(background, seed=3, **short), tmp_path / "run.h5")
