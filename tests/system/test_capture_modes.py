@@ -37,7 +37,7 @@ def echoes(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "mode", [pytest.param(mode, marks=pytest.mark.slow if mode == "traditional" else ()) for mode in MODES]
+    "mode", [pytest.param(mode, marks=() if mode == "npt" else pytest.mark.slow) for mode in MODES]
 )
 def test_every_way_to_capture_gives_the_same_echoes_with_a_second_channel(
     tmp_path: Path, echoes: np.ndarray, mode: str

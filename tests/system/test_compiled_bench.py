@@ -135,7 +135,7 @@ EDITS = {
     "ATS9440": (('model = "ATS460"', 'model = "ATS9440"'),),
     "ATS9870": (('model = "ATS460"', 'model = "ATS9870"'),),
 }
-FAST = {"shipped", "npt"}
+FAST = {"npt"}
 """The other benches are marked slow."""
 
 
@@ -177,7 +177,7 @@ def test_the_compiled_library_has_every_function_and_refuses_what_nobody_carries
     assert library.AlazarStartCapture(1) == 572
 
 
-@pytest.mark.parametrize("reversed_cable", [False, True])
+@pytest.mark.parametrize("reversed_cable", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_bench_behind_wires_is_commissioned(tmp_path: Path, library_path: Path, reversed_cable: bool) -> None:
     """The person at the terminal is replaced; all else is as on metal."""
     with metal_and_world(tmp_path, library_path, "table-1") as (path, world):

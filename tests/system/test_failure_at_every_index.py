@@ -56,8 +56,8 @@ SIGNALS["hang up"] = getattr(signal, "SIGHUP", signal.SIGTERM)
 IMPATIENCE = 10
 """How many calls in a row the impatient user's Ctrl-C strikes: the first unwinds, the others meet what makes safe."""
 WAIT_TIMEOUT, BUFFER_OVERFLOW = 579, 582
-STRIDE = 9
-"""The default suite takes every ninth call, with the kinds in turn; all calls with all kinds are marked slow."""
+STRIDE = 19
+"""The default suite takes every 19th call, with the kinds in turn; all calls with all kinds are marked slow."""
 
 # Five generators and short trains on prescribed motion: every kind of call is made, the physics costs nothing.
 SHORT = (
@@ -410,7 +410,7 @@ def test_a_fault_over_a_real_transport_leaves_the_bench_safe(
         indices = [*range(26, clean.calls - 60, 53), *range(clean.calls - 60, clean.calls, 11)]
         cases = [(index, kind) for index in indices for kind in OVER_A_LINE]
     else:
-        cases = list(zip(range(14, clean.calls, 47), cycle(OVER_A_LINE), strict=False))
+        cases = list(zip(range(14, clean.calls, 61), cycle(OVER_A_LINE), strict=False))
     unsafe, raised, reported, off_s, ended_s, since_fault_s = [], 0, 0, [], [], []
     for number, (index, kind) in enumerate(cases):
         # The lines end at the same time: which call of theirs is the last to switch is chance.

@@ -288,6 +288,9 @@ def reads_while_writing(prepared: Prepare, tmp_path: Path, reads: int) -> None:
                 records = stored.records[shot]
                 np.testing.assert_array_equal(records.codes[records.valid], codes[records.valid])
                 assert np.isfinite(records.trigger_time_s[records.valid]).all()
+            if counts and complete == counts[-1]:
+                # The writer gets its turn on a busy machine.
+                time.sleep(0.02)
             counts.append(complete)
     finally:
         os.kill(pid, signal.SIGKILL)

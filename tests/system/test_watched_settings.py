@@ -68,7 +68,10 @@ def another_program(worlds: list[World], role: str, command: str, step: Step = S
     return observe
 
 
-@pytest.mark.parametrize("role", FOREIGN)
+@pytest.mark.parametrize(
+    "role",
+    [name if name in ("toneburst", "master") else pytest.param(name, marks=pytest.mark.slow) for name in FOREIGN],
+)
 def test_what_another_program_changes_after_arming_is_found_and_ends_the_run(
     prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
 ) -> None:

@@ -56,9 +56,12 @@ def vibrations(
     "medium",
     [
         (9e3, 2.0),
-        *(pytest.param(each, marks=pytest.mark.slow) for each in ((4e3, 1.0), (13.5e3, 1.0), (12e3, 5.7))),
+        pytest.param(
+            *(pytest.param(each, marks=pytest.mark.slow) for each in ((4e3, 1.0), (13.5e3, 1.0), (12e3, 5.7))),
+            marks=pytest.mark.slow,
+        ),
         pytest.param((0.6e3, 0.05), marks=pytest.mark.slow),
-        (3e5, 20.0),
+        pytest.param((3e5, 20.0), marks=pytest.mark.slow),
     ],
 )
 def test_noise_free_vibrations_give_the_moduli_to_1e_6(medium: tuple[float, float], places: tuple[float, ...]) -> None:

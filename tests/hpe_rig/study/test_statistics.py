@@ -81,7 +81,7 @@ def test_a_phase_about_which_nothing_is_known_has_the_jitter_of_a_uniform_one() 
     assert phase_errors(phase, 0.0).jitter == pytest.approx(np.pi / np.sqrt(3), rel=0.01)
 
 
-@pytest.mark.parametrize("spread_rad", [0.2, 1.5])
+@pytest.mark.parametrize("spread_rad", [pytest.param(0.2, marks=pytest.mark.slow), 1.5])
 def test_the_stated_error_of_a_phase_bias_is_true_however_wide_the_phases_are(spread_rad: float) -> None:
     rng = np.random.default_rng(8)
     every = [phase_errors(2.0 + spread_rad * _halves(rng), 0.5) for _ in range(STUDIES)]

@@ -100,7 +100,15 @@ def test_response_does_not_depend_on_which_lateral_width_is_called_x():
     assert nearly_round == pytest.approx(frequency_response(specimen, WIDTH_M, frequency_hz), rel=3e-9)
 
 
-@pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(4.0e3, 1.0), (13.5e3, 1.0), (9.0e3, 1.5), (7.25e3, 0.3)])
+@pytest.mark.parametrize(
+    ("modulus_pa", "viscosity_pa_s"),
+    [
+        (4.0e3, 1.0),
+        pytest.param(13.5e3, 1.0, marks=pytest.mark.slow),
+        pytest.param(9.0e3, 1.5, marks=pytest.mark.slow),
+        (7.25e3, 0.3),
+    ],
+)
 def test_single_burst_equals_the_inverse_transform(modulus_pa, viscosity_pa_s):
     """Start-up and decay: a period longer than the medium's memory makes the Fourier series a single burst."""
     specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
@@ -191,7 +199,15 @@ def test_step_response_ends_at_the_static_displacement_within_the_memory(viscosi
     assert response.at(np.array([response.memory_s, 10 * response.memory_s])) == pytest.approx(static_m, rel=1e-11)
 
 
-@pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(7.25e3, 0.0), (7.25e3, 1.0), (1e3, 3.0), (3e4, 10.0)])
+@pytest.mark.parametrize(
+    ("modulus_pa", "viscosity_pa_s"),
+    [
+        (7.25e3, 0.0),
+        pytest.param(7.25e3, 1.0, marks=pytest.mark.slow),
+        pytest.param(1e3, 3.0, marks=pytest.mark.slow),
+        (3e4, 10.0),
+    ],
+)
 def test_table_interpolates_the_step_response(step_response, modulus_pa, viscosity_pa_s):
     specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
     response = tabulate_step_response(specimen, WIDTH_M)
