@@ -13,8 +13,8 @@ from hypothesis import settings
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-# Every run draws the same examples, so that a failure is repeatable.
-settings.register_profile("seeded", derandomize=True)
+# Every run draws the same examples, so that a failure is repeatable. Slow variants of a test state their own number.
+settings.register_profile("seeded", derandomize=True, max_examples=50)
 settings.load_profile("seeded")
 
 

@@ -6,7 +6,8 @@ installed_media   media of other packages, by entry points
 section           base of all tables
 instruments       generators and digitizer, their clocks and faults
 receiver          level and noise of the echoes, receive chain
-simulation        specimen, beams and scatterers; checks between all tables
+specimen          medium, push and power stage, prescribed and background motion
+simulation        beams and scatterers; checks between all tables
 
 Each description states the source of the default: *paper* (Table I or Sec. III of the source paper), *manual*
 (docs/explanation/instruments.md), *assumed* (no source; set it in the scene if it matters).

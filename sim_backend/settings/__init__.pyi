@@ -7,16 +7,18 @@ from .receiver import (
     Receiver as Receiver,
 )
 from .simulation import (
-    BackgroundMotion as BackgroundMotion,
     Beams as Beams,
-    MotionComponent as MotionComponent,
-    Propagation as Propagation,
     Reflector as Reflector,
     Scatterers as Scatterers,
     SimulationSettings as SimulationSettings,
+    Transducer as Transducer,
+    scatterer_count as scatterer_count,
+)
+from .specimen import (
+    BackgroundMotion as BackgroundMotion,
+    MotionComponent as MotionComponent,
+    Propagation as Propagation,
     Specimen as Specimen,
     Sphere as Sphere,
-    Transducer as Transducer,
     Transmitter as Transmitter,
-    scatterer_count as scatterer_count,
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_backend.digitizer.boards import BOARDS
-from sim_backend.settings.simulation import SimulationSettings, Specimen
+from sim_backend.settings import SimulationSettings, Specimen
 from sim_backend.world import Silence, World
 
 FIG_2 = [

@@ -31,7 +31,7 @@ from hpe_rig.runs.run import process
 from hpe_rig.scene import Scene, shipped_scenes
 from hpe_rig.store import StoreError, read_run, result_path
 from sim_backend.motion.specimen import frequency_response
-from sim_backend.settings.simulation import Specimen
+from sim_backend.settings import Specimen
 
 Prepare = Callable[..., Setup]
 Measure = Callable[..., Result]

@@ -9,7 +9,7 @@ from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene import parse_scene, shipped_scenes
 from sim_backend.acoustics.acoustics import Acoustics
 from sim_backend.receiver.reception import with_reception
-from sim_backend.settings.simulation import SimulationSettings
+from sim_backend.settings import SimulationSettings
 from sim_backend.wiring import Bursts, Capture, no_bursts
 
 

@@ -19,7 +19,7 @@ from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.motion.field import field_transfer
-from sim_backend.settings.simulation import Beams, Scatterers, SimulationSettings, Specimen
+from sim_backend.settings import Beams, Scatterers, SimulationSettings, Specimen
 from sim_backend.transducer import push_intensity
 
 FORCE_M = (0.17e-3, 0.17e-3, 1.80e-3)

@@ -17,7 +17,7 @@ from hpe_rig.moduli import push_of
 from hpe_rig.runs import Run
 from hpe_rig.scene import SettingsError
 from sim_backend.motion.sphere import sphere_response
-from sim_backend.settings.simulation import Sphere
+from sim_backend.settings import Sphere
 
 QUIET = {
     "simulation.receiver.snr_db": 80.0,

@@ -18,7 +18,7 @@ from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.engine import CaseRecord, _echoes, _RunningCase, run_batch
 from hpe_rig.study.run import batches
-from sim_backend.settings.simulation import Reflector
+from sim_backend.settings import Reflector
 
 SNR = {"name": "SNR", "keys": {"simulation.receiver.snr_db": [10.0, 30.0]}}
 OF_THE_RUN = ("seconds", "peak_memory_bytes")

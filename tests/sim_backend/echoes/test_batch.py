@@ -12,7 +12,7 @@ from sim_backend.echoes.many_draws import DRAWS_AT_ONCE, batch, drawn_echoes
 from sim_backend.echoes.pulse import echo_pulse, hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field, draw_thinned
 from sim_backend.echoes.series import ScattererRows
-from sim_backend.settings.simulation import Scatterers, SimulationSettings
+from sim_backend.settings import Scatterers, SimulationSettings
 
 SOUND_SPEED = 1540.0
 GATE_S = (np.arange(130) - 64.5) * 1e-8

@@ -10,7 +10,7 @@ from sim_backend.echoes.exact_sums import direct_sum, running_sum
 from sim_backend.echoes.many_draws import drawn_echoes
 from sim_backend.echoes.pulse import Pulse, attenuated, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
-from sim_backend.settings.simulation import Beams, Scatterers, SimulationSettings
+from sim_backend.settings import Beams, Scatterers, SimulationSettings
 
 SOUND_SPEED = 1540.0
 GATE_S = (np.arange(130) - 64.5) * 1e-8

@@ -11,7 +11,7 @@ from sim_backend.echoes.engine import synthesise
 from sim_backend.echoes.exact_sums import direct_sum, running_sum
 from sim_backend.echoes.pulse import Pulse, gaussian_pulse, hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field, field_at
-from sim_backend.settings.simulation import Beams, Scatterers
+from sim_backend.settings import Beams, Scatterers
 
 SOUND_SPEED = 1540.0
 GATE_S = (np.arange(130) - 64.5) * 1e-8

@@ -13,7 +13,7 @@ from sim_backend.echoes.exact_sums import blocks, running_sum
 from sim_backend.echoes.pulse import gaussian_pulse, hann_pulse, rectangular_burst
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.echoes.series import MAX_ANGLE_RAD, MAX_TERMS, ScattererRows, series, series_exponents
-from sim_backend.settings.simulation import Beams, Scatterers
+from sim_backend.settings import Beams, Scatterers
 
 SOUND_SPEED = 1540.0
 GATE_S = (np.arange(130) - 64.5) * 1e-8

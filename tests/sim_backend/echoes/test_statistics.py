@@ -7,7 +7,7 @@ from mpmath import hyp1f1
 from sim_backend.echoes.many_draws import drawn_echoes
 from sim_backend.echoes.pulse import echo_pulse, gaussian_pulse, hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field, field_at, reflector_points
-from sim_backend.settings.simulation import Beams, Reflector, Scatterers, SimulationSettings
+from sim_backend.settings import Beams, Reflector, Scatterers, SimulationSettings
 
 GATE_S = (np.arange(130) - 64.5) * 1e-8
 

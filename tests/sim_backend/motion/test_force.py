@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim_backend.motion.force import radiation_force, transmit_response
-from sim_backend.settings.simulation import Specimen
+from sim_backend.settings import Specimen
 from sim_backend.wiring import Bursts
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from sim_backend.motion.prescribed import cycles_at, motion_at
-from sim_backend.settings.simulation import MotionComponent
+from sim_backend.settings import MotionComponent
 
 
 def test_prescribed_motion_is_the_sum_of_its_sinusoids():

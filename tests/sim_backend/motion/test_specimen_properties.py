@@ -5,7 +5,7 @@ from hypothesis import given, settings, strategies
 
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.specimen import frequency_response, tabulate_step_response, transient_displacement
-from sim_backend.settings.simulation import Specimen
+from sim_backend.settings import Specimen
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
 

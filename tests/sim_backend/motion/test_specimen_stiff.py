@@ -16,7 +16,7 @@ from sim_backend.motion.specimen import (
     tabulate_step_response,
     transfer,
 )
-from sim_backend.settings.simulation import Specimen
+from sim_backend.settings import Specimen
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
 DIGITS = 30

@@ -5,7 +5,7 @@ import pytest
 
 from sim_backend.motion.acoustic_dose import dose
 from sim_backend.motion.force import harmonic_v, radiation_force
-from sim_backend.settings.simulation import SimulationSettings, Specimen, Transmitter
+from sim_backend.settings import SimulationSettings, Specimen, Transmitter
 from sim_backend.wiring import Bursts
 
 DRIVE_VPP = np.array([1e-3, 0.1, 0.5, 1.0])

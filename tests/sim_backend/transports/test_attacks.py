@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from sim_backend.settings.simulation import SimulationSettings
+from sim_backend.settings import SimulationSettings
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
 from sim_backend.transports.lines import LineBuffer
 from sim_backend.transports.loopback import MAX_BYTES, MAX_PEERS

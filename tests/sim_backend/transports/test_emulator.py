@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from sim_backend.settings.simulation import SimulationSettings
+from sim_backend.settings import SimulationSettings
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
 from sim_backend.transports.prologix import unescaped_lines
 from sim_backend.world import GENERATORS, World
