@@ -71,11 +71,12 @@ def test_the_example_of_the_package_runs(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_name_a_path_and_a_scene_measure_the_same(run: hpe.Run, tmp_path: Path) -> None:
     path = tmp_path / "copy.toml"
     path.write_text(shipped_scenes()["table-1"], encoding="utf-8")
-    sources = {"path": path, "text": str(path), "scene": hpe.load_scene("table-1")}
+    sources = {"path": path, "scene": hpe.load_scene("table-1")}
     for name, source in sources.items():
         other = hpe.measure(source, path=str(tmp_path / f"{name}.h5"))
         assert other.scene == run.scene
         np.testing.assert_array_equal(other.records[0].codes, run.records[0].codes)
+    assert hpe.load_scene(str(path)) == run.scene
     assert hpe.check(sources["scene"]).text == hpe.check("table-1").text
 
 

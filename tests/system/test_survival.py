@@ -162,7 +162,7 @@ def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
     prepared: Prepare, tmp_path: Path, kills: int, compress: bool
 ) -> None:
     # The same blocks over and over, cut small: nearly all the time is spent in writing, and so the kills fall there.
-    edits = (("[acquisition]", "[acquisition]\nrepeats = 40\nrecord_samples = 2048"), ("snr_db = 40.0", ""))
+    edits = (("[acquisition]", "[acquisition]\nrepeats = 20\nrecord_samples = 2048"), ("snr_db = 40.0", ""))
     setup = prepared("table-1", *edits)
     blocks = blocks_of_the_first_shot(setup)
     codes = np.concatenate([block.codes for block in blocks])
@@ -188,13 +188,13 @@ def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
             continue
         stored = read_run(path)
         for shot in range(int(stored.shot_complete.sum()) + 1):
-            if shot < 40:
+            if shot < 20:
                 records = stored.records[shot]
                 np.testing.assert_array_equal(records.codes[records.valid], codes[records.valid])
                 assert records.valid.all() or not stored.shot_complete[shot]
         shots.append(int(stored.shot_complete.sum()))
         path.unlink()
-    print(f"{kills} kills, {len(shots)} files with {min(shots)} to {max(shots)} of 40 shots")
+    print(f"{kills} kills, {len(shots)} files with {min(shots)} to {max(shots)} of 20 shots")
     assert len(shots) > kills / 4
 
 
