@@ -5,9 +5,7 @@ from numpy.typing import NDArray
 
 BoolArray = NDArray[np.bool_]
 ByteArray = NDArray[np.uint8]
-UInt16Array = NDArray[np.uint16]
 UInt32Array = NDArray[np.uint32]
-UInt64Array = NDArray[np.uint64]
 Int16Array = NDArray[np.int16]
 Int64Array = NDArray[np.int64]
 IndexArray = NDArray[np.intp]

@@ -1,5 +1,4 @@
 from .checks.acoustic_output import (
-    AcousticOutput as AcousticOutput,
     calibration_expiry as calibration_expiry,
     drive_output as drive_output,
     highest_output as highest_output,
