@@ -56,8 +56,8 @@ SIGNALS["hang up"] = getattr(signal, "SIGHUP", signal.SIGTERM)
 IMPATIENCE = 10
 """How many calls in a row the impatient user's Ctrl-C strikes: the first unwinds, the others meet what makes safe."""
 WAIT_TIMEOUT, BUFFER_OVERFLOW = 579, 582
-STRIDE = 19
-"""The default suite takes every 19th call, with the kinds in turn; all calls with all kinds are marked slow."""
+STRIDE = 12
+"""The default suite takes every twelfth call, with the kinds in turn; all calls with all kinds are marked slow."""
 
 # Five generators and short trains on prescribed motion: every kind of call is made, the physics costs nothing.
 SHORT = (

@@ -250,7 +250,8 @@ def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that
 
 
 def test_live_reading_while_writing_never_fails_and_never_sees_half_a_record(prepared: Prepare, tmp_path: Path) -> None:
-    reads_while_writing(prepared, tmp_path, reads=6)
+    # With pauses: the file stays small on a busy machine, and so does the time of a reading.
+    reads_while_writing(prepared, tmp_path, reads=6, pause_s=0.01)
 
 
 @pytest.mark.slow
@@ -258,8 +259,8 @@ def test_a_thousand_live_reads_while_writing(prepared: Prepare, tmp_path: Path) 
     reads_while_writing(prepared, tmp_path, reads=1000)
 
 
-def reads_while_writing(prepared: Prepare, tmp_path: Path, reads: int) -> None:
-    """Read a file ``reads`` times while another process writes it without a pause."""
+def reads_while_writing(prepared: Prepare, tmp_path: Path, reads: int, pause_s: float = 0.0) -> None:
+    """Read a file ``reads`` times while another process writes it, with a pause after each shot."""
     edits = (("[acquisition]", "[acquisition]\nrepeats = 400\nrecord_samples = 1024"), ("snr_db = 40.0", ""))
     setup = prepared("table-1", *edits)
     blocks = blocks_of_the_first_shot(setup)
@@ -272,6 +273,7 @@ def reads_while_writing(prepared: Prepare, tmp_path: Path, reads: int) -> None:
                 for block in blocks:
                     writer.append(shot, block)
                 writer.finish(shot)
+                time.sleep(pause_s)
 
     pid = forked(write)
     while not path.exists():
