@@ -56,10 +56,7 @@ def vibrations(
     "medium",
     [
         (9e3, 2.0),
-        pytest.param(
-            *(pytest.param(each, marks=pytest.mark.slow) for each in ((4e3, 1.0), (13.5e3, 1.0), (12e3, 5.7))),
-            marks=pytest.mark.slow,
-        ),
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ((4e3, 1.0), (13.5e3, 1.0), (12e3, 5.7))),
         pytest.param((0.6e3, 0.05), marks=pytest.mark.slow),
         pytest.param((3e5, 20.0), marks=pytest.mark.slow),
     ],

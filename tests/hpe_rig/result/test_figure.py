@@ -130,7 +130,10 @@ def test_simulated_results_are_marked_in_every_figure(drives: Result) -> None:
     assert drives.figure("drive").axes[0].get_title(loc="right") == "SIMULATED"
 
 
-@pytest.mark.parametrize("kind", ["spectrum", "displacement", "profile"])
+@pytest.mark.parametrize(
+    "kind",
+    ["spectrum", pytest.param("displacement", marks=pytest.mark.slow), pytest.param("profile", marks=pytest.mark.slow)],
+)
 def test_the_command_writes_a_figure_as_wide_as_asked(kind: str, tmp_path: Path) -> None:
     run, figure = tmp_path / "run.h5", tmp_path / "figure.pdf"
     hpe.measure("table-1", path=run)

@@ -110,7 +110,7 @@ def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:
         pytest.param(
             "records/shot_complete", (1,), "shot 2: /records/shot_complete fails its checksum", marks=pytest.mark.slow
         ),
-        ("records/clipped", (1,), "shot 2: /records/clipped fails its checksum"),
+        pytest.param("records/clipped", (1,), "shot 2: /records/clipped fails its checksum", marks=pytest.mark.slow),
         pytest.param(
             "truth/displacement_m", (2, 5), "shot 3: /truth/displacement_m fails its checksum", marks=pytest.mark.slow
         ),
@@ -120,7 +120,9 @@ def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:
             "shot 1: /true_harmonics/in_phase_m fails its checksum",
             marks=pytest.mark.slow,
         ),
-        ("records/burst_length_s", (1,), "/records/burst_length_s fails its checksum"),
+        pytest.param(
+            "records/burst_length_s", (1,), "/records/burst_length_s fails its checksum", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_one_bit_of_anything_is_found_and_of_what_a_result_uses_said_with_it(
