@@ -117,62 +117,46 @@ def _chunk(
 ) -> Int16Array | None:
     """Return the codes of chunk ``number`` of a shot, (pulse, sample), None if it is damaged.
 
-    A chunk is the piece that HDF5 stores at once. ``sums`` (shot, chunk): checksums, None in a file without.
+    A chunk is the piece that HDF5 stores at once. ``sums`` (shot, chunk): checksums, None in a file without. Those of
+    format version 2 are of the stored bytes, later ones of the codes.
     """
-    rows = echo.chunks[1]
-    first = number * rows
-    shape = (min(rows, echo.shape[1] - first), echo.shape[2])
+    first = number * echo.chunks[1]
+    shape = (min(echo.chunks[1], echo.shape[1] - first), echo.shape[2])
     if checked.codes is not None:
         chunk = checked.codes(name, shot, number, shape, first)
         return None if chunk is None else chunk[0]
-    if checked.is_written_once:
-        return _checked_chunk(checked, echo, name, shot, number, sums)
-    if sums is None:
-        location = echo.id.get_chunk_info_by_coord((shot, first, 0))
-        if location.byte_offset is None or location.byte_offset + location.size > checked.size:
-            return None
-    else:
+    expected = None if sums is None else int(sums[shot, number])
+    if not checked.is_written_once:
         stored = _stored_chunk(echo, shot, first)
-        if stored is None or digest(name, (shot, number), stored) != int(sums[shot, number]):
+        if not stored or expected not in (None, digest(name, (shot, number), stored)):
             return None
-        if not _is_compressed(echo):
-            return np.frombuffer(stored, "<i2").reshape(echo.chunks[1:])
+    codes = _codes_of_chunk(echo, shot, first, shape)
+    if codes is None or not checked.is_written_once:
+        return codes
+    return codes if checked.row_checksum(name, (shot, number), codes.data) == expected else None
+
+
+def _codes_of_chunk(echo: h5py.Dataset, shot: int, first: int, shape: tuple[int, int]) -> Int16Array | None:
+    """Return the codes of the chunk of ``shape`` that begins with record ``first``; None if it cannot be read."""
+    if not _is_compressed(echo):
+        # HDF5's own checksum follows the codes; comparing one checksum takes half the time.
+        stored, size = _stored_chunk(echo, shot, first), shape[0] * shape[1]
+        return np.frombuffer(stored, "<i2", size).reshape(shape) if len(stored) >= 2 * size else None
     try:
-        codes: Int16Array = echo[shot, first : first + rows]
+        # HDF5 compares its own checksum before it decompresses the chunk.
+        codes: Int16Array = echo[shot, first : first + shape[0]]
     except OSError:
         return None
     return codes
 
 
-def _checked_chunk(
-    checked: CheckedFile, echo: h5py.Dataset, name: str, shot: int, number: int, sums: h5py.Dataset | None
-) -> Int16Array | None:
-    """As ``_chunk``, in a file that was written after its run: the checksum is that of the codes."""
-    first, samples = number * echo.chunks[1], echo.shape[2]
-    rows = min(echo.chunks[1], echo.shape[1] - first)
-    if _is_compressed(echo):
-        try:
-            # HDF5 compares its own checksum before it decompresses the chunk.
-            codes: Int16Array = echo[shot, first : first + rows]
-        except OSError:
-            return None
-    else:
-        # HDF5's own checksum follows the codes; comparing one checksum takes half the time.
-        stored = _stored_chunk(echo, shot, first)
-        if stored is None or len(stored) < 2 * rows * samples:
-            return None
-        codes = np.frombuffer(stored, "<i2", rows * samples).reshape(rows, samples)
-    matches = sums is not None and checked.row_checksum(name, (shot, number), codes.data) == int(sums[shot, number])
-    return codes if matches else None
-
-
-def _stored_chunk(echo: h5py.Dataset, shot: int, first: int) -> bytes | None:
-    """Return the stored bytes of the chunk that begins with record ``first`` of ``shot``; None if it is not there."""
+def _stored_chunk(echo: h5py.Dataset, shot: int, first: int) -> bytes:
+    """Return the stored bytes of the chunk that begins with record ``first`` of ``shot``; none if it is not there."""
     try:
         _, stored = echo.id.read_direct_chunk((shot, first, 0))
     except (OSError, RuntimeError, ValueError):
         # The chunk lies beyond the end of the file or has no location.
-        return None
+        return b""
     content: bytes = stored
     return content
 
