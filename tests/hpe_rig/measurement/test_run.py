@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,6 +51,12 @@ def test_no_check_of_the_run_file_waits_for_the_disk_while_outputs_are_on(setup:
         observe(Progress(step, setup.plan.shots[0]))
     without_wait = [step.value for step, wait in zip(Step, recorder.waits, strict=True) if not wait]
     assert without_wait == ["wait", "fire", "collect"]
+
+
+def test_the_observer_of_a_simulated_run_is_called_in_the_thread_of_the_run(setup: Setup, tmp_path: Path) -> None:
+    threads = set[int]()
+    record_run(setup, tmp_path / "run.h5", lambda _: threads.add(threading.get_ident()))
+    assert threads == {threading.get_ident()}
 
 
 def test_a_run_file_has_the_name_of_its_scene_unless_it_is_stated(
