@@ -89,22 +89,23 @@ class BeamWidths:
 
 
 TrackedMotion = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""Tracked and peak displacement, and steepness, complex (frequency, ...), up to one real factor; time factor exp(+jwt).
+"""Tracked and peak displacement, complex (frequency, ...), and steepness (effect, frequency, ...).
 
-The steepness is the derivative of the tracked displacement by the logarithm of the tracking beam's area, which speckle
-changes."""
+All are up to one real factor, with the time factor exp(+jwt). The steepness has the derivatives of the tracked
+displacement by the quantities that speckle changes: the logarithm of the tracking beam's area and, off the axis of the
+force, the beam's offset relative to its radius."""
 
 
 def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
-    """Return tracked motion, peak motion and derivative of the tracked one, complex (frequency,), in ``medium``.
+    """Return tracked motion, peak motion, complex (frequency,), and steepness (effect, frequency) in ``medium``.
 
-    The force is Gaussian, and the beam is at the lateral offset of ``beams``. The derivative is by the logarithm of the
-    tracking beam's area. Averaging over a Gaussian of variance T^2 / 2 equals tracking at a point under a wider force:
-    T^2 / 2 is added to the force's variance, and its spectrum over wave numbers keeps its height.
+    The force is Gaussian, and the beam is at the lateral offset of ``beams``. Averaging over a Gaussian of variance
+    T^2 / 2 equals tracking at a point under a wider force: T^2 / 2 is added to the force's variance, and its spectrum
+    over wave numbers keeps its height.
     """
     if beams.lateral_offset_m:
         tracked, peak, steepness = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
-        return tracked[:, 0], peak[:, 0], steepness[:, 0]
+        return tracked[:, 0], peak[:, 0], steepness[..., 0]
     area_m2, across_m2, along_m2 = beams.tracking_area_m2, beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2
     values, slopes = _tracked_and_peak(
         medium.shear_k2.astype(np.complex128).tobytes(),
@@ -112,7 +113,7 @@ def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
         (along_m2 + beams.depth_sd_m**2, along_m2),
     )
     tracked, peak, steepness = np.stack([*values, area_m2 * slopes[0]]) / medium.modulus_pa
-    return tracked, peak, steepness
+    return tracked, peak, steepness[None]
 
 
 @functools.lru_cache(maxsize=4)
@@ -130,11 +131,10 @@ def _tracked_and_peak(
 
 
 def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:
-    """Return tracked motion, peak motion and derivative (frequency, offset) at ``lateral_m`` off the force's axis.
+    """Return tracked and peak motion (frequency, offset) and steepness (2, frequency, offset), ``lateral_m`` off axis.
 
     They are per unit of body force. Speckle moves the tracked region as well as changing its area, each by the same
-    fraction of its radius. The derivative is the root sum of squares of both effects, with the real part along the
-    tracked phasor and the imaginary part across.
+    fraction of its radius, independently.
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from hpe_rig.medium.shear_field import focal_plane_motion
@@ -144,12 +144,8 @@ def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatA
     tracked, by_area, by_offset = focal_plane_motion(
         medium, (x, z), x**2 + area_m2, z**2 + beams.depth_sd_m**2, lateral_m
     )
-    relative_by_area, relative_by_offset = area_m2 * by_area / tracked, np.sqrt(area_m2) * by_offset / tracked
-    steepness = np.hypot(relative_by_area.real, relative_by_offset.real) + 1j * np.hypot(
-        relative_by_area.imag, relative_by_offset.imag
-    )
     peak = focal_plane_motion(medium, (x, z), x**2, z**2, lateral_m)[0]
-    return tracked, peak, tracked * steepness
+    return tracked, peak, np.stack([area_m2 * by_area, np.sqrt(area_m2) * by_offset])
 
 
 def tracked_ratio(medium: HarmonicMedium, force: PushForce, beams: BeamWidths) -> ComplexArray:

@@ -85,9 +85,9 @@ class Ensemble:
     """Displacement per unit force of every member, complex (member, node), at ``node_hz`` (node,); read-only.
 
     ``tracked`` is the mean over tracking beam and gate, ``peak`` the displacement on the beam's axis at the focus, both
-    up to one real factor a member. ``steepness`` is the derivative of ``tracked`` by the logarithm of the tracking
-    beam's area, which speckle changes; off the axis also by the beam's offset. ``voigt`` (member,) marks Voigt media.
-    The first ``exact_nodes`` nodes are harmonics and are not interpolated.
+    up to one real factor a member. ``steepness`` (effect, member, node) has the derivatives of ``tracked`` by the
+    logarithm of the tracking beam's area and, off the axis, by the beam's offset, which speckle changes. ``voigt``
+    (member,) marks Voigt media. The first ``exact_nodes`` nodes are harmonics and are not interpolated.
     """
 
     node_hz: FloatArray
@@ -214,7 +214,7 @@ def _sphere_ensemble(sphere: RigidSphere, spec: _EnsembleSpec) -> Ensemble:
         node_hz=node_hz,
         tracked=response,
         peak=response,
-        steepness=np.zeros_like(response),
+        steepness=np.zeros_like(response)[None],
         voigt=spec.are_voigt(),
     )
 
@@ -237,7 +237,7 @@ def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
     shape_ratio = 1.0 if beams.force is None else _shape_ratio(beams.force, beams, shear_k2, width_factor)
     # The closed form is the displacement times the modulus.
     tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape_ratio / modulus_pa)
-    ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness, voigt=spec.are_voigt())
+    ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness[None], voigt=spec.are_voigt())
     # Cached and shared by all callers, hence read-only.
     for array in (node_hz, tracked, peak, steepness, ensemble.voigt):
         array.flags.writeable = False
@@ -301,26 +301,27 @@ def _off_axis_ensembles(beams: BeamWidths, spec: _EnsembleSpec) -> tuple[Ensembl
     offsets_m = np.array(beams.offsets_of_joint_fit_m)
     modulus_pa = spec.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))
     width_factor, length_factor = spec.width_factors(beams.width_log_sd)
-    # Axes (offset, quantity, member, node); the quantities are those of ``TrackedMotion``.
-    motions = np.empty((offsets_m.size, 3, spec.members, node_hz.size), np.complex128)
+    # Axes (offset, quantity, member, node): tracked and peak motion, then the two effects of the steepness.
+    motions = np.empty((offsets_m.size, 4, spec.members, node_hz.size), np.complex128)
     # The force is round, so that one width holds across both axes.
     width_m, _, length_m = beams.force_width_m
     member_widths = zip(width_m * width_factor, length_m * length_factor, strict=True)
     for member, (across_m, along_m) in enumerate(member_widths):
         medium = HarmonicMedium(node_hz, modulus_pa[member], spec.density_kg_per_m3)
-        motion = off_axis_motion(medium, replace(beams, force_width_m=(across_m, across_m, along_m)), offsets_m)
-        motions[:, :, member] = np.moveaxis(np.stack(motion), -1, 0)
+        widths_m = (across_m, across_m, along_m)
+        tracked, peak, steepness = off_axis_motion(medium, replace(beams, force_width_m=widths_m), offsets_m)
+        motions[:, :, member] = np.moveaxis(np.stack([tracked, peak, *steepness]), -1, 0)
     motions.flags.writeable = False
     return tuple(
         Ensemble(
             node_hz=node_hz,
-            tracked=tracked,
-            peak=peak,
-            steepness=steepness,
+            tracked=motion[0],
+            peak=motion[1],
+            steepness=motion[2:],
             voigt=spec.are_voigt(),
             exact_nodes=exact_nodes,
         )
-        for tracked, peak, steepness in motions
+        for motion in motions
     )
 
 

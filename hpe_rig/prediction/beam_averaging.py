@@ -115,8 +115,13 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     medium = medium_of(scene, frequency_hz, simulated=False)
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
-    tracked, peak, by_log_area = tracked_motion(medium, beams)
-    return tracked / peak, np.zeros_like(tracked), np.asarray(by_log_area / tracked)
+    tracked, peak, by_speckle = tracked_motion(medium, beams)
+    steepness = by_speckle / tracked
+    return (
+        tracked / peak,
+        np.zeros_like(tracked),
+        _of_both_effects(steepness.real) + 1j * _of_both_effects(steepness.imag),
+    )
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
@@ -130,22 +135,28 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
     # Motion of every medium at the wanted frequencies, (member, frequency).
     to_wanted = ensemble.interpolation(frequency_hz).T
-    tracked, peak, by_log_area = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
+    tracked, peak, by_speckle = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
     # All media are driven to the same rms motion; a medium that hardly moves at a frequency has little weight there.
     burst_rate_hz = scene.excitation.burst_rate_hz
     harmonics = round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz)
     spectrum = ensemble.driven_spectrum(harmonics, burst_rate_hz, scene.excitation.burst_length_s[0])
     driven = ensemble.tracked @ spectrum.T
     power = np.abs(tracked) ** 2 / np.sum(np.abs(driven) ** 2, axis=1, keepdims=True)
-    steepness = bounded_steepness(by_log_area / tracked, power / power.mean(axis=0))
+    steepness = bounded_steepness(by_speckle / tracked, power / power.mean(axis=0))
     log_ratio = np.log(tracked / peak)
 
     def rms(values: FloatArray) -> FloatArray:
-        """Return the root mean square over members, axis 0, with the sign of the mean."""
-        return np.asarray(np.copysign(np.sqrt(np.mean(values**2, axis=0)), values.mean(axis=0)))
+        """Return the root mean square over members (effect, member, frequency), with the signs of the means."""
+        return np.asarray(np.copysign(np.sqrt(np.mean(values**2, axis=1)), values.mean(axis=1)))
 
     deviation = log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0)
-    return np.exp(log_ratio.mean(axis=0)), deviation, rms(steepness.real) + 1j * rms(steepness.imag)
+    merged = _of_both_effects(rms(steepness.real)) + 1j * _of_both_effects(rms(steepness.imag))
+    return np.exp(log_ratio.mean(axis=0)), deviation, merged
+
+
+def _of_both_effects(values: FloatArray) -> FloatArray:
+    """Return the root sum of squares of ``values`` (effect, frequency), with the sign of the first effect."""
+    return np.asarray(np.copysign(np.linalg.norm(values, axis=0), values[0]))
 
 
 def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:

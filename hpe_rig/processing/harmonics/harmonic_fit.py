@@ -33,11 +33,12 @@ class MediumPosterior:
     ``peak_over_tracked``, complex (..., frequency): peak displacement over tracked displacement.
     ``peak_covariance`` (..., frequency, 2, 2): covariance of its relative amplitude and its phase.
     ``steepness`` (..., frequency, 2): root mean square derivative of tracked amplitude, relative, and tracked phase by
-    the logarithm of the tracking beam's area. ``shared``, same shape: covariance of the errors of
+    area and offset of the tracking beam. ``shared``, same shape: covariance of the errors of
     ``peak_over_tracked`` and of aliasing, relative amplitude and phase; both depend on the medium.
 
-    ``ratio_errors`` and ``steepness_terms``, complex (..., member, frequency): deviation of the logarithm of
-    ``peak_over_tracked`` from its mean, and ``steepness``, of each medium, times the root of its probability.
+    ``ratio_errors``, complex (..., member, frequency): deviation of the logarithm of ``peak_over_tracked`` from its
+    mean in each medium, times the root of its probability. ``steepness_terms`` (..., effect and member, frequency): the
+    derivatives in each medium, times that root.
     """
 
     significance: FloatArray

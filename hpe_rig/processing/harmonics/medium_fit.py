@@ -282,8 +282,9 @@ def medium_posterior(
     # The lower bound avoids 0/0 if nothing moves.
     mean_power_m2 = np.maximum(np.einsum("...m,...mf->...f", probability, member_power_m2), np.finfo(np.float64).tiny)
     relative_power = member_power_m2 / mean_power_m2[..., None, :]
-    bounded = bounded_steepness(prior.steepness[:, indices], relative_power)
-    steepness = _real_imaginary(bounded)
+    bounded = [bounded_steepness(effect[:, indices], relative_power) for effect in prior.steepness]
+    # Speckle changes the beam's area and offset independently.
+    steepness2 = sum(_real_imaginary(effect) ** 2 for effect in bounded)
     mean_log_ratio = probability @ log_ratio
     ratio_error = np.asarray(log_ratio - mean_log_ratio[..., None, :], np.complex128)
     ratio_deviation = _real_imaginary(ratio_error)
@@ -299,10 +300,10 @@ def medium_posterior(
         significance=evidence.significance,
         peak_over_tracked=np.exp(mean_log_ratio),
         peak_covariance=np.einsum("...m,...mfi,...mfj->...fij", probability, ratio_deviation, ratio_deviation),
-        steepness=np.sqrt(np.einsum("...m,...mfi->...fi", probability, steepness**2)),
+        steepness=np.sqrt(np.einsum("...m,...mfi->...fi", probability, steepness2)),
         shared=np.einsum("...m,...mfi,...mfi->...fi", error_weights, relative_errors, ratio_deviation),
         ratio_errors=root * ratio_error,
-        steepness_terms=root * bounded,
+        steepness_terms=np.concatenate([root * effect for effect in bounded], axis=-2),
     )
 
 

@@ -49,8 +49,8 @@ class MediumPrior:
     (direction, direction): root of the covariance of the directions. ``members`` (member, direction): the ensemble.
     ``deviation`` (direction,): standard deviation of a medium from the ensemble's span. ``peak_over_tracked``, complex
     (member, harmonic): peak over tracked motion. ``amplitude_m`` (member, harmonic): tracked amplitude.
-    ``steepness``, complex (member, harmonic): relative change of the tracked motion with the logarithm of the tracking
-    beam's area.
+    ``steepness``, complex (effect, member, harmonic): relative change of the tracked motion with the logarithm of the
+    tracking beam's area and, off the axis of the force, with the beam's offset relative to its radius.
     """
 
     burst_rate_hz: float

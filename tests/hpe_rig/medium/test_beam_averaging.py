@@ -14,6 +14,7 @@ from hpe_rig.medium import (
     scatterer_density,
     tracked_motion,
 )
+from hpe_rig.medium.beam_averaging import off_axis_motion
 from hpe_rig.prediction.beam_averaging import axial_offset_factor, obliquity_factor
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import SimulationSettings, Specimen
@@ -50,6 +51,26 @@ def test_averaging_equals_the_quadrature_over_the_twins_field(modulus_pa: float,
     motion = tracked_motion(medium, BeamWidths(FORCE_M, TRACKING_M, depth_m))
     # The stated error of the field's own quadrature.
     assert np.abs(motion[0] / motion[1] - expected).max() < 2e-6
+
+
+def test_speckle_off_the_axis_changes_area_and_offset_of_the_beam_as_two_effects() -> None:
+    medium, lateral_m, step = HarmonicMedium.voigt(9e3, 2.0, FREQUENCY_HZ), 3.5e-3, 1e-3
+
+    def tracked(area: float, offset: float) -> NDArray[np.complex128]:
+        """Return the tracked motion with changes of the logarithm of the area, and of the offset over the radius."""
+        width_m = TRACKING_M[0] * np.sqrt(1 + area)
+        radius_m = np.sqrt(BeamWidths(FORCE_M, TRACKING_M, 0.3e-3).tracking_area_m2)
+        beams = BeamWidths(FORCE_M, (width_m, width_m, TRACKING_M[2]), 0.3e-3)
+        return np.asarray(off_axis_motion(medium, beams, np.array([lateral_m + offset * radius_m]))[0][:, 0])
+
+    steepness = off_axis_motion(medium, BeamWidths(FORCE_M, TRACKING_M, 0.3e-3), np.array([lateral_m]))[2][..., 0]
+    by_area = (tracked(step, 0.0) - tracked(-step, 0.0)) / (2 * step)
+    by_offset = (tracked(0.0, step) - tracked(0.0, -step)) / (2 * step)
+    # Central differences have an error of the square of the step.
+    assert np.abs(steepness - [by_area, by_offset]).max() < 1e-4 * np.abs(steepness).max()
+    # The phase of the motion falls with the offset; ratios of frequencies depend on the signs of both effects.
+    relative = steepness / tracked(0.0, 0.0)
+    assert relative[1, -1].imag < relative[1, 0].imag < 0
 
 
 def test_a_gaussian_of_the_scaled_width_has_the_same_averaging() -> None:

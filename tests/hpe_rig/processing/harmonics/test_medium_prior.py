@@ -620,7 +620,7 @@ def test_media_that_hardly_move_at_a_frequency_do_not_decide_how_motion_changes_
     noise_m = np.random.default_rng(11).standard_normal(SHIFTING.time_s.size)
     result = medium_fit(SHIFTING.motion(1e-9 * noise_m), WANTED_HZ, prior)
     places = list(prior.harmonic_indices(WANTED_HZ))
-    amplitude_m, relative = prior.amplitude_m[:, places], prior.steepness[:, places]
+    amplitude_m, relative = prior.amplitude_m[:, places], np.linalg.norm(prior.steepness[..., places], axis=0)
     own_m2 = result.evidence.member_scale_m2[:, None] * amplitude_m**2
     assert result.fit.medium is not None
 
