@@ -1,10 +1,10 @@
 """Coverage of the 95 % intervals with clocks that differ, with and without the rate error as an unknown.
 
-Usage: python scripts/validation/clocks.py [--draws 20] [--window 1.0 ...] [--clocks 2e-6 ...]
+Usage: python scripts/validation/clocks.py [--draws 20] [--window 1.0 ...] [--clocks 2e-6 ...] [--noise 13e-9]
 
 Rows: windows of 0.2, 1, 10 and 250 s, and clocks of 2, 10, 20 and 50 ppm, with a rate error drawn for each. The motion
-is that of a Voigt medium (9 kPa, 2 Pa s) under tonebursts at 100 Hz, with 77 nm of noise a pulse, fitted with the prior
-of media at ten harmonics. At 250 s ``hpe_rig.estimate`` gets echoes of one sinusoid at 200 Hz.
+is that of a Voigt medium (9 kPa, 2 Pa s) under tonebursts at 100 Hz, with the noise of echoes of 40 dB, fitted with the
+prior of media at ten harmonics. At 250 s ``hpe_rig.estimate`` gets echoes of one sinusoid at 200 Hz.
 """
 
 import argparse
@@ -27,7 +27,8 @@ from hpe_rig.processing import (
 )
 
 WINDOWS_S, ACCURACIES = (0.2, 1.0, 10.0, 250.0), (2e-6, 10e-6, 20e-6, 50e-6)
-BURST_HZ, BURST_S, PULSE_HZ, NOISE_M, RMS_M = 100.0, 100e-6, 3990.0, 77e-9, 0.7e-6
+BURST_HZ, BURST_S, PULSE_HZ, RMS_M = 100.0, 100e-6, 3990.0, 0.7e-6
+NOISE_40_DB_M = 13e-9
 WANTED_HZ = BURST_HZ * np.arange(1.0, 11.0)
 BEAMS = BeamWidths((0.34e-3, 0.34e-3, 3.60e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.27e-3)
 LONG_S, LONG_PULSE_HZ, LONG_HZ, LONG_M = 250.0, 500.0, 200.0, 1e-6
@@ -48,7 +49,7 @@ class Draw:
     is_named: bool
 
 
-def medium_draw(window_s: float, accuracy: float, seed: int) -> Draw:
+def medium_draw(window_s: float, accuracy: float, seed: int, noise_m: float = NOISE_40_DB_M) -> Draw:
     """Return a draw with tonebursts and a prior of media."""
     rng = np.random.default_rng(seed)
     prior = medium_prior(BEAMS, BURST_HZ, BURST_S)
@@ -57,10 +58,10 @@ def medium_draw(window_s: float, accuracy: float, seed: int) -> Draw:
     time_s = 0.05 + 131e-6 + np.arange(round(window_s * PULSE_HZ)) / PULSE_HZ
     in_period_s = time_s % (1 / BURST_HZ)
     valid = (in_period_s > 105e-6) & (in_period_s < 1 / BURST_HZ - 95e-6)
-    displacement_m = NOISE_M * rng.standard_normal(time_s.size)
+    displacement_m = noise_m * rng.standard_normal(time_s.size)
     for number, phasor_m in enumerate(truth_m, 1):
         displacement_m += (phasor_m * np.exp(2j * np.pi * BURST_HZ * number * (1 + error) * time_s)).imag
-    motion = Motion(time_s, displacement_m, np.full(time_s.size, NOISE_M**2), valid)
+    motion = Motion(time_s, displacement_m, np.full(time_s.size, noise_m**2), valid)
     rate = estimate_rate_error(motion, WANTED_HZ, RateError(0.0, accuracy), also_hz=np.zeros(0), prior=prior)
 
     def fitted(rate_error: float) -> tuple[ComplexArray, FloatArray]:
@@ -148,12 +149,12 @@ def row(window_s: float, accuracy: float, draws: list[Draw]) -> str:
     return f"| {window_s:g} | {accuracy * 1e6:g} | {' | '.join(cells)} | {rate:.2f} | {phase:.2g} | {named} |"
 
 
-def rows(windows_s: list[float], accuracies: list[float], count: int) -> Iterator[str]:
+def rows(windows_s: list[float], accuracies: list[float], count: int, noise_m: float) -> Iterator[str]:
     """Yield the rows of the table."""
     for window_s in windows_s:
         for accuracy in accuracies:
             draws = [
-                long_draw(accuracy, seed) if window_s == LONG_S else medium_draw(window_s, accuracy, seed)
+                long_draw(accuracy, seed) if window_s == LONG_S else medium_draw(window_s, accuracy, seed, noise_m)
                 for seed in range(count)
             ]
             yield row(window_s, accuracy, draws)
@@ -165,10 +166,11 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=20, help="draws of clocks, noise and echoes a row")
     parser.add_argument("--window", type=float, nargs="+", default=list(WINDOWS_S), help="windows, s")
     parser.add_argument("--clocks", type=float, nargs="+", default=list(ACCURACIES), help="accuracies, such as 2e-6")
+    parser.add_argument("--noise", type=float, default=NOISE_40_DB_M, help="noise of a pulse under tonebursts, m")
     arguments = parser.parse_args()
     print("| window, s | clocks, ppm | A 95 % | phase 95 % | NEV | A 95 % | phase 95 % | NEV | NEV e | deg | named |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
-    for line in rows(arguments.window, arguments.clocks, arguments.draws):
+    for line in rows(arguments.window, arguments.clocks, arguments.draws, arguments.noise):
         print(line, flush=True)
 
 
