@@ -3,6 +3,8 @@
 Usage: python scripts/validation/burst_onsets.py
 """
 
+import argparse
+
 import numpy as np
 
 import hpe_rig as hpe
@@ -21,6 +23,7 @@ def onsets_in_records(line: Timeline) -> tuple[int, int]:
 
 def main() -> None:
     """Print a line for each scene with tonebursts."""
+    argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0]).parse_args()
     bench = read_bench().bench
     for name in shipped_scenes():
         scene = hpe.load_scene(name)
