@@ -28,7 +28,7 @@ from hpe_rig.measurement.sequencer import (
 from hpe_rig.measurement.setup import Setup, as_path
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.result import Stages
-from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_to_replace
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, check_replaceable, free_path
 
 
 def record_run(
@@ -53,7 +53,7 @@ def record_run(
     path = as_path(path, "the path of a run file") or free_path(setup.scene.name, Path())
     replaces = options.overwrite and path.exists()
     if replaces:
-        refuse_to_replace(path)
+        check_replaceable(path)
     timer = stages or Stages()
     # Interrupts end the innermost block. They are held back while the file is closed and the bench is made safe.
     with uninterrupted(), kept_awake(not setup.bench.bench.simulated), ExitStack() as stack:

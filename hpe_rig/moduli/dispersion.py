@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 MIN_OFFSETS = 3
 """Lateral offsets that a frequency needs: two determine a wave number, a third one its misfit."""
-MISFIT = 1e-3
-"""Probability of so large a misfit below which a warning is given, as for moduli."""
+MIN_SIGNIFICANCE = 1e-3
+"""Warning limit of the significance, the probability of so large a chi-square by noise alone; as for moduli."""
 DB_PER_CM_PER_NP_PER_M = 20 / math.log(10) / 100
 NEAR_FIELD = "near field"
 
@@ -177,7 +177,7 @@ class _LateralGrid:
 
     @classmethod
     def of(cls, vibrations: Sequence[Vibration], fit: WavenumberFit) -> _LateralGrid:
-        """Return the fields of the gate nearest to the focus at every lateral offset but 0, in rising distance."""
+        """Return the fields of the gate nearest to the focus at every lateral offset but 0, by ascending distance."""
         nearest: dict[tuple[str, float], int] = {}
         for index, vibration in enumerate(vibrations):
             key = vibration.position, vibration.lateral_m
@@ -186,8 +186,8 @@ class _LateralGrid:
             elif vibration.lateral_m:
                 nearest.setdefault(key, index)
         rows = sorted(nearest.values(), key=lambda index: abs(vibrations[index].lateral_m))
-        frequency_hz, sources = fit.curve.frequency_hz, fit.error_m[0].shape[1]
-        fields = np.zeros((2 + 2 * sources, len(rows), frequency_hz.size), np.complex128)
+        frequency_hz, error_count = fit.curve.frequency_hz, fit.error_m[0].shape[1]
+        fields = np.zeros((2 + 2 * error_count, len(rows), frequency_hz.size), np.complex128)
         present = np.zeros(fields.shape[1:], np.bool_)
         for row, index in enumerate(rows):
             columns = np.searchsorted(frequency_hz, vibrations[index].frequency_hz)
@@ -215,8 +215,8 @@ def _method_curve(method: WaveMethod, grid: _LateralGrid, curve: DispersionCurve
     value, predicted, plus, minus = values[0], values[1], *np.split(values[2:], 2)
     # Half the difference of the results at plus and minus one sigma: GUM (JCGM 100:2008), 5.1.3, note 2.
     uncertainty = np.sqrt(np.sum(((plus - minus) / 2) ** 2, axis=0))
-    true = curve.attenuation_np_per_m if method.is_attenuation else curve.phase_velocity_m_per_s
-    result = MethodCurve(method.name, method.is_attenuation, value, uncertainty, predicted, predicted - true)
+    near_field = curve.attenuation_np_per_m if method.is_attenuation else curve.phase_velocity_m_per_s
+    result = MethodCurve(method.name, method.is_attenuation, value, uncertainty, predicted, predicted - near_field)
     return result, list(_missing_values(result, curve.frequency_hz, sampled, gap_m))
 
 
@@ -224,10 +224,10 @@ def _missing_values(
     result: MethodCurve, frequency_hz: FloatArray, sampled: BoolArray, gap_m: FloatArray
 ) -> Iterator[str]:
     """Yield why ``result`` has no value at some frequencies. ``sampled``: whether the offsets are near enough."""
-    few, coarse = ~np.isfinite(gap_m), ~sampled & np.isfinite(gap_m)
+    few_offsets, coarse = ~np.isfinite(gap_m), ~sampled & np.isfinite(gap_m)
     no_wave = sampled & ~np.isfinite(result.value)
     reasons = (
-        (few, f"fewer than {MIN_OFFSETS} offsets beside the push"),
+        (few_offsets, f"fewer than {MIN_OFFSETS} offsets beside the push"),
         (
             coarse,
             f"offsets up to {gap_m[coarse].max(initial=0) * 1e3:.3g} mm apart, more than half a wavelength, so that "
@@ -249,8 +249,8 @@ def _rows(result: DispersionResult) -> Iterator[dict[str, Any]]:
     )
     curves = [(NEAR_FIELD, *near_field)]
     for method in result.methods:
-        columns, none = (method.value, method.uncertainty, method.bias), (empty, empty, empty)
-        curves.append((method.name, *((none, columns) if method.is_attenuation else (columns, none))))
+        columns, no_values = (method.value, method.uncertainty, method.bias), (empty, empty, empty)
+        curves.append((method.name, *((no_values, columns) if method.is_attenuation else (columns, no_values))))
     for name, speed, attenuation in curves:
         for index, hz in enumerate(near.frequency_hz.tolist()):
             in_db_per_cm = tuple(column * DB_PER_CM_PER_NP_PER_M for column in attenuation[:2])
@@ -293,17 +293,17 @@ def dispersion_schema() -> dict[str, Any]:
 
 
 def _lines(result: DispersionResult) -> Iterator[str]:
-    """Yield the lines of a result's text: tables of phase velocity and attenuation, and what is left out."""
+    """Yield the lines of a result's text: tables of phase velocity and attenuation, and the omitted data."""
     near = result.near_field
     yield result.title
     source = "SIMULATED, " if result.simulated else ""
-    places = ", ".join(f"{offset * 1e3:.4g}" for offset in result.offset_m)
-    yield f"{source}lateral offsets {places} mm, {near.frequency_hz.size} frequencies"
-    misfit = f"chi-square {result.chi_square:.4g}, {result.freedom} degrees of freedom"
-    yield f"near field: exact field with one wave number for each frequency ({misfit})"
-    if result.significance < MISFIT:
+    offsets_mm = ", ".join(f"{offset * 1e3:.4g}" for offset in result.offset_m)
+    yield f"{source}lateral offsets {offsets_mm} mm, {near.frequency_hz.size} frequencies"
+    chi_square = f"chi-square {result.chi_square:.4g}, {result.freedom} degrees of freedom"
+    yield f"near field: exact field with one wave number for each frequency ({chi_square})"
+    if result.significance < MIN_SIGNIFICANCE:
         yield "WARNING the near field does not explain the vibrations. Try: check widths, lateral offsets and symmetry"
-    yield "other methods (u: --csv): result, and in brackets its error as the exact field of this medium predicts it"
+    yield "other methods: value (error of the method, predicted from the exact field); uncertainties: --csv"
     speed = near.phase_velocity_m_per_s, near.phase_velocity_uncertainty_m_per_s
     attenuation = near.attenuation_np_per_m, near.attenuation_uncertainty_np_per_m
     for is_attenuation, title, (value, uncertainty) in (
@@ -311,28 +311,29 @@ def _lines(result: DispersionResult) -> Iterator[str]:
         (True, "attenuation (Np/m)", attenuation),
     ):
         methods = [method for method in result.methods if method.is_attenuation == is_attenuation]
-        extra = ["(dB/cm)"] if is_attenuation else []
-        in_db = zip(value * DB_PER_CM_PER_NP_PER_M, uncertainty * DB_PER_CM_PER_NP_PER_M, strict=True)
-        columns = [
-            [f"{hz:g}" for hz in near.frequency_hz],
-            [with_u(*pair) for pair in zip(value, uncertainty, strict=True)],
-            *([with_u(*pair) for pair in in_db] for _ in extra),
-            *([_with_bias(method, value, index) for index in range(value.size)] for method in methods),
-        ]
+        columns = {
+            "Hz": [f"{hz:g}" for hz in near.frequency_hz],
+            NEAR_FIELD: [with_u(*pair) for pair in zip(value, uncertainty, strict=True)],
+        }
+        if is_attenuation:
+            db_per_cm = zip(value * DB_PER_CM_PER_NP_PER_M, uncertainty * DB_PER_CM_PER_NP_PER_M, strict=True)
+            columns["(dB/cm)"] = [with_u(*pair) for pair in db_per_cm]
+        columns |= {
+            method.name: [_with_bias(method, value, index) for index in range(value.size)] for method in methods
+        }
         yield ""
         yield title
-        headers = ["Hz", NEAR_FIELD, *extra, *(method.name for method in methods)]
-        yield text_table(headers, zip(*columns, strict=True), words=0)
+        yield text_table(list(columns), zip(*columns.values(), strict=True), words=0)
     if result.omitted:
         yield ""
     yield from (f"omitted: {line}" for line in result.omitted)
 
 
-def _with_bias(method: MethodCurve, true: FloatArray, index: int) -> str:
-    """Return the text of a result of ``method`` with its predicted relative bias."""
+def _with_bias(method: MethodCurve, near_field: FloatArray, index: int) -> str:
+    """Return a value of ``method`` as text, in brackets its predicted bias in percent of the ``near_field`` value."""
     if not math.isfinite(method.value[index]):
         return "-"
-    bias = 100 * method.bias[index] / true[index] if true[index] else math.nan
+    bias = 100 * method.bias[index] / near_field[index] if near_field[index] else math.nan
     bias_text = f"{bias:+.1f} %" if math.isfinite(bias) else "-"
     value = with_u(method.value[index], method.uncertainty[index]).partition(" ")[0]
     return f"{value} ({bias_text})"

@@ -45,7 +45,8 @@ From scripts/validation/aperture.py."""
 AveragingRatio = tuple[ComplexArray, ComplexArray, ComplexArray]
 """Tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
 
-The steepness is the ratio's relative change per unit of the logarithm of the tracking beam's area.
+The steepness is the ratio's relative change per unit of the logarithm of the tracking beam's area. Off the axis it is
+the root sum of squares with the change per unit of the beam's offset relative to its radius.
 Deviation and steepness are pairs of real numbers: relative amplitude as real part, phase (rad) as imaginary part. Over
 the ensemble the ratio is the exponential of its mean logarithm, the steepness a root mean square with the sign of the
 mean."""
@@ -54,10 +55,11 @@ mean."""
 def predicted_averaging(
     scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[float, ...] = ()
 ) -> tuple[Averaging | None, ...]:
-    """Return the predicted tracked over peak displacement, with uncertainties, at every wanted frequency.
+    """Return, for every wanted frequency, the predicted ratio of tracked to peak displacement, with its uncertainties.
 
-    None without beams and sphere. ``check``, report, design and the error budget of a result use this one prediction.
-    ``offsets_of_joint_fit_m``: all lateral offsets of a run; their ensembles are computed at once.
+    None for each if the scene has neither beams nor a sphere. ``check``, report, design and the error budget of a
+    result use this one prediction. ``offsets_of_joint_fit_m``: all lateral offsets of a run, so that the random media
+    of the prediction are computed once for all of them.
     """
     frequency_hz = np.array(scene.wanted_frequencies_hz)
     if scene.sphere is not None:
@@ -66,32 +68,36 @@ def predicted_averaging(
     beams, resting = beam_widths(scene, estimator, offsets_of_joint_fit_m), resting_conditions(scene)
     if beams is None or resting is None:
         return (None,) * frequency_hz.size
-    # A Gaussian motion, for which finite numbers of speckles and scatterers are known, and its spread over speckle.
+    # A Gaussian motion: its ratio with few scatterers is known, and the relative standard deviations over speckle of
+    # the tracked displacement and of the echo's mean frequency (0 for estimators that do not divide by the carrier).
     gaussian = beam_averaging_factor(beams.force_width_m, tracking_gate(scene, estimator), resting.scatterers_per_m3)
-    spread, carrier = speckle_spread(resting, estimator)
+    speckle_sd, carrier_sd = speckle_spread(resting, estimator)
     if scene.excitation is None:
-        gaussian_motion = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
+        gaussian_motion = Averaging(gaussian, 0.0, speckle_sd, carrier_relative=carrier_sd)
         return (_with_scene_offsets(scene, gaussian_motion),) * frequency_hz.size
-    # The ensemble assumes dense scatterers: few of them change its loss in the proportion known for a Gaussian motion.
+    # The random media assume dense scatterers. Sparse scatterers change 1 - ratio; the same relative change as for a
+    # Gaussian motion is assumed.
     loss_scale = (1 - gaussian) / (1 - beams.gaussian_averaging())
-    # Standard deviation over speckle of the logarithm of the tracking beam's effective area.
-    area_spread = spread / -beams.gaussian_steepness()
+    # Speckle changes the tracked region: the logarithm of its area and, off the axis, its offset relative to its radius.
+    # This is the standard deviation of both; ``steepness`` is the relative change of the ratio per unit of them.
+    region_sd = speckle_sd / -beams.gaussian_steepness()
     ratio, deviation, steepness = averaging_ratio(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
     # Fields of ``Averaging``, (frequency,).
     columns = {
         "factor": factor,
         "phase_rad": np.angle(ratio),
-        "speckle_relative": np.abs((area_spread * steepness).real),
+        "speckle_relative": np.abs((region_sd * steepness).real),
         "factor_uncertainty": factor * deviation.real,
         "phase_uncertainty_rad": deviation.imag,
-        "speckle_phase_rad": np.abs((area_spread * steepness).imag),
+        "speckle_phase_rad": np.abs((region_sd * steepness).imag),
     }
-    rule = AveragingRule(area_spread, loss_scale)
+    # For a posterior over media, whose ratio replaces this one.
+    rule = AveragingRule(area_spread=region_sd, loss_scale=loss_scale)
     averagings = (
         Averaging(
             **{name: float(column[i]) for name, column in columns.items()},
-            carrier_relative=carrier,
+            carrier_relative=carrier_sd,
             rule=rule,
             steepness=complex(steepness[i]),
         )
@@ -136,7 +142,7 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     # Motion of every medium at the wanted frequencies, (member, frequency).
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, by_speckle = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
-    # All media are driven to the same rms motion; a medium that hardly moves at a frequency has little weight there.
+    # All media are driven to the same rms motion, so a medium that hardly moves at a frequency has little weight there.
     burst_rate_hz = scene.excitation.burst_rate_hz
     harmonics = round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz)
     spectrum = ensemble.driven_spectrum(harmonics, burst_rate_hz, scene.excitation.burst_length_s[0])
@@ -170,12 +176,12 @@ def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
 
 def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> list[complex]:
-    """Return the factor (frequency,) on tracked over peak motion that the true shape of the force has over a Gaussian.
+    """Return, for each frequency, tracked over peak motion with the true shape of the force over that with a Gaussian.
 
     The medium is the declared one, else a typical one. The paper's aperture has 1.005 at 100 Hz and less above,
     and 0.1 deg of lag at all frequencies, nearly independent of the medium.
     """
-    # The ensemble keeps the Gaussian's ratio; the correction is that of one medium.
+    # The ensemble has the tracked over peak ratio of a Gaussian force; the correction is that of one medium.
     force = push_force(scene)
     if force.is_gaussian:
         return [1.0 + 0j] * frequency_hz.size
@@ -230,8 +236,8 @@ def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
         # Aligned by its echoes, then moved by a known distance.
         focus_m, relative_uncertainty = scene.acquisition.gate_depth_m, 0.0
     width_m = scene.beams.excitation_width_m[2]
-    factor, spread = axial_offset_factor(gate_m - focus_m, gate_m * relative_uncertainty, width_m)
-    return _times(averaging, factor, offset_relative=spread)
+    factor, factor_sd = axial_offset_factor(gate_m - focus_m, gate_m * relative_uncertainty, width_m)
+    return _times(averaging, factor, offset_relative=factor_sd)
 
 
 def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:

@@ -78,9 +78,9 @@ def pulse_length_m(scene: Scene) -> float:
 
 
 def tracking_gate(scene: Scene, estimator: str | None = None) -> TrackingGate:
-    """Return tracking beam, gate and pulse, with the gate window of ``estimator`` (default: none).
+    """Return tracking beam, gate and pulse of a scene with [beams], with the gate window of ``estimator``.
 
-    The scene has [beams].
+    Without an estimator: no window.
     """
     assert scene.beams is not None  # noqa: S101 (callers check)
     windowed = estimator is not None and spec_of(estimator).gate_window == "hann"
@@ -100,14 +100,14 @@ def beam_widths(scene: Scene, estimator: str, offsets_of_joint_fit_m: tuple[floa
     if scene.beams is None:
         return None
     # A force that is not Gaussian is modelled on its axis only.
-    lateral_m, force = abs(scene.tracking.lateral_offset_m), push_force(scene)
+    lateral_offset_m, force = abs(scene.tracking.lateral_offset_m), push_force(scene)
     return BeamWidths(
         force_width_m=scene.beams.excitation_width_m,
         tracking_width_m=scene.beams.tracking_width_m,
         depth_sd_m=tracking_gate(scene, estimator).depth_sd_m(),
-        lateral_offset_m=lateral_m,
+        lateral_offset_m=lateral_offset_m,
         offsets_of_joint_fit_m=offsets_of_joint_fit_m,
-        force=None if lateral_m or force.is_gaussian else force,
+        force=None if lateral_offset_m or force.is_gaussian else force,
     )
 
 
@@ -128,15 +128,18 @@ def focal_motion(
 
 
 def gaussian_motion_width_m(scene: Scene, frequency_hz: float) -> tuple[float, float, float]:
-    """Return the sigmas of a Gaussian motion with the same tracked over peak ratio as the motion at ``frequency_hz``.
+    """Return the widths (sigmas) of the Gaussian motion that is averaged by the beam like that at ``frequency_hz``.
 
-    The error model draws speckle for a Gaussian motion. In an unknown medium these are the force's sigmas.
+    Its ratio of tracked to peak displacement is that of the motion at ``frequency_hz``. The error model needs it,
+    because it knows speckle for Gaussian motions only. In an unknown medium: the widths of the force.
     """
     assert scene.beams is not None  # noqa: S101 (callers check)
-    x, y, z = force_width_m = scene.beams.excitation_width_m
+    force_width_m = scene.beams.excitation_width_m
     motion = focal_motion(scene, np.array([frequency_hz]))
     if motion is None:
         return force_width_m
+    tracked, peak = motion
     beams = BeamWidths(force_width_m, scene.beams.tracking_width_m, tracking_gate(scene).depth_sd_m())
-    scale = beams.width_scale(float(abs(motion[0][0] / motion[1][0])))
-    return x * scale, y * scale, z * scale
+    scale = beams.width_scale(float(abs(tracked[0] / peak[0])))
+    x_m, y_m, z_m = force_width_m
+    return x_m * scale, y_m * scale, z_m * scale

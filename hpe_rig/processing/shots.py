@@ -293,15 +293,16 @@ def _fit_with_aliasing(
     options: Options,
     settings: _RunSettings,
 ) -> HarmonicFit:
-    """Return the harmonics of the tracked displacement, with their aliasing error if a prior of media is available.
+    """Return the harmonics of the tracked displacement, with an uncertainty for aliasing if a prior is available.
 
     Tonebursts drive harmonics above half the pulse rate, which alias onto the wanted ones. How strong these are is
     estimated with a prior of the motions that media can have, from the coherent displacement, which has least noise.
     """
     fitter = HarmonicFitter.of(selection, settings.spec.name, options)
     fit, prior = fitter(motion.tracked), available_prior(scene, shot, settings.beams)
+    # A fit with a medium has used the prior itself, for all harmonics: nothing aliases.
     if fit.medium is None and prior is not None and motion.coherent is not None:
-        # Too few pulses do not constrain the medium: the fit then has no aliasing error.
+        # ``with_aliasing_error`` raises ValueError if the pulses are too few for the prior: the fit stays without it.
         with suppress(ValueError):
             return with_aliasing_error(fit, motion.coherent, prior, fitter, options.background_order)
     return fit

@@ -39,17 +39,18 @@ if TYPE_CHECKING:
     from hpe_rig.store import StoredRun
 
 MOTION_BY_PULSES: Final = np.array([1.0, -1.0, 0.0])
-"""w: rate of the motion by the clock of the pulses, from the rates of motion, pulses and digitizer."""
+"""w: rate error of the motion as measured with the pulses' clock, from those of motion, pulses and digitizer."""
 PULSES_BY_DIGITIZER: Final = np.array([0.0, 1.0, -1.0])
-"""As above, for the rate of the pulses by the digitizer's clock."""
+"""As above, for the rate error of the pulses as measured with the digitizer's clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeBase:
-    """Rate error of the motion's frequencies by the clock of the pulses, ``by_pulses``, and its origin.
+    """Relative error of the motion's frequencies as measured with the pulses' clock, and its origin.
 
-    ``by_clocks``: the part known without the displacement. ``tracking_rate``: rate of the pulses by the digitizer's
-    clock, None if it was not measured. ``differs_from_bench``: it is off by more than the clocks' accuracies explain.
+    ``by_pulses``: all that is known of it. ``by_clocks``: what is known before the displacement is analysed.
+    ``tracking_rate``: rate of the pulses measured with the digitizer's clock, None if it was not measured.
+    ``differs_from_bench``: that rate is off by more than the clocks' accuracies explain.
     """
 
     by_pulses: RateError
@@ -69,7 +70,7 @@ class TimeBase:
 
     @property
     def by_digitizer(self) -> RateError | None:
-        """Rate error of the motion's frequencies by the digitizer's clock; None without trigger times."""
+        """Rate error of the motion's frequencies as measured with the digitizer's clock; None without trigger times."""
         if self.tracking_rate is None:
             return None
         return RateError(
@@ -90,10 +91,11 @@ def _parsed(name: str, text: str) -> BenchFile:
 
 
 def prior_rate_error(scene: Scene, clocks: FloatArray | None, rate: TrackingRate | None) -> RateError:
-    """Return the rate error of the motion by the clock of the pulses that is known without the displacement.
+    """Return the relative error of the motion's frequency as measured with the pulses' clock: mean and sd.
 
-    ``clocks`` (3, 3): covariance of the rate errors, None if nothing is known of them. ``rate``: rate of the pulses by
-    the digitizer's clock, None if it was not measured. A stated ``processing.frequency_accuracy`` replaces both.
+    It is what is known before the displacement is analysed. ``clocks`` (3, 3): covariance of the relative rate errors
+    of the clocks of motion, pulses and digitizer, None if nothing is known of them. ``rate``: rate of the pulses
+    measured with the digitizer's clock, None if it was not. A stated ``processing.frequency_accuracy`` replaces both.
     """
     stated = scene.processing.frequency_accuracy
     if stated is not None or clocks is None:
@@ -105,18 +107,20 @@ def prior_rate_error(scene: Scene, clocks: FloatArray | None, rate: TrackingRate
         # Either of the two clocks may be wrong by the whole difference.
         clocks = clocks + rate.error**2 * np.diag([0.0, 1.0, 1.0])
         variance = float(MOTION_BY_PULSES @ clocks @ MOTION_BY_PULSES)
-    expected = _rate_variance(clocks, rate)
-    common = float(MOTION_BY_PULSES @ clocks @ PULSES_BY_DIGITIZER)
-    return RateError(common / expected * rate.error, math.sqrt(max(variance - common**2 / expected, 0.0)))
+    # Condition on the measured pulse rate (Gaussian regression).
+    rate_variance = _pulse_rate_variance(clocks, rate)
+    covariance = float(MOTION_BY_PULSES @ clocks @ PULSES_BY_DIGITIZER)
+    conditional_variance = max(variance - covariance**2 / rate_variance, 0.0)
+    return RateError(covariance / rate_variance * rate.error, math.sqrt(conditional_variance))
 
 
 def differs_from_bench(clocks: FloatArray, rate: TrackingRate) -> bool:
     """Return whether ``rate`` is off by more than the accuracies of train and digitizer, in ``clocks``, explain."""
-    return rate.error**2 > SIGNIFICANT**2 * _rate_variance(clocks, rate)
+    return rate.error**2 > SIGNIFICANT**2 * _pulse_rate_variance(clocks, rate)
 
 
-def _rate_variance(clocks: FloatArray, rate: TrackingRate) -> float:
-    """Return the expected variance of the pulse rate by the digitizer's clock, measurement included."""
+def _pulse_rate_variance(clocks: FloatArray, rate: TrackingRate) -> float:
+    """Return the expected variance of the pulse rate measured with the digitizer's clock, its noise included."""
     return float(PULSES_BY_DIGITIZER @ clocks @ PULSES_BY_DIGITIZER) + rate.uncertainty**2
 
 

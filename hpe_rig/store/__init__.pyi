@@ -60,6 +60,6 @@ from .verification import (
 from .writer import (
     RunWriter as RunWriter,
     WriteOptions as WriteOptions,
+    check_replaceable as check_replaceable,
     refuse_output as refuse_output,
-    refuse_to_replace as refuse_to_replace,
 )

@@ -90,8 +90,8 @@ def empty_run(
         add_checksums(file)
         seal_heap(file)
         file.flush()
-        image: bytes = file.id.get_file_image()
-    return image
+        file_bytes: bytes = file.id.get_file_image()
+    return file_bytes
 
 
 def sha256_of_scan(scene: Scene) -> str | None:
@@ -105,10 +105,11 @@ def sha256_of_scan(scene: Scene) -> str | None:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[float, float]:
-    """Return scale and offset (V) from codes to volts of an input from -``input_range_v`` to +``input_range_v``.
+def code_scale_and_offset_v(input_range_v: float, code_limits: tuple[int, int]) -> tuple[float, float]:
+    """Return (scale, offset) in V of a digitizer's input: volts = scale * code + offset.
 
-    Zero volts lies between codes -1 and 0. Only the highest code counts: a 16-bit board does not use its lowest code.
+    The highest code is +``input_range_v``, and 0 V lies midway between codes -1 and 0. The lowest of ``code_limits`` is
+    ignored, because 16-bit boards do not use it.
     """
     scale = 2 * input_range_v / (2 * code_limits[1] + 1)
     return scale, scale / 2
@@ -222,7 +223,7 @@ def _create_codes(
     chunks, filters = (1, chunk_records(capture), shape[2]), _filter() if compress else {}
     echo = group.create_dataset(name, shape, "<i2", chunks=chunks, fillvalue=MISSING, fletcher32=True, **filters)
     # CF conventions: programs that follow them convert codes to volts and missing records to NaN.
-    scale, offset = volts_of_codes(input_range_v, code_limits)
+    scale, offset = code_scale_and_offset_v(input_range_v, code_limits)
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
     lowest, highest = map(np.int16, code_limits)
     echo.attrs.update({"valid_min": lowest, "valid_max": highest})

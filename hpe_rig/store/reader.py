@@ -34,7 +34,7 @@ from hpe_rig.store.format import (
     UNTRUSTED_BYTES,
     StoreError,
 )
-from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
+from hpe_rig.store.layout import TRUE_HARMONICS, code_scale_and_offset_v
 from hpe_rig.store.marks import identity_of, read_marks, write_marks
 from hpe_rig.store.rows import Shape, checked_row, checked_rows, dataset_by_pulse, datasets_by_shot, row_or_blank
 from hpe_rig.store.source import open_checked
@@ -149,7 +149,7 @@ class StoredRun:
                 )
         with open_checked(self.path) as checked:
             stored = tuple(checked.attribute(name, float, "records/echo") for name in ("scale_factor", "add_offset"))
-            expected = volts_of_codes(capture.input_range_v, code_limits_of(checked, "records/echo"))
+            expected = code_scale_and_offset_v(capture.input_range_v, code_limits_of(checked, "records/echo"))
         if not np.allclose(stored, expected, rtol=1e-9, atol=0):
             raise StoreError(
                 f"{self.path} has {stored[0]:g} V per code, its scene's input range of {capture.input_range_v:g} V "

@@ -26,16 +26,16 @@ def make_or_undo(
     undo: Callable[[Product], object],
     cancelled: threading.Event | None = None,
 ) -> Product:
-    """Return the product of ``make``, which runs in a thread, so that a disk that does not answer cannot block.
+    """Run ``make`` in a thread and return its product, so that a disk that does not answer cannot block the caller.
 
-    The wait ends with an exception at a signal, after ``STEP_TIMEOUT_S`` (``OSError``), or when another thread sets
-    ``cancelled``. Then ``cancelled`` is set in any case: ``make`` gets this event and should stop. If it still returns
-    a product, ``undo`` is called with it.
+    The wait is given up at a signal, after ``STEP_TIMEOUT_S``, or when another thread sets ``cancelled``; the last two
+    raise ``OSError``. Whenever this function raises, it sets ``cancelled``, which tells ``make`` to stop; a product
+    that ``make`` still returns is passed to ``undo``.
     """
     cancelled = cancelled or threading.Event()
     products: list[Product] = []
     done: Future[None] = Future()
-    timed_out = False
+    gave_up = False
 
     def undo_product(_: Future[None]) -> None:
         """Undo the product, if ``make`` returned one."""
@@ -48,16 +48,17 @@ def make_or_undo(
     threading.Thread(target=_run_task, args=(make_product, done), daemon=True, name="new file").start()
     try:
         with interruptible():
-            timed_out = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)
-        if timed_out:
-            raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {STEP_TIMEOUT_S:g} s")
+            gave_up = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)
+        if gave_up:
+            waited = "before the program stopped waiting" if cancelled.is_set() else f"for {STEP_TIMEOUT_S:g} s"
+            raise OSError(errno.ETIMEDOUT, f"the disk has not answered {waited}")
         # Raises the error of ``make``, if any.
         done.result()
         return products[0]
     except BaseException:
         cancelled.set()
-        # Wait for a disk that responds: the process may end before the thread calls ``undo``.
-        still_running = timed_out or not _finishes_within(done, lambda: UNDO_TIMEOUT_S)
+        # Give ``make`` a short time to finish, so that ``undo`` runs before the process can end.
+        still_running = gave_up or not _finishes_within(done, lambda: UNDO_TIMEOUT_S)
         if still_running:
             done.add_done_callback(undo_product)
         else:

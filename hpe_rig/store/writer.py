@@ -31,7 +31,7 @@ from hpe_rig.store.assembly import DamagedLogError, assemble
 from hpe_rig.store.atomic import atomic_file, refuse_unwritable, synchronise
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, TIME_BYTES, UNTRUSTED_BYTES, StoreError, reason
-from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, chunk_records, empty_run, volts_of_codes
+from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, chunk_records, code_scale_and_offset_v, empty_run
 from hpe_rig.store.lock import is_locked
 from hpe_rig.store.log import CODES, SHOT_COMPLETE, STATUS, TRIGGER_TIMES, LogWriter, new_log
 from hpe_rig.store.reader import StoredRun, read_run
@@ -89,7 +89,9 @@ class RunWriter:
         self._checked_s = self._started_s = clock()
         self._provenance = options.provenance
         capture = plan.shots[0].capture
-        self._volts = volts_of_codes(capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
+        self._scale_and_offset_v = code_scale_and_offset_v(
+            capture.input_range_v, bench.bench.digitizer.board_model.code_limits
+        )
         self._chunk_records = chunk_records(capture)
         self._inputs = ("echo",) if capture.monitor_range_v is None else ("echo", "monitor")
         self._frequencies = max(len(point.scene.wanted_frequencies_hz) for point in scene.scene.points)
@@ -97,11 +99,11 @@ class RunWriter:
         self._shot = -1
         self._is_broken = False
         try:
-            image = empty_run(
+            run_file = empty_run(
                 scene, bench, plan, options.compress, options.predecessor, options.run_id, options.provenance
             )
             record_bytes = 0 if options.compress else plan.record_bytes
-            self._log = _new_log(image, path, options.overwrite, COPIES_OF_RECORDS * record_bytes, self._cancelled)
+            self._log = _new_log(run_file, path, options.overwrite, COPIES_OF_RECORDS * record_bytes, self._cancelled)
         except (OSError, RuntimeError, MemoryError) as error:
             # An error of the library, or of Python if memory for a thread is missing.
             raise StoreError(f"{path} cannot be created ({reason(error)}). Try: again, with fewer programs.") from error
@@ -300,9 +302,10 @@ class RunWriter:
 
     def _refuse_unplanned_volts_per_code(self, block: RecordBlock) -> None:
         """Raise ``StoreError`` if the digitizer's conversion of codes to volts is not that of the planned range."""
-        if not np.allclose((block.volts_per_code, block.volts_offset), self._volts, rtol=1e-9, atol=0):
+        planned = self._scale_and_offset_v
+        if not np.allclose((block.volts_per_code, block.volts_offset), planned, rtol=1e-9, atol=0):
             raise StoreError(
-                f"the digitizer reports {block.volts_per_code:g} V per code, its range implies {self._volts[0]:g}: its "
+                f"the digitizer reports {block.volts_per_code:g} V per code, its range implies {planned[0]:g}: its "
                 "input range is not the programmed one. Try: hpe-rig bench, then another acquisition.input_range_v."
             )
 
@@ -354,20 +357,21 @@ def _refuse_small_disk(path: Path, needed: int) -> None:
         )
 
 
-def _new_log(image: bytes, path: Path, overwrite: bool, record_bytes: int, cancelled: threading.Event) -> LogWriter:
-    """Create the log ``path`` with the empty run file ``image``; raise ``StoreError``.
+def _new_log(run_file: bytes, path: Path, overwrite: bool, record_bytes: int, cancelled: threading.Event) -> LogWriter:
+    """Create the log ``path`` with the bytes of an empty ``run_file``; raise ``StoreError`` if that is impossible.
 
     Outputs may be on, so an interrupt ends the wait for a disk that does not respond; an existing file stays then.
     """
 
     def make(cancelled: threading.Event) -> LogWriter:
-        """Create and lock the log; raise ``InterruptedError`` if ``cancelled`` is set meanwhile."""
-        _refuse_small_disk(path, len(image) + record_bytes)
+        """Create the log, locked by its ``LogWriter``; raise ``InterruptedError`` if ``cancelled`` is set meanwhile."""
+        _refuse_small_disk(path, len(run_file) + record_bytes)
         if overwrite and path.exists():
-            refuse_to_replace(path)
+            check_replaceable(path)
         with atomic_file(path, overwrite) as draft:
-            draft.write(new_log(image))
+            draft.write(new_log(run_file))
             synchronise(draft)
+            # An exception inside the block deletes the draft, so that no file appears at ``path``.
             if cancelled.is_set():
                 raise InterruptedError
         return LogWriter(path)
@@ -399,7 +403,7 @@ def refuse_output(path: Path, overwrite: bool) -> None:
     refuse_unwritable(path)
 
 
-def refuse_to_replace(path: Path) -> None:
+def check_replaceable(path: Path) -> None:
     """Raise ``StoreError`` unless ``path`` is a run file that no run is writing, so that it may be replaced."""
     try:
         read_run(path)

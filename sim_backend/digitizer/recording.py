@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,32 +25,50 @@ CACHED_BLOCKS = 9
 """More than the memory of a board with 8 million samples."""
 
 
+class _Segment(NamedTuple):
+    """Consecutive records with one snapshot of the bench, up to the first record of the next segment."""
+
+    first_record: int
+    captured: CaptureSnapshot
+
+
+class _BlockKey(NamedTuple):
+    """Key of a cached block: its number, and the first record of the segment with its snapshot."""
+
+    number: int
+    first_record: int
+
+
 class Recording:
     """Volts at channel A of the records of one capture."""
 
     def __init__(self, record_volts: RecordVolts) -> None:
         """Start without records; ``record_volts`` computes the voltages of records from bursts and times."""
         self._record_volts = record_volts
-        # Each snapshot with its first record: later programming does not change complete records.
-        self._segments: list[tuple[int, CaptureSnapshot]] = []
-        self._complete = 0
-        # Cached blocks, by number and by the first record of their snapshot.
-        self._blocks: dict[tuple[int, int], FloatArray] = {}
+        # Later programming does not change complete records: they stay in the segment of their snapshot.
+        self._segments: list[_Segment] = []
+        self._complete_records = 0
+        self._blocks: dict[_BlockKey, FloatArray] = {}
         # Running maximum of the voltage over the records, one array a block.
         self._running_peak_v: list[FloatArray] = []
 
     def update(self, captured: CaptureSnapshot, now_ps: int) -> None:
-        """Take over the latest snapshot of the bench for the records that are not complete yet at ``now_ps``."""
-        if not self._segments or not same_inputs(self._segments[-1][1], captured):
-            first = self._complete
-            self._segments = [segment for segment in self._segments if segment[0] < first] + [(first, captured)]
-            self._blocks = {key: volts for key, volts in self._blocks.items() if key[1] < first}
+        """Use the snapshot ``captured`` for all records that were not complete at the last update.
+
+        The bench holds the history of its signals, so a later snapshot is right for records that have become complete
+        since then. How many are complete at ``now_ps`` is stored for the next update.
+        """
+        if not self._segments or not same_inputs(self._segments[-1].captured, captured):
+            first = self._complete_records
+            earlier = [segment for segment in self._segments if segment.first_record < first]
+            self._segments = [*earlier, _Segment(first, captured)]
+            self._blocks = {key: volts for key, volts in self._blocks.items() if key.first_record < first}
             self._running_peak_v = self._running_peak_v[: first // _records_per_block(captured.capture)]
-        self._complete = captured.triggers.complete(now_ps)
+        self._complete_records = captured.triggers.complete(now_ps)
 
     def volts(self, records: slice) -> FloatArray:
         """Return the volts of consecutive ``records``, (record, sample)."""
-        size = _records_per_block(self._segments[-1][1].capture)
+        size = self._block_size()
         blocks = []
         for number in range(records.start // size, -(-records.stop // size)):
             first = number * size
@@ -60,7 +79,7 @@ class Recording:
         """Return the largest absolute voltage of the first ``count`` records; 0 without records."""
         if not count:
             return 0.0
-        number, index = divmod(count - 1, _records_per_block(self._segments[-1][1].capture))
+        number, index = divmod(count - 1, self._block_size())
         while len(self._running_peak_v) <= number:
             self._block(len(self._running_peak_v))
         return float(self._running_peak_v[number][index])
@@ -80,24 +99,28 @@ class Recording:
 
     def _pieces(self, number: int) -> Iterator[FloatArray]:
         """Yield the volts of a block's records, one piece for each snapshot of the bench."""
-        size = _records_per_block(self._segments[-1][1].capture)
+        size = self._block_size()
         first = number * size
-        # A segment is the first record of a snapshot and the snapshot, which holds until the next one starts.
-        ends = [start for start, _ in self._segments[1:]] + [first + size]
-        for (start, captured), end in zip(self._segments, ends, strict=True):
-            low, high = max(0, start - first), min(size, end - first)
+        # A segment ends where the next one starts; the last one lasts to the end of the block at least.
+        ends = [segment.first_record for segment in self._segments[1:]] + [first + size]
+        for segment, end in zip(self._segments, ends, strict=True):
+            low, high = max(0, segment.first_record - first), min(size, end - first)
             if low < high:
-                yield self._computed(number, start, captured)[low:high]
+                yield self._computed(number, segment)[low:high]
 
-    def _computed(self, number: int, start: int, captured: CaptureSnapshot) -> FloatArray:
-        """Return the volts of a block for the snapshot that starts at record ``start``; cached."""
-        if (number, start) not in self._blocks:
+    def _computed(self, number: int, segment: _Segment) -> FloatArray:
+        """Return the volts of block ``number`` for the snapshot of ``segment``; cached."""
+        key, captured = _BlockKey(number, segment.first_record), segment.captured
+        if key not in self._blocks:
             block = _block_of(captured.capture, number)
-            volts = self._record_volts(captured.tonebursts, near(captured.pulses, block), block)
-            self._blocks[number, start] = volts
+            self._blocks[key] = self._record_volts(captured.tonebursts, near(captured.pulses, block), block)
             while len(self._blocks) > CACHED_BLOCKS:
                 del self._blocks[next(iter(self._blocks))]
-        return self._blocks[number, start]
+        return self._blocks[key]
+
+    def _block_size(self) -> int:
+        """Return the number of records of a block."""
+        return _records_per_block(self._segments[-1].captured.capture)
 
 
 def _records_per_block(capture: Capture) -> int:

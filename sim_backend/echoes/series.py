@@ -13,8 +13,9 @@ Scatterer n of echo k has the delay tau_kn = tau_n + sum_r b_kr g_rn. Each expon
     a             one exponent for each shape; |a| their sum, a! the product of their factorials
     alive         t lies in the pulse's support [tau_n + start, tau_n + end)
 
-The series moves the exponentials but not the ends of the support. A sample that an end crosses while its scatterer
-moves is corrected with the pulse's Taylor series about that end. Both parts converge geometrically for any pulse.
+The series moves the exponentials but not the edges (start and end) of the support. A sample that an edge crosses while
+its scatterer moves is corrected with the pulse's Taylor series about that edge. Both parts converge geometrically for
+any pulse.
 Derivation, cost and error: docs/explanation/echoes.md, section 3.
 """
 
@@ -39,12 +40,12 @@ MAX_TERMS = 1000
 _VALUES_PER_CHUNK = 1 << 15  # complex values of one temporary array, 0.5 MB, which fits the cache
 _MIN_SCATTERERS_PER_CHUNK = 256
 _MAX_POWER = 64
-_JUMP_ORDERS = 8  # derivatives that bound the pulse near an end of its support, to 1 %
+_JUMP_ORDERS = 8  # derivatives that bound the pulse near an edge of its support, to 1 %
 _TAYLOR_ORDERS = 40
 # Fractions of the tolerance: for the terms left out of the series, and for the corrections left out.
 _TAIL_FRACTION = 0.25
 _CROSSING_FRACTION = 0.1
-# A derivative below this fraction of the sum of its parts cancels exactly on paper, such as the Hann pulse at its ends.
+# A derivative below this fraction of the sum of its parts is exactly 0 on paper, such as the Hann pulse at its edges.
 _CANCELLATION = 1e-12
 
 
@@ -151,7 +152,7 @@ def series(
     # Term a is a sum U_a(t) over the scatterers at rest, times the amplitudes b_k^a / a! of echo k.
     sums = _rest_sums(scatterer_rows, enter, leave, steps, np.array(degrees), tables, pulse)
     np.matmul(_amplitude_factors(scatterer_rows.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
-    # The series moves the pulses but not their ends: correct the samples that a moving end crosses.
+    # The series moves the pulses but not their edges: correct the samples that a moving edge crosses.
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     budget = _CROSSING_FRACTION * tolerance * rms * math.sqrt(len(sample_time_s))
     _correct_crossings(out, scatterer_rows, (enter, leave), tables, pulse, sample_time_s, budget)
@@ -191,9 +192,9 @@ class _Tables:
     rotation: ComplexArray
     """(frequency, degree, sample): c_m (-j w_m / scale)^degree exp(j w_m t)."""
     jump: ComplexArray
-    """(end, frequency, order): derivatives over factorials at start and end of the support, carrier removed."""
+    """(edge, frequency, order): derivatives over factorials at start and end of the support, carrier removed."""
     taylor: ComplexArray
-    """(end, frequency, order): derivatives over factorials at start and end, negative at the end."""
+    """(edge, frequency, order): derivatives over factorials at start and end, sign reversed at the end."""
 
 
 @functools.lru_cache(maxsize=32)
@@ -208,23 +209,23 @@ def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
     slope = amplitude[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], np.arange(degrees))
     carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(amplitude)))]
     # Taylor coefficients of the pulse at its start and end; for a bound on its size, without the strongest frequency.
-    ends_s = (pulse.start_s, pulse.end_s)
-    jump = np.stack([_end_derivatives(pulse, end_s, carrier_hz, _JUMP_ORDERS) for end_s in ends_s])
-    taylor = np.stack([_end_derivatives(pulse, end_s, 0.0, _TAYLOR_ORDERS) for end_s in ends_s])
+    edges_s = (pulse.start_s, pulse.end_s)
+    jump = np.stack([_edge_derivatives(pulse, edge_s, carrier_hz, _JUMP_ORDERS) for edge_s in edges_s])
+    taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, _TAYLOR_ORDERS) for edge_s in edges_s])
     taylor[1] *= -1
     rotation = slope[:, :, None] * phasors(pulse, np.frombuffer(sample_times), 1)[:, None]
     return _Tables(scale_rad_per_s=float(2 * math.pi * np.abs(hz).max()), rotation=rotation, jump=jump, taylor=taylor)
 
 
-def _end_derivatives(pulse: Pulse, end_s: float, removed_hz: float, orders: int) -> ComplexArray:
-    """Return derivative over factorial of each exponential of the pulse at one of its ends, (frequency, order).
+def _edge_derivatives(pulse: Pulse, edge_s: float, removed_hz: float, orders: int) -> ComplexArray:
+    """Return derivative over factorial of each exponential of the pulse at one of its edges, (frequency, order).
 
-    ``end_s``: start or end of the pulse. ``removed_hz``: a frequency removed from all exponentials before.
+    ``edge_s``: start or end of the pulse. ``removed_hz``: a frequency removed from all exponentials before.
     """
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
     rate = 1j * (omega - 2 * np.pi * removed_hz)
     derivatives = np.empty((len(omega), orders), dtype=np.complex128)
-    derivatives[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * end_s)
+    derivatives[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
     for order in range(1, orders):
         derivatives[:, order] = derivatives[:, order - 1] * rate / order
     return derivatives
@@ -331,21 +332,23 @@ def _add_to_cells(
 
 @dataclass(frozen=True, slots=True)
 class _Crossings:
-    """Ends of supports that cross samples while their scatterers move; every array (crossing end,)."""
+    """Edges of supports that cross samples while their scatterers move; every array (crossing edge,)."""
 
     scatterer: Int64Array
-    end: Int64Array
+    edge: Int64Array
     """0 for the start of the support, 1 for its end."""
     time_s: FloatArray
-    """Time of the end at rest."""
+    """Time of the edge at rest."""
     first_sample: Int64Array
+    """First sample that the edge can reach."""
     sample_count: Int64Array
+    """Number of samples that the edge can reach."""
 
     def of(self, selection: slice) -> _Crossings:
-        """Return those ends of pulses that ``selection`` selects."""
+        """Return those edges of pulses that ``selection`` selects."""
         return _Crossings(
             scatterer=self.scatterer[selection],
-            end=self.end[selection],
+            edge=self.edge[selection],
             time_s=self.time_s[selection],
             first_sample=self.first_sample[selection],
             sample_count=self.sample_count[selection],
@@ -361,32 +364,31 @@ def _correct_crossings(
     sample_time_s: FloatArray,
     budget: float,
 ) -> None:
-    """Correct ``out`` (row, echo, sample), in place, at samples that the end of a moving pulse crosses.
+    """Correct ``out`` (row, echo, sample), in place, at samples that an edge of a moving pulse crosses.
 
-    The power series moves the pulses but not their ends. ``rest_sample``: for start and end, the first sample
-    (scatterer,) at or after it at rest. Ends that together change an echo by less than ``budget`` are left out.
+    The power series moves the pulses but not their edges. ``rest_sample``: for start and end, the first sample
+    (scatterer,) at or after it at rest. Edges that together change an echo by less than ``budget`` are left out.
     """
     reach_s = np.abs(scatterer_rows.amplitude_s).max(axis=(0, 1)) @ np.abs(scatterer_rows.shape)
     max_reach_s, max_weight = float(reach_s.max(initial=0.0)), float(np.abs(scatterer_rows.weight).max(initial=0.0))
     if max_reach_s == 0 or max_weight == 0:
         return
-    # Each end may cross at most ``crossed`` samples, and every crossing gets an equal fraction of the budget.
+    # Each edge may cross at most ``crossed`` samples, and every crossing gets an equal fraction of the budget.
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     crossed = 1 + (2 * max_reach_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
     limit = budget / (2 * len(reach_s) * crossed)
-    crossings = _significant_ends(scatterer_rows, tables, pulse, sample_time_s, reach_s, limit)
+    crossings = _significant_edges(scatterer_rows, tables, pulse, sample_time_s, reach_s, limit)
     orders = _taylor_orders(
         tables.scale_rad_per_s * max_reach_s, limit / max_weight / max(1.0, float(np.abs(pulse.amplitude).sum()))
     )
     taylor = tables.taylor[:, :, :orders]
-    ends_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
-    for first in range(0, len(crossings.end), ends_per_chunk):
-        _correct_ends(
-            out, scatterer_rows, rest_sample, crossings.of(slice(first, first + ends_per_chunk)), taylor, sample_time_s
-        )
+    edges_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
+    for first in range(0, len(crossings.edge), edges_per_chunk):
+        chunk = crossings.of(slice(first, first + edges_per_chunk))
+        _correct_edges(out, scatterer_rows, rest_sample, chunk, taylor, sample_time_s)
 
 
-def _significant_ends(
+def _significant_edges(
     scatterer_rows: ScattererRows,
     tables: _Tables,
     pulse: Pulse,
@@ -394,35 +396,35 @@ def _significant_ends(
     reach_s: FloatArray,
     limit: float,
 ) -> _Crossings:
-    """Return the ends of pulses that cross a sample as they move and may change it by more than ``limit``.
+    """Return the edges of pulses that cross a sample as they move and may change it by more than ``limit``.
 
     ``reach_s`` (scatterer,): largest change of the delay by the motion.
     """
     # Scatterers with a pulse large enough at its start, then at its end.
     scatterers = [
         np.flatnonzero(
-            np.abs(scatterer_rows.weight) * _pulse_bound_near_end(scatterer_rows.response, jump, reach_s) > limit
+            np.abs(scatterer_rows.weight) * _pulse_bound_near_edge(scatterer_rows.response, jump, reach_s) > limit
         )
         for jump in tables.jump
     ]
     scatterer = np.concatenate(scatterers)
     # 0 for a start, 1 for an end; its time at rest, and the samples within reach of it.
-    end = np.repeat([0, 1], [len(indices) for indices in scatterers])
-    time_s = scatterer_rows.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[end]
+    edge = np.repeat([0, 1], [len(indices) for indices in scatterers])
+    time_s = scatterer_rows.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[edge]
     first_sample = sample_time_s.searchsorted(time_s - reach_s[scatterer])
     sample_count = sample_time_s.searchsorted(time_s + reach_s[scatterer], side="right") - first_sample
     crossing = np.flatnonzero(sample_count)
     return _Crossings(
         scatterer=scatterer[crossing],
-        end=end[crossing],
+        edge=edge[crossing],
         time_s=time_s[crossing],
         first_sample=first_sample[crossing],
         sample_count=sample_count[crossing],
     )
 
 
-def _pulse_bound_near_end(response: ComplexArray | None, jump: ComplexArray, reach_s: FloatArray) -> FloatArray:
-    """Return a bound on each scatterer's pulse within ``reach_s`` (scatterer,) of an end of its support, (scatterer,).
+def _pulse_bound_near_edge(response: ComplexArray | None, jump: ComplexArray, reach_s: FloatArray) -> FloatArray:
+    """Return a bound on each scatterer's pulse within ``reach_s`` (scatterer,) of an edge of its support, (scatterer,).
 
     There the pulse is a Taylor series. ``jump`` (frequency, order): its coefficients, derivatives over factorials, of
     each frequency component of the pulse. ``response`` (frequency, scatterer): factor of each component, None for 1.
@@ -437,78 +439,80 @@ def _pulse_bound_near_end(response: ComplexArray | None, jump: ComplexArray, rea
     return bound
 
 
-def _correct_ends(
+def _correct_edges(
     out: FloatArray,
     scatterer_rows: ScattererRows,
     rest_sample: tuple[Int64Array, Int64Array],
-    ends: _Crossings,
+    crossings: _Crossings,
     taylor: ComplexArray,
     sample_time_s: FloatArray,
 ) -> None:
-    """Add to ``out`` (row, echo, sample), in place, the corrections at samples crossed by ``ends`` of pulses.
+    """Add to ``out`` (row, echo, sample), in place, the corrections at the samples of ``crossings``.
 
-    ``taylor`` (end, frequency, order): Taylor coefficients of each exponential at start and end of the pulse.
+    ``taylor`` (edge, frequency, order): Taylor coefficients of each exponential at start and end of the pulse.
     """
-    # (pair,): every end with every sample within its reach.
-    count = ends.sample_count
+    # (pair,): every edge with every sample within its reach.
+    count = crossings.sample_count
     pair = np.repeat(np.arange(len(count)), count)
-    sample = np.arange(len(pair)) + np.repeat(ends.first_sample - np.cumsum(count) + count, count)
-    scatterer, end = ends.scatterer[pair], ends.end[pair]
-    after_end_s = sample_time_s[sample] - ends.time_s[pair]
-    after_at_rest = sample >= np.where(end == 0, rest_sample[0][scatterer], rest_sample[1][scatterer])
+    sample = np.arange(len(pair)) + np.repeat(crossings.first_sample - np.cumsum(count) + count, count)
+    scatterer, edge = crossings.scatterer[pair], crossings.edge[pair]
+    after_edge_at_rest_s = sample_time_s[sample] - crossings.time_s[pair]
+    after_at_rest = sample >= np.where(edge == 0, rest_sample[0][scatterer], rest_sample[1][scatterer])
     # Taylor coefficients (pair, order), common to all scatterers or with each one's beam response.
     if scatterer_rows.response is None:
-        coefficients = taylor.sum(axis=1).real[end]
+        coefficients = taylor.sum(axis=1).real[edge]
     else:
-        per_end = np.einsum("fs,sfq->sq", scatterer_rows.response[:, ends.scatterer], taylor[ends.end], optimize=True)
-        coefficients = per_end.real[pair]
-    change = _crossing_change(scatterer_rows, scatterer, after_end_s, after_at_rest, coefficients)
+        response, edge_taylor = scatterer_rows.response[:, crossings.scatterer], taylor[crossings.edge]
+        coefficients = np.einsum("fs,sfq->sq", response, edge_taylor, optimize=True).real[pair]
+    correction = _crossing_corrections(scatterer_rows, scatterer, after_edge_at_rest_s, after_at_rest, coefficients)
     # Pairs of one row and sample are summed first, since fancy indexing adds to each element only once.
     row = scatterer_rows.row[scatterer]
     target = row * out.shape[2] + sample
     order = np.argsort(target, kind="stable")
     starts = np.flatnonzero(np.diff(target[order], prepend=-1))
     first = order[starts]
-    out[row[first], :, sample[first]] += np.add.reduceat(change[order], starts, axis=0)
+    out[row[first], :, sample[first]] += np.add.reduceat(correction[order], starts, axis=0)
 
 
-def _crossing_change(
+def _crossing_corrections(
     scatterer_rows: ScattererRows,
     scatterer: Int64Array,
-    after_end_s: FloatArray,
+    after_edge_at_rest_s: FloatArray,
     after_at_rest: BoolArray,
     coefficients: FloatArray,
 ) -> FloatArray:
-    """Return the change of the echoes at each pair of a pulse's end and a sample near it, (pair, echo).
+    """Return the corrections of the echoes where motion moves an edge of a pulse past a sample, (pair, echo).
 
-    It is the pulse, where the motion moves the end past the sample; 0 where it does not. ``after_end_s`` (pair,): the
-    sample's time after the end at rest. ``coefficients`` (pair, order): Taylor coefficients of the pulse there,
-    negative for the end of a pulse.
+    A pair is an edge (start or end) and a sample near it. At a crossing the correction is plus or minus the weighted
+    pulse, elsewhere 0. ``after_edge_at_rest_s`` (pair,): time of the sample after the edge at rest; ``after_at_rest``
+    (pair,): whether the sample is at or after it. ``coefficients`` (pair, order): Taylor coefficients of the pulse at
+    its edge, sign reversed at its end.
     """
-    # Time of the sample after the moved end, (pair, echo).
+    # Change of the echo delay by the motion, (pair, echo).
     if len(scatterer_rows.amplitude_s) == 1:
-        moved_s = scatterer_rows.shape[:, scatterer].T @ scatterer_rows.amplitude_s[0].T
+        delay_change_s = scatterer_rows.shape[:, scatterer].T @ scatterer_rows.amplitude_s[0].T
     else:
         amplitude_s = scatterer_rows.amplitude_s[scatterer_rows.row[scatterer]]
-        moved_s = np.matmul(amplitude_s, scatterer_rows.shape[:, scatterer].T[:, :, None])[:, :, 0]
-    after_s = np.subtract(after_end_s[:, None], moved_s, out=moved_s)
-    # The pulse there by Horner's rule.
-    change = np.zeros_like(after_s)
+        delay_change_s = np.matmul(amplitude_s, scatterer_rows.shape[:, scatterer].T[:, :, None])[:, :, 0]
+    # Time of the sample after the moved edge, in the memory of the delays.
+    after_moved_edge_s = np.subtract(after_edge_at_rest_s[:, None], delay_change_s, out=delay_change_s)
+    # The pulse at the sample, by Horner's rule.
+    correction = np.zeros_like(after_moved_edge_s)
     for coefficient in coefficients.T[:0:-1]:
-        change += coefficient[:, None]
-        change *= after_s
-    change += coefficients[:, :1]
-    # +1 where the motion moves the sample past the end, -1 where it moves it before the end, 0 without a crossing.
+        correction += coefficient[:, None]
+        correction *= after_moved_edge_s
+    correction += coefficients[:, :1]
+    # + weight where the motion puts the sample after the edge, - weight where it puts it before, 0 without a crossing.
     weight = scatterer_rows.weight[scatterer]
-    entering, leaving = np.where(after_at_rest, 0.0, weight), np.where(after_at_rest, -weight, 0.0)
-    change *= np.where(after_s >= 0, entering[:, None], leaving[:, None])
-    return np.asarray(change)
+    if_after, if_before = np.where(after_at_rest, 0.0, weight), np.where(after_at_rest, -weight, 0.0)
+    correction *= np.where(after_moved_edge_s >= 0, if_after[:, None], if_before[:, None])
+    return np.asarray(correction)
 
 
 def _taylor_orders(angle_rad: float, tolerance: float) -> int:
-    """Return the number of Taylor coefficients that represent a pulse near its ends to ``tolerance``.
+    """Return the number of Taylor coefficients that represent a pulse near its edges to ``tolerance``.
 
-    ``angle_rad`` is the phase of the highest frequency over the longest time that an end moves.
+    ``angle_rad`` is the phase of the highest frequency over the longest time that an edge moves.
     """
     remainder, orders = angle_rad, 1
     while remainder > tolerance and orders < _TAYLOR_ORDERS:

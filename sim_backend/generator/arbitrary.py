@@ -11,8 +11,8 @@ import numpy as np
 from sim_backend.generator.scpi_text import (
     ScpiError,
     not_simulated,
-    number,
-    one,
+    number_with_unit,
+    only_argument,
     real_reply,
     refuse_arguments,
     unquoted,
@@ -88,7 +88,7 @@ class WaveformMemory:
 
     def copy(self, arguments: tuple[str, ...]) -> None:
         """Copy the volatile waveform to another name, if there is room."""
-        name = waveform_name(arguments[0] if arguments else one(arguments))
+        name = waveform_name(arguments[0] if arguments else only_argument(arguments))
         refuse_arguments(arguments[2:])
         if name in BUILT_IN:
             raise ScpiError(782, "Cannot overwrite a built-in waveform")
@@ -142,7 +142,7 @@ def _scaled(arguments: Sequence[str], scale: float) -> array[float]:
         raise not_simulated("binary blocks, send the points as numbers")
     if len(arguments) > MAX_POINTS:
         raise ScpiError(-223, "Too much data")
-    points = array("d", (number(argument, "")[0] / scale for argument in arguments))
+    points = array("d", (number_with_unit(argument, "")[0] / scale for argument in arguments))
     if max(points) > 1.0 or min(points) < -1.0:
         raise ScpiError(-222, "Data out of range; arbitrary waveform point")
     return points

@@ -22,7 +22,7 @@ from sim_backend.generator.scpi_text import (
     boolean,
     keyword,
     not_simulated,
-    one,
+    only_argument,
     refuse_arguments,
     whole_number,
 )
@@ -71,7 +71,9 @@ def _fixed(reply: str) -> Answer:
 def _register(name: str, largest: int) -> Action:
     """Return the command that sets, or queries, the enable mask of status register ``name``, from 0 to ``largest``."""
     return Action(
-        lambda instrument, arguments: instrument.status.enable(name, whole_number(one(arguments), 0, largest)),
+        lambda instrument, arguments: instrument.status.enable(
+            name, whole_number(only_argument(arguments), 0, largest)
+        ),
         lambda instrument, arguments: instrument.status.enabled(name),
         f"0 to {largest}",
     )
@@ -88,20 +90,20 @@ def _beep(instrument: Machine, arguments: tuple[str, ...]) -> None:
 
 
 def _order(instrument: Machine, arguments: tuple[str, ...]) -> None:
-    instrument.byte_order = keyword(one(arguments), ("NORMal", "SWAPped"))
+    instrument.byte_order = keyword(only_argument(arguments), ("NORMal", "SWAPped"))
 
 
 def _power_on_recall(instrument: Machine, arguments: tuple[str, ...]) -> None:
-    instrument.states.recalled_at_power_on = boolean(one(arguments))
+    instrument.states.recalled_at_power_on = boolean(only_argument(arguments))
 
 
 def _clear_at_power_on(instrument: Machine, arguments: tuple[str, ...]) -> None:
-    instrument.status.cleared_at_power_on = boolean(one(arguments))
+    instrument.status.cleared_at_power_on = boolean(only_argument(arguments))
 
 
 def _always_on(instrument: Machine, arguments: tuple[str, ...]) -> None:
     """Accept ON; raise ``ScpiError`` for OFF: a trigger system that is not continuously armed is not simulated."""
-    if not boolean(one(arguments)):
+    if not boolean(only_argument(arguments)):
         raise not_simulated("a trigger system that is not continuously armed")
 
 
@@ -170,7 +172,7 @@ def _active(instrument: Machine) -> str:
 
 def _select(instrument: Machine, arguments: tuple[str, ...]) -> None:
     """Select the arbitrary waveform named in ``arguments``."""
-    name = instrument.waveforms.select(one(arguments))
+    name = instrument.waveforms.select(only_argument(arguments))
     instrument.program(with_inactive(instrument.registers, waveform=name))
 
 
@@ -179,7 +181,7 @@ def _attribute(attribute: str) -> Action:
 
     def answer(instrument: Machine, arguments: tuple[str, ...]) -> str:
         """Return the reply to the query."""
-        name = waveform_name(one(arguments)) if arguments else _active(instrument)
+        name = waveform_name(only_argument(arguments)) if arguments else _active(instrument)
         return instrument.waveforms.attribute(attribute, name)
 
     return Action(query=answer, query_accepts="name of a waveform, or none")
@@ -209,7 +211,9 @@ WAVEFORMS: Mapping[str, Action] = {
     "DATA:NVOLatile:CATalog": Action(query=lambda instrument, arguments: _names(instrument.waveforms.stored)),
     "DATA:NVOLatile:FREE": Action(query=lambda instrument, arguments: f"{SLOTS - len(instrument.waveforms.stored):+d}"),
     "DATA:DELete[:NAME]": Action(
-        lambda instrument, arguments: instrument.waveforms.delete(waveform_name(one(arguments)), _active(instrument)),
+        lambda instrument, arguments: instrument.waveforms.delete(
+            waveform_name(only_argument(arguments)), _active(instrument)
+        ),
         accepts="name of a waveform",
     ),
     "DATA:DELete:ALL": Action(lambda instrument, arguments: instrument.waveforms.delete_all(_active(instrument))),
@@ -239,7 +243,7 @@ SERIES: Mapping[str, Action] = {
 ON_LAN: Mapping[str, Action] = {
     "SYSTem:COMMunicate:RLSTate": Action(
         lambda instrument, arguments: instrument.set_local(
-            keyword(one(arguments), ("LOCal", "REMote", "RWLock")) == "LOC", over_any_bus=True
+            keyword(only_argument(arguments), ("LOCal", "REMote", "RWLock")) == "LOC", over_any_bus=True
         ),
         accepts="LOCal, REMote, RWLock",
     )

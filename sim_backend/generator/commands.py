@@ -15,42 +15,43 @@ from sim_backend.generator.kinds import (
     choice,
     choice_of_model,
     clipping,
-    extreme,
+    min_or_max_keyword,
     numeric,
     switch,
 )
 from sim_backend.generator.levels import load_divider
 from sim_backend.generator.models import Model
 from sim_backend.generator.registers import Coerced, Registers
-from sim_backend.generator.scpi_text import boolean, number, one, refuse_arguments, unquoted
+from sim_backend.generator.scpi_text import boolean, number_with_unit, only_argument, refuse_arguments, unquoted
 
 
 def _amplitude() -> SettingCommand:
-    """Return the amplitude setting in Vpp, Vrms or dBm; limits and amplitude depend on the load."""
+    """Return the amplitude setting in Vpp, Vrms or dBm at the load."""
 
     def limits(state: Registers) -> tuple[float, float]:
         """Return the smallest and the largest amplitude, in the set unit."""
         low, high = levels.amplitude_limits(state)
         return levels.in_unit(state, low), levels.in_unit(state, high)
 
-    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+    def write_amplitude(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         """Return the registers after the command VOLTage with these arguments, and its errors."""
-        text = one(arguments)
-        # Limits and default are in Vpp, whatever the set unit.
-        vpp = extreme(text, levels.amplitude_limits(state))
+        text = only_argument(arguments)
+        # Limits and default are in Vpp at the load, whatever the set unit.
+        vpp = min_or_max_keyword(text, levels.amplitude_limits(state))
         if text.upper() in ("DEF", "DEFAULT"):
             vpp = DEFAULT_VPP
         if vpp is None:
-            vpp = levels.to_vpp(state, *number(text, "VPP VRMS DBM V"))
+            vpp = levels.to_vpp(state, *number_with_unit(text, "VPP VRMS DBM V"))
+        # The registers hold the open-circuit amplitude; the command states it at the load.
         return levels.set_amplitude(state, vpp / load_divider(state))
 
-    shown = numeric(
+    with_limits_in_set_unit = numeric(
         "VPP VRMS DBM",
         limits,
         lambda state: levels.in_unit(state, state.amplitude_v * load_divider(state)),
         levels.set_amplitude,
     )
-    return replace(shown, command=write)
+    return replace(with_limits_in_set_unit, command=write_amplitude)
 
 
 DEFAULT_VPP = 0.1
@@ -153,10 +154,10 @@ def _phase(field: str, quantity: str) -> SettingCommand:
 def _text() -> SettingCommand:
     """Return the setting of the text on the display."""
 
-    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        return Coerced(replace(state, display_text=unquoted(one(arguments))[:MAX_TEXT]))
+    def write_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        return Coerced(replace(state, display_text=unquoted(only_argument(arguments))[:MAX_TEXT]))
 
-    return SettingCommand(write, lambda state, arguments: f'"{state.display_text}"', "quoted text")
+    return SettingCommand(write_text, lambda state, arguments: f'"{state.display_text}"', "quoted text")
 
 
 MAX_TEXT = 40
@@ -165,21 +166,21 @@ MAX_TEXT = 40
 def _range() -> SettingCommand:
     """Return the setting of automatic ranging: on, off, or once, which counts as off."""
 
-    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        once = one(arguments).upper() == "ONCE"
+    def write_auto(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        once = only_argument(arguments).upper() == "ONCE"
         return Coerced(replace(state, range_auto="0" if once else str(int(boolean(arguments[0])))))
 
-    return SettingCommand(write, lambda state, arguments: state.range_auto, "ON, OFF, ONCE")
+    return SettingCommand(write_auto, lambda state, arguments: state.range_auto, "ON, OFF, ONCE")
 
 
 def _without_argument(**settings: object) -> SettingCommand:
     """Return a command without argument that stores ``settings``, such as the display's CLEar."""
 
-    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+    def store_settings(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         refuse_arguments(arguments)
         return Coerced(replace(state, **settings))  # type: ignore[arg-type]
 
-    return SettingCommand(write, None)
+    return SettingCommand(store_settings, None)
 
 
 def _sources(state: Registers) -> list[str]:

@@ -13,8 +13,8 @@ from sim_backend.generator.scpi_text import (
     ScpiError,
     boolean,
     keyword,
-    number,
-    one,
+    number_with_unit,
+    only_argument,
     real_reply,
     refuse_arguments,
 )
@@ -70,22 +70,22 @@ def numeric(
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         """Return the registers after the command, and its errors."""
-        text = one(arguments)
+        text = only_argument(arguments)
         # MIN and MAX depend on the other settings, DEF on the model alone.
-        value = extreme(text, limits(state))
+        value = min_or_max_keyword(text, limits(state))
         if value is None and text.upper() in ("DEF", "DEFAULT"):
             value = get(replace(power_on(state.model), angle_unit=state.angle_unit))
         if value is None and infinite and text.upper() in ("INF", "INFINITY"):
             value = float("inf")
         if value is None:
-            value = convert(state, *number(text, units))
+            value = convert(state, *number_with_unit(text, units))
         return put(state, float("inf") if infinite and value >= INFINITE else value)
 
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
         """Return the reply to the query: the value, or its limit for MIN or MAX."""
         if not arguments:
             return real_reply(get(state))
-        value = extreme(one(arguments), limits(state))
+        value = min_or_max_keyword(only_argument(arguments), limits(state))
         if value is None:
             raise ScpiError(-224, "Illegal parameter value")
         return real_reply(value)
@@ -131,7 +131,7 @@ def choice_of_model(
     """
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
-        lambda state, arguments: put(state, keyword(one(arguments), words(state))),
+        lambda state, arguments: put(state, keyword(only_argument(arguments), words(state))),
         _without_arguments(lambda state: str(get(state))),
         accepts,
     )
@@ -144,14 +144,14 @@ def switch(shown: Shown, put: Callable[[Registers, bool], Coerced] | None = None
     """
     get, put = getter(shown), put or _setter(shown)
     return SettingCommand(
-        lambda state, arguments: put(state, boolean(one(arguments))),
+        lambda state, arguments: put(state, boolean(only_argument(arguments))),
         _without_arguments(lambda state: str(int(get(state)))),
         "ON, OFF",
     )
 
 
-def extreme(text: str, limits: tuple[float, float]) -> float | None:
-    """Return the limit for the keyword MIN or MAX, None for another text."""
+def min_or_max_keyword(text: str, limits: tuple[float, float]) -> float | None:
+    """Return the limit that the keyword MIN or MAX stands for, None for another text."""
     low, high = limits
     return {"MIN": low, "MINIMUM": low, "MAX": high, "MAXIMUM": high}.get(text.upper())
 

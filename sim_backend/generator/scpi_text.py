@@ -74,7 +74,7 @@ def boolean(text: str) -> bool:
     return whole_number(text, -math.inf, math.inf) != 0
 
 
-def number(text: str, units: str) -> tuple[float, str]:
+def number_with_unit(text: str, units: str) -> tuple[float, str]:
     """Return the number in ``text``, with its prefix multiplied in, and its unit ("" for none).
 
     ``units`` lists the valid units, such as ``"HZ"`` or ``"V VPP VRMS DBM"``. ``M`` is milli except in ``MHZ`` and
@@ -108,7 +108,7 @@ def _in_unit(value: float, suffix: str, units: str) -> tuple[float, str]:
 
 def whole_number(text: str, low: float, high: float) -> int:
     """Return the number in ``text``, rounded to a whole one; raise ``ScpiError`` -222 outside the limits."""
-    value, _ = number(text, "")
+    value, _ = number_with_unit(text, "")
     if not (math.isfinite(value) and low <= value <= high):
         raise ScpiError(-222, "Data out of range")
     return round(value)
@@ -121,7 +121,7 @@ def unquoted(text: str) -> str:
     return text[1:-1]
 
 
-def one(arguments: tuple[str, ...]) -> str:
+def only_argument(arguments: tuple[str, ...]) -> str:
     """Return the only argument; raise ``ScpiError`` -109 if there is none, -108 if there are more."""
     if not arguments:
         raise ScpiError(-109, "Missing parameter")

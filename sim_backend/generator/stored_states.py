@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from sim_backend.generator.arbitrary import waveform_name
 from sim_backend.generator.levels import load_divider
 from sim_backend.generator.registers import Registers
-from sim_backend.generator.scpi_text import ScpiError, one, real_reply, whole_number
+from sim_backend.generator.scpi_text import ScpiError, only_argument, real_reply, whole_number
 
 LOCATIONS = 5
 DEFAULT_NAMES = ("AUTO_RECALL", *(f"STATE_{location}" for location in range(1, LOCATIONS)))
@@ -45,7 +45,7 @@ class StoredStates:
     def rename(self, arguments: tuple[str, ...]) -> None:
         """Set the name of a location."""
         location = location_of(arguments[:1])
-        self._names[location] = waveform_name(one(arguments[1:]))
+        self._names[location] = waveform_name(only_argument(arguments[1:]))
 
     def name(self, location: int) -> str:
         """Return the name of a location."""
@@ -54,7 +54,7 @@ class StoredStates:
 
 def location_of(arguments: tuple[str, ...]) -> int:
     """Return the location in the only argument; raise ``ScpiError`` -222 if it does not exist."""
-    return whole_number(one(arguments), 0, LOCATIONS - 1)
+    return whole_number(only_argument(arguments), 0, LOCATIONS - 1)
 
 
 # The order avoids conflicts after a reset: burst settings with the burst off and the highest frequency, the pulse at a

@@ -177,7 +177,7 @@ def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
 
 
 def memory_s(specimen: Specimen, panels: Panels, tolerance: float = _MEMORY_TOLERANCE) -> float:
-    """Return the time (s) after a step of force when every response has reached its static displacement.
+    """Return the time (s) after a step of force at which every response has reached its static displacement.
 
     From then on it stays within ``tolerance`` of it, relative to the largest static displacement among the responses in
     ``panels``. The time is the begin of a panel, or the end of the table for a medium that creeps without end.
@@ -240,35 +240,36 @@ def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
 
     Both (direction,). ``width_m``: sigmas of the force in x, y, z.
     """
-    wide, narrow = max(width_m[:2]), min(width_m[:2])
+    wider_m, narrower_m = max(width_m[:2]), min(width_m[:2])
     # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, with r the ratio of the lateral widths.
-    count = 1 if wide == narrow else 8 * math.ceil(wide / narrow) + 8
+    count = 1 if wider_m == narrower_m else 8 * math.ceil(wider_m / narrower_m) + 8
     azimuth = (np.arange(count) + 0.5) * np.pi / (2 * count)
     lateral_m2 = width_m[0] * width_m[0] * np.cos(azimuth) ** 2 + width_m[1] * width_m[1] * np.sin(azimuth) ** 2
-    # For each azimuth, `polar_nodes` returns the directions' cosines to the axis (not needed here), a and weights.
+    # For each azimuth, `polar_nodes` returns the directions' cosines to the axis (not used), a and weights.
     nodes = [polar_nodes(float(width_m2), width_m[2] ** 2) for width_m2 in lateral_m2]
     return np.concatenate([a for _, a, _ in nodes]), np.concatenate([weight for _, _, weight in nodes]) / count
 
 
 def polar_nodes(lateral_m2: float, axial_m2: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return wave directions in one plane through the axis: cosine m to the axis, half squared width, weight.
+    """Return quadrature nodes over wave directions: cosine m to the axis, half squared width of the force, weight.
 
-    All are (direction,). ``lateral_m2`` and ``axial_m2`` are squared widths of a Gaussian force; its width is that
-    along the direction. The weight is that of the divergence-free part of the force, 1 - m², times the quadrature's.
-    Gauss-Legendre nodes lie in the variable that makes the width a smooth function: asinh for a force longer than wide,
-    asin for a disc (docs/explanation/medium.md, section 2).
+    All are (direction,), in one plane through the axis. ``lateral_m2`` and ``axial_m2``: squared widths of a Gaussian
+    force; the returned width is that along the direction. The weight is 2 (1 - m²) times the quadrature weight: 1 - m²
+    for the divergence-free part of the force, 2 for the directions of negative m. Gauss-Legendre integrates over t, in
+    which the width is smooth: m = m_scale sinh t for a force longer than wide, m = m_scale sin t for a disc
+    (docs/explanation/medium.md, section 2).
     """
-    # Nodes on 0 to 1; ``slope`` is the derivative of m by the integration variable.
+    # ``node`` is t / t_max, from 0 to 1.
     node, weight = legendre(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2
     if axial_m2 > lateral_m2:
-        unit = math.sqrt(lateral_m2 / (axial_m2 - lateral_m2))
-        top = math.asinh(1 / unit)
-        m, slope = unit * np.sinh(top * node), unit * top * np.cosh(top * node)
+        m_scale = math.sqrt(lateral_m2 / (axial_m2 - lateral_m2))
+        t_max = math.asinh(1 / m_scale)
+        m, dm_dnode = m_scale * np.sinh(t_max * node), m_scale * t_max * np.cosh(t_max * node)
     elif axial_m2 < lateral_m2:
-        unit = 1 / math.sqrt(1 - axial_m2 / lateral_m2)
-        top = math.asin(1 / unit)
-        m, slope = unit * np.sin(top * node), unit * top * np.cos(top * node)
+        m_scale = 1 / math.sqrt(1 - axial_m2 / lateral_m2)
+        t_max = math.asin(1 / m_scale)
+        m, dm_dnode = m_scale * np.sin(t_max * node), m_scale * t_max * np.cos(t_max * node)
     else:
-        m, slope = node, np.ones_like(node)
-    return m, (lateral_m2 * (1 - m**2) + axial_m2 * m**2) / 2, 2 * (1 - m**2) * slope * weight
+        m, dm_dnode = node, np.ones_like(node)
+    return m, (lateral_m2 * (1 - m**2) + axial_m2 * m**2) / 2, 2 * (1 - m**2) * dm_dnode * weight

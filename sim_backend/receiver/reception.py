@@ -66,11 +66,11 @@ class Reception:
         tonebursts = self._jittered_tonebursts(tonebursts, capture.origin_ps, capture.index)
         pulses = self._jittered_pulses(pulses, capture.origin_ps, capture.index)
         # Longer and finer records, so that the chain and the clock have the samples they need.
-        wide, selected = widened(self._settings, capture)
-        volts = self._acoustics.record_volts(tonebursts, pulses, wide)
+        padded_capture, selected = widened(self._settings, capture)
+        volts = self._acoustics.record_volts(tonebursts, pulses, padded_capture)
         chain = self._settings.receive_chain
         if chain is not None:
-            volts = self._received(volts, chain, tonebursts, pulses, wide)
+            volts = self._received(volts, chain, tonebursts, pulses, padded_capture)
         if not has_clock_error(self._settings.instruments):
             return volts[:, selected]
         period_s = capture.sample_period_ps / PS_PER_S
@@ -78,22 +78,27 @@ class Reception:
         return sampled_with_clock_error(volts, selected, period_s, self._settings.instruments, rng)
 
     def _received(
-        self, volts: FloatArray, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, wide: Capture
+        self, volts: FloatArray, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, padded_capture: Capture
     ) -> FloatArray:
-        """Return the output of the receive chain for ``volts`` (record, sample) at the transducer."""
+        """Return the output of the receive chain for ``volts`` (record, sample) at the transducer.
+
+        ``padded_capture``: times of the samples, with margins for the transients of the filters.
+        """
         from sim_backend.receiver.chain import receive
         from sim_backend.receiver.elements import switch_gain
 
-        # The third harmonics of the tonebursts leak and echo as well.
-        thirds = third_harmonics(tonebursts, self._settings)
-        if thirds.onset_ps.size:
-            volts = volts + self._acoustics.record_volts(thirds, no_bursts(), wide)
+        # ``volts`` lacks the third harmonics of the tonebursts, which leak and echo too: add them.
+        harmonic_bursts = third_harmonics(tonebursts, self._settings)
+        if harmonic_bursts.onset_ps.size:
+            volts = volts + self._acoustics.record_volts(harmonic_bursts, no_bursts(), padded_capture)
         # The transmit/receive switch recovers after each burst and pulse.
-        switch = None
+        switch_gains = None
         if chain.recovery_time_s is not None:
-            switch = switch_gain(joined_bursts([tonebursts, pulses]), wide, chain.recovery_time_s)
-        rng = self._chain_noise.generator_for(wide, wide.samples) if chain.noise_v_per_sqrt_hz else None
-        return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
+            switch_gains = switch_gain(joined_bursts([tonebursts, pulses]), padded_capture, chain.recovery_time_s)
+        rng = None
+        if chain.noise_v_per_sqrt_hz:
+            rng = self._chain_noise.generator_for(padded_capture, padded_capture.samples)
+        return receive(volts, chain, padded_capture.sample_period_ps / PS_PER_S, switch_gains, rng)
 
     def _jittered_tonebursts(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
         """Return ``tonebursts`` with the trigger jitter of their generators, each burst shifted by a random time.
@@ -141,8 +146,8 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
         before = fast_fft_length(before + fine_samples + after) - fine_samples - after
     first_ps = capture.first_sample_ps - before * period_ps
     samples = before + fine_samples + after
-    wide = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=samples)
-    return wide, slice(before, before + fine_samples, oversampling)
+    padded_capture = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=samples)
+    return padded_capture, slice(before, before + fine_samples, oversampling)
 
 
 def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
@@ -156,13 +161,14 @@ def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
     if not transmitter.linear:
         from sim_backend.motion import harmonic_v, transmit_response
 
-        first, third = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))
+        fundamental_v, third_v = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))
         specimen = settings.specimen or Specimen()
-        first_response, third_response = (
+        fundamental_response, third_response = (
             transmit_response(n * tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
             for n in (1, 3)
         )
-        relative += np.abs(third / np.where(first > 0, first, 1.0)) * third_response / first_response
+        voltage_ratio = np.abs(third_v / np.where(fundamental_v > 0, fundamental_v, 1.0))
+        relative += voltage_ratio * third_response / fundamental_response
     if not relative.any():
         return no_bursts()
     return replace(

@@ -129,9 +129,9 @@ class _March:
     ) -> None:
         """Start the march at the bowl: choose nodes over lateral wave numbers, and compute the fundamental's spectrum.
 
-        Attributes with a 1 (q1, w1, kz1, first) belong to the fundamental, those without (q, w, kz, higher) to the
-        harmonics: wave numbers q across the beam with quadrature weights w, wave numbers kz along it, and spectra.
-        ``higher[n]`` is harmonic n + 1, with the first ``length[n]`` of the common wave numbers q.
+        ``fundamental`` and ``higher`` are the spectra. ``higher[n]`` is harmonic n + 1, with the first ``length[n]`` of
+        the common wave numbers. ``q``: wave numbers across the beam, ``w``: their quadrature weights, ``kz``: wave
+        numbers along the beam. The fundamental has its own, with the suffix ``_fundamental``.
         """
         self.transducer, self.layer, self.frequency_hz = transducer, layer, frequency_hz
         self.surface_pa, self.accuracy = surface_pa, accuracy
@@ -141,12 +141,13 @@ class _March:
         self.force_results: list[FloatArray] = []
         self._window: tuple[float, int] | None = None
         k, bowl = 2 * np.pi * self.frequency_hz / self.layer.sound_speed_m_per_s, self.transducer
-        # Fundamental: nodes q1 and weights w1 over the angle of the plane waves.
+        # Fundamental: nodes and weights over the angle of the plane waves.
         angle, weight = _gauss(0, _FADE_END_RAD, _nodes(_reach_m(bowl) * k) + 60)
         position = np.clip((angle - _FADE_START_RAD) / (_FADE_END_RAD - _FADE_START_RAD), 2e-3, 1 - 2e-3)
         # An infinitely smooth step from 1 to 0 avoids ringing.
         weight = weight / (1 + np.exp(1 / (1 - position) - 1 / position))
-        self.q1, self.w1 = k * np.sin(angle), k**2 * np.sin(angle) * np.cos(angle) * weight
+        self.q_fundamental = k * np.sin(angle)
+        self.w_fundamental = k**2 * np.sin(angle) * np.cos(angle) * weight
         # Higher harmonics: common nodes q and weights w in panels; harmonic n uses the first n panels.
         self.panel = _SPECTRUM_MARGIN * bowl.half_aperture * k
         nodes_per_panel = _nodes(1.15 * bowl.diameter_m / 2 * self.panel) + 16
@@ -157,14 +158,14 @@ class _March:
         self.length = nodes_per_panel * np.arange(1, self.accuracy.harmonics + 1)
         self.higher = [np.zeros(size, dtype=np.complex128) for size in self.length]
         self._set_wave_numbers()
-        self.first = self._bowl_spectrum()
+        self.fundamental = self._bowl_spectrum()
 
     def _set_wave_numbers(self) -> None:
         """Set the wave numbers, and their components along the axis, of all harmonics in the present layer."""
         n = np.arange(1, self.accuracy.harmonics + 1)
         self.k = self.layer.wave_number(np.asarray(n * self.frequency_hz, dtype=np.float64), self.frequency_hz)
         # A plane wave with the lateral wave number q has sqrt(k² - q²) along the axis; harmonic n uses its first nodes.
-        self.kz1 = np.sqrt(self.k[0] ** 2 - self.q1**2)
+        self.kz_fundamental = np.sqrt(self.k[0] ** 2 - self.q_fundamental**2)
         self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.length, strict=True)]
 
     def _bowl_spectrum(self) -> ComplexArray:
@@ -178,13 +179,13 @@ class _March:
         ring_m, ring_depth_m = bowl.focal_length_m * np.sin(angle), bowl.focal_length_m * 2 * np.sin(angle / 2) ** 2
         strength = weight * bowl.focal_length_m * ring_m * apodisation(bowl, np.sin(angle) / bowl.half_aperture)
         # Each ring is a J0 over lateral wave numbers, moved back to depth 0 by its phase.
-        rings = j0(np.outer(self.q1, ring_m)) * np.exp(1j * np.outer(self.kz1, ring_depth_m))
-        return np.asarray(self.surface_pa * self.k[0].real * (rings @ strength) / self.kz1)
+        rings = j0(np.outer(self.q_fundamental, ring_m)) * np.exp(1j * np.outer(self.kz_fundamental, ring_depth_m))
+        return np.asarray(self.surface_pa * self.k[0].real * (rings @ strength) / self.kz_fundamental)
 
     def enter(self, layer: Layer) -> None:
         """Cross into ``layer``, with the pressure transmission at normal incidence."""
         transmission = 2 * layer.impedance / (layer.impedance + self.layer.impedance)
-        self.first *= transmission
+        self.fundamental *= transmission
         self.higher = [transmission * spectrum for spectrum in self.higher]
         self.layer = layer
         self._set_wave_numbers()
@@ -215,7 +216,7 @@ class _March:
         self._add_steepening((after_pa - before_pa) * (self.taper * self.weight)[:, None])
         self._record(before_pa, shock_heat_w_per_m3=shock_loss / step_m, step_m=step_m)
         self._diffract(step_m / 2)
-        # More harmonics once the highest active one, relative to the first, exceeds the threshold.
+        # More harmonics once the highest active one, relative to the fundamental, exceeds the threshold.
         if np.abs(after_pa[:, -1]).max() > self.accuracy.threshold * np.abs(after_pa[:, 0]).max():
             self.active_harmonics = min(
                 self.accuracy.harmonics, self.active_harmonics + max(2, self.active_harmonics // 2)
@@ -223,7 +224,7 @@ class _March:
 
     def _diffract(self, step_m: float) -> None:
         """Propagate the spectra by ``step_m`` with diffraction and attenuation."""
-        self.first *= np.exp(-1j * self.kz1 * step_m)
+        self.fundamental *= np.exp(-1j * self.kz_fundamental * step_m)
         for n in range(1, self.active_harmonics):
             self.higher[n] *= np.exp(-1j * self.kz[n] * step_m)
         self.depth_m += step_m
@@ -232,8 +233,8 @@ class _March:
         """Set the nodes across the beam at the present depth, and the tables of J0 from spectra to pressures there.
 
         The nodes fill a window around the beam: radii ``r`` with quadrature weights ``weight`` (of r dr) and ``taper``,
-        1 inside and falling to 0 at the window's edge. ``bessel1`` and ``bessel`` (node, wave number) are the tables of
-        the fundamental and of the harmonics. Nothing changes while the window stays the same.
+        1 inside and falling to 0 at the window's edge. ``j0_fundamental`` and ``j0_higher`` (node, wave number) are the
+        tables of the fundamental and of the higher harmonics. Nothing changes while the window stays the same.
         """
         from scipy.special import j0
 
@@ -252,34 +253,35 @@ class _March:
         # The outer fifth of the window: 0 at its inner and 1 at its outer edge.
         position = np.clip((self.r / radius_m - 0.8) / 0.2, 0, 1)
         self.taper = np.cos(np.pi / 2 * position) ** 2
-        self.bessel1 = j0(np.outer(self.r, self.q1))
+        self.j0_fundamental = j0(np.outer(self.r, self.q_fundamental))
         # Single precision halves the time of the march, with an error of 1e-6 of the harmonics.
-        self.bessel = np.empty((len(self.r), self.length[self.active_harmonics - 1]), dtype=np.float32)
-        for node_table, r_m in zip(self.bessel, self.r, strict=True):
+        self.j0_higher = np.empty((len(self.r), self.length[self.active_harmonics - 1]), dtype=np.float32)
+        for node_table, r_m in zip(self.j0_higher, self.r, strict=True):
             node_table[:] = j0(r_m * self.q[: len(node_table)])
 
     def _pressure(self) -> ComplexArray:
         """Return the pressure of the harmonics at the nodes across the beam, (node, harmonic), from their spectra."""
-        first = self.bessel1 @ (self.first * self.w1)
+        fundamental_pa = self.j0_fundamental @ (self.fundamental * self.w_fundamental)
         # The real table times complex spectra, as a product of real matrices: half the operations of a complex table.
         size = self.length[self.active_harmonics - 1]
         spectra = np.zeros((size, self.active_harmonics - 1), dtype=np.complex64)
         for n in range(1, self.active_harmonics):
             spectra[: self.length[n], n - 1] = self.higher[n] * self.w[: self.length[n]]
-        higher = (self.bessel @ spectra.view(np.float32)).view(np.complex64)
-        return np.column_stack([first, higher.astype(np.complex128)])
+        higher_pa = (self.j0_higher @ spectra.view(np.float32)).view(np.complex64)
+        return np.column_stack([fundamental_pa, higher_pa.astype(np.complex128)])
 
     def _add_steepening(self, weighted_change_pa: ComplexArray) -> None:
         """Add a step's steepening of the wave to the spectra of the harmonics.
 
         ``weighted_change_pa`` (radial node, harmonic): change of pressure, already times the nodes' quadrature weights.
-        In one step along the axis an oblique plane wave travels k / kz times the step, and steepens as much more.
+        An oblique plane wave travels k / kz times the step along its own direction, so its steepening is multiplied by
+        k / kz.
         """
-        # Tables of J0 turn pressures over the radius into spectra. The fundamental has its own table and kz.
-        self.first += (self.bessel1.T @ weighted_change_pa[:, 0]) * (self.k[0] / self.kz1)
+        # Tables of J0 transform pressures over the radius to spectra. The fundamental has its own table and kz.
+        self.fundamental += (self.j0_fundamental.T @ weighted_change_pa[:, 0]) * (self.k[0] / self.kz_fundamental)
         # A real table times complex pressures, as a product of real matrices.
-        higher = np.ascontiguousarray(weighted_change_pa[:, 1:], dtype=np.complex64).view(np.float32)
-        spectra = (self.bessel.T @ higher).view(np.complex64)
+        higher_pa = np.ascontiguousarray(weighted_change_pa[:, 1:], dtype=np.complex64).view(np.float32)
+        spectra = (self.j0_higher.T @ higher_pa).view(np.complex64)
         for n in range(1, self.active_harmonics):
             self.higher[n] += spectra[: self.length[n], n - 1] * (self.k[n] / self.kz[n])
 

@@ -56,21 +56,24 @@ class Push:
 
         log_table, log_surface = np.log(self.surface_pa), np.log(surface_pa)
         inside = np.clip(log_surface, log_table[0], log_table[-1])
-        first, last = log_table[1] - log_table[0], log_table[-1] - log_table[-2]
+        first_step, last_step = log_table[1] - log_table[0], log_table[-1] - log_table[-2]
 
         def interpolated(name: str) -> FloatArray:
             """Return the field ``name`` at the surface pressures."""
-            value = np.log(getattr(self, name))
-            slopes = (value[1] - value[0]) / first, (value[-1] - value[-2]) / last
-            outside = np.where(log_surface < inside, slopes[0], slopes[1]) * (log_surface - inside)
-            return np.asarray(np.exp(PchipInterpolator(log_table, value)(inside) + outside))
+            log_value = np.log(getattr(self, name))
+            low_slope, high_slope = (
+                (log_value[1] - log_value[0]) / first_step,
+                (log_value[-1] - log_value[-2]) / last_step,
+            )
+            extrapolation = np.where(log_surface < inside, low_slope, high_slope) * (log_surface - inside)
+            return np.asarray(np.exp(PchipInterpolator(log_table, log_value)(inside) + extrapolation))
 
         return Push(*(interpolated(field.name) for field in fields(self)))
 
     def relative_force(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
-        """Return the force over ``force_density_n_per_m3``, as a function of relative pressure.
+        """Return the force at relative pressures, as a multiple of ``force_density_n_per_m3``.
 
-        ``pressure`` is relative to the pressure that gives that force.
+        ``pressure`` is relative to the surface pressure that gives that force.
         """
         reference_pa = self.surface_for(force_density_n_per_m3)
         with np.errstate(divide="ignore"):
@@ -145,20 +148,24 @@ def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: fl
     """
     if settings.propagation is None:
         raise ValueError("no nonlinear propagation is declared. Try: [simulation.propagation]")
-    return _water(settings.beams.transducer, settings.propagation, settings.sound_speed_m_per_s, surface_pa, carrier_hz)
+    transducer, speed_m_per_s = settings.beams.transducer, settings.sound_speed_m_per_s
+    return _water_output(transducer, settings.propagation, speed_m_per_s, surface_pa, carrier_hz)
 
 
 @lru_cache(maxsize=512)
-def _water(
+def _water_output(
     transducer: Transducer, propagation: Propagation, speed_m_per_s: float, surface_pa: float, carrier_hz: float
 ) -> WaterOutput:
-    """Return the beam's output in water at this pressure of the transducer's surface."""
+    """Return the peak pressures and the intensity of the beam in water, as a hydrophone would measure them.
+
+    ``surface_pa``: pressure amplitude at the surface of the transducer.
+    """
     _check_memory(transducer, speed_m_per_s / carrier_hz, propagation.harmonics)
     layer = _water_layer(propagation, speed_m_per_s, math.inf)
     beam = nonlinear_beam(transducer, [layer], carrier_hz, surface_pa, Accuracy(propagation.harmonics))
-    # A hydrophone does not measure near the rim of the bowl.
-    near_focus = beam.depth_m > transducer.focal_length_m / 2
-    return WaterOutput(*_peaks(beam, near_focus))
+    # Peaks count from half the focal length on: a hydrophone is not placed closer to the bowl.
+    in_reach = beam.depth_m > transducer.focal_length_m / 2
+    return WaterOutput(*_peaks(beam, in_reach))
 
 
 def _peaks(beam: Beam, selected: BoolArray) -> tuple[float, float, float]:

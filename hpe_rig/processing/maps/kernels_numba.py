@@ -90,7 +90,7 @@ def _unwrap(real_and_imag: SingleArray, angle: SingleArray) -> None:
 
 
 def log_amplitude(echo: ComplexSingleArray) -> SingleArray:
-    """Return the logarithm of the amplitude of ``echo`` (..., pulse) over its root mean square, as in `kernels`."""
+    """Return ln(amplitude / rms amplitude over the pulses) of ``echo`` (..., pulse), approximately, as in `kernels`."""
     flat = np.ascontiguousarray(echo).reshape(-1, echo.shape[-1])
     result = np.empty(flat.shape, np.float32)
     _log_amplitude(flat.view(np.float32), result)
@@ -99,18 +99,24 @@ def log_amplitude(echo: ComplexSingleArray) -> SingleArray:
 
 @_compile
 def _log_amplitude(real_and_imag: SingleArray, result: SingleArray) -> None:
-    """Write the logarithms (pixel, pulse); ``real_and_imag`` (pixel, 2 * pulse): real, imaginary, real, ..."""
+    """Write ln(amplitude / rms amplitude over the pulses) of each pixel, (pixel, pulse), approximately.
+
+    ``real_and_imag`` (pixel, 2 * pulse): real, imaginary, real, ... of the echo.
+    """
     pulses = result.shape[1]
     for i in range(len(result)):
-        row, log, total = real_and_imag[i], result[i], np.float32(0)
+        row, log_ratio, power_sum = real_and_imag[i], result[i], np.float32(0)
+        # The result first holds the powers.
         for k in range(pulses):
-            log[k] = row[2 * k] * row[2 * k] + row[2 * k + 1] * row[2 * k + 1]
-            total += log[k]
-        scale = 1 / max(total / np.float32(pulses), TINY)
+            power = row[2 * k] * row[2 * k] + row[2 * k + 1] * row[2 * k + 1]
+            log_ratio[k] = power
+            power_sum += power
+        scale = 1 / max(power_sum / np.float32(pulses), TINY)
+        # ln r = 2 atanh((r - 1) / (r + 1)), its series to third order: good near r = 1.
         for k in range(pulses):
-            r = np.sqrt(log[k] * scale)
+            r = np.sqrt(log_ratio[k] * scale)
             u = (r - 1) / (r + 1)
-            log[k] = u * (u * u + 3) * TWO_THIRDS
+            log_ratio[k] = u * (u * u + 3) * TWO_THIRDS
 
 
 @_compile
@@ -154,14 +160,14 @@ def write_amplitude_and_phase(
         for j in range(amplitude.shape[1]):
             mean, half_difference, cross = covariance[i, 0, j], covariance[i, 1, j], covariance[i, 2, j]
             x, y = state[i, 2 * j], state[i, 2 * j + 1]
-            squared = x * x + y * y
+            amplitude_squared = x * x + y * y
             # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
-            anisotropy = (half_difference * (x * x - y * y) + 2 * cross * x * y) / squared
+            anisotropy = (half_difference * (x * x - y * y) + 2 * cross * x * y) / amplitude_squared
             along, across = mean + anisotropy, mean - anisotropy
-            no_motion = _no_motion_probability(squared / max(along, TINY))
-            rectified = RECTIFIED * max(no_motion - AT_DETECTION, np.float32(0)) / (1 - AT_DETECTION) * across
-            variance = along + rectified + relative_variance[i] * squared
-            amplitude[i, j], phase[i, j] = np.sqrt(squared) * abs(scale), _angle(y * scale, x * scale)
+            no_motion = _no_motion_probability(amplitude_squared / max(along, TINY))
+            rician_bias = RECTIFIED * max(no_motion - AT_DETECTION, np.float32(0)) / (1 - AT_DETECTION) * across
+            variance = along + rician_bias + relative_variance[i] * amplitude_squared
+            amplitude[i, j], phase[i, j] = np.sqrt(amplitude_squared) * abs(scale), _angle(y * scale, x * scale)
             amplitude_u[i, j] = np.sqrt(variance) * abs(scale)
-            angle_variance = min(across / max(squared, TINY), UNIFORM)
+            angle_variance = min(across / max(amplitude_squared, TINY), UNIFORM)
             phase_u[i, j] = np.sqrt(no_motion * UNIFORM + (1 - no_motion) * angle_variance)

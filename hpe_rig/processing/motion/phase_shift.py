@@ -250,16 +250,16 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     )
 
 
-def are_correlated(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
-    """Return which trains (...) correlate from pulse to pulse more than noise alone does once in a thousand trains.
+def are_correlated(cross: FloatArray, energy: FloatArray, independent_samples: float) -> BoolArray:
+    """Return which trains (...) have a mean correlation of consecutive echoes above `min_correlation`.
 
     ``cross`` (..., pulse - 1): magnitude of each echo's product with the next; ``energy`` (..., pulse);
-    ``independent``: effective number of independent samples in the gate. The correlation rho is averaged over the train
-    with equal weights, so that one spike does not dominate. Raises ``ValueError`` if no train correlates.
+    ``independent_samples``: effective number of them in the gate. The correlation rho is averaged over the train with
+    equal weights, so that one spike does not dominate. Raises ``ValueError`` if no train correlates.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         rho = cross / np.sqrt(energy[..., :-1] * energy[..., 1:])
-    correlated = np.asarray(rho.mean(axis=-1) > min_correlation(rho.shape[-1], independent))
+    correlated = np.asarray(rho.mean(axis=-1) > min_correlation(rho.shape[-1], independent_samples))
     if not correlated.any():
         subject = "the echoes" if correlated.size == 1 else f"echoes of all {correlated.size} trains"
         raise ValueError(
@@ -269,14 +269,15 @@ def are_correlated(cross: FloatArray, energy: FloatArray, independent: float) ->
     return correlated
 
 
-def min_correlation(pairs: int, independent: float) -> float:
-    """Return the mean correlation of ``pairs`` of echoes that noise alone exceeds once in a thousand trains.
+def min_correlation(pairs: int, independent_samples: float) -> float:
+    """Return the threshold of a train's mean correlation over ``pairs`` pairs of echoes.
 
-    For two echoes of noise with M = ``independent`` samples each, rho² has a beta distribution (1, M - 1), hence
-    E rho = Gamma(3/2) Gamma(M) / Gamma(M + 1/2) and E rho² = 1 / M. The mean over a train is nearly normal.
+    Pure noise exceeds it in one train of a thousand. ``independent_samples``: effective number M of independent samples
+    in each echo. For two echoes of noise, rho² has a beta distribution (1, M - 1), hence E rho = Gamma(3/2) Gamma(M) /
+    Gamma(M + 1/2) and E rho² = 1 / M. The mean over a train is nearly normal.
     """
-    # Near M = 1 noise cannot be distinguished from an echo: the threshold stays that of M = 3.
-    m = max(independent, 3.0)
+    # With M = 1 even noise correlates fully, so the threshold is that of M = 3 at least.
+    m = max(independent_samples, 3.0)
     mean = math.exp(math.lgamma(1.5) + math.lgamma(m) - math.lgamma(m + 0.5))
     return mean + NOISE_DEVIATIONS * math.sqrt(max(1 / m - mean**2, 0.0) / pairs)
 
@@ -349,7 +350,7 @@ def compare_with_others(
     ``spectrum`` (..., pulse, bin). Echoes are aligned by advancing them by ``delay_s`` (..., pulse). ``steps``:
     products of consecutive echoes. ``energy`` (..., pulse): of each aligned echo in the gate; computed if absent.
     """
-    # Echoes are aligned at the mean of their motion, where the gate cuts off least that they have in common.
+    # Echoes are aligned at the mean of their motion: there the gate cuts off the least of their common part.
     delay_s = delay_s - delay_s.mean(axis=-1, keepdims=True)
     chunks = [slice(first, first + ALIGNED_CHUNK) for first in range(0, spectrum.shape[-2], ALIGNED_CHUNK)]
 
@@ -428,18 +429,20 @@ def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatA
     return np.where(usable, mean_hz, np.nan)
 
 
-def noise_of_steps(cross: FloatArray, energy: FloatArray, independent: float) -> tuple[FloatArray, FloatArray]:
-    """Return the phase variance of a pulse (..., pulse), and how much of it each step adds to all later pulses (...).
+def noise_of_steps(cross: FloatArray, energy: FloatArray, independent_samples: float) -> tuple[FloatArray, FloatArray]:
+    """Return the phase variance of a pulse (..., pulse), and its ratio that a step adds to all later pulses (...).
 
     ``cross`` (..., pulse - 1): magnitude of the products of consecutive echoes, ``energy`` (..., pulse). Two echoes
-    with correlation rho over M = ``independent`` samples differ in phase by a variance of (1/rho² - 1) / (2 M); half of
+    with correlation rho over M ``independent_samples`` differ in phase by a variance of (1/rho² - 1) / (2 M); half of
     it belongs to each pulse, which takes the smaller value of its two neighbours. The noise of a pulse changes sign
     between the steps before and after it and cancels. The product of the noises of two pulses does not: relative to the
     noise of a pulse its variance is noise over signal power, 1/rho - 1.
     """
     tiny = np.finfo(np.float64).tiny
     energy_product = energy[..., :-1] * energy[..., 1:]
-    step = np.maximum(np.maximum(energy_product, tiny) / np.maximum(cross**2, tiny) - 1, 0.0) / (4 * independent)
+    step = np.maximum(np.maximum(energy_product, tiny) / np.maximum(cross**2, tiny) - 1, 0.0) / (
+        4 * independent_samples
+    )
     variance = np.minimum(np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1))
     step_noise_ratio = np.sqrt(energy_product).sum(axis=-1) / np.maximum(cross.sum(axis=-1), tiny) - 1
     return np.asarray(variance), np.asarray(np.maximum(step_noise_ratio, 0.0))

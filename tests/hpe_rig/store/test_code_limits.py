@@ -13,7 +13,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.processing.echo.conditioning import gate_statistics
 from hpe_rig.store.format import StoreError
-from hpe_rig.store.layout import empty_run, volts_of_codes
+from hpe_rig.store.layout import code_scale_and_offset_v, empty_run
 from hpe_rig.store.reader import read_run
 from hpe_rig.store.records import assemble
 
@@ -60,7 +60,7 @@ def test_full_scale_is_that_of_the_digitizer(setup: Setup, bits: int) -> None:
     shot = replace(shot, capture=replace(shot.capture, record_count=3))
     codes = np.zeros((3, shot.capture.record_samples), np.int16)
     codes[1, 7], codes[2, 7] = limits[1], limits[1] - 1
-    block = RecordBlock(0, codes, np.full(3, np.nan), *volts_of_codes(1.0, limits), limits)
+    block = RecordBlock(0, codes, np.full(3, np.nan), *code_scale_and_offset_v(1.0, limits), limits)
     records = assemble([block], shot)
     assert gate_statistics(records).at_full_scale(records.code_limits).tolist() == [False, True, False]
 
@@ -68,5 +68,5 @@ def test_full_scale_is_that_of_the_digitizer(setup: Setup, bits: int) -> None:
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
 def test_the_lowest_and_highest_code_are_minus_and_plus_the_range(bits: int) -> None:
     limits = -(1 << (bits - 1)), (1 << (bits - 1)) - 1
-    scale, offset = volts_of_codes(0.8, limits)
+    scale, offset = code_scale_and_offset_v(0.8, limits)
     assert [limits[0] * scale + offset, limits[1] * scale + offset] == pytest.approx([-0.8, 0.8], rel=1e-12)
