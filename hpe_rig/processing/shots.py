@@ -169,10 +169,10 @@ def _estimate_shot(
     if stored.true_displacement_m is not None and scene.processing.drift == "none":
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     complete = bool(stored.shot_complete[shot.index])
-    of_windows = controls.motions.get(shot.index) or (None,) * len(scene.windows)
+    window_controls = controls.motions.get(shot.index) or (None,) * len(scene.windows)
     results = [
         _estimate_window(window, shot, records, settings, true_m, complete, control)
-        for window, control in zip(scene.windows, of_windows, strict=True)
+        for window, control in zip(scene.windows, window_controls, strict=True)
     ]
     if (reason := controls.failures.get(shot.index)) is None:
         return results
@@ -347,7 +347,7 @@ def _drift(
 
 
 def _line(motion: WindowMotion, selection: Selection, options: Options) -> Line | None:
-    """Return the strongest line in the residual of the coherent displacement; None if it cannot be fitted."""
+    """Return the strongest spectral line in the residual of the coherent displacement; None if it cannot be fitted."""
     if motion.coherent is None:
         return None
     with suppress(ValueError):

@@ -286,7 +286,8 @@ def _rest_sums(
         alive = first + np.flatnonzero(
             (enter[first:end] < leave[first:end]) & (enter[first:end] < samples) & (leave[first:end] > 0)
         )
-        # Two halves of cells a row: by the sample they leave at, backwards, and by the sample they enter at.
+        # A row has two halves of cells: scatterers alive at the first sample by the sample they leave at, counted
+        # backwards, and the others by the sample they enter at.
         at_first = enter[alive] == 0
         position = np.where(at_first, samples - leave[alive], samples + enter[alive])
         cell = (scatterer_rows.row[alive] - rows.start) * (2 * samples) + position

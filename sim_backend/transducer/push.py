@@ -199,8 +199,8 @@ def _push(
 
     # Surface pressures relative to the one that gives the reference force in linear propagation.
     linear_pa = 1e4
-    linear = force(nonlinear_beam(transducer, layers, carrier_hz, linear_pa, Accuracy(harmonics=4)))
-    surface_pa = linear_pa * math.sqrt(force_density_n_per_m3 / linear) * np.array(LEVELS)
+    linear_n_per_m3 = force(nonlinear_beam(transducer, layers, carrier_hz, linear_pa, Accuracy(harmonics=4)))
+    surface_pa = linear_pa * math.sqrt(force_density_n_per_m3 / linear_n_per_m3) * np.array(LEVELS)
     rows = []
     for level_pa in surface_pa:
         beam = nonlinear_beam(transducer, layers, carrier_hz, float(level_pa), Accuracy(harmonics))
