@@ -78,7 +78,7 @@ def predicted_averaging(
     # The random media assume dense scatterers. Sparse scatterers change 1 - ratio; the same relative change as for a
     # Gaussian motion is assumed.
     loss_scale = (1 - gaussian) / (1 - beams.gaussian_averaging())
-    # Speckle changes the tracked region: the logarithm of its area and, off the axis, its offset relative to its radius.
+    # Speckle changes the tracked region: the logarithm of its area and, off the axis, its offset over its radius.
     # This is the standard deviation of both; ``steepness`` is the relative change of the ratio per unit of them.
     region_sd = speckle_sd / -beams.gaussian_steepness()
     ratio, deviation, steepness = averaging_ratio(scene, beams, frequency_hz)
