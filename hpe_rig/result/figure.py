@@ -26,7 +26,7 @@ from hpe_rig.result.figure_kind import FigureKind
 from hpe_rig.result.panels import figure_panels
 from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
-from hpe_rig.result.setting_text import setting_texts
+from hpe_rig.result.setting_text import force_format, setting_texts
 from hpe_rig.result.spectra import main_shot
 from hpe_rig.result.svg import MARKS, Colour, mark, thin
 from hpe_rig.result.values import Headline, ShotResult
@@ -231,7 +231,7 @@ def _curve_items(result: ResultData, is_drawn: FrequencyFilter) -> list[tuple[Sh
 
 def _labels(items: Sequence[ShotResult | RepeatMean], without: str = "") -> list[str]:
     """Return the settings that differ between ``items``, except ``without``; shot numbers where none differs."""
-    texts = [list(setting_texts(item, without)) for item in items]
+    texts = [list(setting_texts(item, without, force_format(items))) for item in items]
     common = set(texts[0]).intersection(*texts[1:]) if texts else set()
     labels = [", ".join(text for text in item if text not in common) for item in texts]
     if without or len(set(labels)) == len(labels):

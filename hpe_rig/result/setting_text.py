@@ -9,7 +9,7 @@ from hpe_rig.result.values import ShotResult
 
 _SETTINGS = (
     ("burst_length_s", 1e6, "T_b\nus", "g", "T_b = {} us"),
-    ("force_fraction", 1.0, "F\nF_0", ".4g", "F = {} F_0"),
+    ("force_fraction", 1.0, "F\nF_0", "", "F = {} F_0"),
     ("pulse_rate_hz", 1.0, "f_prf\nHz", "g", "f_prf = {} Hz"),
     ("window_length_s", 1e3, "T_s\nms", "g", "T_s = {} ms"),
     ("lateral_offset_m", 1e3, "lateral\nmm", "g", "{} mm lateral offset"),
@@ -17,16 +17,26 @@ _SETTINGS = (
 )
 """Settings that can differ between shots: attribute, scale, header, format, and text in a title.
 
-A force follows from the voltage of a generator, which is set with four digits.
+A force has the format "": that of ``force_format``.
 """
+FORCE_FORMAT = ".4g"
+"""A force follows from the voltage of a generator, which is set with four digits."""
 
 
-def setting_texts(item: ShotResult | RepeatMean, without: str = "") -> Iterator[str]:
+def force_format(items: Sequence[ShotResult | RepeatMean]) -> str:
+    """Return the format of the relative forces of ``items``: with more digits if two forces had equal texts."""
+    forces = {item.force_fraction for item in items if item.force_fraction is not None}
+    return FORCE_FORMAT if len({format(force, FORCE_FORMAT) for force in forces}) == len(forces) else "g"
+
+
+def setting_texts(
+    item: ShotResult | RepeatMean, without: str = "", format_of_force: str = FORCE_FORMAT
+) -> Iterator[str]:
     """Yield the settings of a shot or mean for a title, except ``without``; offsets of zero are omitted."""
     for name, factor, _, form, text in _SETTINGS:
         value = getattr(item, name)
         if name != without and value is not None and (value or not name.endswith("offset_m")):
-            yield text.format(format(value * factor, form))
+            yield text.format(format(value * factor, form or format_of_force))
     yield from (f"{name} = {value:g}" for name, value in item.swept.items())
 
 
@@ -47,14 +57,16 @@ def control_text(shots: Sequence[ShotResult]) -> str:
 
 def common_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
     """Return the settings that are equal in all ``items``, for a title."""
-    shared = set(setting_texts(items[0])).intersection(*(set(setting_texts(item)) for item in items))
-    return "".join(f", {setting}" for setting in setting_texts(items[0]) if setting in shared)
+    texts = [list(setting_texts(item, format_of_force=force_format(items))) for item in items]
+    shared = set(texts[0]).intersection(*texts)
+    return "".join(f", {setting}" for setting in texts[0] if setting in shared)
 
 
 def varied_settings(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
     """Return the headers of the settings that differ between ``items``, and their cells (item, header)."""
+    format_of_force = force_format(items)
     cells = {
-        header: [_cell(getattr(item, name), factor, form) for item in items]
+        header: [_cell(getattr(item, name), factor, form or format_of_force) for item in items]
         for name, factor, header, form, _ in _SETTINGS
     }
     # Keys of a sweep are shortened to their last part.

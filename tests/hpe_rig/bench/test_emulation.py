@@ -6,6 +6,8 @@ import socket
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
 
 import pytest
 from typer.testing import CliRunner
@@ -44,18 +46,19 @@ def real(tmp_path: Path, free_port: int) -> Path:
 
 @pytest.fixture
 def emulated(real: Path, free_port: int) -> Path:
-    """Return the bench file of the emulation of ``real``, after a question to the served master."""
+    """Return the bench file that ``hpe-rig emulate`` writes, after a question to the served master and Ctrl-C."""
     path = real.with_name("emulated.toml")
 
-    def ask_master(text: str) -> None:
-        path.write_text(text, encoding="utf-8")
+    def ask_master_and_interrupt(_: float) -> None:
         with socket.create_connection(("127.0.0.1", free_port), timeout=5) as line:
             line.sendall(b"*IDN?\n")
             assert b"33250A" in line.recv(200)
         raise KeyboardInterrupt
 
-    setup = prepare("bovine-muscle", real, refuse=False)
-    emulate(setup.scene.scene, setup.bench, "socket", ask_master)
+    with patch("hpe_rig.bench.emulation.time", SimpleNamespace(sleep=ask_master_and_interrupt)):
+        done = CliRunner().invoke(app, ["emulate", str(real), "-o", str(path)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert f"hpe-rig commission {path}" in done.output
     return path
 
 

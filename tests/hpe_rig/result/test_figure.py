@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.result import Result, ShotResult
+from hpe_rig.result import Result, ShotResult, common_settings, varied_settings
 from hpe_rig.result.values import Estimate
 
 FORCES = np.linspace(0.1, 1.0, 12)
@@ -68,12 +68,21 @@ def test_every_setting_has_a_curve_of_its_mean_and_a_line_of_the_legend(drives: 
     assert len(drawn) == len(curves(phase)) == FORCES.size
     assert pytest.approx(np.array(expected_nm)) == np.array(drawn)[:, :, 1].T
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts == [f"F = {force:g} F_0" for force in FORCES]
+    assert texts == [f"F = {force:.4g} F_0" for force in FORCES]
     # Phases continue through half a turn.
     assert curves(phase)[0] == [(100.0, pytest.approx(170.0)), (200.0, pytest.approx(190.0))]
     # Each curve differs from all others without colours too.
     lines = [bars.lines[0] for bars in amplitude.containers]  # type: ignore[attr-defined]
     assert len({(line.get_marker(), line.get_fillstyle(), line.get_linestyle()) for line in lines}) == FORCES.size
+
+
+def test_forces_that_differ_in_the_fifth_digit_have_different_labels_and_cells() -> None:
+    result = result_of(*(shot(2 * n + r, force, r) for n, force in enumerate((0.18181, 0.18182)) for r in (0, 1)))
+    texts = [text.get_text() for text in result.figure().legends[0].get_texts()]
+    assert texts == ["F = 0.18181 F_0", "F = 0.18182 F_0"]
+    first = [mean for mean in result.means if mean.frequency_hz == FREQUENCIES_HZ[0]]
+    assert varied_settings(first) == (["F\nF_0"], [["0.18181"], ["0.18182"]])
+    assert "F_0" not in common_settings(first)
 
 
 def test_a_figure_over_the_drive_has_one_curve_for_each_frequency(drives: Result) -> None:
