@@ -18,8 +18,8 @@ from hpe_rig.runs import Run
 MAX_SHOTS = 2_000
 """Shots with amplitudes in the state; a screen resolves no more."""
 MAX_HARMONICS = 6
-UPDATE_TIME_S = 0.25
-"""Time for estimates in one state; further complete shots wait for the next state."""
+UPDATE_TIME_S, FINAL_UPDATE_TIME_S = 0.25, 3.0
+"""Time for estimates in one state, during and after the run; further complete shots wait for the next state."""
 
 
 def estimates_with_sources(run: Run, shot: Shot, fit: HarmonicFit, estimator: str) -> tuple[Estimate, ...]:
@@ -43,15 +43,15 @@ class ShotHistory:
         self._next = 0
         self._states: list[State] = []
 
-    def advance(self, run: Run) -> bool:
-        """Estimate newly completed shots for at most ``UPDATE_TIME_S``; return whether any remain."""
-        until_s = time.monotonic() + UPDATE_TIME_S
+    def advance(self, run: Run) -> int:
+        """Estimate newly completed shots for the time of one state; return the number that remain."""
+        until_s = time.monotonic() + (UPDATE_TIME_S if run.stored.status == "running" else FINAL_UPDATE_TIME_S)
         while self._next < len(run.plan.shots) and run.stored.shot_complete[self._next]:
             if time.monotonic() > until_s:
-                return True
+                return int(np.count_nonzero(run.stored.shot_complete[self._next :]))
             self._append(run, run.plan.shots[self._next])
             self._next += 1
-        return False
+        return 0
 
     def _append(self, run: Run, shot: Shot) -> None:
         if shot.is_control or shot.index in run.stored.marks:

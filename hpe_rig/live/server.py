@@ -192,7 +192,8 @@ class LivePage:
             state = {"status": "waiting", "why": f"{type(error).__name__}: {error}"}
         if state is None:
             return None
-        self._ended = state.get("status") in ENDED
+        # The last state has the estimates of every complete shot.
+        self._ended = state.get("status") in ENDED and not state.get("shots_pending")
         return json.dumps(state, allow_nan=False, separators=(",", ":"))
 
     async def _page(self, request: Request) -> Response:

@@ -53,7 +53,7 @@ class RunSource:
         self._shot = 0
         self._earlier_records = 0
         self._history: list[State] = []
-        self._shots, self._pending, self._time = ShotHistory(), False, RemainingTime()
+        self._shots, self._pending, self._time = ShotHistory(), 0, RemainingTime()
 
     def poll(self) -> State | None:
         """Return the state; None if the file has not changed."""
@@ -129,7 +129,15 @@ class RunSource:
         measured = self._measured(run, shot_records)
         clipped = bool(measured.get("level", {}).get("clipped"))
         warnings = list(warnings_of(run, plan.shots[self._shot], clipped))
-        return state | measured | {"over_shots": self._shots.state, "warning": warnings[-1] if warnings else ""}
+        return (
+            state
+            | measured
+            | {
+                "over_shots": self._shots.state,
+                "shots_pending": self._pending,
+                "warning": warnings[-1] if warnings else "",
+            }
+        )
 
     def _advance(self, stored: StoredRun) -> int:
         """Advance to the last shot with records and return their number."""

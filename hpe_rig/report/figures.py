@@ -14,7 +14,7 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.report.residual_tests import periodogram
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
-from hpe_rig.result import Colour, Picture, legend, mark, panel, picture, thin
+from hpe_rig.result import Colour, Picture, legend, mark, panel, picture, scale_of, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,15 +29,16 @@ def rf_line(view: EchoView) -> Picture:
     axes.axvspan(*(edge * 1e3 for edge in view.gate_m), color=Colour.SKY, alpha=0.25, lw=0, label="gate")
     for edge_m in view.gate_m:
         axes.axvline(edge_m * 1e3, color=Colour.BLUE, lw=0.8, ls="--")
-    axes.plot(view.line_depth_m * 1e3, view.line_v * 1e3, color=Colour.GREY, lw=0.8)
-    axes.set(xlabel="depth (mm)", ylabel="echo (mV)")
+    scale, unit = scale_of(float(np.abs(view.line_v).max(initial=0.0)), "V")
+    axes.plot(view.line_depth_m * 1e3, view.line_v / scale, color=Colour.GREY, lw=0.8)
+    axes.set(xlabel="depth (mm)", ylabel=f"echo ({unit})")
     legend(axes, "upper right")
     inside = (view.line_depth_m >= view.gate_m[0]) & (view.line_depth_m <= view.gate_m[1])
-    peak_mv = np.abs(view.line_v[inside]).max(initial=0.0) * 1e3
+    peak = np.abs(view.line_v[inside]).max(initial=0.0) / scale
     alt = (
         f"Echo of the first pulse from {view.line_depth_m[0] * 1e3:.2f} to {view.line_depth_m[-1] * 1e3:.2f} mm depth; "
         f"the gate from {view.gate_m[0] * 1e3:.2f} to {view.gate_m[1] * 1e3:.2f} mm is shaded, its largest echo is "
-        f"{peak_mv:.3g} mV."
+        f"{peak:.3g} {unit}."
     )
     return picture(figure, "rf", "RF line and gate", alt)
 
@@ -46,20 +47,23 @@ def m_mode(view: EchoView) -> Picture:
     """Return the gate over slow time as a grey image."""
     figure, axes = panel()
     # Symmetrical about zero, so that zero is medium grey.
-    limit_mv = grey_limit_v(view.image_v) * 1e3
+    limit_v = grey_limit_v(view.image_v)
+    scale, unit = scale_of(limit_v, "V")
+    limit = limit_v / scale
     end_ms = view.image_time_s[-1] * 1e3 or 1.0
     axes.set_facecolor("#E8B0A0")
     image = axes.imshow(
-        view.image_v * 1e3,
+        view.image_v / scale,
         aspect="auto",
         cmap="gray",
-        vmin=-limit_mv,
-        vmax=limit_mv,
+        vmin=-limit,
+        vmax=limit,
         extent=(0.0, end_ms, view.image_depth_m[-1] * 1e3, view.image_depth_m[0] * 1e3),
         interpolation="nearest",
     )
-    bar = figure.colorbar(image)
-    bar.set_label("echo (mV)", size=9)
+    # The wider fraction leaves room for labels of four digits.
+    bar = figure.colorbar(image, fraction=0.2)
+    bar.set_label(f"echo ({unit})", size=9)
     bar.ax.tick_params(labelsize=9)
     axes.grid(visible=False)
     axes.set(xlabel="slow time after the first pulse (ms)", ylabel="depth (mm)")
@@ -76,31 +80,32 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
     """Return displacement and fit over time; ``span_s`` limits them to the first seconds."""
     figure, axes = panel()
     mask = np.ones(view.time_s.size, np.bool_) if span_s is None else view.time_s <= view.time_s[0] + span_s
-    time_ms, measured_nm, fitted_nm = (
-        values[mask] for values in (view.time_s * 1e3, view.displacement_m * 1e9, view.fitted_m * 1e9)
-    )
     # The displacement has an arbitrary constant: its mean is removed.
-    mean_nm = float(measured_nm.mean())
+    mean_m = float(view.displacement_m[mask].mean())
+    scale, unit = scale_of(float(np.abs(view.displacement_m[mask] - mean_m).max()))
+    time_ms = view.time_s[mask] * 1e3
+    measured, fitted = ((values[mask] - mean_m) / scale for values in (view.displacement_m, view.fitted_m))
     marker_size = 2 if time_ms.size > 400 else 3.5
-    axes.plot(*thin(time_ms, measured_nm - mean_nm), ".", ms=marker_size, color=Colour.GREY, label="measured")
-    axes.plot(*thin(time_ms, fitted_nm - mean_nm), "-", lw=0.9, color=Colour.ORANGE, label="fitted harmonics")
-    axes.set(xlabel="time after the phase reference (ms)", ylabel="displacement (nm)")
+    axes.plot(*thin(time_ms, measured), ".", ms=marker_size, color=Colour.GREY, label="measured")
+    axes.plot(*thin(time_ms, fitted), "-", lw=0.9, color=Colour.ORANGE, label="fitted harmonics")
+    axes.set(xlabel="time after the phase reference (ms)", ylabel=f"displacement ({unit})")
     legend(axes, "above")
     alt = (
-        f"Displacement over {np.ptp(time_ms):.4g} ms: {measured_nm.size} pulses between "
-        f"{measured_nm.min() - mean_nm:.0f} and {measured_nm.max() - mean_nm:.0f} nm; the residual of the "
-        f"fitted harmonics is {np.std(measured_nm - fitted_nm):.3g} nm rms."
+        f"Displacement over {np.ptp(time_ms):.4g} ms: {measured.size} pulses between "
+        f"{measured.min():.0f} and {measured.max():.0f} {unit}; the residual of the "
+        f"fitted harmonics is {np.std(measured - fitted):.3g} {unit} rms."
     )
     return picture(figure, key, title, alt)
 
 
-def residual(view: MotionView) -> tuple[Picture, ...]:
+def residual_pictures(view: MotionView) -> tuple[Picture, ...]:
     """Return the residual of the fit over time and over frequency."""
-    residual_nm = view.residual_m * 1e9
+    scale, unit = scale_of(float(np.abs(view.residual_m).max()))
+    residual = view.residual_m / scale
     figure, axes = panel()
-    axes.plot(*thin(view.time_s * 1e3, residual_nm), ".", ms=2, color=Colour.BLUE)
-    axes.set(xlabel="time after the phase reference (ms)", ylabel="residual (nm)")
-    alt = f"Residual displacement, {residual_nm.std():.3g} nm rms, largest {np.abs(residual_nm).max():.3g} nm."
+    axes.plot(*thin(view.time_s * 1e3, residual), ".", ms=2, color=Colour.BLUE)
+    axes.set(xlabel="time after the phase reference (ms)", ylabel=f"residual ({unit})")
+    alt = f"Residual displacement, {residual.std():.3g} {unit} rms, largest {np.abs(residual).max():.3g} {unit}."
     over_time = picture(figure, "residual", "Residual over time", alt)
     # Too few pulses have no frequency outside the fit.
     frequency_hz, power = periodogram(view)
@@ -108,15 +113,15 @@ def residual(view: MotionView) -> tuple[Picture, ...]:
         return (over_time,)
     figure, axes = panel()
     # A sinusoid of amplitude A has the power (A N / 2)² in its bin.
-    amplitude_nm = 2 * np.sqrt(power) / residual_nm.size * 1e9
-    expected_nm = 2 * float(np.sqrt(power.mean())) / residual_nm.size * 1e9
-    axes.plot(*thin(frequency_hz, amplitude_nm), ".", ms=3, color=Colour.BLUE, label="residual")
-    axes.axhline(expected_nm, color=Colour.GREY, lw=1, ls="--", label="rms of white noise")
-    axes.set(xlabel="frequency (Hz)", ylabel="residual amplitude (nm)", ylim=(0, None))
+    factor = 2 / (residual.size * scale)
+    amplitude, expected = factor * np.sqrt(power), factor * float(np.sqrt(power.mean()))
+    axes.plot(*thin(frequency_hz, amplitude), ".", ms=3, color=Colour.BLUE, label="residual")
+    axes.axhline(expected, color=Colour.GREY, lw=1, ls="--", label="rms of white noise")
+    axes.set(xlabel="frequency (Hz)", ylabel=f"residual amplitude ({unit})", ylim=(0, None))
     legend(axes, "above")
     alt = (
-        f"Spectrum of the residual at {power.size} frequencies outside the fit: {expected_nm:.3g} nm rms, largest "
-        f"{amplitude_nm.max():.3g} nm at {frequency_hz[np.argmax(power)]:.4g} Hz."
+        f"Spectrum of the residual at {power.size} frequencies outside the fit: {expected:.3g} {unit} rms, largest "
+        f"{amplitude.max():.3g} {unit} at {frequency_hz[np.argmax(power)]:.4g} Hz."
     )
     return over_time, picture(figure, "residual-spectrum", "Residual over frequency", alt)
 

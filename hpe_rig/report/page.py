@@ -31,6 +31,7 @@ from hpe_rig.result import (
     headline_sentence,
     main_shot,
     means_of,
+    setting_pictures,
     shot_warnings,
     spectrum_pictures,
 )
@@ -129,6 +130,7 @@ def render(
         result=result,
         shot=shot,
         selected=shot_number is not None,
+        by_setting=any(picture.key == "amplitude-settings" for picture in pictures),
         repeats=max((len(mean.shots) for mean in means_of(result.means, shot)), default=1),
         stored=run.stored,
         corrected=strongest(shot).headline.corrected,
@@ -194,7 +196,7 @@ def _settings_texts(shot: ShotResult) -> list[str]:
     texts.append(f"{shot.pulses_used} pulses, {shot.pulses_missing} missing")
     if shot.pulse_rate_error is not None and shot.pulse_rate_uncertainty is not None:
         error, u = shot.pulse_rate_error * 1e6, shot.pulse_rate_uncertainty * 1e6
-        texts.append(f"pulse rate {error:+.2f} ppm from nominal by the digitizer's clock (u {u:.2g} ppm)")
+        texts.append(f"pulse rate {error:+z.2f} ppm from nominal by the digitizer's clock (u {u:.2g} ppm)")
     if text := control_text([shot]):
         texts.append(text)
     if clock_text := frequency_error_text(shot):
@@ -276,6 +278,7 @@ def _display(
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
     pictures += spectrum_pictures(result, shot_result, alone)
+    pictures += () if alone else setting_pictures(result)
     try:
         tracked = tracked_motion(scene, shot, records, samples.start)
         motion = motion_view(scene, shot, tracked, shot_result.estimates)
@@ -286,7 +289,7 @@ def _display(
     if 0 < span_s < motion.time_s[-1] - motion.time_s[0]:
         title = f"Close-up: {CLOSE_UP_PERIODS} periods of the lowest frequency"
         pictures.append(figures.displacement(motion, span_s, "displacement-close", title))
-    return [*pictures, *figures.residual(motion)], residual_tests(motion), motion
+    return [*pictures, *figures.residual_pictures(motion)], residual_tests(motion), motion
 
 
 def _facts(run: Run, result: Result) -> Iterator[tuple[str, str]]:

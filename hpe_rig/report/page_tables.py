@@ -46,7 +46,13 @@ def means_table(means: Sequence[RepeatMean]) -> PageTable:
         }
         for mean in means
     ]
-    return text_table("means-table", "Means over repeats.", rows)
+    return text_table("means-table", "Means over repeats.", _without_empty(rows))
+
+
+def _without_empty(rows: Sequence[Cells]) -> list[Cells]:
+    """Return ``rows`` without the columns that hold only dashes."""
+    empty = {name for name in rows[0] if all(row[name] == "–" for row in rows)} if rows else set()
+    return [{name: text for name, text in row.items() if name not in empty} for row in rows]
 
 
 def sweep_table(sweep: Sweep) -> PageTable:
@@ -104,7 +110,7 @@ def shots_table(result: Result, has_truth: bool) -> PageTable:
     caption = f"Table of {len(result.shots)} shots."
     if total > MAX_ROWS:
         caption += f" The first {MAX_ROWS} of {total} rows; the result file holds all."
-    table = text_table("shots-table", caption, list(itertools.islice(rows(), MAX_ROWS)))
+    table = text_table("shots-table", caption, _without_empty(list(itertools.islice(rows(), MAX_ROWS))))
     return PageTable(table.key, table.caption, table.rows, folded=True, downloadable=False)
 
 
@@ -122,9 +128,15 @@ def budget_table(shot: ShotResult) -> PageTable:
         rows.append(row)
     # A source may be absent at some frequencies.
     columns = dict.fromkeys(name for row in rows for name in row)
-    return text_table(
-        "budget", "Uncertainty by source.", [{name: row.get(name, "–") for name in columns} for row in rows]
-    )
+    without_effect = [name for name in columns if all(row.get(name, "–") in ("0", "–") for row in rows)]
+    caption = "Uncertainty by source."
+    # A source with an effect on the phase alone is in the table.
+    displayed = {name.rpartition(" ")[0] for name in columns if name not in without_effect}
+    sources = dict.fromkeys(name.rpartition(" ")[0] for name in without_effect)
+    if zero := [name for name in sources if name not in displayed]:
+        caption += f" Zero at every frequency: {', '.join(zero)}."
+    shown = [name for name in columns if name not in without_effect]
+    return text_table("budget", caption, [{name: row.get(name, "–") for name in shown} for row in rows])
 
 
 def prediction_table(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estimator) -> PageTable | None:
@@ -190,7 +202,8 @@ def versions_table(result: Result, attributes: Mapping[str, str]) -> PageTable:
 
 
 def _burst_cells(settings: ShotResult | RepeatMean) -> Cells:
-    return {"T_b (us)": _number(settings.burst_length_s, 1e6), "F / F_0": _number(settings.force_fraction)}
+    force = settings.force_fraction
+    return {"T_b (us)": _number(settings.burst_length_s, 1e6), "F / F_0": "–" if force is None else f"{force:.4g}"}
 
 
 def _estimate_cells(estimate: Estimate, has_truth: bool) -> Cells:

@@ -1,5 +1,6 @@
 from .conditions import ConditionSummary as ConditionSummary, condition_summary as condition_summary
 from .covariance import PARTS as PARTS, Covariance as Covariance, covariance_grid as covariance_grid
+from .figure import setting_pictures as setting_pictures
 from .figure_kind import FigureKind as FigureKind
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
 from .influence import MAX_INFLUENCE_BYTES as MAX_INFLUENCE_BYTES, Influence as Influence, Scope as Scope

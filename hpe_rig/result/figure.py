@@ -28,7 +28,7 @@ from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.setting_text import force_format, setting_texts
 from hpe_rig.result.spectra import main_shot
-from hpe_rig.result.svg import MARKS, Colour, mark, thin
+from hpe_rig.result.svg import MARKS, Colour, Picture, legend, mark, panel, picture, thin
 from hpe_rig.result.values import Headline, ShotResult
 
 KINDS: tuple[FigureKind, ...] = get_args(FigureKind)
@@ -88,6 +88,24 @@ def result_figure(
     if len(curves) > 1:
         _add_legend(figure, axes[0], outside=ax is None, grow=ax is None and figsize is None)
     return figure
+
+
+def setting_pictures(result: ResultData) -> tuple[Picture, ...]:
+    """Return amplitude and phase over frequency, one curve for each of 2 to 8 settings; empty for other numbers."""
+    x_label, curves = _spectra(result, lambda _hz: True)
+    if not 1 < len(curves) <= len(MARKS):
+        return ()
+    panels = {"amplitude": panel(), "phase": panel()}
+    _draw_curves(curves, x_label, *(axes for _, axes in panels.values()))
+    pictures = []
+    for quantity, (figure, axes) in panels.items():
+        axes.set_xlabel(x_label)
+        legend(axes, "best", handles=panels["amplitude"][1].get_legend_handles_labels())
+        alt = (
+            f"{quantity.title()} over frequency, a curve for each setting: {'; '.join(item.label for item in curves)}."
+        )
+        pictures.append(picture(figure, f"{quantity}-settings", f"{quantity.title()} spectrum of each setting", alt))
+    return tuple(pictures)
 
 
 def _draw_curves(curves: Sequence[Curve], x_label: str, amplitude: Axes, phase: Axes) -> None:

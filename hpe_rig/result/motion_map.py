@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hpe_rig.arrays import ByteArray, FloatArray
+from hpe_rig.result.sentence import scale_of
 from hpe_rig.result.tables import package_of_extra
 
 if TYPE_CHECKING:
@@ -111,13 +112,16 @@ class MotionMap:
         figure, all_axes = figure_panels(2, 2, ax, figsize)
         amplitude, u = self.amplitude_m[..., frequency], self.amplitude_uncertainty_m[..., frequency]
         has_pixels = bool(np.isfinite(amplitude).any())
-        max_nm = float(np.nanquantile(amplitude, 0.98)) * 1e9 if has_pixels else 1.0
-        max_speed = float(np.nanquantile(np.abs(self.velocity_m_per_s), 0.98)) * 1e6 if has_pixels else 1.0
+        max_amplitude_m = float(np.nanquantile(amplitude, 0.98)) if has_pixels else 1e-9
+        max_speed = float(np.nanquantile(np.abs(self.velocity_m_per_s), 0.98)) if has_pixels else 1e-6
+        scale_m, unit = scale_of(max_amplitude_m)
+        scale, speed_unit = scale_of(max_speed, "m/s")
+        speed_limit = max_speed / scale
         panels = (
-            (amplitude * 1e9, "amplitude / nm", "viridis", 0.0, max_nm),
+            (amplitude / scale_m, f"amplitude / {unit}", "viridis", 0.0, max_amplitude_m / scale_m),
             (np.degrees(self.phase_rad[..., frequency]), "phase / deg", "twilight", -180.0, 180.0),
-            (u * 1e9, "u of the amplitude / nm", "magma", 0.0, None),
-            (self.velocity_m_per_s * 1e6, "velocity / (µm/s)", "RdBu_r", -max_speed, max_speed),
+            (u / scale_m, f"u of the amplitude / {unit}", "magma", 0.0, None),
+            (self.velocity_m_per_s / scale, f"velocity / ({speed_unit})", "RdBu_r", -speed_limit, speed_limit),
         )
         line_scale = 1e3 if self.lines_are_placed else 1.0
         extent = (*_edges(self.line_m * line_scale), *_edges(self.depth_m * 1e3)[::-1])
@@ -125,7 +129,7 @@ class MotionMap:
             limit = float(np.nanquantile(values, 0.98)) if high is None and np.isfinite(values).any() else high
             image = axes.imshow(values.T, extent=extent, aspect="auto", cmap=colours, vmin=low, vmax=limit)
             axes.set_facecolor("0.85")
-            figure.colorbar(image, ax=axes, label=label)
+            figure.colorbar(image, ax=axes, label=label.replace("um", "µm"))
             axes.set(xlabel="lateral offset / mm" if self.lines_are_placed else "line", ylabel="depth / mm")
         source = [self.origin.partition(", SHA")[0]] if self.origin else []
         title = ", ".join([f"{self.frequency_hz[frequency]:g} Hz", *source])

@@ -11,7 +11,7 @@ from hpe_rig.result.values import Estimate, Headline, ShotResult
 
 MIN_PROBABILITY = 1e-16
 """Probability below which its numerical value means nothing, about the resolution of double precision."""
-UNITS = ((1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"), (1e-12, "pm"))
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 
 
 def headline_sentence(result: ResultData) -> str:
@@ -19,7 +19,7 @@ def headline_sentence(result: ResultData) -> str:
 
     One setting: its mean over repeats, or its only shot. Several settings: the range of their amplitudes.
     """
-    kind = result.origin.replace("SIMULATED", "simulated").replace("IMPORTED", "imported")
+    kind = result.origin.partition(", SHA")[0].replace("SIMULATED", "simulated").replace("IMPORTED", "imported")
     shots = [shot for shot in result.shots if shot.estimates]
     if not shots:
         return f"no shot gave a result; {kind}"
@@ -97,6 +97,7 @@ def plain(value: float, uncertainty: float) -> str:
     return f"{value:z.{min(max(decimals, 0), 6)}f}"
 
 
-def scale_of(length_m: float) -> tuple[float, str]:
-    """Return size in metres and name of the unit that gives a length one to four digits before the point."""
-    return next(((scale, unit) for scale, unit in UNITS if length_m >= scale * 9.9995), UNITS[-1])
+def scale_of(largest: float, unit: str = "m") -> tuple[float, str]:
+    """Return size and name of the unit with a prefix in which ``largest``, in ``unit``, has two to four digits."""
+    scale, prefix = next((item for item in PREFIXES if largest >= item[0] * 9.9995), PREFIXES[-1])
+    return scale, prefix + unit

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 
 from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
+from hpe_rig.result.sentence import scale_of
 from hpe_rig.result.svg import Colour, Picture, legend, panel, picture
 from hpe_rig.result.values import Estimate, ShotResult
 
@@ -54,32 +55,33 @@ def spectrum_pictures(result: ResultData, shot: ShotResult, alone: bool = False)
 def _amplitude(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequence[Estimate]]) -> Picture:
     """Return amplitude over frequency: headline with combined uncertainty, tracked amplitude, and ground truth."""
     figure, axes = panel()
-    _plot_repeats(axes, repeats, lambda item: item.headline.amplitude_m * 1e9)
+    scale, unit = scale_of(max(item.headline.amplitude_m for item in estimates))
+    _plot_repeats(axes, repeats, lambda item: item.headline.amplitude_m / scale)
     frequency_hz = np.array([item.frequency_hz for item in estimates])
-    amplitude_nm = np.array([item.headline.amplitude_m for item in estimates]) * 1e9
-    uncertainty_nm = np.array([item.headline.amplitude_uncertainty_m for item in estimates]) * 1e9
-    true_nm = np.array([_or_nan(item.true_amplitude_m) for item in estimates]) * 1e9
-    has_truth = bool(np.isfinite(true_nm).all())
+    amplitude = np.array([item.headline.amplitude_m for item in estimates]) / scale
+    uncertainty = np.array([item.headline.amplitude_uncertainty_m for item in estimates]) / scale
+    true = np.array([_or_nan(item.true_amplitude_m) for item in estimates]) / scale
+    has_truth = bool(np.isfinite(true).all())
     if has_truth:
-        axes.plot(frequency_hz, true_nm, "x", color=Colour.GREY, ms=6, label="true peak displacement")
+        axes.plot(frequency_hz, true, "x", color=Colour.GREY, ms=6, label="true peak displacement")
     if corrected := all(item.headline.corrected for item in estimates):
-        tracked_nm = [item.tracked_amplitude_m * 1e9 for item in estimates if isinstance(item, Estimate)]
+        tracked = [item.tracked_amplitude_m / scale for item in estimates if isinstance(item, Estimate)]
         # A mean has no tracked values.
-        if tracked_nm:
-            axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=Colour.BLUE, label="as tracked")
+        if tracked:
+            axes.plot(frequency_hz, tracked, "D", ms=4, mfc="none", color=Colour.BLUE, label="as tracked")
     axes.errorbar(
-        frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=Colour.ORANGE, capsize=2,
+        frequency_hz, amplitude, 2 * uncertainty, fmt="o", ms=4, color=Colour.ORANGE, capsize=2,
         label="peak displacement, 2 u" if corrected else "as tracked, 2 u",
     )  # fmt: skip
-    axes.set(xlabel="vibration frequency (Hz)", ylabel="amplitude (nm)", ylim=(0, None))
+    axes.set(xlabel="vibration frequency (Hz)", ylabel=f"amplitude ({unit})", ylim=(0, None))
     legend(axes, "best")
-    pairs = zip(frequency_hz[:MAX_ALT_VALUES], amplitude_nm[:MAX_ALT_VALUES], strict=True)
+    pairs = zip(frequency_hz[:MAX_ALT_VALUES], amplitude[:MAX_ALT_VALUES], strict=True)
     alt = (
-        f"Amplitude in nm: {', '.join(f'{amplitude:.4g} at {hz:g} Hz' for hz, amplitude in pairs)}; standard "
-        f"uncertainty {uncertainty_nm.min():.2g} to {uncertainty_nm.max():.2g} nm."
+        f"Amplitude in {unit}: {', '.join(f'{value:.4g} at {hz:g} Hz' for hz, value in pairs)}; standard "
+        f"uncertainty {uncertainty.min():.2g} to {uncertainty.max():.2g} {unit}."
     )
     if has_truth:
-        ratio = amplitude_nm / np.maximum(true_nm, np.finfo(np.float64).tiny)
+        ratio = amplitude / np.maximum(true, np.finfo(np.float64).tiny)
         alt += f" The estimates are {ratio.min():.3f} to {ratio.max():.3f} of the true peak displacement."
     return picture(figure, "amplitude", "Amplitude spectrum", alt)
 

@@ -91,12 +91,15 @@ def mark(index: int) -> tuple[str, str]:
     return MARKS[index % count][0], PALETTE[(index + index // count) % count]
 
 
-def legend(axes: Axes, position: Any, columns: int = 2) -> None:
-    """Add a legend without frame; "above" puts it in one line of ``columns`` entries above the panel."""
+def legend(axes: Axes, position: Any, columns: int = 2, handles: Any = ()) -> None:
+    """Add a legend without frame; "above" puts it in one line of ``columns`` entries above the panel.
+
+    ``handles``: artists and labels of other axes.
+    """
     if position == "above":
-        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
+        axes.legend(*handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
     else:
-        axes.legend(loc=position, frameon=False, fontsize=8)
+        axes.legend(*handles, loc=position, frameon=False, fontsize=8)
 
 
 def thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
