@@ -47,10 +47,10 @@ class ShotHistory:
         """Estimate newly completed shots for the time of one state; return the number that remain."""
         until_s = time.monotonic() + (UPDATE_TIME_S if run.stored.status == "running" else FINAL_UPDATE_TIME_S)
         while self._next < len(run.plan.shots) and run.stored.shot_complete[self._next]:
-            if time.monotonic() > until_s:
-                return int(np.count_nonzero(run.stored.shot_complete[self._next :]))
             self._append(run, run.plan.shots[self._next])
             self._next += 1
+            if time.monotonic() > until_s:
+                return int(np.count_nonzero(run.stored.shot_complete[self._next :]))
         return 0
 
     def _append(self, run: Run, shot: Shot) -> None:

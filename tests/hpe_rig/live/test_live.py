@@ -26,7 +26,7 @@ from websockets.sync.client import connect
 from hpe_rig.cli.app import app
 from hpe_rig.cli.options import WatchOptions
 from hpe_rig.cli.watch import supervise
-from hpe_rig.live import server
+from hpe_rig.live import history, server
 from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
 from hpe_rig.live.history import RemainingTime
 from hpe_rig.live.server import ENDED, LivePage
@@ -271,6 +271,28 @@ def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
     assert shot["u_nm"] == [harmonic["u_nm"]]
     assert len(json.dumps(state, allow_nan=False)) < 100_000
     assert source.poll() is None
+
+
+def test_a_page_has_not_ended_before_every_complete_shot_is_estimated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = load_scene("table-1").with_({"acquisition.repeats": 3, "tracking.pulse_count": 20})
+    path = record_run(prepare_text("three", scene_text(scene)[1]), tmp_path / "run.h5")
+    monkeypatch.setattr(history, "FINAL_UPDATE_TIME_S", 0.0)
+    page = LivePage(RunSource(path))
+    try:
+        states = []
+        for _ in range(4):
+            states.append(json.loads(page._next() or "{}"))
+            assert page._ended == (states[-1]["shots_pending"] == 0)
+            if page._ended:
+                break
+    finally:
+        page.close()
+    pending = [state["shots_pending"] for state in states]
+    assert pending[0] > 0
+    assert pending[-1] == 0
+    assert [len(state["over_shots"]) + state["shots_pending"] for state in states] == [3] * len(states)
 
 
 def post(address: str, path: str) -> int:

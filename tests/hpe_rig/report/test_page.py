@@ -17,6 +17,7 @@ from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.report.figures import sweep_pictures
 from hpe_rig.report.page import error_stages, render, write_report
+from hpe_rig.report.page_tables import budget_table
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.result import PALETTE, Estimate, Result, ShotResult, headline_sentence, shot_warnings, symbols
 from hpe_rig.runs.run import process
@@ -240,10 +241,30 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     assert "the run is aborted" in page
     assert re.search(r"shot 1: (?:49|50) of \d+ records are missing", page)
     assert "Over force F / F<sub>0</sub>" in page
+    (described,) = re.findall(r'<desc id="amplitude-settings-d">.*: (F = .*)\.</desc>', page)
+    assert re.fullmatch(r"F = 0.25\d* F_0; F = 0.5\d* F_0; F = 1 F_0", described), described
     slopes = re.findall(r'<tr><th scope="row">100</th><td>T<sub>b</sub> = 100 µs</td><td>([\d.]+)</td>', page)
     last = process(run_file).shots[-1].estimates[0].headline.amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
+
+
+def test_sources_without_effect_are_in_the_caption_of_the_budget(result: Result) -> None:
+    (shot,) = result.shots
+    table = budget_table(shot)
+    _, _, zero = table.caption.removesuffix(".").partition("Zero at every frequency: ")
+    zero_sources = zero.split(", ")
+    assert "trigger jitter" in zero_sources
+    displayed = {name.rpartition(" ")[0] for name in table.columns} - {"f", "u"}
+    assert displayed | set(zero_sources) == {item.source for item in shot.estimates[0].budget}
+    for source in zero_sources:
+        components = [item for estimate in shot.estimates for item in estimate.budget if item.source == source]
+        assert {(item.amplitude_m, item.phase_rad) for item in components} == {(0.0, 0.0)}
+
+
+def test_the_checksum_of_a_recording_is_not_in_the_headline(result: Result) -> None:
+    imported = replace(result, simulated=False, imported=f"scan.npz, SHA-256 {'0f' * 32}")
+    assert headline_sentence(imported).endswith("; imported from scan.npz")
 
 
 def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result: Result) -> None:
