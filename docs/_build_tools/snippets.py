@@ -34,6 +34,39 @@ class Block:
         match = re.match(r"# ([\w-]+\.toml)\n", self.text)
         return match[1] if self.language == "toml" and match else None
 
+    @property
+    def changed_file(self) -> str | None:
+        """Name of the settings file that the block changes; None for other blocks."""
+        match = re.match(r"# change in ([\w-]+\.toml)\n", self.text)
+        return match[1] if self.language == "toml" and match else None
+
+
+def with_changes(settings: str, changes: str) -> str:
+    """Return the text of a settings file with the values of ``changes``; keys that it lacks are added to their table.
+
+    >>> with_changes("title = 'a'\\n[x]\\nb = 1  # why\\n", "[x]\\nb = 2\\nc = 3\\n")
+    "title = 'a'\\n[x]\\nc = 3\\nb = 2\\n"
+    """
+    header = ""
+    for line in changes.splitlines():
+        key = line.partition(" = ")[0]
+        if line.startswith("["):
+            header = line + "\n"
+        elif key != line:
+            table = re.search(rf"(?:^|(?<=\n)){re.escape(header)}(?:[^\[\n].*\n|\n)*", settings)
+            assert table, f"{header.strip()} is not in the file"
+            lines = table[0].removeprefix(header)
+            present = re.search(rf"^{key} = .*", lines, flags=re.MULTILINE)
+            body = lines.replace(present[0], line) if present else f"{line}\n{lines}"
+            settings = settings[: table.start()] + header + body + settings[table.end() :]
+    return settings
+
+
+def printed(page: Path) -> list[str]:
+    """Return the lines of output that a page shows: indented, outside fences; without lines of dots."""
+    outside = re.sub(r"^( *)```.*?^\1```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [line for line in re.findall(r"^    (.+)$", outside, flags=re.MULTILINE) if line.strip() != "..."]
+
 
 def blocks(page: Path) -> Iterator[Block]:
     """Yield the fenced blocks of a page; blocks in lists are indented."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -101,6 +102,7 @@ def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted
     Usable shots are complete, trusted, not marked bad, of the strongest force and the first burst length, and their
     first pulse is known.
     """
+    shots_by_reason: dict[str, list[int]] = {}
     beams = beam_widths(gate.scene, estimator, off_axis_offsets_m(source.plan))
     controls = estimate_controls(gate.scene, gate.plan, source.stored, estimator)
     for shot in gate.plan.shots:
@@ -118,7 +120,20 @@ def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted
                 continue
             except ValueError as error:
                 reason = str(error)
-        omitted.append(f"{label}: shot {shot.index + 1}, {reason}")
+        shots_by_reason.setdefault(reason, []).append(shot.index + 1)
+    omitted += [f"{label}: {_shots_text(numbers)}, {reason}" for reason, numbers in shots_by_reason.items()]
+
+
+def _shots_text(numbers: Sequence[int]) -> str:
+    """Return increasing ``numbers`` of shots in words.
+
+    >>> _shots_text([1, 2, 3, 5, 7, 8])
+    'shots 1 to 3, 5, 7 to 8'
+    """
+    # Numbers of one series have the same difference to their position in the list.
+    series = [list(group) for _, group in groupby(enumerate(numbers), lambda item: item[1] - item[0])]
+    texts = [f"{part[0][1]} to {part[-1][1]}" if len(part) > 1 else f"{part[0][1]}" for part in series]
+    return f"shot{'s' if len(numbers) > 1 else ''} {', '.join(texts)}"
 
 
 def _unusable(shot: Shot, stored: StoredRun, plan: Plan) -> str:

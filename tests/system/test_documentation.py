@@ -31,6 +31,20 @@ PREPARATION = {
 }
 """Commands that the text of a page assumes to have been run."""
 
+EVENING = "docs/tutorials/an-evening.md"
+PRINTED = (EVENING,)
+"""Pages whose indented lines are the beginnings of lines that their commands print."""
+SHORT_EVENING = """
+[excitation]
+burst_count = 10
+[acquisition]
+repeats = 2
+[processing]
+window_start_s = 60e-3
+[sweep]
+lateral_offset_m = [1.0e-3, 2.25e-3, 3.5e-3]
+"""
+
 
 def program(name: str) -> ModuleType:
     """Import a module of ``docs/_build_tools``, which is not part of a package."""
@@ -45,12 +59,16 @@ SNIPPETS = program("snippets")
 PAGES: dict[str, Path] = SNIPPETS.PAGES
 
 
-def invoke(command: str, code: int) -> None:
-    """Run ``hpe-rig ...`` in the current folder and assert its exit code."""
-    program, *words = shlex.split(command)
+def invoke(command: str, code: int) -> str:
+    """Run ``hpe-rig ...`` in the current folder, assert its exit code, and return its output; "> FILE" writes it."""
+    typed, _, file_name = command.partition(" > ")
+    program, *words = shlex.split(typed)
     assert program == "hpe-rig", f"{command}: neither run nor named in NOT_RUN"
     done = CliRunner().invoke(app, words)
     assert done.exit_code == code, f"{command}: exit code {done.exit_code}\n{done.output}"
+    if file_name:
+        Path(file_name).write_text(done.stdout, encoding="utf-8")
+    return done.output
 
 
 def pages_to_run() -> list[object]:
@@ -60,20 +78,49 @@ def pages_to_run() -> list[object]:
     return [pytest.param(name, id=name, marks=() if name in FAST else pytest.mark.slow) for name in names]
 
 
-@pytest.mark.parametrize("name", pages_to_run())
-def test_commands_and_python_of_a_page_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def run_page(name: str, folder: Path, changes: str = "") -> str:
+    """Run commands and Python of a page in ``folder``, the current one, and return what they print.
+
+    ``changes`` are further settings, made after the page's first change of a settings file.
+    """
     namespace: dict[str, object] = {}
-    if name in PREPARATION:
-        invoke(PREPARATION[name], 0)
+    outputs = [invoke(PREPARATION[name], 0)] if name in PREPARATION else []
     for block in SNIPPETS.blocks(PAGES[name]):
-        for command, code in SNIPPETS.commands(block):
-            invoke(command, code)
+        outputs += [invoke(command, code) for command, code in SNIPPETS.commands(block)]
         if block.runs:
             # Blank lines before the code make line numbers in a traceback those of the page.
             exec(compile("\n" * block.line + block.text, PAGES[name], "exec"), namespace)
         if block.file_name:
-            (tmp_path / block.file_name).write_text(block.text, encoding="utf-8")
+            (folder / block.file_name).write_text(block.text, encoding="utf-8")
+        if block.changed_file:
+            file = folder / block.changed_file
+            settings = SNIPPETS.with_changes(file.read_text(encoding="utf-8"), block.text)
+            file.write_text(SNIPPETS.with_changes(settings, changes), encoding="utf-8")
+            changes = ""
+    return "\n".join(outputs)
+
+
+@pytest.mark.parametrize("name", pages_to_run())
+def test_commands_and_python_of_a_page_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    output = run_page(name, tmp_path)
+    if name in PRINTED:
+        lines = {" ".join(line.split()) for line in output.splitlines()}
+        shown = [" ".join(line.split()) for line in SNIPPETS.printed(PAGES[name])]
+        assert [line for line in shown if not any(printed.startswith(line) for printed in lines)] == []
+
+
+def test_every_line_of_the_evening_runs_with_fewer_places_and_bursts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    output = run_page(EVENING, tmp_path, SHORT_EVENING)
+    assert "omitted: 1 mm: shots 3 to 6, of a weaker force or another burst length" in output
+    figure = (tmp_path / "gelatin.pdf").read_bytes()
+    # 85 mm are 240.9 points.
+    assert re.search(rb"/MediaBox \[ 0 0 240\.9\d* ", figure)
+    assert (tmp_path / "gelatin-8pc.csv").read_text(encoding="utf-8").count("\n") == 1 + 3 * 3 * 2 * 10
+    assert (tmp_path / "gelatin-8pc.mat").stat().st_size > 0
 
 
 def test_the_documentation_shows_many_commands_and_blocks_of_python() -> None:
