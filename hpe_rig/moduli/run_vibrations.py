@@ -132,7 +132,7 @@ def _shots_text(numbers: Sequence[int]) -> str:
     """
     # Numbers of one series have the same difference to their position in the list.
     series = [list(group) for _, group in groupby(enumerate(numbers), lambda item: item[1] - item[0])]
-    texts = [f"{part[0][1]} to {part[-1][1]}" if len(part) > 1 else f"{part[0][1]}" for part in series]
+    texts = [f"{pairs[0][1]} to {pairs[-1][1]}" if len(pairs) > 1 else f"{pairs[0][1]}" for pairs in series]
     return f"shot{'s' if len(numbers) > 1 else ''} {', '.join(texts)}"
 
 
