@@ -90,12 +90,13 @@ def export_command(
         list[int] | None,
         typer.Option(metavar="SHOT", help="Shot to export, counted from 1; repeatable. Default: all good ones."),
     ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the output if it exists.")] = False,
 ) -> None:
     """Write the echoes of a run for zea, USTB or MATLAB, with rates and times; a simulated run with its truth."""
     from hpe_rig.runs import export_run
 
     shots = None if shot is None else [number - 1 for number in shot]
-    for text in export_run(run_file, output, file_format, shots):
+    for text in export_run(run_file, output, file_format, shots, overwrite=overwrite):
         typer.echo(text)
     typer.echo(f"{output}: hpe-rig import {output} --scene SCENE reads it again")
 

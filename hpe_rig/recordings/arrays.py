@@ -177,7 +177,8 @@ def _mapped(dataset: Any) -> NDArray[Any] | None:
         return None
     values = np.memmap(dataset.file.filename, dataset.dtype, "r", offset, dataset.shape)
     # HDF5 counts from the end of a user block, which not every version includes in the offset.
-    is_same = all(np.array_equal(values[index], dataset[index], equal_nan=True) for index in (0, -1))
+    first_and_last = ((index,) * max(1, dataset.ndim - 1) for index in (0, -1))
+    is_same = all(np.array_equal(values[row], dataset[row], equal_nan=True) for row in first_and_last)
     return values if is_same else None
 
 

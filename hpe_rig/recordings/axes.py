@@ -15,6 +15,8 @@ from hpe_rig.recordings.statements import Statements
 
 MIN_PULSES, MIN_SAMPLES = 4, 8
 """Lengths below which an axis holds no pulses of a vibration, and no samples of an echo."""
+MIN_PULSE_SIMILARITY = 0.9
+"""Correlation of neighbouring pulses at an SNR of 10 dB; a lower one suggests lines of an image."""
 DEFAULT_AXES: Mapping[int, tuple[Dimension, ...]] = {
     1: ("sample",),
     2: ("pulse", "sample"),
@@ -158,7 +160,12 @@ def _suggestion(array: NDArray[Any], default: tuple[Dimension, ...]) -> str:
         return f'axes = "{signal}" and record_samples for a signal of several channels, or another array'
     similarity = [_similarity(array, axis) for axis in range(array.ndim)]
     best = max(orders, key=lambda order: (similarity[order.index("pulse")], array.shape[order.index("sample")]))
-    return f'such as axes = "{",".join(best)}" (its neighbouring pulses are most alike)'
+    most_similar = int(np.argmax(similarity))
+    if array.shape[most_similar] < MIN_PULSES and similarity[best.index("pulse")] < MIN_PULSE_SIMILARITY:
+        what = f"neighbours are most alike along the axis of {array.shape[most_similar]}, too short for pulses"
+        return f"a recording of {MIN_PULSES} pulses or more ({what}), or axes"
+    lengths = ", ".join(f"{length} along {name}" for name, length in zip(best, array.shape, strict=True))
+    return f'such as axes = "{",".join(best)}" ({lengths}; neighbours are most alike along pulse)'
 
 
 def _is_possible(order: tuple[Dimension, ...], shape: tuple[int, ...]) -> bool:
@@ -173,7 +180,10 @@ def _similarity(array: NDArray[Any], axis: int) -> float:
     steps = [1 if index == axis else max(1, length // 32) for index, length in enumerate(array.shape)]
     values = np.moveaxis(array[tuple(slice(None, None, step) for step in steps)], axis, 0).astype(np.complex128)
     energy = float(np.sum(np.abs(values) ** 2))
-    return float(np.abs(np.sum(values[1:] * values[:-1].conj()))) / energy if energy > 0 else 0.0
+    pairs = len(values) - 1
+    if not energy > 0 or not pairs:
+        return 0.0
+    return float(np.abs(np.sum(values[1:] * values[:-1].conj()))) / energy * len(values) / pairs
 
 
 def _known_lengths(statements: Statements) -> dict[str, float | None]:

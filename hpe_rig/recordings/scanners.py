@@ -27,6 +27,8 @@ SAME_RATIO = 1e-3
 """Largest relative difference between times that count as equal."""
 SAME_DELAY_S = 1e-10
 """Largest difference between the delays of waves that count as equal: a hundredth of a sample at 100 MHz."""
+MAX_CODE_ROUNDING = 0.02
+"""Largest distance of exported volts from a code, in codes: single precision rounds 32767 codes by 0.002."""
 UFF_SIBLINGS = ("modulation_frequency", "initial_time", "scan/z_axis")
 """Values that are only in the group of samples or pixels of UFF."""
 EXPORTED_KEYS = ("sample_rate_hz", "carrier_hz", "sound_speed_m_per_s", "first_sample_s", "scale_v")
@@ -121,11 +123,12 @@ def _uff(values: Values, name: str) -> Contents:
         stated.pop("demodulation_hz", None)
     if stated.get("carrier_hz", (1.0, ""))[0] == 0:
         del stated["carrier_hz"]
-    if delay := _wave_delay_s(values, f"{owner}/sequence"):
+    pixels = _with_pixels(values, owner, array, stated)
+    # The depths of pixels contain the delays of their waves.
+    if pixels is array and (delay_s := _wave_delay_s(values, f"{owner}/sequence")):
         start_s, origin = stated.get("first_sample_s", (0.0, f"{owner}/initial_time"))
-        stated["first_sample_s"] = (start_s + delay, f"{origin} and sequence/delay")
-    array = _with_pixels(values, owner, array, stated)
-    array, axes, text = _pulses(array, ("line", "sample"), "wave")
+        stated["first_sample_s"] = (start_s + delay_s, f"{origin} and sequence/delay")
+    array, axes, text = _pulses(pixels, ("line", "sample"), "wave")
     array, stated = _with_exported(values, LABEL_GROUPS["uff"], array, stated)
     return Contents({data: array}, stated, axes, inferred=(f"UFF: {text}",))
 
@@ -212,15 +215,19 @@ def _exported(values: Values, name: str) -> Contents:
 def _with_exported(values: Values, group: str, array: NDArray[Any], stated: Stated) -> tuple[NDArray[Any], Stated]:
     """Return the codes and settings of volts that hpe_rig exported, with values in ``group``; others unchanged.
 
-    Volts of missing records are NaN, which has no code: then the volts are returned.
+    Volts that are no codes are returned as volts: NaN of a missing record, and echoes that were changed since.
     """
     exported = _exported_settings(values, f"{group}/")
     if not exported:
         return array, stated
     scale_v, origin = exported.pop("scale_v")
-    if np.isfinite(array).all():
-        array = np.rint((array - (_number(values, f"{group}/offset_v") or 0.0)) / scale_v).astype(np.int16)
-        exported["scale_v"] = (scale_v, origin)
+    codes = (array - (_number(values, f"{group}/offset_v") or 0.0)) / scale_v
+    rounded = np.rint(codes)
+    with np.errstate(invalid="ignore"):
+        # NaN fails the comparison.
+        are_codes = np.abs(codes - rounded).max() < MAX_CODE_ROUNDING and np.abs(codes).max() <= np.iinfo(np.int16).max
+    if are_codes:
+        array, exported["scale_v"] = rounded.astype(np.int16), (scale_v, origin)
     return array, stated | exported
 
 

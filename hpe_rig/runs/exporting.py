@@ -14,7 +14,7 @@ from hpe_rig.plan import Shot, scene_of_shot
 from hpe_rig.recordings import Echoes, ExportFormat, Label, export_image
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import StoreError, refuse_unwritable, write_file
+from hpe_rig.store import StoreError, refuse_output, write_file
 
 SUFFIXES: Mapping[str, ExportFormat] = {".hdf5": "zea", ".uff": "uff", ".mat": "mat"}
 """Format by the ending of the file."""
@@ -28,27 +28,27 @@ def export_run(
     path: str | os.PathLike[str],
     file_format: ExportFormat | None = None,
     shots: Sequence[int] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> tuple[str, ...]:
     """Write the echoes of ``run`` to ``path`` for other programs; return in words which shots and records are absent.
 
     ``file_format``: "zea", "uff" of USTB, or "mat"; default: by the ending .hdf5, .uff or .mat. ``shots``, counted
     from 0; default: all complete ones that are not marked as bad. Missing records are NaN, or -32768 in MATLAB. A
-    simulated run has its truth as labels. Raises ``SettingsError`` if the format cannot hold the shots, and
-    ``StoreError`` if the file exists or cannot be written.
+    simulated run has its truth as labels. ``overwrite`` replaces a file at ``path``, never the run file. Raises
+    ``SettingsError`` if the format cannot hold the shots, and ``StoreError`` if the file exists or cannot be written.
 
     >>> export_run("bovine-muscle.h5", "bovine-muscle.hdf5")
     """
     run, path = run if isinstance(run, Run) else open_run(run), Path(path)
-    if path.exists():
-        raise StoreError(f"{path} already exists and is not overwritten. Try: another name.")
-    refuse_unwritable(path)
+    refuse_output(path, overwrite and path.resolve() != run.path.resolve())
     selected, omitted = _selected_shots(run, shots)
     selected_format = _format_of(path, file_format)
     mistakes = list(_conflicts(run, selected, selected_format))
     if mistakes:
         raise SettingsError("export", mistakes)
     missing: dict[int, int] = {}
-    write_file(path, export_image(_echoes_of(run, selected, missing), selected_format), overwrite=False)
+    write_file(path, export_image(_echoes_of(run, selected, missing), selected_format), overwrite)
     return (*omitted, *(f"shot {shot + 1}: {count} missing records" for shot, count in missing.items() if count))
 
 

@@ -140,7 +140,10 @@ def test_demodulated_samples_come_in_as_i_and_q(tmp_path: Path) -> None:
 def test_pixels_of_a_linear_scan_are_lines_and_depths(tmp_path: Path) -> None:
     x_m, z_m = np.array([-1e-3, 0.0, 1e-3]), 1540.0 * (1e-6 + TIME_S) / 2
     pixels = uff(RF.reshape(PULSES, 1, 1, -1), sampling_frequency=None, initial_time=None)
-    path = write(tmp_path / "a.uff", pixels | {"channel_data/scan/x_axis": x_m, "channel_data/scan/z_axis": z_m})
+    # The depths of pixels contain the delays of the waves, which may differ.
+    delays = {f"channel_data/sequence/sequence_000{number}/delay": [[number * 1e-6]] for number in (1, 2)}
+    scan = {"channel_data/scan/x_axis": x_m, "channel_data/scan/z_axis": z_m}
+    path = write(tmp_path / "a.uff", pixels | scan | delays)
     recording = read(path, lines="all")
     np.testing.assert_allclose(recording.values[:, 0], RF.transpose(1, 0, 2), rtol=1e-6, atol=1e-6)
     assert (recording.sample_rate_hz, recording.first_sample_s) == pytest.approx((RATE_HZ, 1e-6))

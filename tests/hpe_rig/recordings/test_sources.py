@@ -205,3 +205,16 @@ def test_a_damaged_wav_file_is_refused(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with pytest.raises(SettingsError, match="no whole WAV file"):
             read(path)
+
+
+def test_the_hint_for_unknown_axes_takes_no_lines_of_an_image_for_pulses() -> None:
+    rng = np.random.default_rng(1)
+    lines = rng.normal(size=(40, 64))
+    pulses = lines[:2, None] + 0.01 * rng.normal(size=(2, 40, 64))
+    for array, hint in (
+        (np.stack([lines, lines]), "(neighbours are most alike along the axis of 2, too short for pulses)"),
+        (pulses, 'such as axes = "line,pulse,sample" (2 along line, 40 along pulse, 64 along sample;'),
+    ):
+        with pytest.raises(SettingsError) as refused:
+            read_recording(array, read_settings(None)[0])
+        assert hint in str(refused.value)

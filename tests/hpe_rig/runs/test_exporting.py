@@ -143,6 +143,20 @@ def test_a_missing_record_stays_missing(file_format: str, folder: Path, tmp_path
     np.testing.assert_allclose(other, volts, rtol=0, atol=1.01 * twice.records[1].volts_per_code)
 
 
+@pytest.mark.parametrize("gain", [1e3, 1e-3])
+def test_echoes_that_were_changed_after_the_export_are_imported_as_volts(
+    gain: float, run: Run, folder: Path, tmp_path: Path
+) -> None:
+    hpe.export_run(run, tmp_path / "a.hdf5")
+    with h5py.File(tmp_path / "a.hdf5", "r+") as file:
+        volts = gain * file["tracks/track_0/data/raw_data"][()]
+        file["tracks/track_0/data/raw_data"][...] = volts
+    records = hpe.import_records(tmp_path / "a.hdf5", folder / "scene.toml", tmp_path / "again.h5").records[1]
+    imported = records.codes * records.volts_per_code + records.volts_offset
+    # Half a code of rounding, and zero volts between two codes: the largest value has the code 2^15 - 2.
+    np.testing.assert_allclose(imported, volts[1, :, :, 0, 0], rtol=0, atol=1.01 * 2**-15 * np.abs(volts).max())
+
+
 def test_bad_shots_are_left_out_unless_they_are_named(run: Run, tmp_path: Path) -> None:
     marked = run.mark(0, "cable touched")
     try:
@@ -187,4 +201,10 @@ def test_a_wrong_request_ends_with_a_message_and_no_file(run: Run, tmp_path: Pat
         hpe.export_run(run, tmp_path / "absent" / "a.mat")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(StoreError, match="already exists"):
-        hpe.export_run(run, run.path)
+        hpe.export_run(run, run.path, "zea", overwrite=True)
+    monkeypatch.undo()
+    (tmp_path / "a.mat").write_bytes(b"an older export")
+    with pytest.raises(StoreError, match="already exists"):
+        hpe.export_run(run, tmp_path / "a.mat")
+    hpe.export_run(run, tmp_path / "a.mat", overwrite=True)
+    assert "echo_codes" in loadmat(tmp_path / "a.mat")
