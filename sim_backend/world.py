@@ -119,9 +119,10 @@ def _generator(
     generator.status.has_external_reference = clock_error == 0
     if instruments.serial_numbers:
         generator.states.rename(("4", f"SIM_BOX_{number}"))
-        # A text that is no name of a state cannot be the label of a 33250A: the twin keeps its label.
-        with suppress(ScpiError):
-            generator.states.rename(("4", stated or f"SIM_BOX_{number}"))
+        if stated is not None:
+            # A text that is no name of a state cannot be the label of a 33250A: the twin keeps its label.
+            with suppress(ScpiError):
+                generator.states.rename(("4", stated))
     return generator
 
 
@@ -146,9 +147,8 @@ class World:
         settings: the scene's [simulation], and the twin's settings.
         wiring: the cables as they are plugged in.
         acoustics: replaces the twin's acoustics.
-        models: generator models by role; those without an entry are 33250A.
+        models: models by role; generators without an entry are 33250A, and a digitizer is an ATS460.
         first_capture: index of the first arming, which seeds its noise.
-        board: name of the digitizer's type.
         boxes: by role, the generator of the wiring that answers at the role's address; default: the role's.
         serials: serial numbers and labels by role, the digitizer's included; default: the twin's.
 
@@ -162,7 +162,6 @@ class World:
         acoustics: Physics | None = None,
         models: Mapping[str, str] | None = None,
         first_capture: int = 0,
-        board: str = "ATS460",
         boxes: Mapping[str, str] | None = None,
         serials: Mapping[str, str] | None = None,
     ) -> None:
@@ -184,14 +183,15 @@ class World:
             )
             for role in GENERATORS
         }
+        board_type = BOARDS[(models or {}).get("digitizer", "ATS460")]
         latencies = latencies_of(
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
         board_serial = (serials or {}).get("digitizer", "")
         self.board = Board(
             latencies,
-            BOARDS[board],
-            BoardSettings(BOARDS[board]),
+            board_type,
+            BoardSettings(board_type),
             count=first_capture,
             faults=instruments.trigger_faults,
             clock_error=instruments.digitizer_clock_error,

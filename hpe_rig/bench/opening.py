@@ -338,8 +338,9 @@ def _world(
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(cable.source, cable.target, cable.delay_s) for cable in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}
+    models["digitizer"] = bench.digitizer.model
     serials = bench.serials if bench.emulated else None
-    return World(settings, wiring, acoustics, models, first_shot, bench.digitizer.model, serials=serials)
+    return World(settings, wiring, acoustics, models, first_shot, serials=serials)
 
 
 def _emulator(
@@ -352,7 +353,7 @@ def _emulator(
     except OSError as error:
         what = f"the generators cannot be served over {transport}"
         remedy = "take another transport"
-        if tcp_ports:
+        if tcp_ports and transport == "socket":
             listed = ", ".join(f"{role} {port}" for role, port in tcp_ports.items())
             remedy += f", or end the program that uses one of the ports of the bench file ({listed})"
         raise InstrumentError("simulated bench", what, str(error), remedy) from error

@@ -11,9 +11,11 @@ import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
+
+from hpe_rig.result import FigureKind
 
 
 def check_file_name(path: Path | None) -> Path | None:
@@ -66,6 +68,10 @@ Open = Annotated[bool, typer.Option("--open", help="Open the live page in the br
 Port = Annotated[
     int, typer.Option(min=0, max=65535, metavar="PORT", help="Local port of the live page. 0: any free port.")
 ]
+
+
+RunsFigureKind = Literal[FigureKind, "moduli", "dispersion"]
+"""Content of a figure of stored runs; the last two are fits to several runs."""
 
 
 def refuse_two_formats(json: bool, csv: bool) -> None:

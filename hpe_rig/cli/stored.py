@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from hpe_rig.cli.console import announce, print_json
+from hpe_rig.cli.options import RunsFigureKind
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import probability_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     from hpe_rig.moduli import DispersionResult, ModuliResult
     from hpe_rig.report import ResultDifference
-    from hpe_rig.result import FigureKind, MotionMap
+    from hpe_rig.result import MotionMap
 
 METRES_PER_INCH = 0.0254
 MIN_WIDTH_M, MAX_WIDTH_M = 30e-3, 1.0
@@ -176,7 +177,7 @@ def print_dispersion(result: DispersionResult, figure: Path | None, *, json: boo
 def draw_figure(
     run_files: Sequence[Path],
     output: Path,
-    kind: Literal[FigureKind, "moduli", "dispersion"],
+    kind: RunsFigureKind,
     width: str,
     *,
     frequencies_hz: Sequence[float] | None,
@@ -190,17 +191,7 @@ def draw_figure(
     from hpe_rig.runs import dispersion, fit_moduli, open_run
     from hpe_rig.scene import length_m
 
-    mistakes = []
-    if kind not in {"moduli", "dispersion"} and len(run_files) > 1:
-        what, remedy = f"--kind {kind} draws one run", "one run file, or --kind moduli or dispersion"
-        mistakes.append(Mistake("RUN.h5", what, remedy))
-    if kind == "dispersion" and profile_step_m is not None:
-        what = "--kind dispersion uses the gates of the scene"
-        mistakes.append(Mistake("--gate-profile-step", what, "leave it out"))
-    if kind == "profile" and profile_step_m is None:
-        mistakes.append(Mistake("--kind profile", "no gates over depth are named", "--gate-profile-step 0.5mm"))
-    if frequencies_hz and kind in {"displacement", "moduli", "dispersion"}:
-        mistakes.append(Mistake("--frequency", f"--kind {kind} draws all frequencies", "leave it out"))
+    mistakes = list(_figure_mistakes(kind, len(run_files), frequencies_hz, profile_step_m))
     if not (width_m := length_m(width, "--width", MAX_WIDTH_M)) >= MIN_WIDTH_M:
         mistakes.append(Mistake("--width", f"{width!r} is too narrow for a figure", "a width such as 85mm"))
     if mistakes:
@@ -220,7 +211,22 @@ def draw_figure(
             except ValueError as error:
                 mistake = Mistake(f"--kind {kind}", str(error), "another kind or frequency")
                 raise SettingsError("command line", [mistake]) from error
-        _save(drawing, output, f"{kind}, {width_in * METRES_PER_INCH * 1e3:g} mm wide")
+        _save(drawing, output, f"{kind}, {width_m * 1e3:g} mm wide")
+
+
+def _figure_mistakes(
+    kind: RunsFigureKind, run_count: int, frequencies_hz: Sequence[float] | None, profile_step_m: float | None
+) -> Iterator[Mistake]:
+    """Yield the options that a figure ``kind`` lacks or does not use."""
+    fits_medium = kind in {"moduli", "dispersion"}
+    if run_count > 1 and not fits_medium:
+        yield Mistake("RUN.h5", f"--kind {kind} draws one run", "one run file, or --kind moduli or dispersion")
+    if kind == "dispersion" and profile_step_m is not None:
+        yield Mistake("--gate-profile-step", "--kind dispersion uses the gates of the scene", "leave it out")
+    if kind == "profile" and profile_step_m is None:
+        yield Mistake("--kind profile", "no gates over depth are named", "--gate-profile-step 0.5mm")
+    if frequencies_hz and (fits_medium or kind == "displacement"):
+        yield Mistake("--frequency", f"--kind {kind} draws all frequencies", "leave it out")
 
 
 def refuse_outputs(figure: Path | None, dataset: Path | None = None) -> None:

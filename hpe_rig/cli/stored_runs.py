@@ -14,11 +14,12 @@ from hpe_rig.cli.options import (
     ProfileStep,
     ResultOptions,
     RunFile,
+    RunsFigureKind,
     SweepOptions,
     file_option,
     output_option,
 )
-from hpe_rig.result import FigureKind, Stages
+from hpe_rig.result import Stages
 
 MAX_STEP_M = 0.1
 
@@ -161,10 +162,11 @@ def dispersion(
 ) -> None:
     """Phase velocity and attenuation of shear waves at every harmonic, beside those of plane-wave methods."""
     from hpe_rig.cli.options import refuse_two_formats
-    from hpe_rig.cli.stored import print_dispersion
+    from hpe_rig.cli.stored import print_dispersion, refuse_outputs
     from hpe_rig.runs import dispersion as dispersion_of
 
     refuse_two_formats(json, csv)
+    refuse_outputs(output)
     result = dispersion_of(
         *run_files, estimator=estimator, width_uncertainty=width_uncertainty, common_amplitude=not per_place
     )
@@ -180,7 +182,7 @@ def figure(
     ],
     output: Annotated[Path, output_option("File: .pdf, .svg or .png.")],
     kind: Annotated[
-        Literal[FigureKind, "moduli", "dispersion"],
+        RunsFigureKind,
         typer.Option(
             help="Amplitude and phase over frequency (spectrum), relative force (drive), lateral offset (distance) or "
             "depth (profile); largest displacement over time; vibrations and the fitted medium (moduli); phase "

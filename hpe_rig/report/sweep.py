@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import Headline, ShotResult
+from hpe_rig.result import Headline, ShotResult, force_format
 
 FORCE = "force F / F_0"
 PROPORTIONAL = (FORCE, "excitation.force_fraction")
@@ -78,9 +78,9 @@ class _Setting:
         value: float | None = getattr(shot, self.attribute)
         return None if value is None else value * self.scale
 
-    def text(self, shot: ShotResult) -> str:
+    def text(self, shot: ShotResult, format_of_force: str = "") -> str:
         value = self.value(shot)
-        return "" if value is None else self.form.format(value)
+        return "" if value is None else self.form.format(value, force=format_of_force)
 
     def varies(self, shots: Sequence[ShotResult]) -> bool:
         return len({self.value(shot) for shot in shots}) > 1
@@ -88,7 +88,7 @@ class _Setting:
 
 LATERAL = _Setting("lateral offset (mm)", "lateral_offset_m", 1e3, "x = {:g} mm")
 AXIAL = _Setting("axial offset (mm)", "axial_offset_m", 1e3, "z = {:g} mm")
-FORCE_FRACTION = _Setting(FORCE, "force_fraction", 1.0, "F = {:.4g} F_0")
+FORCE_FRACTION = _Setting(FORCE, "force_fraction", 1.0, "F = {:{force}} F_0")
 PULSE_RATE = _Setting("pulse rate f_prf (Hz)", "pulse_rate_hz", 1.0, "f_prf = {:g} Hz")
 WINDOW = _Setting("window T_s (ms)", "window_length_s", 1e3, "T_s = {:g} ms")
 BURST_LENGTH = _Setting("burst length T_b (us)", "burst_length_s", 1e6, "T_b = {:g} us")
@@ -114,11 +114,15 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     # An axis of the scene's sweep has priority over settings that vary in every scene.
     for name in shots[0].swept:
         if len({shot.swept[name] for shot in shots}) > 1:
-            groups = [_joined(*_other_axes(shot, name, shots), _texts(shot, GROUPS_OF_AXIS, shots)) for shot in shots]
+            pairs = zip(_other_axes(name, shots), _texts(GROUPS_OF_AXIS, shots), strict=True)
+            groups = [_joined(*texts) for texts in pairs]
             return _sweep(name, shots, [shot.swept[name] for shot in shots], groups)
     for axis, grouping in AXES:
         if axis.varies(shots):
-            groups = [_joined(BURST_LENGTH.text(shot), _texts(shot, grouping, shots)) for shot in shots]
+            groups = [
+                _joined(BURST_LENGTH.text(shot), text)
+                for shot, text in zip(shots, _texts(grouping, shots), strict=True)
+            ]
             return _sweep(axis.label, shots, [axis.value(shot) for shot in shots], groups)
     # Nothing else varies: one curve over the burst lengths, or over the repeats.
     if BURST_LENGTH.varies(shots):
@@ -147,19 +151,22 @@ def _joined(*texts: str) -> str:
     return ", ".join(text for text in texts if text)
 
 
-def _texts(shot: ShotResult, settings: Sequence[_Setting], shots: Sequence[ShotResult]) -> str:
-    """Return the settings of ``shot`` that vary over ``shots``, in words."""
-    return _joined(*(setting.text(shot) for setting in settings if setting.varies(shots)))
+def _texts(settings: Sequence[_Setting], shots: Sequence[ShotResult]) -> list[str]:
+    """Return for each shot those of ``settings`` that vary over ``shots``, in words."""
+    varied, format_of_force = [setting for setting in settings if setting.varies(shots)], force_format(shots)
+    return [_joined(*(setting.text(shot, format_of_force) for setting in varied)) for shot in shots]
 
 
-def _other_axes(shot: ShotResult, name: str, shots: Sequence[ShotResult]) -> Iterator[str]:
-    """Yield the values of the other axes of the sweep, except those that follow the axis ``name``."""
-    axis_values = {item.swept[name] for item in shots}
-    for axis, value in shot.swept.items():
-        pairs = {(item.swept[name], item.swept[axis]) for item in shots}
-        # An axis combined by zip has one value at each value of ``name``, so it does not distinguish curves.
-        if axis != name and len(pairs) > len(axis_values):
-            yield f"{axis} = {value:g}"
+def _other_axes(name: str, shots: Sequence[ShotResult]) -> list[str]:
+    """Return for each shot the values of the other axes of the sweep, except those that follow the axis ``name``."""
+    axis_values = {shot.swept[name] for shot in shots}
+    # An axis combined by zip has one value at each value of ``name``, so it does not distinguish curves.
+    axes = [
+        axis
+        for axis in shots[0].swept
+        if axis != name and len({(shot.swept[name], shot.swept[axis]) for shot in shots}) > len(axis_values)
+    ]
+    return [_joined(*(f"{axis} = {shot.swept[axis]:g}" for axis in axes)) for shot in shots]
 
 
 def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:

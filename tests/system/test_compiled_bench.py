@@ -102,7 +102,7 @@ def metal_and_world(folder: Path, library: Path, scene: str, *edits: tuple[str, 
     bench = parse_bench("simulated", text).bench
     settings = SimulationSettings.model_validate(twin_tables(prepare(scene).scene.scene))
     wiring = [(cable.source, cable.target, cable.delay_s) for cable in bench.wiring]
-    world = World(settings, wiring, board=bench.digitizer.model)
+    world = World(settings, wiring, models={"digitizer": bench.digitizer.model})
     with Emulator("socket", world.connect, tuple(bench.generators.by_role)) as emulator:
         places = {role: (there.address, there.interface) for role, there in emulator.served.items()}
         # An assumed calibration is none on a real bench.

@@ -239,7 +239,7 @@ def _beats(trials: Sequence[_Trial], competitor: Sequence[_Trial]) -> bool:
     time_s, competitor_s = (min(trial.time_s for trial in group) for group in (trials, competitor))
     error_m, competitor_m = _error_norms_m(trials), _error_norms_m(competitor)
     if np.isnan(error_m).any() or np.isnan(competitor_m).any():
-        return bool(np.isnan(competitor_m).any() and not np.isnan(error_m).any())
+        return _is_significantly_less(error_m, competitor_m)
     # Better in one quantity and not worse in the other.
     faster = time_s < (1 - EQUALITY_TOLERANCE) * competitor_s
     not_slower = time_s <= (1 + EQUALITY_TOLERANCE) * competitor_s
@@ -253,7 +253,12 @@ def _error_norms_m(trials: Sequence[_Trial]) -> FloatArray:
 
 
 def _is_significantly_less(error_m: FloatArray, competitor_m: FloatArray) -> bool:
-    """Return whether the mean of ``error_m`` (seed,) is below that of ``competitor_m`` by more than chance allows."""
+    """Return whether the mean of ``error_m`` (seed,) is below that of ``competitor_m`` by more than chance allows.
+
+    NaN stands for a seed without an estimate, which counts as the larger error.
+    """
+    if np.isnan(error_m).any() or np.isnan(competitor_m).any():
+        return bool(np.isnan(competitor_m).any() and not np.isnan(error_m).any())
     # Both share scatterers and noise at each seed, so the difference per seed is tested.
     gain_m = competitor_m - error_m
     chance_m = SIGNIFICANT_STANDARD_ERRORS * gain_m.std(ddof=1) / math.sqrt(gain_m.size)
@@ -305,7 +310,8 @@ def _conclusions(rows: Sequence[SceneRow]) -> Iterator[str]:
         )
     for row in rows:
         if row.beats_own:
-            errors = f"rms error {100 * row.error:.3g} instead of {100 * unchanged.error:.3g} %"
+            instead = "no estimate" if math.isnan(unchanged.error) else f"{100 * unchanged.error:.3g} %"
+            errors = f"rms error {100 * row.error:.3g} instead of {instead}"
             times = f"{row.time_s:.3g} instead of {unchanged.time_s:.3g} s"
             is_faster = row.time_s < (1 - EQUALITY_TOLERANCE) * unchanged.time_s
             gains = [errors] * row.is_more_exact + [times] * is_faster

@@ -25,6 +25,16 @@ READINGS = {"physical": "physically", "literal": "literally", "as_printed": "as 
 """Readings of eq. (11), and their adverbs in a sentence."""
 
 
+CRITERIA = (
+    "Each number and trend stated by the paper is compared with the result of the paper's own chain. Agrees: a number "
+    "lies within its rounding and three standard errors; a trend is significant (three standard errors) at 0, 20 and "
+    "40 dB. In part: significant at some of them. Inconclusive: neither the trend nor its absence is significant. Not "
+    "decided: more draws could change the verdict. A statement on a largest value is tested with the distribution of "
+    "the largest of that many values. Every disagreement is shown. ± is the Monte Carlo standard error; of a trend it "
+    "is that of the change."
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Claim:
     """A statement of the paper: its location, its text, the study that tests it, and its judge.
@@ -65,41 +75,39 @@ def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
 def reproduction_part(results: Sequence[StudyResult]) -> PageSection | None:
     """Return the section that compares the paper with these studies; None if they test no statement."""
     all_rows = rows({result.name: result for result in results})
-    verdicts = {name: [row[f"verdict, {name}"] for row in all_rows] for name in READINGS}
-    run = [name for name in READINGS if set(verdicts[name]) != {NOT_RUN}]
+    # Verdicts by reading, of the statements that the studies test in it.
+    verdicts = {
+        name: [verdict for row in all_rows if (verdict := row[f"verdict, {name}"]) != NOT_RUN] for name in READINGS
+    }
+    run = [name for name in READINGS if verdicts[name]]
     if not run:
         return None
     tested = [row for row in all_rows if any(row[f"verdict, {name}"] != NOT_RUN for name in run)]
     columns = ("where", "the paper", *(column for name in run for column in (name, f"verdict, {name}")), "why")
-    paragraphs = [
-        "Each number and trend stated by the paper is compared with the result of the paper's own chain. Agrees: a "
-        "number lies within its rounding and three standard errors; a trend is significant (three standard errors) at "
-        "0, 20 and 40 dB. In part: significant at some of them. Inconclusive: neither the trend nor its absence is "
-        "significant. Not decided: more draws could change the verdict. A statement on a largest value is tested with "
-        "the distribution of the largest of that many values. Every disagreement is shown. ± is the Monte Carlo "
-        "standard error; of a trend it is that of the change.",
-    ]
+    paragraphs = [CRITERIA]
     if len(tested) < len(all_rows):
         missing = len(all_rows) - len(tested)
         paragraphs.append(f"{missing} statements need other studies: hpe-rig study reproduction runs all of them.")
     table = [{name: row[name] for name in columns} for row in tested]
     tables = (page_table("reproduction", "Reproduction of the paper.", table, folded=False),)
-    agree = {name: sum(verdict.startswith(AGREES) for verdict in verdicts[name]) for name in run}
-    counts = (
-        f"{agree[name]} of {len(verdicts[name]) - verdicts[name].count(NOT_RUN)} read {READINGS[name]}" for name in run
-    )
-    headline = f"Statements of the paper that agree with the results: {', '.join(counts)}."
-    headline += _undecided_text([verdict for name in run for verdict in verdicts[name]], results)
+    headline = _headline({name: verdicts[name] for name in run}, results)
     return PageSection("reproduction-section", "Reproduction", tuple(paragraphs), (), tables, headline)
 
 
-def _undecided_text(verdicts: Sequence[str], results: Sequence[StudyResult]) -> str:
-    """Return how many verdicts these draws do not decide and the option for more; "" if all are decided."""
-    undecided = sum(verdict == INCONCLUSIVE or verdict.endswith(NOT_DECIDED) for verdict in verdicts)
-    if not undecided:
-        return ""
-    judged, draws = len(verdicts) - verdicts.count(NOT_RUN), max(result.definition.scatterers for result in results)
-    return f" {draws} draws do not decide {undecided} of these {judged} verdicts; --draws {4 * draws} decides more."
+def _headline(verdicts: Mapping[str, Sequence[str]], results: Sequence[StudyResult]) -> str:
+    """Return how many ``verdicts`` agree, by reading, how many are not decided, and the option for more draws."""
+    counts = (
+        f"{sum(verdict.startswith(AGREES) for verdict in of_reading)} of {len(of_reading)} read {READINGS[name]}"
+        for name, of_reading in verdicts.items()
+    )
+    headline = f"Statements of the paper that agree with the results: {', '.join(counts)}."
+    judged = [verdict for of_reading in verdicts.values() for verdict in of_reading]
+    undecided = sum(verdict == INCONCLUSIVE or verdict.endswith(NOT_DECIDED) for verdict in judged)
+    if undecided:
+        draws = max(result.definition.scatterers for result in results)
+        headline += f" {draws} draws do not decide {undecided} of these {len(judged)} verdicts; "
+        headline += f"--draws {4 * draws} decides more."
+    return headline
 
 
 SPECKLE = (

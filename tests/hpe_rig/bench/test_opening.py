@@ -112,7 +112,7 @@ def metal(addresses: dict[str, tuple[str, str | None]]) -> BenchFile:
 def bench_of_holes(kind: str, transport: str, reachable: bool = True) -> Iterator[tuple[World, BenchFile]]:
     """Yield a bench of which ``REACHABLE`` alone answers, with its output on."""
     wiring = [(cable.source, cable.target, cable.delay_s) for cable in SIMULATED.bench.wiring]
-    world = World(SimulationSettings(), wiring, board=SIMULATED.bench.digitizer.model)
+    world = World(SimulationSettings(), wiring, models={"digitizer": SIMULATED.bench.digitizer.model})
     with ExitStack() as stack:
         # One adapter carries all instruments, as on a bench.
         places = {role: hole(kind, transport, number, stack) for number, role in enumerate(ROLES)}
@@ -195,7 +195,7 @@ def test_five_addresses_without_an_answer_are_explained_within_seconds(kind: str
 
 def test_on_a_shared_bus_an_instrument_does_not_wait_for_four_silent_ones() -> None:
     """Each silent instrument is first asked for a tenth of a second."""
-    world = World(SimulationSettings(), [], board=SIMULATED.bench.digitizer.model)
+    world = World(SimulationSettings(), [], models={"digitizer": SIMULATED.bench.digitizer.model})
     with Emulator("prologix", world.connect, ROLES) as emulator:
         served = emulator.served[REACHABLE]
         places = {role: (f"GPIB0::{20 + n}::INSTR", served.interface) for n, role in enumerate(ROLES)}
@@ -224,7 +224,7 @@ def test_an_interrupt_ends_the_opening_at_once_with_the_output_off() -> None:
 
 
 def test_settings_are_read_before_an_output_is_switched_off() -> None:
-    world = World(SimulationSettings(), [], board=SIMULATED.bench.digitizer.model)
+    world = World(SimulationSettings(), [], models={"digitizer": SIMULATED.bench.digitizer.model})
     with Emulator("socket", world.connect, ROLES) as emulator:
         world.connect(REACHABLE).write("OUTP 1")
         places = {role: (served.address, served.interface) for role, served in emulator.served.items()}

@@ -134,6 +134,15 @@ def test_a_line_is_fitted_over_the_force_and_not_over_places() -> None:
     assert places.curves[0].line is None
 
 
+def test_forces_that_differ_in_the_fifth_digit_are_separate_curves_over_an_axis_of_the_sweep() -> None:
+    cases = [(force, rate_hz) for force in (0.18181, 0.18182) for rate_hz in (3e3, 4e3)]
+    shots = [replace(_shot(i, 0.0, force), swept={"rate": rate_hz}) for i, (force, rate_hz) in enumerate(cases)]
+    sweep = make_sweep(shots)
+    assert sweep is not None
+    assert [curve.group for curve in sweep.curves] == ["F = 0.18181 F_0", "F = 0.18182 F_0"]
+    assert [curve.x.tolist() for curve in sweep.curves] == [[3e3, 4e3]] * 2
+
+
 def test_phases_on_both_sides_of_half_a_turn_have_their_mean_there() -> None:
     shots = [_shot(index, phase_rad) for index, phase_rad in enumerate((math.pi - 0.1, -math.pi + 0.1))]
     sweep = make_sweep([_shot(2, 0.0, force=0.5), *shots])

@@ -21,6 +21,8 @@ from hpe_rig.validation.accuracy.own_scene import (
     SceneRow,
     Variant,
     _beats,
+    _error_norms_m,
+    _is_significantly_less,
     _Trial,
     scene_rows,
     scene_text,
@@ -80,6 +82,9 @@ def test_the_text_states_the_benefit_of_a_setting_that_is_beaten(rows: list[Scen
     text = scene_text([unchanged, replace(faster, is_more_exact=False, error=0.0202)])
     assert "beats the scene's settings: 0.5 instead of 1 s, its error is as good within that of the seeds;" in text
     assert "resolution in depth" in text
+    # Any estimate is a gain over none.
+    text = scene_text([replace(unchanged, error=math.nan), replace(faster, time_s=2.0)])
+    assert "beats the scene's settings: rms error 0.5 instead of no estimate;" in text
     assert "lie on the Pareto front" in scene_text(
         [replace(unchanged, on_front=True), replace(faster, beats_own=False)]
     )
@@ -109,6 +114,7 @@ def test_a_variant_beats_another_only_by_a_significant_difference() -> None:
     # A variant without an estimate is beaten by all others.
     failed = trials([math.nan] * 4, [0.1] * 4)
     assert _beats(unchanged, failed)
+    assert _is_significantly_less(_error_norms_m(unchanged), _error_norms_m(failed))
     assert not _beats(failed, unchanged)
 
 
