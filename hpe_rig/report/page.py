@@ -336,7 +336,9 @@ def _shot_count(run: Run, result: Result) -> str:
         "incomplete": list(complete.values()).count(False),
         "untrusted": len({shot.index for shot in result.shots if shot.untrusted}),
     }
-    planned = f"{len(complete)} of {len(run.plan.shots)} planned"
+    controls = sum(shot.is_control for shot in run.plan.shots)
+    planned = f"{len(complete)} of {len(run.plan.shots) - controls} planned"
+    planned += ", each with a control" if controls else ""
     return ", ".join([planned, *(f"{count} of them {kind}" for kind, count in counts.items() if count)])
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.sentence import scale_of
@@ -74,6 +75,7 @@ def _amplitude(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Seq
         label="peak displacement, 2 u" if corrected else "as tracked, 2 u",
     )  # fmt: skip
     axes.set(xlabel="vibration frequency (Hz)", ylabel=f"amplitude ({unit})", ylim=(0, None))
+    _label_single_frequency(axes, frequency_hz)
     legend(axes, "best")
     pairs = zip(frequency_hz[:MAX_ALT_VALUES], amplitude[:MAX_ALT_VALUES], strict=True)
     alt = (
@@ -111,6 +113,7 @@ def _phase(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequenc
         label="estimate, 2 u",
     )  # fmt: skip
     axes.set(xlabel="vibration frequency (Hz)", ylabel="phase (degrees)")
+    _label_single_frequency(axes, frequency_hz)
     legend(axes, "best")
     pairs = zip(frequency_hz[:MAX_ALT_VALUES], np.degrees(phase)[:MAX_ALT_VALUES], strict=True)
     alt = (
@@ -118,6 +121,12 @@ def _phase(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequenc
         f"up to {uncertainty_deg.max():.2g} degrees."
     )
     return picture(figure, "phase", "Phase spectrum", alt)
+
+
+def _label_single_frequency(axes: Axes, frequency_hz: FloatArray) -> None:
+    """Label the horizontal axis with the one frequency (frequency,), around which there is nothing."""
+    if frequency_hz.size == 1:
+        axes.set_xticks(frequency_hz)
 
 
 def _plot_repeats(axes: Axes, repeats: Sequence[Sequence[Estimate]], value: Callable[[Estimate], float]) -> None:

@@ -3,7 +3,7 @@
 Without PAGE, every page and figure that the program writes is made in FOLDER, and the live pages are served. This takes
 some minutes, with small studies. PAGE is a file, .html or .svg, or an address.
 
-Each page is opened at widths of 390, 800 and 1200 px, in light and dark mode, with all folded parts open. Reported are:
+Each page is opened at widths of 390, 800 and 1400 px, in light and dark mode, with all folded parts open. Reported are:
 pages wider than the window, overlapping text, text outside its picture, numbers broken over lines, and contrast below
 3:1. FOLDER receives the PNG files.
 """
@@ -54,7 +54,7 @@ frequencies_hz = [200.0]
 FIGURE_PAGE = """<!DOCTYPE html><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <style>:root { color-scheme: light dark } body { margin: 0 } div { overflow-x: auto }</style>
 """
-WIDTHS_PX = (390, 800, 1200)
+WIDTHS_PX = (390, 800, 1400)
 SCHEMES = ("light", "dark")
 MAX_FAULTS = 6
 """Faults printed per page."""

@@ -267,6 +267,11 @@ def test_the_checksum_of_a_recording_is_not_in_the_headline(result: Result) -> N
     assert headline_sentence(imported).endswith("; imported from scan.npz")
 
 
+def test_controls_do_not_count_as_shots_without_result(tmp_path: Path) -> None:
+    edits = ("[acquisition]", "[acquisition]\ncontrol = true"), ("burst_count = 20", "burst_count = 10")
+    assert "<dd>1 of 1 planned, each with a control</dd>" in render(measured(tmp_path, *edits))
+
+
 def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result: Result) -> None:
     (shot,) = result.shots
     texts = [f"not significant at {90 + n}, 100 Hz: take more" for n in range(20)]
