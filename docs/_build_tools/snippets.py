@@ -87,6 +87,12 @@ def commands(block: Block) -> Iterator[tuple[str, int]]:
             yield command, int(code[1]) if code else 0
 
 
+def matlab_datasets(block: Block) -> list[tuple[str, str]]:
+    """Return file name and path of the datasets that a block of MATLAB reads."""
+    is_matlab = block.language == "matlab"
+    return re.findall(r"h5read\('([^']+)', '([^']+)'", block.text) if is_matlab else []
+
+
 def anchors(page: Path) -> set[str]:
     """Return the anchors of a page's headings."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)

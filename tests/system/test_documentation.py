@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+import h5py
 import pytest
 from typer.testing import CliRunner
 
@@ -21,6 +22,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 FAST = (
     "README.md",
     "docs/how-to/bench-file.md",
+    "docs/how-to/cookbook.md",
     "docs/how-to/hook-up.md",
     "docs/tutorials/own-data.md",
 )
@@ -98,6 +100,9 @@ def run_page(name: str, folder: Path, changes: str = "") -> str:
             settings = SNIPPETS.with_changes(file.read_text(encoding="utf-8"), block.text)
             file.write_text(SNIPPETS.with_changes(settings, changes), encoding="utf-8")
             changes = ""
+        for file_name, dataset in SNIPPETS.matlab_datasets(block):
+            with h5py.File(folder / file_name) as opened:
+                assert dataset in opened, f"{file_name}{dataset}"
     return "\n".join(outputs)
 
 
