@@ -3,7 +3,8 @@
     D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + v t + constant                            least squares
     V(t) = sum_i 2 pi f_i A_i cos(2 pi f_i t + phi_i) + v
 
-The noise of consecutive values counts as independent. Its variance is that of the residual.
+The noise of consecutive values counts as independent. Its variance is that of the residual. u includes the error of the
+frequencies by the clock of the pulses, as the change of the fit.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.processing.budget import ErrorSources, estimates_of
 from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.harmonics.fit_checks import residual_line
@@ -26,9 +27,12 @@ from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_warnings import fit_warnings, line_warnings
 from hpe_rig.processing.shots import FALSE_ALARM_PROBABILITY, Estimates
-from hpe_rig.result import BadPixel, MotionMap, ShotResult
+from hpe_rig.result import PHASE_VARIANCE_LIMIT, BadPixel, MotionMap, ShotResult
+from hpe_rig.scene import engineering
 
 StatedQuantity = Literal["displacement", "velocity"]
+MAX_CHANGE = {"displacement": (0.03, "m"), "velocity": (30.0, "m/s")}
+"""Largest change within a train, with its unit: tissue moves less, so a larger one has another unit."""
 
 
 def fit_stated_motion(
@@ -63,6 +67,37 @@ def fit_stated_motion(
     return fit, np.asarray(state[..., slope] * per_second), np.asarray(velocity_u)
 
 
+def _refuse_other_units(motion: NDArray[Any], quantity: StatedQuantity, axis: int) -> None:
+    """Raise ``ValueError`` if a series of ``motion`` along ``axis``, m or m/s, changes by more than tissue can."""
+    largest, unit = MAX_CHANGE[quantity]
+    # A displacement is defined up to a constant, so that its change counts.
+    with np.errstate(invalid="ignore"):
+        change = np.fmax.reduce(motion, axis=axis) - np.fmin.reduce(motion, axis=axis)
+    if (change_by := float(np.max(change[np.isfinite(change)], initial=0.0))) > largest:
+        raise ValueError(
+            f"the {quantity} changes by up to {engineering(change_by, unit)} within the train, tissue by at most "
+            f"{engineering(largest, unit)}, so the values have another unit than stated: for values in um "
+            f"quantity={quantity}_um{'' if unit == 'm' else '_per_s'} of a map, 1e-6 * motion for estimate_motion"
+        )
+
+
+def _clock_change_m(
+    motion: FloatArray,
+    valid: BoolArray,
+    time_s: FloatArray,
+    frequencies_hz: Sequence[float],
+    quantity: StatedQuantity,
+    frequency_accuracy: float,
+) -> ComplexArray:
+    """Return the change of each phasor (..., frequency) by one standard uncertainty of the frequencies, m."""
+    fast, slow = (
+        fit_stated_motion(motion, valid, time_s * (1 + error), frequencies_hz, quantity)[0].state
+        for error in (frequency_accuracy, -frequency_accuracy)
+    )
+    change_m = (fast - slow) / 2
+    return np.asarray(change_m[..., ::2] + 1j * change_m[..., 1::2])
+
+
 def estimate_stated_motion(
     motion: FloatArray,
     pulse_rate_hz: float,
@@ -73,8 +108,10 @@ def estimate_stated_motion(
     """Return amplitude and phase of each ``motion`` (series, pulse), m or m/s, with budget and warnings, as of shots.
 
     Values that are not finite are missing. ``frequency_accuracy``: relative standard uncertainty of the frequencies by
-    the clock of the pulses. Raises the first ``ValueError`` of ``fit_stated_motion`` if no series has an estimate.
+    the clock of the pulses. Raises ``ValueError`` if values have another unit, and the first one of
+    ``fit_stated_motion`` if no series has an estimate.
     """
+    _refuse_other_units(motion, quantity, axis=1)
     shots, errors = list[ShotResult](), dict[int, ValueError]()
     for index, series in enumerate(motion):
         try:
@@ -97,13 +134,10 @@ def _estimate_series(
 ) -> ShotResult:
     """Return amplitude and phase of one ``motion`` (pulse,), one of ``series_count``."""
     time_s, valid = np.arange(motion.size) / pulse_rate_hz, np.isfinite(motion)
-    fit, fast, slow = (
-        fit_stated_motion(motion, valid, time_s * (1 + error), frequencies_hz, quantity)[0]
-        for error in (0.0, frequency_accuracy, -frequency_accuracy)
-    )
-    # Change of each phasor by one standard uncertainty of the rate error.
-    change_m = (fast.state - slow.state) / 2
-    clock_m = np.asarray(change_m[::2] + 1j * change_m[1::2]) if frequency_accuracy else None
+    fit = fit_stated_motion(motion, valid, time_s, frequencies_hz, quantity)[0]
+    clock_m = None
+    if frequency_accuracy:
+        clock_m = _clock_change_m(motion, valid, time_s, frequencies_hz, quantity, frequency_accuracy)
     sources = ErrorSources(sound_speed_uncertainty=0.0, time_base_m=clock_m)
     estimates = estimates_of(fit, sources)
     line = None
@@ -138,23 +172,32 @@ def map_stated_motion(
     quantity: StatedQuantity,
     depth_m: FloatArray,
     line_position_m: FloatArray | None = None,
+    *,
+    frequency_accuracy: float,
 ) -> MotionMap:
     """Return amplitude, phase and velocity with their uncertainties at every line and depth.
 
     ``motion`` (line, pulse, depth): m or m/s; each of its series is a pixel. A pixel with a value that is not finite,
-    or without any change, is marked as bad and NaN. Raises ``ValueError`` as ``fit_stated_motion``.
+    or without any change, is marked as bad and NaN. ``frequency_accuracy`` and ``ValueError`` as for
+    ``estimate_stated_motion``.
     """
+    _refuse_other_units(motion, quantity, axis=1)
     pixels = np.array(motion.swapaxes(1, 2), np.float64)
     bad = np.where(np.isfinite(pixels).all(axis=-1), BadPixel.GOOD, BadPixel.NOT_FINITE).astype(np.uint8)
     bad[(pixels == pixels[..., :1]).all(axis=-1)] = BadPixel.NO_ECHO
     pixels[bad > 0] = 0.0
     every_pulse = np.ones(time_s.size, bool)
     fit, velocity, velocity_u = fit_stated_motion(pixels, every_pulse, time_s, frequencies_hz, quantity)
+    clock_m = _clock_change_m(pixels, every_pulse, time_s, frequencies_hz, quantity, frequency_accuracy)
+    # In the direction of each phasor and across it; the latter over the amplitude is the phase.
+    clock_m = clock_m * np.exp(-1j * fit.phase_rad)
+    clock_rad = np.abs(clock_m.imag) / np.maximum(fit.amplitude_m, np.finfo(np.float64).tiny)
+    clock_rad = np.minimum(clock_rad, math.sqrt(PHASE_VARIANCE_LIMIT))
     results: dict[str, Any] = {
         "amplitude_m": fit.amplitude_m,
-        "amplitude_uncertainty_m": np.sqrt(fit.covariance[..., 0, 0]),
+        "amplitude_uncertainty_m": np.hypot(np.sqrt(fit.covariance[..., 0, 0]), clock_m.real),
         "phase_rad": fit.phase_rad,
-        "phase_uncertainty_rad": np.sqrt(fit.covariance[..., 1, 1]),
+        "phase_uncertainty_rad": np.hypot(np.sqrt(fit.covariance[..., 1, 1]), clock_rad),
         "velocity_m_per_s": velocity,
         "velocity_uncertainty_m_per_s": velocity_u,
         "residual_m": np.asarray(fit.quality.residual_rms_m),

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from hpe_rig.recordings.settings import Quantity
 from hpe_rig.recordings.statements import Statements
+from hpe_rig.scene import engineering
 
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 """Metres, or metres per second, of the units in the names of quantities."""
-MAX_CHANGE_M, MAX_SPEED_M_PER_S = 0.03, 30.0
-"""Largest change of a displacement within a train, and largest speed: tissue moves less, so the unit is wrong."""
 NOMINAL_SPEED_M_PER_S = 1540.0
 """Sound speed that converts the depths of a motion to times, and back to the same depths."""
 ECHO_KEYS = ("scale_v", "demodulation_hz", "record_samples", "board")
@@ -41,12 +40,8 @@ def si_motion(statements: Statements, values: NDArray[Any], quantity: Quantity) 
         # The spread over the train: a displacement is known up to a constant.
         spread = np.fmax.reduce(motion, axis=2) - np.fmin.reduce(motion, axis=2)
     largest = float(np.max(spread[np.isfinite(spread)], initial=0.0))
-    per_second = "" if name == "displacement" else "/s"
-    sentence = f"the {name} changes by up to {largest * 1e6:.4g} um{per_second} within the train"
-    if largest > (MAX_SPEED_M_PER_S if per_second else MAX_CHANGE_M):
-        remedy = f"the unit of the values, such as quantity = {name}_um{'_per_s' if per_second else ''}"
-        statements.add_mistake("quantity", sentence, remedy)
-    statements.inferred.append(sentence)
+    change = engineering(largest, "m" if name == "displacement" else "m/s")
+    statements.inferred.append(f"the {name} changes by up to {change} within the train")
     return motion
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from hpe_rig.arrays import ByteArray, FloatArray
 from hpe_rig.result.sentence import scale_of
 from hpe_rig.result.tables import package_of_extra
+from hpe_rig.scene import engineering
 
 if TYPE_CHECKING:
     import xarray
@@ -64,14 +65,15 @@ class MotionMap:
         yield f"{lines} lines of {gates} gates, {int(good.sum())} of {good.size} pixels estimated"
         for kind in list(BadPixel)[1:]:
             if count := int((self.bad == kind).sum()):
-                yield f"{count} pixels excluded: {_REASONS[kind]}"
+                yield f"{count} pixel{'' if count == 1 else 's'} excluded: {_REASONS[kind]}"
         if not good.any():
             return
         for index, hz in enumerate(self.frequency_hz.tolist()):
             amplitude, u = self.amplitude_m[good, index], self.amplitude_uncertainty_m[good, index]
             yield (
-                f"{hz:g} Hz: amplitude {np.median(amplitude) * 1e9:.4g} nm in the median of the pixels, "
-                f"{np.quantile(amplitude, 0.95) * 1e9:.4g} nm at 95 %, u {np.median(u) * 1e9:.3g} nm"
+                f"{hz:g} Hz: amplitude {engineering(float(np.median(amplitude)), 'm')} in the median of the pixels, "
+                f"{engineering(float(np.quantile(amplitude, 0.95)), 'm')} at 95 %, "
+                f"median u {engineering(float(np.median(u)), 'm', 3)}"
             )
 
     def to_xarray(self) -> xarray.Dataset:

@@ -15,6 +15,7 @@ from hpe_rig.result import MotionMap
 from hpe_rig.runs.arguments import known_laws, require_numbers
 from hpe_rig.runs.importing import stated_by_scene
 from hpe_rig.scene import (
+    UNSTATED_FREQUENCY_ACCURACY,
     Mistake,
     Scene,
     SceneSource,
@@ -45,7 +46,7 @@ def map_motion(
     ``recording`` is a file or an array of echoes, described as for ``import_records``; by default all lines are mapped.
     Gates of the scene's ``acquisition.gate_length_m`` follow each other from the first sample on. I and Q are pixels:
     a gate has at least one sample. So is every series of a displacement or velocity (``quantity``); its uncertainty is
-    that of its residual. Frequencies are the scene's. ``progress`` gets the number of lines done and the
+    that of ``estimate_motion``. Frequencies are the scene's. ``progress`` gets the number of lines done and the
     total. A pixel without an echo above the noise is marked and NaN. If Numba has been imported, compiled functions are
     used, and results differ by rounding. Raises ``SettingsError`` with every mistake of recording, sidecar or scene.
 
@@ -112,7 +113,14 @@ def map_recording(
             motion_map = map_pixels(*series, settings_of_map, recording.line_position_m, progress)
         else:
             _refuse_estimator(recorded_scene, recording.quantity, name)
-            motion_map = map_stated_motion(*series, recording.quantity, recording.depth_m, recording.line_position_m)
+            stated = recorded_scene.processing.frequency_accuracy
+            motion_map = map_stated_motion(
+                *series,
+                recording.quantity,
+                recording.depth_m,
+                recording.line_position_m,
+                frequency_accuracy=UNSTATED_FREQUENCY_ACCURACY if stated is None else stated,
+            )
     except ValueError as error:
         what, _, remedy = str(error).rpartition(": ")
         mistake = Mistake("", what or str(error), remedy if what else "other settings")

@@ -65,6 +65,15 @@ def test_the_clock_is_part_of_the_phase_uncertainty() -> None:
     assert shot.estimates[0].headline.phase_uncertainty_rad == pytest.approx(expected_rad, rel=0.02)
 
 
+@pytest.mark.parametrize(
+    ("quantity", "motion", "change"),
+    [("displacement_m", displacement_m(), "1.995 m "), ("velocity_m_per_s", velocity_m_per_s(), "1880.2 m/s ")],
+)
+def test_values_in_micrometres_are_refused(quantity: Any, motion: NDArray[np.float64], change: str) -> None:
+    with pytest.raises(ValueError, match=f"changes by up to {change}.* 1e-6 \\* motion"):
+        hpe.estimate_motion([motion, 1e6 * motion], quantity=quantity, **SETTINGS)
+
+
 def test_motion_that_is_not_fitted_is_reported() -> None:
     hum = 100e-9 * np.sin(2 * np.pi * 440.0 * TIME_S)
     noise = 1e-9 * np.random.default_rng(1).normal(size=TIME_S.size)

@@ -80,6 +80,28 @@ def test_u_of_a_pixel_is_that_of_its_residual(scene: Path) -> None:
     assert bound_m < np.median(motion_map.amplitude_uncertainty_m) < 1.1 * bound_m
 
 
+@pytest.mark.parametrize("motion", [displacement_m(), displacement_m() + 5e-8 * TIME_S**2 * RATE_HZ])
+def test_a_map_and_estimate_motion_give_one_answer(motion: NDArray[Any], scene: Path) -> None:
+    pixel = hpe.map_motion(motion[1, 2], scene, quantity="displacement_m", pulse_rate_hz=RATE_HZ)
+    estimate = hpe.estimate_motion(motion[1, 2], pulse_rate_hz=RATE_HZ, frequencies_hz=[F_HZ]).shots[0].estimates[0]
+    for name in ("amplitude", "amplitude_uncertainty", "phase", "phase_uncertainty"):
+        unit = "rad" if "phase" in name else "m"
+        assert getattr(pixel, f"{name}_{unit}")[0, 0, 0] == pytest.approx(getattr(estimate, f"{name}_{unit}"), rel=1e-6)
+    # Without noise u of the phase is that of the clock: 50 ppm of the phase at half the train, of which the slope takes
+    # 5 % over two periods.
+    clock_rad = 2 * np.pi * F_HZ * 50e-6 * TIME_S.mean()
+    assert pixel.phase_uncertainty_rad[0, 0, 0] > 0.9 * clock_rad
+
+
+def test_lengths_of_the_summary_have_a_fitting_prefix(scene: Path) -> None:
+    values = 1e3 * displacement_m()
+    values[0, 0, 3] = np.nan
+    text = str(hpe.map_motion(values, scene, quantity="displacement_m", **SETTINGS))
+    assert "1 pixel excluded" in text
+    assert " mm in the median of the pixels" in text
+    assert "median u " in text
+
+
 def test_pixels_without_values_are_marked(scene: Path) -> None:
     values = displacement_m()
     values[0, 0, 3], values[1, 1] = np.nan, 0.0
@@ -101,8 +123,8 @@ def refusals() -> list[tuple[dict[str, Any], NDArray[Any], str]]:
     good, motion = SETTINGS | {"quantity": "displacement_m"}, displacement_m()
     without_step = {key: value for key, value in good.items() if key != "depth_step_m"}
     return [
-        (good, motion * 1e6, "changes by up to 4e+06 um within the train. Try: the unit of the values"),
-        (good | {"quantity": "velocity_m_per_s"}, motion * 1e9, "quantity = velocity_um_per_s"),
+        (good, motion * 1e6, "changes by up to 4 m within the train, tissue by at most 0.03 m"),
+        (good | {"quantity": "velocity_m_per_s"}, motion * 1e9, "quantity=velocity_um_per_s of a map"),
         (good | {"quantity": "displacement"}, motion, "quantity"),
         (good | {"scale_v": 1.0}, motion, "scale_v: echoes have it"),
         (good | {"demodulation_hz": 0.0}, motion, "demodulation_hz: echoes have it"),
