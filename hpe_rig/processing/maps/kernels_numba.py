@@ -28,7 +28,8 @@ C0, C1, C2, C3, C4, C5, C6, C7 = (
     )
 )
 TINY: Final = np.float32(1e-38)
-TWO_THIRDS: Final = np.float32(2 / 3)
+# An integer in their place would make Numba compute in double precision, in twice the time.
+HALF, ONE, TWO, TWO_THIRDS = (np.float32(number) for number in (0.5, 1, 2, 2 / 3))
 QUARTER_TURN, HALF_TURN, TURN = (np.float32(half_turns * math.pi) for half_turns in (0.5, 1, 2))
 # Constants of result/phase.py in single precision; at MAX_SNR the probability of no motion is below rounding.
 ODDS, RECTIFIED, UNIFORM = (np.float32(c) for c in (PRIOR_ODDS, RAYLEIGH_SQUARE - 1, PHASE_VARIANCE_LIMIT))
@@ -111,12 +112,12 @@ def _log_amplitude(real_and_imag: SingleArray, result: SingleArray) -> None:
             power = row[2 * k] * row[2 * k] + row[2 * k + 1] * row[2 * k + 1]
             log_ratio[k] = power
             power_sum += power
-        scale = 1 / max(power_sum / np.float32(pulses), TINY)
+        scale = ONE / max(power_sum / np.float32(pulses), TINY)
         # ln r = 2 atanh((r - 1) / (r + 1)), its series to third order: good near r = 1.
         for k in range(pulses):
             r = np.sqrt(log_ratio[k] * scale)
-            u = (r - 1) / (r + 1)
-            log_ratio[k] = u * (u * u + 3) * TWO_THIRDS
+            u = (r - ONE) / (r + ONE)
+            log_ratio[k] = u * (TWO_THIRDS * u * u + TWO)
 
 
 @_compile
@@ -137,7 +138,7 @@ def residual_energies(fitted: SingleArray, phase: SingleArray) -> SingleArray:
 @compiler(*_FASTMATH, inline=True)
 def _no_motion_probability(snr: Any) -> Any:
     """Return the probability that an amplitude is noise, from its square over the noise variance (result/phase.py)."""
-    return np.float32(1) / (np.float32(1) + ODDS * np.exp(min(snr, MAX_SNR) / 2))
+    return ONE / (ONE + ODDS * np.exp(min(snr, MAX_SNR) * HALF))
 
 
 @_compile
@@ -162,12 +163,12 @@ def write_amplitude_and_phase(
             x, y = state[i, 2 * j], state[i, 2 * j + 1]
             amplitude_squared = x * x + y * y
             # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
-            anisotropy = (half_difference * (x * x - y * y) + 2 * cross * x * y) / amplitude_squared
+            anisotropy = (half_difference * (x * x - y * y) + TWO * cross * x * y) / amplitude_squared
             along, across = mean + anisotropy, mean - anisotropy
             no_motion = _no_motion_probability(amplitude_squared / max(along, TINY))
-            rician_bias = RECTIFIED * max(no_motion - AT_DETECTION, np.float32(0)) / (1 - AT_DETECTION) * across
+            rician_bias = RECTIFIED * max(no_motion - AT_DETECTION, np.float32(0)) / (ONE - AT_DETECTION) * across
             variance = along + rician_bias + relative_variance[i] * amplitude_squared
             amplitude[i, j], phase[i, j] = np.sqrt(amplitude_squared) * abs(scale), _angle(y * scale, x * scale)
             amplitude_u[i, j] = np.sqrt(variance) * abs(scale)
             angle_variance = min(across / max(amplitude_squared, TINY), UNIFORM)
-            phase_u[i, j] = np.sqrt(no_motion * UNIFORM + (1 - no_motion) * angle_variance)
+            phase_u[i, j] = np.sqrt(no_motion * UNIFORM + (ONE - no_motion) * angle_variance)

@@ -289,7 +289,7 @@ class _Pixels:
         shape = (lines, -1, gates, length)
         echo, derivative = echo.reshape(shape), derivative.reshape(shape)
         # Sums over pulses p and samples s of each gate g of line l.
-        moment = np.einsum("lpgs,lpgs->lg", echo.conj(), derivative)
+        moment = (echo.conj() * derivative).sum(axis=(1, 3))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
 
@@ -343,7 +343,7 @@ class _Pixels:
         results = [*fitted, power.reshape(-1)]
         return [values.reshape(*pixel_shape, *values.shape[1:]) for values in results], bad.reshape(pixel_shape)
 
-    def _relative_variance(self, noise: FloatArray) -> SingleArray:
+    def _relative_variance(self, noise: SingleArray) -> SingleArray:
         """Return the relative variance of the metres per radian (pixel,): of echo frequency and sound speed.
 
         The frequency follows from the phase step between samples, which has twice the variance of a phase, ``noise``
@@ -354,7 +354,7 @@ class _Pixels:
         return np.asarray(of_frequency + self.settings.sound_speed_uncertainty**2, np.float32)
 
     def _state_covariance(
-        self, noise: FloatArray, amplitude_state: SingleArray, power: SingleArray, has_echo: BoolArray
+        self, noise: SingleArray, amplitude_state: SingleArray, power: SingleArray, has_echo: BoolArray
     ) -> tuple[SingleArray, SingleArray]:
         """Return the covariance of each frequency's states (pixel, 3, frequency) and the slope's variance (pixel,).
 
@@ -370,9 +370,8 @@ class _Pixels:
         # Mean and half difference give the variances along and across a phasor of any phase.
         mean, half_difference = (sin_variance + cos_variance) / 2, (sin_variance - cos_variance) / 2
         kinds = np.stack([mean, half_difference, unit[:, in_phase, quadrature]], axis=1).reshape(3, -1)
-        pixel_noise = noise.astype(np.float32)
-        covariance = _serial_matmul(pixel_noise, kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
-        slope_variance = pixel_noise @ unit[:, slope, slope].astype(np.float32)
+        covariance = _serial_matmul(noise, kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
+        slope_variance = noise @ unit[:, slope, slope].astype(np.float32)
         visible = np.concatenate([covariance[:, 0].T, slope_variance[None]]).reshape(-1, *power.shape)
         hidden = hidden_variance(amplitude_state, visible, power, has_echo).reshape(len(visible), -1)
         covariance[:, 0] += hidden[:-1].T

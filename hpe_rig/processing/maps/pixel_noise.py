@@ -74,26 +74,26 @@ class NoiseModel:
             covariances.append(model.root @ inner @ model.root.T)
         return cls(np.array(covariances), np.array(energies))
 
-    def variances(self, energies: SingleArray, has_echo: BoolArray) -> FloatArray:
+    def variances(self, energies: SingleArray, has_echo: BoolArray) -> SingleArray:
         """Return the variances (pixel, 3) of white noise, walk and smooth walk from ``energies`` (pixel, 2), rad².
 
         White noise and walk explain steps that are large for the residual, walk and smooth walk those that are small.
         Steps alone are white noise in a block of gates where not most echoes show a walk. ``has_echo`` (line, gate).
         """
-        measured = energies.astype(np.float64)
-        rough = measured @ np.linalg.inv(self.energies[:2])
-        smooth = np.maximum(measured @ np.linalg.inv(self.energies[1:]), 0.0)
-        walks = np.asarray(rough[:, 1].reshape(has_echo.shape), np.float32)
-        rough[_block_quantile(walks, has_echo, NO_WALK).reshape(-1) <= 0, 1] = 0.0
-        white, _, smooth_walk = self.energies[:, 0]
-        residual = measured[:, 0]
+        residual, steps = np.ascontiguousarray(energies.T)
+        inverse = np.linalg.inv(self.energies[:2]).astype(np.float32)
+        white, walk = (inverse[0, kind] * residual + inverse[1, kind] * steps for kind in range(2))
+        walk[_block_quantile(walk.reshape(has_echo.shape), has_echo, NO_WALK).reshape(-1) <= 0] = 0
+        white_energy, _, smooth_energy = self.energies[:, 0].astype(np.float32)
+        result = np.zeros((len(energies), 3), np.float32)
+        result[:, 0] = np.where(walk > 0, np.maximum(white, 0), residual / white_energy)
+        result[:, 1] = np.maximum(walk, 0)
         # The walk alone explains more than the steps: its steps are correlated.
-        is_smooth = (rough[:, 1] > 0) & (rough[:, 0] < 0)
-        result = np.zeros((len(measured), 3))
-        result[:, 0] = np.where(rough[:, 1] > 0, np.maximum(rough[:, 0], 0.0), residual / white)
-        result[:, 1] = np.where(is_smooth, smooth[:, 0], np.maximum(rough[:, 1], 0.0))
-        result[:, 2] = np.where(is_smooth, np.where(smooth[:, 0] > 0, smooth[:, 1], residual / smooth_walk), 0.0)
-        result[:, 1:] *= FEW_DEGREES_OF_FREEDOM
+        is_smooth = (walk > 0) & (white < 0)
+        independent, correlated = np.maximum(energies[is_smooth] @ np.linalg.inv(self.energies[1:]), 0).T
+        result[is_smooth, 1] = independent
+        result[is_smooth, 2] = np.where(independent > 0, correlated, residual[is_smooth] / smooth_energy)
+        result[:, 1:] *= np.float32(FEW_DEGREES_OF_FREEDOM)
         return result
 
 
@@ -106,14 +106,11 @@ def hidden_variance(
     ``visible`` (frequency + 1, line, gate): variance of each quadrature and of the slope by the residual. ``power`` and
     ``has_echo`` (line, gate). Neighbouring echoes change by similar absolute amounts: weak ones change by more.
     """
+    state_square = np.square(amplitude_state.T, order="C")
     # States are in-phase and quadrature of each frequency, constant and slope.
-    state_square = np.square(amplitude_state)
-    slope = state_square.shape[1] - 1
-    pairs = state_square[:, : slope - 1].reshape(len(state_square), -1, 2)
-    per_pixel = np.empty((len(visible), len(state_square)), np.float32)
-    per_pixel[:-1] = ((pairs[..., 0] + pairs[..., 1]) * np.float32(0.5 / MEDIAN_OF_MEAN_SQUARE)).T
-    per_pixel[-1] = state_square[:, slope] / np.float32(MEDIAN_OF_SQUARE)
-    square: SingleArray = per_pixel.reshape(visible.shape)
+    pairs = (state_square[:-2:2] + state_square[1:-2:2]) * np.float32(0.5 / MEDIAN_OF_MEAN_SQUARE)
+    slope = state_square[-1:] / np.float32(MEDIAN_OF_SQUARE)
+    square: SingleArray = np.concatenate([pairs, slope]).reshape(visible.shape)
     square *= power
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         pooled = _block_quantile(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
