@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.moduli.inversion import REJECTED
 from hpe_rig.moduli.outcome import FREE_GAIN_UNCERTAINTY
 from hpe_rig.moduli.run_vibrations import Source, vibrations_of
 from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 MIN_OFFSETS = 3
 """Lateral offsets that a frequency needs: two determine a wave number, a third one its misfit."""
-MIN_SIGNIFICANCE = 1e-3
-"""Warning limit of the significance, the probability of so large a chi-square by noise alone; as for moduli."""
 DB_PER_CM_PER_NP_PER_M = 20 / math.log(10) / 100
 NEAR_FIELD = "near field"
 
@@ -194,7 +193,7 @@ class _LateralGrid:
             measured_m, error_m = vibrations[index].phasor_m, fit.error_m[index].T
             present[row, columns] = True
             fields[:, row, columns] = [measured_m, fit.nominal_m[index], *measured_m + error_m, *measured_m - error_m]
-        offset_m = np.array([abs(vibrations[index].lateral_m) for index in rows])
+        offset_m = np.array([round(abs(vibrations[index].lateral_m), 9) for index in rows])
         return cls(offset_m, frequency_hz, fields, present)
 
     def gap_m(self, frequency: int) -> float:
@@ -301,7 +300,7 @@ def _lines(result: DispersionResult) -> Iterator[str]:
     yield f"{source}lateral offsets {offsets_mm} mm, {near.frequency_hz.size} frequencies"
     chi_square = f"chi-square {result.chi_square:.4g}, {result.freedom} degrees of freedom"
     yield f"near field: exact field with one wave number for each frequency ({chi_square})"
-    if result.significance < MIN_SIGNIFICANCE:
+    if result.significance < REJECTED:
         yield "WARNING the near field does not explain the vibrations. Try: check widths, lateral offsets and symmetry"
     yield "other methods: value (error of the method, predicted from the exact field); uncertainties: --csv"
     speed = near.phase_velocity_m_per_s, near.phase_velocity_uncertainty_m_per_s

@@ -25,7 +25,7 @@ def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibrati
         raise ValueError("the lines of the map have no positions. Try: line_pitch_m, or line_position_m")
     depth_m, focus_m = motion_map.depth_m, focus_depth_m(scene)
     index = int(np.argmin(np.abs(depth_m - focus_m)))
-    # Half a distance between pixels, or half a gate, away from the focus still counts as at the focus.
+    # A focus less than one pixel beyond the edge of the map still counts.
     step_m = float(np.diff(depth_m).mean()) if depth_m.size > 1 else scene.acquisition.gate_length_m
     if abs(depth_m[index] - focus_m) > step_m:
         range_mm = f"{depth_m.min() * 1e3:.4g} to {depth_m.max() * 1e3:.4g} mm"

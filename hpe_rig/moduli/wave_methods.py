@@ -131,8 +131,12 @@ def local_spectral_maximum(field: LateralField) -> FloatArray:
     def mean_wavenumber(offset_m: FloatArray, phasor: ComplexArray) -> FloatArray:
         """Return the wave number (...) of the mean speed in all windows, NaN if a window has no outward wave."""
         taper = np.hanning(WINDOW_OFFSETS + 2)[1:-1]
-        windows = [slice(i, i + WINDOW_OFFSETS) for i in range(offset_m.size - WINDOW_OFFSETS + 1)]
-        wavenumbers = [peak_wavenumber(offset_m[window], taper * phasor[..., window]) for window in windows]
+        # Several runs may have the same offset: a window contains all their phasors.
+        distinct_m, number = np.unique(offset_m, return_inverse=True)
+        wavenumbers = []
+        for first in range(distinct_m.size - WINDOW_OFFSETS + 1):
+            window = (number >= first) & (number < first + WINDOW_OFFSETS)
+            wavenumbers.append(peak_wavenumber(offset_m[window], taper[number[window] - first] * phasor[..., window]))
         positive = np.where(np.array(wavenumbers) > 0, wavenumbers, np.nan)
         return np.asarray(1 / np.mean(1 / positive, axis=0))
 

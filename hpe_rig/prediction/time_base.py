@@ -45,10 +45,12 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
 
 def time_base_text(scene: Scene, bench: BenchFile, shot: Shot) -> Iterator[str]:
     """Yield the line of the predicted u that the clocks add; nothing for one clock and with a linear drift."""
-    accuracy, uncertainty, phase_u = time_base_uncertainty(scene, bench, shot)
-    if not accuracy or not phase_u.size or scene.processing.drift == "linear":
+    if scene.processing.drift == "linear":
         return
-    wanted_hz, phase_deg = select(scene, shot).wanted_hz, np.degrees(phase_u)
+    accuracy, uncertainty, phase_u = time_base_uncertainty(scene, bench, shot)
+    if not accuracy or not phase_u.size:
+        return
+    wanted_hz, phase_deg = scene.wanted_frequencies_hz, np.degrees(phase_u)
     ends = dict.fromkeys((0, len(wanted_hz) - 1))
     phases = ", ".join(f"{phase_deg[index]:.2g} deg at {wanted_hz[index]:g} Hz" for index in ends)
     yield (

@@ -104,7 +104,7 @@ def draw(seed: int) -> dict[str, Any]:
     noise_m = rng.multivariate_normal(np.zeros(states.size), covariance_m2, OFFSETS_M.size)
     measured = vibrations(field + noise_m[:, 0::2] + 1j * noise_m[:, 1::2], covariance_m2, OFFSETS_M)
     push, (speed, attenuation) = push_of(SIGMA_M), true_wave(TRUE)
-    # From the truth: laws as different as Voigt and Maxwell lead to the same minimum, in ten times the time.
+    # From the truth: other starts lead to the same minimum, in ten times the time.
     unknown = np.full(FREQUENCY_HZ.size, np.nan)
     fit = fit_wavenumbers(measured, push, DispersionCurve(FREQUENCY_HZ, speed, unknown, attenuation, unknown))
     u_speed, u_attenuation = fit.curve.phase_velocity_uncertainty_m_per_s, fit.curve.attenuation_uncertainty_np_per_m

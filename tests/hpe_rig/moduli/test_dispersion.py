@@ -17,7 +17,7 @@ from hpe_rig.medium import HarmonicMedium, PushForce, TrackedRegion, shear_motio
 from hpe_rig.moduli import dispersion_of_vibrations
 from hpe_rig.moduli.inversion import fit_medium
 from hpe_rig.moduli.vibration_model import Push, Vibration
-from hpe_rig.moduli.wavenumber_fit import curve_of_law, fit_wavenumbers
+from hpe_rig.moduli.wavenumber_fit import DispersionCurve, curve_of_law, fit_wavenumbers
 
 FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
 PUSH = Push(PushForce((0.34e-3,), 3.6e-3), 100.0, 100e-6)
@@ -155,6 +155,21 @@ def test_the_gate_nearest_to_the_focus_counts_at_every_offset() -> None:
     together = [replace(one, position=f"{one.lateral_m}") for one in together]
     value = dispersion_of_vibrations(together, PUSH).methods[0].value
     assert value == pytest.approx(dispersion_of_vibrations(measured, PUSH).methods[0].value, rel=1e-9)
+
+
+def test_runs_at_the_same_offsets_are_analysed_together() -> None:
+    measured = vibrations(frequency_hz=FREQUENCY_HZ[:2])
+    repeated = [replace(one, position=f"{run}, {one.label}") for run in range(3) for one in measured]
+    curves = zip(*(dispersion_of_vibrations(runs, PUSH).methods for runs in (measured, repeated)), strict=True)
+    for one_run, three_runs in curves:
+        assert three_runs.value == pytest.approx(one_run.value, rel=1e-9)
+
+
+def test_the_fit_finds_the_minimum_from_a_curve_without_dispersion() -> None:
+    flat = np.ones(3)
+    start = DispersionCurve(FREQUENCY_HZ[[0, 3, 8]], 2.9 * flat, flat, 20 * flat, flat)
+    curve = fit_wavenumbers(vibrations(frequency_hz=start.frequency_hz), PUSH, start).curve
+    assert curve.phase_velocity_m_per_s == pytest.approx(true_wave(9e3, 2.0, start.frequency_hz)[0], rel=1e-6)
 
 
 def test_rows_hold_every_method_and_frequency() -> None:

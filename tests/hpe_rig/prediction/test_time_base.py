@@ -8,8 +8,9 @@ import pytest
 import hpe_rig as hpe
 from hpe_rig.bench import read_bench
 from hpe_rig.plan import make_plan, select
-from hpe_rig.prediction import expected_amplitude_m, noise_gain, time_base_text, time_base_uncertainty
+from hpe_rig.prediction import expected_amplitude_m, noise_gain, time_base_text
 from hpe_rig.prediction.linear_fit import echo_noise_m
+from hpe_rig.prediction.time_base import time_base_uncertainty
 from hpe_rig.processing import Motion, RateError, estimate_rate_error, spec_of
 
 
