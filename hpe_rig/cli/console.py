@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 import io
+import itertools
 import os
 import shlex
 import signal
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,13 +29,16 @@ if TYPE_CHECKING:
 
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 1, 3, 70, 130
 EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
+OUTPUTS = ("output", "print_to", "figure")
+"""Parameters of commands that name files to write."""
 
 
 def guarded(command: Callable[..., None]) -> Callable[..., None]:
     """Return ``command`` such that every failure ends with a message and an exit code, never with a traceback.
 
     An unexpected exception is an error of the program: the message names a file with its traceback. Interrupts after
-    the first one wait until the message is printed. Option groups are expanded, see ``options``.
+    the first one wait until the message is printed. A file that the command reads is refused as its output. Option
+    groups are expanded, see ``options``.
     """
     command = expand_option_groups(command)
 
@@ -45,6 +49,7 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
         with uninterrupted():
             try:
+                _refuse_inputs_as_outputs(kwargs)
                 with interruptible():
                     command(*args, **kwargs)
             except (typer.Exit, SystemExit):
@@ -62,6 +67,30 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
     return guard
 
 
+def _refuse_inputs_as_outputs(values: Mapping[str, Any]) -> None:
+    """Raise ``StoreError`` if one of ``OUTPUTS`` is a file that the other ``values`` of a command name."""
+    outputs = [path for name in OUTPUTS if isinstance(path := values.get(name), Path) and path.is_file()]
+    inputs = [value for name, value in values.items() if name not in OUTPUTS]
+    for item in itertools.chain.from_iterable(value if isinstance(value, list) else [value] for value in inputs):
+        for output in outputs if isinstance(item, str | Path) else ():
+            # A text that is no name of a file, such as that of a shipped scene, cannot be an output.
+            with suppress(OSError, ValueError):
+                if output.samefile(item):
+                    from hpe_rig.store import StoreError
+
+                    raise StoreError(f"{output} is read by this command: it stays unchanged. Try: another name.")
+
+
+def _refuse_binary(path: Path) -> None:
+    """Raise ``StoreError`` if ``path`` exists and is no text: it may be a run."""
+    from hpe_rig.store import StoreError
+
+    # The attempt to write reports a file that cannot be read.
+    with suppress(OSError), path.open("rb") as file:
+        if b"\0" in file.read(1024):
+            raise StoreError(f"{path} exists and is no text: it stays unchanged. Try: another name.")
+
+
 def printing(command: Callable[..., None]) -> Callable[..., None]:
     """Return ``command`` with the option -o: a file that receives what the command otherwise prints."""
     signature, option = inspect.signature(command), output_option("File instead of standard output.")
@@ -76,6 +105,7 @@ def printing(command: Callable[..., None]) -> Callable[..., None]:
         from hpe_rig.store import refuse_unwritable, write_file
 
         refuse_unwritable(print_to)
+        _refuse_binary(print_to)
         text = io.StringIO()
         try:
             with redirect_stdout(text):

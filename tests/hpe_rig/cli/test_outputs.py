@@ -59,6 +59,24 @@ def test_an_output_is_refused_before_the_input_is_read(command: list[str], messa
     assert sorted(path.name for path in folder.iterdir()) == ["s.toml", "taken.h5", "u.npy"]
 
 
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (["verify", "taken.h5", "-o", "./taken.h5"], "taken.h5 is read by this command: it stays unchanged"),
+        (["check", "s.toml", "-o", "s.toml"], "s.toml is read by this command: it stays unchanged"),
+        (["map", "u.npy", "--scene", "s.toml", "-o", "u.npy"], "u.npy is read by this command: it stays unchanged"),
+        # A recording or a run is not replaced by a text.
+        (["scenes", "-o", "u.npy"], "u.npy exists and is no text: it stays unchanged"),
+    ],
+)
+def test_a_file_that_is_read_and_a_binary_file_are_not_replaced(command: list[str], message: str, folder: Path) -> None:
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code != 0
+    assert message in " ".join(done.output.split()), done.output
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
 def test_a_result_file_is_refused_before_the_run_is_estimated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pulse = np.cos(2 * np.pi * 9e6 * np.arange(200) / 50e6) * np.hanning(200)
     rf = np.round(1000 * pulse + np.random.default_rng(1).normal(size=(40, 200))).astype(np.int16)
