@@ -78,16 +78,15 @@ def _unconfirmed_gains(before: _Outcome, after: _Outcome) -> Iterator[str]:
     quantities = (("jitter", "jitter_m", 1e9, "nm"), ("phase jitter", "phase_jitter_rad", math.degrees(1), "deg"))
     pairs = zip(quantities, before.simulated, after.simulated, strict=True)
     for (name, attribute, scale, unit), simulated_before, simulated_after in pairs:
-        first, second = (getattr(item.prediction, attribute) for item in (before, after))
-        gain, u = (
-            simulated_before.jitter - simulated_after.jitter,
-            math.hypot(simulated_before.jitter_se, simulated_after.jitter_se),
-        )
-        if second < (1 - JITTER_TOLERANCE) * first and gain < GAIN_STANDARD_ERRORS * u:
+        predicted, predicted_after = (getattr(item.prediction, attribute) * scale for item in (before, after))
+        fall = (simulated_before.jitter - simulated_after.jitter) * scale
+        u = math.hypot(simulated_before.jitter_se, simulated_after.jitter_se) * scale
+        if predicted_after < (1 - JITTER_TOLERANCE) * predicted and fall < GAIN_STANDARD_ERRORS * u:
+            change = f"{'falls' if fall >= 0 else 'rises'} by {abs(fall):.2g} +- {u:.2g} {unit}"
             yield (
-                f"the simulation does not confirm the gain in {name}: it falls by {gain * scale:.2g} +- "
-                f"{u * scale:.2g} {unit}, by the model from {first * scale:.3g} to {second * scale:.3g} {unit}. Try: "
-                "more --draws, or hpe-rig accuracy with both scenes"
+                f"the simulation does not confirm the gain in {name}: it {change}, by the model it falls from "
+                f"{predicted:.3g} to {predicted_after:.3g} {unit}. Try: more --draws, or hpe-rig accuracy with both "
+                "scenes"
             )
 
 

@@ -67,8 +67,9 @@ def write_study_report(
 
 
 def _headline(results: Sequence[StudyResult]) -> str:
-    """Return the first study's bias and jitter in one sentence, of the estimator with the smallest error."""
-    view = min(views(results[0]), key=_largest_error)
+    """Return the first study's bias and jitter in one sentence: its first reading, the estimator of smallest error."""
+    all_views = views(results[0])
+    view = min((view for view in all_views if view.reading == all_views[0].reading), key=_largest_error)
     bias, jitter, _, phase_jitter = spans(view.rows)
     return (
         f"{view.title}: over {len(view.rows)} cases the amplitude has a bias of {bias} % and a jitter of {jitter} %, "
