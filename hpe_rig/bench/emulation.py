@@ -78,19 +78,22 @@ def _loopback_ports(bench: BenchFile) -> dict[str, int]:
 def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tuple[str, str | None]]) -> str:
     """Return the text of ``bench`` with its transport and each generator's VISA address.
 
-    Raises ``SettingsError`` if the generators of its file are not tables with headers.
+    Raises ``SettingsError`` if the file has no line ``simulated``, or if its generators are not tables with headers.
     """
     # The addresses of the file are replaced, and each generator's is put below the header of its table.
     text = ADDRESSING.sub("", bench.text)
     lines = f'simulated = true\ntransport = "{transport}"' + "\nemulated = true" * _emulation(bench.bench)["emulated"]
-    text = re.sub(r"^simulated\s*=.*$", lines, text, count=1, flags=re.MULTILINE)
+    text = re.sub(r"^\s*simulated\s*=.*$", lines, text, count=1, flags=re.MULTILINE)
     for role, (address, interface) in addresses.items():
         lines = f'[generators.{role}]\naddress = "{address}"'
         lines += f'\ninterface = "{interface}"' if interface else ""
         text = text.replace(f"[generators.{role}]", lines, 1)
+    twin = parse_bench(bench.name, text).bench
+    if not twin.simulated:
+        what = "the file has no line simulated = false"
+        raise SettingsError(f"bench {bench.name}", [Mistake("simulated", what, "write it above the first table")])
     # An inline table would not have got its address.
-    parsed = {role: item.address for role, item in parse_bench(bench.name, text).bench.generators.by_role.items()}
-    if parsed != {role: address for role, (address, _) in addresses.items()}:
+    if any(item.address != addresses[role][0] for role, item in twin.generators.by_role.items()):
         what = "the generators have no separate tables"
         raise SettingsError(f"bench {bench.name}", [Mistake("generators", what, "write [generators.master] and so on")])
     return HEAD.format(transport=transport) + text

@@ -40,7 +40,8 @@ def real(tmp_path: Path, free_port: int) -> Path:
         text = text.replace(f"[generators.{role}]", lines)
     text = text.replace("[digitizer]", f'[digitizer]\nserial = "{SERIALS["digitizer"]}"')
     path = tmp_path / "room-12.toml"
-    path.write_text(text, encoding="utf-8")
+    # TOML allows an indented key.
+    path.write_text(text.replace("simulated = false", "  simulated = false"), encoding="utf-8")
     return path
 
 
