@@ -42,7 +42,7 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
         return
     setup = prepare(scene, refuse=False)
     problem = Problem(setup, tomllib.loads(setup.scene.text), (), "jitter", longest_s=1.0)
-    designed = _outcome(problem, problem.judged(problem.start), 0, 0)
+    designed = _outcome(problem, problem.judged(problem.start), 0, 0).rows
     assert designed["detection floor"] == f"{floor} nm"
     estimator, hz = scene.processing.estimator, scene.wanted_frequencies_hz[0]
     noise = printed(rf"\n  {estimator} +\S+ nm +(\S+) nm", checked)
