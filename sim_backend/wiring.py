@@ -269,15 +269,15 @@ def propagate(
     return emissions
 
 
-def driven(
+def bursts_at_amplifiers(
     cables: Sequence[Cable],
     emissions: Mapping[str, Emission],
     roles: Sequence[str],
     targets: Sequence[str] = ("transducer.drive",),
 ) -> Bursts:
-    """Return the bursts that the generators of ``roles`` send to the transducers.
+    """Return the bursts that the generators of ``roles`` send to the amplifiers at ``targets``.
 
-    Amplitudes are in volts across the inputs of their amplifiers.
+    Amplitudes are in volts, peak to peak, across the inputs of the amplifiers.
     """
     divider = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
     arriving = []

@@ -41,9 +41,9 @@ from sim_backend.wiring import (
     Respond,
     SimulatedClock,
     Steps,
+    bursts_at_amplifiers,
     cables_of,
     crossings,
-    driven,
     propagate,
     to_ps,
     trigger_order,
@@ -365,8 +365,8 @@ class World:
         cables = (*self._cables, *self._added)
         emissions = propagate(cables, {**respond, "digitizer": digitizer}, INPUTS)
         # The transducer receives the sum of all generators; the pulser's bursts are tracking pulses.
-        tonebursts = driven(self._cables, emissions, [role for role in GENERATORS if role != PULSER])
-        pulses = driven(self._cables, emissions, [PULSER], TRANSDUCERS)
+        tonebursts = bursts_at_amplifiers(self._cables, emissions, [role for role in GENERATORS if role != PULSER])
+        pulses = bursts_at_amplifiers(self._cables, emissions, [PULSER], TRANSDUCERS)
         captured = self._snapshot(emissions, triggers[-1], tonebursts, pulses) if triggers else None
         return Evaluation(emissions, tonebursts, pulses, captured, until_ps)
 

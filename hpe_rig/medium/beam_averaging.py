@@ -48,8 +48,8 @@ class BeamWidths:
     force: PushForce | None = None
 
     @property
-    def tracking_area_m2(self) -> float:
-        """Variance across of the echo energy of the tracking beam, T^2 / 2."""
+    def tracking_variance_m2(self) -> float:
+        """Variance of the tracking beam's echo energy along x, or along y: T^2 / 2, in proportion to its area."""
         return self.tracking_width_m[0] ** 2 / 2
 
     def gaussian_averaging(self, width_scale: float = 1.0) -> float:
@@ -106,13 +106,14 @@ def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
     if beams.lateral_offset_m:
         tracked, peak, steepness = off_axis_motion(medium, beams, np.array([beams.lateral_offset_m]))
         return tracked[:, 0], peak[:, 0], steepness[..., 0]
-    area_m2, across_m2, along_m2 = beams.tracking_area_m2, beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2
+    variance_m2 = beams.tracking_variance_m2
+    across_m2, along_m2 = beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2
     values, slopes = _tracked_and_peak(
         medium.shear_k2.astype(np.complex128).tobytes(),
-        (across_m2 + area_m2, across_m2),
+        (across_m2 + variance_m2, across_m2),
         (along_m2 + beams.depth_sd_m**2, along_m2),
     )
-    tracked, peak, steepness = np.stack([*values, area_m2 * slopes[0]]) / medium.modulus_pa
+    tracked, peak, steepness = np.stack([*values, variance_m2 * slopes[0]]) / medium.modulus_pa
     return tracked, peak, steepness[None]
 
 
@@ -131,21 +132,24 @@ def _tracked_and_peak(
 
 
 def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:
-    """Return tracked and peak motion (frequency, offset) and steepness (2, frequency, offset), ``lateral_m`` off axis.
+    """Return tracked and peak displacement (frequency, offset), and steepness (effect, frequency, offset).
 
-    They are per unit of body force. Speckle moves the tracked region as well as changing its area, each by the same
-    fraction of its radius, independently.
+    The beam is at the distances ``lateral_m`` (offset,) from the force's axis; the peak is the displacement at that
+    point. All are per unit of body force. The steepness has the derivatives of the tracked displacement by the
+    logarithm of the beam's area, then by its offset over its radius T / sqrt(2). Speckle changes both independently
+    with one standard deviation: that of N equal echoes is 1 / sqrt(N) for both.
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from hpe_rig.medium.shear_field import focal_plane_motion
 
     # Averaging over the beam equals a force that is wider by the beam's variances across and along.
-    (x, _, z), area_m2 = beams.force_width_m, beams.tracking_area_m2
-    tracked, by_area, by_offset = focal_plane_motion(
-        medium, (x, z), x**2 + area_m2, z**2 + beams.depth_sd_m**2, lateral_m
+    (x_m, _, z_m), variance_m2 = beams.force_width_m, beams.tracking_variance_m2
+    tracked, by_variance, by_distance = focal_plane_motion(
+        medium, (x_m, z_m), x_m**2 + variance_m2, z_m**2 + beams.depth_sd_m**2, lateral_m
     )
-    peak = focal_plane_motion(medium, (x, z), x**2, z**2, lateral_m)[0]
-    return tracked, peak, np.stack([area_m2 * by_area, np.sqrt(area_m2) * by_offset])
+    peak = focal_plane_motion(medium, (x_m, z_m), x_m**2, z_m**2, lateral_m)[0]
+    # The area is proportional to the variance: d / d ln(area) = variance d / d(variance).
+    return tracked, peak, np.stack([variance_m2 * by_variance, np.sqrt(variance_m2) * by_distance])
 
 
 def tracked_ratio(medium: HarmonicMedium, force: PushForce, beams: BeamWidths) -> ComplexArray:
@@ -169,7 +173,9 @@ def _tracked_ratio(
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
     medium, offset_m = HarmonicMedium(np.array(frequency_hz), np.array(modulus_pa), density), beams.lateral_offset_m
-    beam = TrackedRegion(lateral_m=np.array([offset_m]), across_m2=beams.tracking_area_m2, along_m2=beams.depth_sd_m**2)
+    beam = TrackedRegion(
+        lateral_m=np.array([offset_m]), across_m2=beams.tracking_variance_m2, along_m2=beams.depth_sd_m**2
+    )
     tracked, peak = (
         shear_motion(medium, force, region).value[:, 0] for region in (beam, TrackedRegion(np.array([offset_m])))
     )

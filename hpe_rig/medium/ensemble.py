@@ -230,13 +230,13 @@ def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
     across_m2 = (beams.force_width_m[0] * width_factor) ** 2
     along_m2 = (beams.force_width_m[2] * length_factor) ** 2
     # Averaging over a tracking beam equals a force that is wider by the variance of the beam's echo energy.
-    area_m2 = beams.tracking_area_m2
-    tracked, by_area = focal_displacement(shear_k2, across_m2 + area_m2, along_m2 + beams.depth_sd_m**2)
+    variance_m2 = beams.tracking_variance_m2
+    tracked, by_variance = focal_displacement(shear_k2, across_m2 + variance_m2, along_m2 + beams.depth_sd_m**2)
     peak, _ = focal_displacement(shear_k2, across_m2, along_m2)
     # The factor of a force that is not Gaussian applies to tracked and peak motion: their ratio is the Gaussian's.
     shape_ratio = 1.0 if beams.force is None else _shape_ratio(beams.force, beams, shear_k2, width_factor)
     # The closed form is the displacement times the modulus.
-    tracked, peak, steepness = np.stack([tracked, peak, area_m2 * by_area]) * (shape_ratio / modulus_pa)
+    tracked, peak, steepness = np.stack([tracked, peak, variance_m2 * by_variance]) * (shape_ratio / modulus_pa)
     ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness[None], voigt=spec.are_voigt())
     # Cached and shared by all callers, hence read-only.
     for array in (node_hz, tracked, peak, steepness, ensemble.voigt):
@@ -281,7 +281,7 @@ def _shape_ratio_at_nodes(
     """
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
-    region = TrackedRegion(lateral_m=np.zeros(1), across_m2=beams.tracking_area_m2, along_m2=beams.depth_sd_m**2)
+    region = TrackedRegion(lateral_m=np.zeros(1), across_m2=beams.tracking_variance_m2, along_m2=beams.depth_sd_m**2)
     wave, loss = np.meshgrid(wave_per_m, loss_rad, indexing="ij")
     # The ratio depends on wave number and loss angle only, so any density and frequency that give these wave numbers
     # will do: 1000 kg/m^3 and 1 Hz. The modulus is rho w^2 / |q|^2 exp(j loss).

@@ -124,7 +124,7 @@ def dispersion_of_vibrations(
     """
     selected, too_few = _at_enough_offsets(vibrations, omitted)
     fit = fit_wavenumbers(selected, push)
-    grid = _LateralGrid.of(selected, fit)
+    grid = _LateralGrid.from_vibrations(selected, fit)
     curves, missing = zip(*(_method_curve(method, grid, fit.curve) for method in METHODS), strict=True)
     return DispersionResult(
         title=title,
@@ -175,16 +175,13 @@ class _LateralGrid:
     present: BoolArray
 
     @classmethod
-    def of(cls, vibrations: Sequence[Vibration], fit: WavenumberFit) -> _LateralGrid:
+    def from_vibrations(cls, vibrations: Sequence[Vibration], fit: WavenumberFit) -> _LateralGrid:
         """Return the fields of the gate nearest to the focus at every lateral offset but 0, by ascending distance."""
         nearest: dict[tuple[str, float], int] = {}
-        for index, vibration in enumerate(vibrations):
-            key = vibration.position, vibration.lateral_m
-            if vibration.lateral_m and abs(vibration.axial_m) < abs(vibrations[nearest.get(key, index)].axial_m):
-                nearest[key] = index
-            elif vibration.lateral_m:
-                nearest.setdefault(key, index)
-        rows = sorted(nearest.values(), key=lambda index: abs(vibrations[index].lateral_m))
+        for index, vibration in sorted(enumerate(vibrations), key=lambda item: abs(item[1].axial_m)):
+            if vibration.lateral_m:
+                nearest.setdefault((vibration.position, vibration.lateral_m), index)
+        rows = sorted(nearest.values(), key=lambda index: (abs(vibrations[index].lateral_m), index))
         frequency_hz, error_count = fit.curve.frequency_hz, fit.error_m[0].shape[1]
         fields = np.zeros((2 + 2 * error_count, len(rows), frequency_hz.size), np.complex128)
         present = np.zeros(fields.shape[1:], np.bool_)

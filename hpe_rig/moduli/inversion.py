@@ -128,9 +128,12 @@ def bound(vibrations: Sequence[Vibration], push: Push, law: MediumLaw, values: S
 
 
 def _starts(problem: Problem) -> list[FloatArray]:
-    """Return starting points of the fit: the best of a coarse grid that are at least ``START_DISTANCE`` apart."""
-    # Unknowns: the coordinates of the law, the amplitude, nuisances.
-    count = problem.free_count - 1
+    """Return up to ``MAX_STARTS`` starting points of the fit from a coarse grid over the law's parameters.
+
+    They are chosen in the order of their chi-square, each more than ``START_DISTANCE`` from those chosen before.
+    """
+    # Distances leave out the other unknowns, amplitude and nuisances.
+    count = problem.coordinate_count
     points, costs = zip(*(problem.start(coordinates) for coordinates in problem.law.starts()), strict=True)
     starts: list[FloatArray] = []
     for index in np.argsort(costs):
@@ -162,7 +165,7 @@ def _minima(problem: Problem) -> list[_Minimum]:
 
 def _differ(problem: Problem, first: _Minimum, second: _Minimum) -> bool:
     """Return whether two minima are at different parameters of the material law."""
-    difference = (first.unknown - second.unknown)[: problem.free_count - 1]
+    difference = (first.unknown - second.unknown)[: problem.coordinate_count]
     return bool(np.abs(difference).max() > MINIMUM_DISTANCE)
 
 
@@ -198,7 +201,7 @@ def _second_minimum(
     for candidate in candidates:
         excess = candidate.chi_square - best.chi_square
         if excess < SECOND_MINIMUM and _differ(problem, candidate, best):
-            return _by_name(problem.law, problem.law.values(candidate.unknown[: problem.free_count - 1])), excess
+            return _by_name(problem.law, problem.law.values(candidate.unknown[: problem.coordinate_count])), excess
     return None
 
 
@@ -207,7 +210,7 @@ def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], fl
 
     ``second``: another minimum that is nearly as good, as parameters and chi-square above the best, or None.
     """
-    count, law, vibrations = problem.free_count - 1, problem.law, problem.vibrations
+    count, law, vibrations = problem.coordinate_count, problem.law, problem.vibrations
     coordinates, jacobian = best.unknown[:count], problem.jacobian(best.unknown)
     coordinate_covariance = problem.coordinate_covariance(jacobian)
     covariance = problem.in_values(best.unknown, coordinate_covariance)

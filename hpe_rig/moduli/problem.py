@@ -97,9 +97,14 @@ class Problem:
         return sum(2 * vibration.frequency_hz.size for vibration in self.vibrations)
 
     @cached_property
+    def coordinate_count(self) -> int:
+        """Number of the law's coordinates, which are the first unknowns; the amplitude and the nuisances follow."""
+        return len(self.law.parameters)
+
+    @cached_property
     def free_count(self) -> int:
-        """Number of unknowns without prior knowledge: the law's parameters and the amplitude."""
-        return len(self.law.parameters) + 1
+        """Number of unknowns without prior knowledge: the law's coordinates and the amplitude."""
+        return self.coordinate_count + 1
 
     def start(self, coordinates: FloatArray) -> tuple[FloatArray, float]:
         """Return a start of the fit at the law's ``coordinates``, and its chi-square.
@@ -107,14 +112,14 @@ class Problem:
         It has the best amplitude for them; nuisances are zero, their most likely value.
         """
         unknown = np.zeros(self.free_count + len(self.nuisances))
-        unknown[: self.free_count - 1] = coordinates
+        unknown[: self.coordinate_count] = coordinates
         # Modelled phasors for amplitude 1, in standard deviations of the data.
         model = self._whitened(self.modelled(unknown))
         data = self._whitened([vibration.phasor_m for vibration in self.vibrations])
         # The best amplitude is a projection; at least 1e-6 of the data, because its logarithm is the unknown.
         projection = float(model @ data) / float(model @ model)
         amplitude = max(projection, 1e-6 * float(np.sqrt((data @ data) / (model @ model))))
-        unknown[self.free_count - 1] = np.log(amplitude)
+        unknown[self.coordinate_count] = np.log(amplitude)
         return unknown, float(np.sum((data - amplitude * model) ** 2))
 
     def modelled(self, unknown: FloatArray) -> list[ComplexArray]:
@@ -143,7 +148,7 @@ class Problem:
 
     def coordinate_covariance(self, jacobian: FloatArray) -> FloatArray:
         """Return the covariance (parameter, parameter) of the law's coordinates; ``jacobian`` (datum, unknown)."""
-        count = self.free_count - 1
+        count = self.coordinate_count
         # Columns of unit length: parameters of very different sensitivity lose no digits.
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(np.float64).tiny)
         # Of (J'J)^-1 only the block of the law: the nuisances are marginalised.
@@ -152,7 +157,7 @@ class Problem:
 
     def in_values(self, unknown: FloatArray, covariance: FloatArray) -> FloatArray:
         """Return a ``covariance`` of coordinates as one of parameter values."""
-        slope = self.law.slopes(self.law.values(unknown[: self.free_count - 1]))
+        slope = self.law.slopes(self.law.values(unknown[: self.coordinate_count]))
         return np.asarray(covariance * np.outer(slope, slope))
 
     def variances_without(self, dropped: BoolArray, jacobian: FloatArray) -> FloatArray:
@@ -195,7 +200,7 @@ class Problem:
         ``group``: indices of vibrations that share one field. ``deviations``: nuisances by kind and vibration. The
         derivative by the logarithm "gain" is the phasors themselves.
         """
-        push, count, vibrations = self.push, self.free_count - 1, [self.vibrations[i] for i in group]
+        push, count, vibrations = self.push, self.coordinate_count, [self.vibrations[i] for i in group]
         # Vibrations of a group share frequencies, depth, averaging along the beam and travel time.
         first, frequency_hz = vibrations[0], vibrations[0].frequency_hz
 
@@ -254,9 +259,9 @@ class Problem:
         ``by_kind``: derivatives (frequency,) by every kind of unknown.
         """
         columns = np.zeros((by_kind["gain"].size, unknowns), np.complex128)
-        for i in range(self.free_count - 1):
+        for i in range(self.coordinate_count):
             columns[:, i] = by_kind[f"law {i}"]
-        columns[:, self.free_count - 1] = by_kind["gain"]
+        columns[:, self.coordinate_count] = by_kind["gain"]
         for i, (kind, index, uncertainty) in enumerate(self.nuisances):
             # All gates at one position move with the stage.
             shared_stage = kind == "stage" and index == self.first_at_position[vibration]

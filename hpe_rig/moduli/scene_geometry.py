@@ -140,7 +140,7 @@ def vibration_at(
         axial_m=axial_m + mean_depth_m if axial_m else 0.0,
         axial_uncertainty_m=axial_spread_m if axial_m else 0.0,
         travel_s=axial_m / scene.acquisition.sound_speed_m_per_s,
-        tracking_m2=(beams.tracking_area_m2, depth_sd_m**2),
+        tracking_m2=(beams.tracking_variance_m2, depth_sd_m**2),
         lateral_uncertainty_m=lateral_spread_m,
         stage_uncertainty_m=scene.tracking.offset_uncertainty_m,
         gain_uncertainty=GAIN_UNCERTAINTY,

@@ -84,7 +84,7 @@ def fit_wavenumbers(vibrations: Sequence[Vibration], push: Push, start: Dispersi
     # Coordinates of the law are c and alpha themselves, frequency by frequency.
     coordinates = np.stack([start.phase_velocity_m_per_s, start.attenuation_np_per_m], axis=1).ravel()
     best = solve(problem, problem.start(coordinates)[0], FINE)
-    count, jacobian = problem.free_count - 1, problem.jacobian(best.unknown)
+    count, jacobian = problem.coordinate_count, problem.jacobian(best.unknown)
     speed, attenuation = best.unknown[:count].reshape(-1, 2).T
     variance = np.diag(problem.coordinate_covariance(jacobian)).reshape(-1, 2)
     u_speed, u_attenuation = np.sqrt(variance).T

@@ -79,7 +79,8 @@ def predicted_averaging(
     # Gaussian motion is assumed.
     loss_scale = (1 - gaussian) / (1 - beams.gaussian_averaging())
     # Speckle changes the tracked region: the logarithm of its area and, off the axis, its offset over its radius.
-    # This is the standard deviation of both; ``steepness`` is the relative change of the ratio per unit of them.
+    # Both have this standard deviation: for N equal echoes 1 / sqrt(N), as the centroid over the radius, and the
+    # variance x² + y² relative to its mean. ``steepness`` is the relative change of the ratio per unit of them.
     region_sd = speckle_sd / -beams.gaussian_steepness()
     ratio, deviation, steepness = averaging_ratio(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
@@ -166,7 +167,10 @@ def _of_both_effects(values: FloatArray) -> FloatArray:
 
 
 def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
-    """Return the responses of the prior's media, extended if a frequency on the axis is outside their range."""
+    """Return the responses of the prior's media over the range of the harmonics.
+
+    On the beam axis the range is widened to include ``frequency_hz``.
+    """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
     if beams.lateral_offset_m:
@@ -210,11 +214,14 @@ def _times(averaging: Averaging, correction: complex, **errors: float) -> Averag
 
 def _with_scene_offsets(scene: Scene, averaging: Averaging) -> Averaging:
     """Return ``averaging`` with the oblique waves of the declared aperture and the gate's offset from the focus."""
-    return _offset_from_focus(scene, _oblique(scene, averaging))
+    return _with_focus_offset(scene, _with_obliquity(scene, averaging))
 
 
-def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
-    """Return ``averaging`` times the loss from the oblique waves of the declared aperture; unchanged without one."""
+def _with_obliquity(scene: Scene, averaging: Averaging) -> Averaging:
+    """Return ``averaging`` times ``obliquity_factor`` of the declared aperture; unchanged if none is declared.
+
+    A declared aperture also adds the uncertainty ``SHAPE_RELATIVE``, because its beam is not Gaussian.
+    """
     if scene.beams is None or scene.beams.transducer_diameter_m is None:
         return averaging
     focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m
@@ -222,7 +229,7 @@ def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
     return _times(averaging, obliquity, shape_relative=SHAPE_RELATIVE)
 
 
-def _offset_from_focus(scene: Scene, averaging: Averaging) -> Averaging:
+def _with_focus_offset(scene: Scene, averaging: Averaging) -> Averaging:
     """Return ``averaging`` for a gate off the declared focus; unchanged if neither focus nor offset is declared.
 
     A gate aligned to the focus by its echoes stays there for any sound speed. A gate placed by its depth is off by the

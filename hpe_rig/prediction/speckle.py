@@ -106,11 +106,11 @@ def draw_scattering(
     cells: int,
     displacement: Displacement | None = None,
 ) -> Scattering:
-    """Return ``draws`` random draws of scatterers within ``depth_m`` around the focus, summed into ``cells`` of depth.
+    """Return ``draws`` random sets of scatterers around the focus, each summed into ``cells`` depth cells.
 
-    The default ``displacement`` is the Gaussian of the paper. The echo depends on tracking beam and density only: the
-    same draws serve any gate and pulse within ``depth_m``. A draw has at most ``MAX_SCATTERERS``, because predictions
-    do not depend on the echo's strength.
+    ``depth_m``: total depth of the cells, centred on the focus; the draws serve any gate and pulse within it. The
+    default ``displacement`` is the Gaussian of the paper, eq. (12). The mean number of scatterers of a draw is at most
+    ``MAX_SCATTERERS``: more would change only the echo's strength, which predictions do not depend on.
     """
     blocks = (_draw_block(conditions, generator, size, depth_m, cells) for size in _block_sizes(draws))
     return _scattering(blocks, conditions, depth_m, displacement)

@@ -24,36 +24,37 @@ from hpe_rig.scene import Scene
 
 
 def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[float, float, FloatArray]:
-    """Return accuracy of the clocks and u of the rate error after the fit, both relative, and u of the phases, rad.
+    """Return the clocks' accuracy, u of their rate error after the fit, and the u that it adds to the phases.
 
-    Phases: (frequency,), of the wanted frequencies, from the rate error alone.
+    The first two are relative and are the prior and the posterior standard deviation of the rate error. The third, rad
+    (frequency,), is for the wanted frequencies and includes the rate error alone.
     """
-    accuracy = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
+    prior_u = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
     pulses = select(scene, shot)
     time_s, wanted_hz = pulses.time_s[pulses.used], pulses.wanted_hz
     # The rate error is estimated with the coherent displacement, whichever estimator a scene chooses.
     noise_m = math.hypot(echo_noise_m(scene, spec_of("coherent")), trigger_noise_m(scene, bench.simulated))
-    uncertainty = accuracy
-    if accuracy and noise_m and time_s.size:
+    posterior_u = prior_u
+    if prior_u and noise_m and time_s.size:
         amplitude_m = np.array([expected_amplitude_m(scene, float(hz), shot) for hz in wanted_hz])
         slope_m_per_s = 2 * np.pi * wanted_hz * amplitude_m
         information = float(slope_m_per_s @ slope_m_per_s) * time_s.size * float(np.var(time_s)) / (2 * noise_m**2)
-        uncertainty = 1 / math.sqrt(1 / accuracy**2 + information)
+        posterior_u = 1 / math.sqrt(1 / prior_u**2 + information)
     mean_s = float(time_s.mean()) if time_s.size else 0.0
-    return accuracy, uncertainty, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * uncertainty)
+    return prior_u, posterior_u, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * posterior_u)
 
 
 def time_base_text(scene: Scene, bench: BenchFile, shot: Shot) -> Iterator[str]:
     """Yield the line of the predicted u that the clocks add; nothing for one clock and with a linear drift."""
     if scene.processing.drift == "linear":
         return
-    accuracy, uncertainty, phase_u = time_base_uncertainty(scene, bench, shot)
-    if not accuracy or not phase_u.size:
+    prior_u, posterior_u, phase_u_rad = time_base_uncertainty(scene, bench, shot)
+    if not prior_u or not phase_u_rad.size:
         return
-    wanted_hz, phase_deg = scene.wanted_frequencies_hz, np.degrees(phase_u)
+    wanted_hz, phase_deg = scene.wanted_frequencies_hz, np.degrees(phase_u_rad)
     ends = dict.fromkeys((0, len(wanted_hz) - 1))
     phases = ", ".join(f"{phase_deg[index]:.2g} deg at {wanted_hz[index]:g} Hz" for index in ends)
     yield (
-        f"time base: clocks of {accuracy * 1e6:.2g} ppm, {uncertainty * 1e6:.2g} ppm after the fit, add u of the phase "
+        f"time base: clocks of {prior_u * 1e6:.2g} ppm, {posterior_u * 1e6:.2g} ppm after the fit, add u of the phase "
         f"of {phases}"
     )

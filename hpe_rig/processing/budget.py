@@ -155,8 +155,8 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     carrier_relative = averaging.carrier_relative or sources.carrier_relative
     drift = np.zeros(2) if fit.drift_m2 is None else np.diagonal(polar_covariance(fit.drift_m2, fit)[index])
     noise = _noise_components(fit, index, sources, averaging, aliasing + drift)
-    # Aliasing and beam averaging both depend on the medium: their covariance is added to the two variances.
-    aliasing, averaging_variance = _with_shared(aliasing, averaging_u**2, shared)
+    # Aliasing and beam averaging both depend on the medium, so that their errors are correlated.
+    aliasing, averaging_variance = _share_covariance(aliasing, averaging_u**2, shared)
     optional = (("carrier", carrier_relative), ("beam shape", averaging.shape_relative))
     return (
         *noise,
@@ -287,12 +287,15 @@ def with_second_order_speckle(averaging: Averaging) -> Averaging:
     return replace(averaging, speckle_relative=math.hypot(averaging.speckle_relative, second_order))
 
 
-def _with_shared(aliasing: FloatArray, averaging: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return variances of aliasing and beam averaging that include twice their covariance ``shared``, all (2,).
+def _share_covariance(
+    aliasing: FloatArray, averaging: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the variances of aliasing and beam averaging, adjusted so that their sum includes twice their covariance.
 
-    Both errors depend on the medium. A positive covariance is added to beam averaging; a negative one reduces beam
-    averaging to zero at most, and aliasing by the rest.
+    Neither is negative: twice the covariance is added to beam averaging, and what would make that negative is taken
+    from aliasing. All arrays are (amplitude, phase).
     """
+    # The covariance is at most the product of the standard deviations (Cauchy-Schwarz).
     limit = np.sqrt(aliasing * averaging)
-    combined = averaging + 2 * np.clip(shared, -limit, limit)
+    combined = averaging + 2 * np.clip(covariance, -limit, limit)
     return aliasing + np.minimum(combined, 0.0), np.maximum(combined, 0.0)

@@ -96,7 +96,7 @@ def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
 
 def _time_remarks(placement: Placement) -> list[str]:
     """Return a sentence for each fault of the triggers that the trigger times reveal."""
-    remarks = [f"{remark}: the records after it are counted on" for remark in placement.remarks]
+    remarks = [f"{remark}: later records are assigned to pulses by counting from there" for remark in placement.remarks]
     if placement.stray:
         numbers = ", ".join(str(record + 1) for record in placement.stray[:5])
         more = ", ..." if len(placement.stray) > 5 else ""

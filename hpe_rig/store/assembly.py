@@ -333,9 +333,9 @@ def _access_properties() -> h5p.PropFAID:
 
 
 def _without_torn_frames(log: Log, stream: IO[bytes]) -> Sequence[Frame]:
-    """Return the frames of ``log`` up to the first one after the last sync that is damaged.
+    """Return the frames of ``log`` before the first damaged one after the last sync; all if none there is damaged.
 
-    Frames after the last sync may be incomplete after a power loss.
+    A power loss can leave frames after the last sync incomplete. Earlier ones are not examined.
     """
     synced = max((number + 1 for number, frame in enumerate(log.frames) if frame.name in SYNCED), default=0)
     chunk_rows = _chunk_rows(log.image)

@@ -74,7 +74,7 @@ def place_records(delivered: BoolArray, time_s: FloatArray, rate_hz: float) -> P
 
     The first record on the pulse train is assigned to the first pulse. Records without trigger time are counted from
     the record before. Trigger times that step by no whole number of periods, or by more pulses than the train has, are
-    a fault of the counter: the records after the step are counted on.
+    a fault of the counter: later records are assigned to pulses by counting from there.
     """
     records, pulses = np.flatnonzero(delivered), delivered.size
     counted = Placement(np.where(delivered, np.arange(pulses), -1), delivered, delivered, pulses - records.size)

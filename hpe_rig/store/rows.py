@@ -42,9 +42,10 @@ def datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, 
 
 
 def checked_row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None) -> tuple[Any, bool]:
-    """Return row ``row`` of a dataset (None: all of it), and whether it matches its checksum.
+    """Return row ``row`` of dataset ``name`` (None: all of it), and whether it is intact.
 
-    Values that were never written or are damaged are blank. ``name``: path of the dataset.
+    A row is intact if it matches its checksum, has none, or was never written (version 2). Blank values are returned
+    where a checksum does not match.
     """
     index = () if row is None else (row,)
     values = stored_values(dataset, index)
@@ -58,15 +59,15 @@ def checked_row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int
 
 
 def row_or_blank(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int) -> Any:
-    """Return row ``row`` of a dataset, blank if it was never written or is damaged. ``name``: path of the dataset."""
+    """Return row ``row`` of dataset ``name``, blank if it was never written or is damaged."""
     values, _ = checked_row(checked, name, dataset, row)
     return values
 
 
 def checked_rows(checked: CheckedFile, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], BoolArray]:
-    """Return every row of a dataset, and which rows match their checksums, (row,).
+    """Return every row of dataset ``name``, and which rows are intact, (row,).
 
-    Rows that were never written or are damaged are blank.
+    As ``checked_row``: rows that do not match their checksums are blank.
     """
     values = stored_values(dataset)
     if not checked.has_checksums:

@@ -46,8 +46,9 @@ MAX_COPY_BYTES: Final = 1 << 30
 class StoredShot:
     """Records of one shot that stay in the file (`GatedRecords`), limited to ``samples``: the gate and its margins.
 
-    ``copy``: these samples of every record in a temporary file, unless they are too many. ``record`` (pulse,): the
-    number of each pulse's record, -1 for none; None if the numbers are equal.
+    ``valid`` (pulse,): pulses with an intact record. ``copy``: these samples of every record in a temporary file,
+    unless they are too many. ``record`` (pulse,): the number of each pulse's record, -1 for none; None if the numbers
+    are equal.
     """
 
     path: Path
@@ -77,18 +78,19 @@ class StoredShot:
     def block(self, pulses: slice) -> Int16Array:
         """Return the codes of ``pulses``, (pulse, sample), from the temporary copy or else from the run file.
 
-        They were compared with their checksums before. Missing and damaged records hold the code for missing ones.
+        Pulses without a record, or with a damaged one, are filled with ``MISSING``: ``valid``, from the checksums
+        compared before, marks the intact ones.
         """
         if self.record is None:
             codes = self._block(pulses)
         else:
-            # One block contains the records of all these pulses; each is selected from it.
-            record = self.record[pulses]
-            has_record = record >= 0
-            stop = int(record.max(initial=-1)) + 1
-            first = int(record.min(initial=stop, where=has_record))
-            codes = np.full((record.size, self.shape[1]), MISSING)
-            codes[has_record] = self._block(slice(first, stop))[record[has_record] - first]
+            # One contiguous block contains the records of all these pulses; each pulse's record is selected from it.
+            record_of_pulse = self.record[pulses]
+            has_record = record_of_pulse >= 0
+            stop = int(record_of_pulse.max(initial=-1)) + 1
+            first = int(record_of_pulse.min(initial=stop, where=has_record))
+            codes = np.full((record_of_pulse.size, self.shape[1]), MISSING)
+            codes[has_record] = self._block(slice(first, stop))[record_of_pulse[has_record] - first]
         codes[~self.valid[pulses]] = MISSING
         return codes
 
@@ -121,7 +123,7 @@ class CodesCopy:
             weakref.finalize(self, self._file.close)
 
     def add(self, codes: Int16Array) -> None:
-        """Append the next records, (pulse, sample); after an error of the disk ``complete`` is False."""
+        """Append the codes of the next records, (record, sample); after an error of the disk ``complete`` is False."""
         if self.complete:
             try:
                 self._file.write(np.ascontiguousarray(codes).data)
@@ -132,13 +134,13 @@ class CodesCopy:
                     self._file.close()
 
     def block(self, first: int, last: int) -> Int16Array:
-        """Return the codes of the records ``first`` to ``last`` - 1, (pulse, sample)."""
+        """Return the codes of the records ``first`` to ``last`` - 1, (record, sample)."""
         codes = np.empty((max(0, last - first), self._samples), np.int16)
         self._file.seek(2 * first * self._samples)
         if self._file.readinto(codes.data) != codes.nbytes:
             raise StoreError(
                 "records of a long shot, copied to a temporary file, cannot be read back: another program has cut it. "
-                "Try: again, and leave the folder of temporary files alone meanwhile."
+                "Try: repeat the command, and leave the folder of temporary files alone meanwhile."
             )
         return codes
 

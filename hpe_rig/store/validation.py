@@ -186,7 +186,8 @@ def _access_properties() -> h5p.PropFAID:
 def declared_size(path: Path) -> int:
     """Return the length of the file that its superblock (HDF5's header) states.
 
-    Raises ``InvalidContentError`` if the header is not that of a run file.
+    Raises ``StoreError`` if ``path`` is no regular file, and ``InvalidContentError`` if the header is not that of a run
+    file.
     """
     if not path.is_file():
         problem = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"

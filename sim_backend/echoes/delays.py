@@ -69,7 +69,7 @@ class EchoDelays:
         max_change_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
         return self.rest_s - max_change_s, self.rest_s + max_change_s
 
-    def of(self, scatterers: Int64Array) -> EchoDelays:
+    def selected(self, scatterers: Int64Array) -> EchoDelays:
         """Return the delays of the scatterers with the indices ``scatterers``."""
         response = None if self.response is None else self.response[:, scatterers]
         return EchoDelays(
@@ -151,11 +151,11 @@ def check_delays(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArr
 
 
 def check_axes(arrays: dict[str, FloatArray], axes: dict[str, str]) -> None:
-    """Raise ValueError if an array has another number of axes or two arrays differ in the length of a shared axis.
+    """Raise ValueError if an array lacks the axes that ``axes`` lists, or two arrays differ along a shared axis.
 
-    ``axes``: by name of the array the names of its axes, such as "shape, scatterer".
+    ``axes``: maps the name of each array to the names of its axes, such as "shape, scatterer".
     """
-    # By axis: the first array that has it, and its length there.
+    # For each axis, the name of the first array that has it and the length of that axis.
     first_use: dict[str, tuple[str, int]] = {}
     for name, array in arrays.items():
         axis_names = axes[name].split(", ")

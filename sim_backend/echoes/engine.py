@@ -121,13 +121,13 @@ def _synthesise(
     reachable = reachable_scatterers(delays, weight, pulse, sample_time_s)
     limit = negligible_weight(weight[reachable], pulse, sample_time_s, tolerance)
     strong = reachable[np.abs(weight[reachable]) > limit]
-    synthesis = _to_tolerance(delays.of(strong), weight[strong], pulse, sample_time_s, tolerance, method)
+    synthesis = _to_tolerance(delays.selected(strong), weight[strong], pulse, sample_time_s, tolerance, method)
     if len(strong) < len(reachable):
         weight_sum = float(np.abs(weight[reachable]).sum() - np.abs(weight[strong]).sum())
         omitted = weight_sum * float(np.abs(pulse.amplitude).sum())
         # If scatterers cancel each other, the estimated rms was too high and the bound fails: include all.
         if omitted > 2 * OMITTED_FRACTION * tolerance * _rms(synthesis.echo):
-            return _to_tolerance(delays.of(reachable), weight[reachable], pulse, sample_time_s, tolerance, method)
+            return _to_tolerance(delays.selected(reachable), weight[reachable], pulse, sample_time_s, tolerance, method)
     return synthesis
 
 
@@ -215,7 +215,7 @@ def _series_by_blocks(
     # `series` needs ascending delays.
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
         order = np.argsort(delays.rest_s, kind="stable")
-        delays, weight = delays.of(order), weight[order]
+        delays, weight = delays.selected(order), weight[order]
     # Bound on the change of any delay by the motion.
     max_change_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
     # `series` computes several rows (draws or gates); these echoes are a single row, row 0.

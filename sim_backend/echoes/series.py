@@ -345,14 +345,14 @@ class _Crossings:
     sample_count: Int64Array
     """Number of samples that the edge can reach."""
 
-    def of(self, selection: slice) -> _Crossings:
-        """Return those edges of pulses that ``selection`` selects."""
+    def selected(self, rows: slice | Int64Array) -> _Crossings:
+        """Return the crossing edges with the indices ``rows``."""
         return _Crossings(
-            scatterer=self.scatterer[selection],
-            edge=self.edge[selection],
-            time_s=self.time_s[selection],
-            first_sample=self.first_sample[selection],
-            sample_count=self.sample_count[selection],
+            scatterer=self.scatterer[rows],
+            edge=self.edge[rows],
+            time_s=self.time_s[rows],
+            first_sample=self.first_sample[rows],
+            sample_count=self.sample_count[rows],
         )
 
 
@@ -379,13 +379,13 @@ def _correct_crossings(
     crossed = 1 + (2 * max_reach_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
     limit = budget / (2 * len(reach_s) * crossed)
     crossings = _significant_edges(scatterer_rows, tables, pulse, sample_time_s, reach_s, limit)
-    orders = _taylor_orders(
+    term_count = _taylor_term_count(
         tables.scale_rad_per_s * max_reach_s, limit / max_weight / max(1.0, float(np.abs(pulse.amplitude).sum()))
     )
-    taylor = tables.taylor[:, :, :orders]
+    taylor = tables.taylor[:, :, :term_count]
     edges_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
     for first in range(0, len(crossings.edge), edges_per_chunk):
-        chunk = crossings.of(slice(first, first + edges_per_chunk))
+        chunk = crossings.selected(slice(first, first + edges_per_chunk))
         _correct_edges(out, scatterer_rows, rest_sample, chunk, taylor, sample_time_s)
 
 
@@ -414,14 +414,7 @@ def _significant_edges(
     time_s = scatterer_rows.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[edge]
     first_sample = sample_time_s.searchsorted(time_s - reach_s[scatterer])
     sample_count = sample_time_s.searchsorted(time_s + reach_s[scatterer], side="right") - first_sample
-    crossing = np.flatnonzero(sample_count)
-    return _Crossings(
-        scatterer=scatterer[crossing],
-        edge=edge[crossing],
-        time_s=time_s[crossing],
-        first_sample=first_sample[crossing],
-        sample_count=sample_count[crossing],
-    )
+    return _Crossings(scatterer, edge, time_s, first_sample, sample_count).selected(np.flatnonzero(sample_count))
 
 
 def _pulse_bound_near_edge(response: ComplexArray | None, jump: ComplexArray, reach_s: FloatArray) -> FloatArray:
@@ -510,16 +503,16 @@ def _crossing_corrections(
     return np.asarray(correction)
 
 
-def _taylor_orders(angle_rad: float, tolerance: float) -> int:
-    """Return the number of Taylor coefficients that represent a pulse near its edges to ``tolerance``.
+def _taylor_term_count(angle_rad: float, tolerance: float) -> int:
+    """Return how many Taylor terms n keep the remainder angle^n / n! below ``tolerance``, at most ``_TAYLOR_ORDERS``.
 
-    ``angle_rad`` is the phase of the highest frequency over the longest time that an edge moves.
+    ``angle_rad``: phase that the pulse's highest frequency gains over the largest time shift of an edge.
     """
-    remainder, orders = angle_rad, 1
-    while remainder > tolerance and orders < _TAYLOR_ORDERS:
-        orders += 1
-        remainder *= angle_rad / orders
-    return orders
+    remainder, term_count = angle_rad, 1
+    while remainder > tolerance and term_count < _TAYLOR_ORDERS:
+        term_count += 1
+        remainder *= angle_rad / term_count
+    return term_count
 
 
 def _max_abs(values: FloatArray) -> float:

@@ -39,12 +39,14 @@ def sphere_response(
     """Return the displacement of a rigid sphere over the force on it, m/N (frequency,).
 
     ``modulus_pa`` (frequency,): complex shear modulus of the medium at complex frequencies ``s_per_s`` (frequency,).
-    Oestreicher's impedance in an incompressible medium: drag plus inertia of the sphere.
+    The force over the displacement is that of the medium, by Oestreicher's impedance, plus the sphere's inertia.
     """
     a = sphere.radius_m
-    relative_radius = a * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
-    drag = 6 * math.pi * a * modulus_pa * (1 + relative_radius + relative_radius**2 / 9)
-    return np.asarray(1 / (drag + sphere_mass_kg(sphere) * s_per_s**2))
+    # Wave number of shear waves times the radius, times j for s = jw.
+    wavenumber_radius = a * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
+    # Impedance is force over velocity: times s it is force over displacement.
+    medium_n_per_m = 6 * math.pi * a * modulus_pa * (1 + wavenumber_radius + wavenumber_radius**2 / 9)
+    return np.asarray(1 / (medium_n_per_m + sphere_mass_kg(sphere) * s_per_s**2))
 
 
 def sphere_force_volume_m3(specimen: Specimen, sphere: Sphere) -> float:

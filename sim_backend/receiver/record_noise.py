@@ -42,7 +42,10 @@ class RecordNoise:
         self._latest_block: tuple[int, int, int] | None = None
 
     def source_for(self, capture: Capture) -> NoiseSource:
-        """Return a function that returns the noise of the records of ``capture``, (record, sample), V."""
+        """Return a function that waits for and returns the noise of the records of ``capture``, (record, sample), V.
+
+        When blocks are requested in sequence, the next one is drawn ahead in a thread.
+        """
         records, shape = len(capture.first_sample_ps), (len(capture.first_sample_ps), capture.samples)
         if self._receiver.snr_db is None:
             zeros = np.zeros(shape)
@@ -52,17 +55,18 @@ class RecordNoise:
             noise = self._draw(capture)
             return lambda: noise
         future = future or self._submit(capture)
-        # A shorter block is the capture's last.
+        # The block continues the latest one. A shorter block is the capture's last, so no block follows it.
         if self._latest_block == (capture.index, capture.first_record - records, records):
             following = replace(capture, first_record=capture.first_record + records)
             self._next_block = following, self._submit(following)
         self._latest_block = capture.index, capture.first_record, records
+        # The block drawn ahead can be longer than the capture.
         return lambda: future.result()[:records]
 
     def _next_block_for(self, capture: Capture) -> Future[FloatArray] | None:
-        """Return the block of noise drawn in advance if ``capture`` is its beginning, else None.
+        """Return the block of noise drawn in advance if it begins with the records of ``capture``, else None.
 
-        A block that does not fit is awaited and discarded.
+        A block of other records is awaited and discarded.
         """
         if self._next_block is None:
             return None

@@ -67,11 +67,15 @@ def with_preset(settings: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
 
 
 def with_preset_depth(settings: Any) -> Any:
-    """Return the twin's settings with the preset's ``specimen.depth_m`` adapted to other settings.
+    """Return the twin's settings with ``specimen.depth_m`` set where other settings contradict the preset's depth.
 
-    An attenuation of ``scatterers`` replaces the specimen's, so the depth is omitted. A depth in ``propagation``
-    overrides the preset's. A focus nearer than the preset's depth lies in the specimen entirely. Settings of another
-    form are returned unchanged.
+    The first of these cases decides:
+
+    * ``scatterers`` has an attenuation, which replaces the specimen's: no depth.
+    * ``propagation`` has a depth of the specimen: that depth.
+    * The focus is nearer than the preset's depth: the depth of the focus, since the whole path is in the specimen.
+
+    Otherwise, with a depth in ``specimen``, or for settings of another form, the settings are returned unchanged.
     """
     sections = settings if isinstance(settings, Mapping) else {}
     specimen, scatterers, propagation, beams = (

@@ -151,10 +151,13 @@ class Scatterers(Section):
 
 
 def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:
-    """Return the volume of the tracking beam I above -6 dB (1/2): an ellipsoid with half axes T sqrt(2 ln 2)."""
+    """Return the volume where the amplitude response of the tracking beam exceeds 1/2 (-6 dB).
+
+    It is an ellipsoid with half axes T sqrt(2 ln 2), T the sigmas ``tracking_width_m``.
+    """
     # exp(-r²/2T²) = 1/2 at r = T sqrt(2 ln 2).
-    axis = math.sqrt(2 * math.log(2))
-    return 4 / 3 * math.pi * math.prod(width_m * axis for width_m in tracking_width_m)
+    half_axis_per_width = math.sqrt(2 * math.log(2))
+    return 4 / 3 * math.pi * math.prod(width_m * half_axis_per_width for width_m in tracking_width_m)
 
 
 def scatterer_count(scatterers: Scatterers, beams: Beams) -> int:

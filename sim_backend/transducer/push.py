@@ -247,15 +247,16 @@ def _water_layer(propagation: Propagation, speed_m_per_s: float, thickness_m: fl
 
 
 def equivalent_force(beam: Beam, focus_m: float, width_m: Triple, start_m: float) -> float:
-    """Return the density of the Gaussian force of ``width_m`` with the static displacement at the focus of ``beam``.
+    """Return the peak density of a Gaussian force of sigmas ``width_m`` with the same effect as the force of ``beam``.
 
-    A point force along z at a distance R displaces an incompressible elastic medium by (1 + z²/R²) / R (Kelvin). Both
-    forces are summed over the same nodes from ``start_m`` on, so the error at the pole is common to both.
+    Both forces, summed beyond the depth ``start_m``, displace the focus equally in the static case. A point force along
+    z at a distance R displaces an incompressible elastic medium in proportion to (1 + z²/R²) / R (Kelvin).
     """
-    depth_m, lateral_m, volume_m3, force = beam.force_at[:, beam.force_at[0] > start_m]
-    z = depth_m - focus_m
-    distance_m = np.hypot(lateral_m, z)
-    displacement = volume_m3 * (1 + (z / distance_m) ** 2) / distance_m
+    depth_m, lateral_m, volume_m3, force_n_per_m3 = beam.force_at[:, beam.force_at[0] > start_m]
+    z_m = depth_m - focus_m
+    distance_m = np.hypot(lateral_m, z_m)
+    displacement = volume_m3 * (1 + (z_m / distance_m) ** 2) / distance_m
     lateral_width_m, _, axial_width_m = width_m
-    gaussian = np.exp(-0.5 * ((lateral_m / lateral_width_m) ** 2 + (z / axial_width_m) ** 2))
-    return float((displacement * force).sum() / (displacement * gaussian).sum())
+    gaussian = np.exp(-0.5 * ((lateral_m / lateral_width_m) ** 2 + (z_m / axial_width_m) ** 2))
+    # Both sums use the same nodes, so the error from the singularity at R = 0 largely cancels in their ratio.
+    return float((displacement * force_n_per_m3).sum() / (displacement * gaussian).sum())

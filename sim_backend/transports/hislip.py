@@ -45,6 +45,8 @@ HEADER: Final = struct.Struct("!2sBBIQ")
 PROLOGUE: Final = b"HS"
 VERSION_1_0: Final = 0x0100
 MAXIMUM_BYTES: Final = MAX_BYTES
+VENDOR_ID: Final = b"\0\0TW"
+"""Two letters that identify the vendor of a server, in the last bytes of a parameter: TW is the twin."""
 
 
 class Message(NamedTuple):
@@ -82,7 +84,7 @@ class HislipServer:
             self._answer_synchronous(peer, session)
         elif first.kind == Kind.ASYNC_INITIALIZE:
             # A client's second connection carries asynchronous messages; it names the session of the first.
-            send(peer, Message(Kind.ASYNC_INITIALIZE_RESPONSE, 0, int.from_bytes(b"\0\0TW"), b""))
+            send(peer, Message(Kind.ASYNC_INITIALIZE_RESPONSE, 0, int.from_bytes(VENDOR_ID), b""))
             owner = f"session {first.parameter & 0xFFFF}"
             try:
                 self._answer_asynchronous(peer, owner)

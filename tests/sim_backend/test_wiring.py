@@ -18,9 +18,9 @@ from sim_backend.wiring import (
     SimulatedClock,
     Steps,
     accepted,
+    bursts_at_amplifiers,
     cables_of,
     crossings,
-    driven,
     joined_steps,
     near,
     no_bursts,
@@ -331,5 +331,5 @@ def test_a_train_of_too_many_pulses_is_refused():
 def test_drive_voltage_is_that_across_50_ohm():
     emission = respond([(0, sine())], [], ttl([0]), 0, FAR_PS)
     cables = cables_of([("toneburst.output", "transducer.drive", 1e-9)], ["toneburst.output"], ["transducer.drive"])
-    arrived = driven(cables, {"toneburst": emission}, ["toneburst"])
+    arrived = bursts_at_amplifiers(cables, {"toneburst": emission}, ["toneburst"])
     assert (arrived.onset_ps[0], arrived.amplitude_vpp[0]) == (1000, 1.0)

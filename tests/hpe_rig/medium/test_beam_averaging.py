@@ -59,7 +59,7 @@ def test_speckle_off_the_axis_changes_area_and_offset_of_the_beam_as_two_effects
     def tracked(area: float, offset: float) -> NDArray[np.complex128]:
         """Return the tracked motion with changes of the logarithm of the area, and of the offset over the radius."""
         width_m = TRACKING_M[0] * np.sqrt(1 + area)
-        radius_m = np.sqrt(BeamWidths(FORCE_M, TRACKING_M, 0.3e-3).tracking_area_m2)
+        radius_m = np.sqrt(BeamWidths(FORCE_M, TRACKING_M, 0.3e-3).tracking_variance_m2)
         beams = BeamWidths(FORCE_M, (width_m, width_m, TRACKING_M[2]), 0.3e-3)
         return np.asarray(off_axis_motion(medium, beams, np.array([lateral_m + offset * radius_m]))[0][:, 0])
 
@@ -71,6 +71,25 @@ def test_speckle_off_the_axis_changes_area_and_offset_of_the_beam_as_two_effects
     # The phase of the motion falls with the offset; ratios of frequencies depend on the signs of both effects.
     relative = steepness / tracked(0.0, 0.0)
     assert relative[1, -1].imag < relative[1, 0].imag < 0
+
+
+@pytest.mark.parametrize("lateral_m", [0.0, 0.02e-3, 0.3e-3])
+def test_random_echoes_change_log_area_and_relative_offset_by_the_same_standard_deviation(lateral_m: float) -> None:
+    # The mean over N random points of the beam's echo energy has the standard deviation sd(u) / sqrt(N).
+    # On the axis the area alone matters, next to it both effects, farther off mostly the offset.
+    node, node_weight = np.polynomial.hermite_e.hermegauss(7)
+    weight = np.outer(node_weight, node_weight).ravel() / node_weight.sum() ** 2
+    x_m, y_m = (TRACKING_M[0] / np.sqrt(2) * grid for grid in np.meshgrid(node, node))
+    distance_m, index = np.unique(np.hypot(lateral_m + x_m, y_m).ravel().round(12), return_inverse=True)
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    motion = field_transfer(specimen, FORCE_M, distance_m, np.zeros(1), FREQUENCY_HZ)[:, index, 0]
+    relative = motion / (motion @ weight)[:, None] - 1
+    medium = HarmonicMedium.voigt(9e3, 2.0, FREQUENCY_HZ)
+    tracked, _, steepness = tracked_motion(medium, BeamWidths(FORCE_M, TRACKING_M, 0.0, lateral_offset_m=lateral_m))
+    for component in (np.real, np.imag):
+        predicted = np.linalg.norm(component(steepness / tracked), axis=0)
+        # Linear in both effects: the second order of the beam's variance over the force's, 0.1, is left out.
+        np.testing.assert_allclose(predicted, np.sqrt(component(relative) ** 2 @ weight), rtol=0.1**2)
 
 
 def test_a_gaussian_of_the_scaled_width_has_the_same_averaging() -> None:
