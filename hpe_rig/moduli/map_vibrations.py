@@ -46,25 +46,26 @@ def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibrati
         vibration = vibration_at(scene_at_line, "coherent", label, _pixel(motion_map, line, index))
         selected = detected(vibration)
         if not selected.all():
-            below = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])
-            omitted.append(f"{label}: {below} Hz, less than {DETECTED:g} times its uncertainty")
+            weak = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])
+            omitted.append(f"{label}: {weak} Hz, less than {DETECTED:g} times its uncertainty")
         if selected.any():
             vibrations.append(vibration.at_frequencies(selected))
     if len(vibrations) <= MAX_LINES:
         return vibrations, omitted
     omitted.append(f"{len(vibrations) - MAX_LINES} of {len(vibrations)} lines: {MAX_LINES}, evenly spread, are fitted")
-    spread = np.rint(np.linspace(0, len(vibrations) - 1, MAX_LINES)).astype(int)
-    return [vibrations[index] for index in spread], omitted
+    fitted_lines = np.rint(np.linspace(0, len(vibrations) - 1, MAX_LINES)).astype(int)
+    return [vibrations[line] for line in fitted_lines], omitted
 
 
 def _pixel(motion_map: MotionMap, line: int, depth: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return frequencies and phasors (frequency,) of a pixel, and the covariance of their real and imaginary parts.
+    """Return frequencies and phasors (frequency,), m, of the pixel at the indices ``line`` and ``depth``, and their u.
 
-    The covariance (2 * frequency, 2 * frequency) has no terms between frequencies, which a long train separates.
+    u is the covariance (2 * frequency, 2 * frequency), m², of real and imaginary parts. It has no terms between
+    frequencies, which a long train separates.
     """
-    at = line, depth
-    amplitude_m, phase_rad = motion_map.amplitude_m[at], motion_map.phase_rad[at]
-    along_m, across_m = motion_map.amplitude_uncertainty_m[at], amplitude_m * motion_map.phase_uncertainty_rad[at]
+    pixel = line, depth
+    amplitude_m, phase_rad = motion_map.amplitude_m[pixel], motion_map.phase_rad[pixel]
+    along_m, across_m = motion_map.amplitude_uncertainty_m[pixel], amplitude_m * motion_map.phase_uncertainty_rad[pixel]
     covariance = np.zeros((2 * phase_rad.size, 2 * phase_rad.size))
     for index, (angle, *sigma) in enumerate(zip(phase_rad, along_m, across_m, strict=True)):
         # From errors along and across the phasor to those of its real and imaginary parts.

@@ -45,21 +45,25 @@ def fit_stated_motion(
     not resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, np.float64)
-    is_velocity, wanted_states = quantity == "velocity", slice(2 * frequency_hz.size)
+    is_velocity, harmonic_states = quantity == "velocity", slice(2 * frequency_hz.size)
     # The constant of a velocity is the slope of the displacement.
     order = 0 if is_velocity else 1
     model = linear_model(time_s, valid, frequency_hz, background_order=order)
     pulses, states = model.matrix.shape
     state, residual = model.solve(motion[..., valid])
+    # Noise variance of one value, from the residual and its degrees of freedom.
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     unit_covariance = model.root @ model.root.T
     # The velocity of a phasor x is j w x, with the in-phase and quadrature states -w Im x and w Re x.
     omega = 2 * np.pi * frequency_hz
-    turn = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]]) if is_velocity else np.eye(2 * frequency_hz.size)
-    covariance = variance[..., None, None] * (turn @ unit_covariance[wanted_states, wanted_states] @ turn.T)
+    to_displacement = np.eye(2 * frequency_hz.size)
+    if is_velocity:
+        to_displacement = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]])
+    per_variance = to_displacement @ unit_covariance[harmonic_states, harmonic_states] @ to_displacement.T
+    covariance = variance[..., None, None] * per_variance
     residual_m = np.asarray(np.sqrt(variance) / (omega.min() if is_velocity else 1.0))
     quality = FitQuality(residual_m, float(pulses - states), pulses, model.condition)
-    fit = fit_from_state(frequency_hz, state[..., wanted_states] @ turn.T, covariance, quality)
+    fit = fit_from_state(frequency_hz, state[..., harmonic_states] @ to_displacement.T, covariance, quality)
     # The column of the slope runs from -1 to 1 over the train.
     per_second = 1.0 if is_velocity else 2 / (time_s[valid][-1] - time_s[valid][0])
     slope = 2 * frequency_hz.size + order

@@ -5,8 +5,7 @@
 The phase of the mixer is unknown. It is constant, so it does not affect the estimated motion.
 
 Interpolation leaves images of the band at multiples of the sampling rate. Mixed up, one of them can lie at the negative
-carrier, and the real part adds it to the echoes: an image of -55 dB changed amplitudes by up to 0.08 %. So the filter
-suppresses images by 100 dB.
+carrier, and the real part adds it to the echoes. So the filter suppresses images by 100 dB.
 """
 
 from __future__ import annotations

@@ -52,13 +52,13 @@ def export_run(
     return (*omitted, *(f"shot {shot + 1}: {count} missing records" for shot, count in missing.items() if count))
 
 
-def _format_of(path: Path, file_format: str | None) -> ExportFormat:
-    formats: dict[str, ExportFormat] = {name: name for name in SUFFIXES.values()}
-    known = SUFFIXES.get(path.suffix.lower()) if file_format is None else formats.get(file_format)
-    if known is None:
-        what = f"the ending of {path.name} implies no format" if file_format is None else f"{file_format!r} is unknown"
-        raise SettingsError("export", [Mistake("format", what, f"one of {', '.join(formats)}")])
-    return known
+def _format_of(path: Path, file_format: ExportFormat | None) -> ExportFormat:
+    """Return ``file_format``, by default that of the ending of ``path``; raise ``SettingsError`` for no format."""
+    selected = file_format or SUFFIXES.get(path.suffix.lower())
+    if selected is None or selected not in SUFFIXES.values():
+        what = f"{selected!r} is unknown" if selected else f"the ending of {path.name} implies no format"
+        raise SettingsError("export", [Mistake("format", what, f"one of {', '.join(SUFFIXES.values())}")])
+    return selected
 
 
 def _selected_shots(run: Run, shots: Sequence[int] | None) -> tuple[list[Shot], tuple[str, ...]]:
@@ -72,15 +72,14 @@ def _selected_shots(run: Run, shots: Sequence[int] | None) -> tuple[list[Shot], 
     ]
     if mistakes:
         raise SettingsError("export", mistakes)
-    wanted = range(total) if shots is None else sorted(set(shots))
-    indices = [shot for shot in wanted if complete[shot] and (shots is not None or shot not in marks)]
+    indices, omitted = list[int](), list[str]()
+    for shot in range(total) if shots is None else sorted(set(shots)):
+        if complete[shot] and (shots is not None or shot not in marks):
+            indices.append(shot)
+        else:
+            omitted.append(f"shot {shot + 1} is left out: {marks[shot] if complete[shot] else 'incomplete'}")
     if not indices:
         raise StoreError(f"{run.path} has no complete shot to export. Try: another run, or hpe-rig resume.")
-    omitted = [
-        f"shot {shot + 1} is left out: {marks[shot] if complete[shot] else 'incomplete'}"
-        for shot in wanted
-        if shot not in indices
-    ]
     return [run.plan.shots[shot] for shot in indices], tuple(omitted)
 
 

@@ -213,7 +213,7 @@ def _quantisation(recording: Recording) -> tuple[ToCodes, float, list[str]]:
     """
     values = recording.values
     if are_codes(values):
-        return _kept_integers(recording)
+        return _integer_quantisation(recording)
     # One shot in memory at a time.
     largest = max(float(np.abs(shot).max()) for line in values for shot in line)
     unit_v = 1.0 if recording.scale_v is None else recording.scale_v
@@ -233,7 +233,7 @@ def _quantisation(recording: Recording) -> tuple[ToCodes, float, list[str]]:
     return to_codes, 2 * range_v / (2 * MAX_CODE + 3), inferred
 
 
-def _kept_integers(recording: Recording) -> tuple[ToCodes, float, list[str]]:
+def _integer_quantisation(recording: Recording) -> tuple[ToCodes, float, list[str]]:
     """Return the function from integers of up to 16 bits to codes around zero, and as ``_quantisation``."""
     values, scale_v = recording.values, recording.scale_v
     zero, inferred = zero_code(values), []

@@ -27,10 +27,11 @@ from hpe_rig.scene import (
     scene_text,
 )
 
-UNUSED_RATE_HZ = 1000.0
-
 if TYPE_CHECKING:
     from hpe_rig.moduli import ModuliResult
+
+UNUSED_RATE_HZ = 1000.0
+"""Pulse rate of a scene that states none; any rate gives the same moduli."""
 
 
 def map_motion(
@@ -76,7 +77,7 @@ def fit_map_moduli(
     name, text = scene_text(scene)
     tracking = parse_toml(text, f"scene {name}").get("tracking", {})
     if isinstance(tracking, dict) and "pulse_rate_hz" not in tracking:
-        # The recording has a rate, which the fit does not use, and every scene needs one.
+        # Every scene needs a rate; that of the recording is unknown after the map.
         text = edited_text(text, {path_of("tracking.pulse_rate_hz"): UNUSED_RATE_HZ})
     try:
         return moduli_of_map(motion_map, parse_scene(name, text).scene, fitted_laws, width_uncertainty)
