@@ -56,16 +56,16 @@ def fit_stated_motion(
     unit_covariance = model.root @ model.root.T
     # The velocity of a phasor x is j w x, with the in-phase and quadrature states -w Im x and w Re x.
     omega = 2 * np.pi * frequency_hz
-    to_displacement = np.eye(2 * frequency_hz.size)
-    if is_velocity:
-        to_displacement = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]])
+    # Matrix from the states of the motion to those of the displacement.
+    velocity_to_displacement = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]])
+    to_displacement = velocity_to_displacement if is_velocity else np.eye(2 * frequency_hz.size)
     per_variance = to_displacement @ unit_covariance[harmonic_states, harmonic_states] @ to_displacement.T
     covariance = variance[..., None, None] * per_variance
     residual_m = np.asarray(np.sqrt(variance) / (omega.min() if is_velocity else 1.0))
     quality = FitQuality(residual_m, float(pulses - states), pulses, model.condition)
     fit = fit_from_state(frequency_hz, state[..., harmonic_states] @ to_displacement.T, covariance, quality)
     # The column of the slope runs from -1 to 1 over the train.
-    per_second = 1.0 if is_velocity else 2 / (time_s[valid][-1] - time_s[valid][0])
+    per_second = 1.0 if is_velocity else 2 / (time_s[-1] - time_s[0])
     slope = 2 * frequency_hz.size + order
     velocity_u = np.sqrt(variance * unit_covariance[slope, slope]) * per_second
     return fit, np.asarray(state[..., slope] * per_second), np.asarray(velocity_u)

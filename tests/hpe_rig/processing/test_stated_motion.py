@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hpe_rig as hpe
+from hpe_rig.processing.stated_motion import fit_stated_motion
 
 RATE_HZ, F_HZ, AMPLITUDE_M, PHASE_RAD, SERIES, NOISE_M = 2000.0, 150.0, 1e-6, 0.4, 1200, 30e-9
 TIME_S = np.arange(100) / RATE_HZ
@@ -56,6 +57,14 @@ def test_a_velocity_gives_the_result_of_its_displacement() -> None:
         # Without noise rounding to doubles remains.
         assert shot.estimates[0].amplitude_m == pytest.approx(AMPLITUDE_M, rel=1e-9)
         assert shot.estimates[0].phase_rad == pytest.approx(PHASE_RAD, abs=1e-9)
+
+
+def test_missing_values_at_the_ends_leave_the_mean_velocity() -> None:
+    valid = np.ones(TIME_S.size, bool)
+    valid[:10] = valid[-20:] = False
+    motion = displacement_m() + 3e-6 * TIME_S
+    _, velocity, _ = fit_stated_motion(motion, valid, TIME_S, [F_HZ], "displacement")
+    assert velocity == pytest.approx(3e-6, rel=1e-6)
 
 
 def test_the_clock_is_part_of_the_phase_uncertainty() -> None:
