@@ -123,12 +123,7 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
     tracked, peak, by_speckle = tracked_motion(medium, beams)
-    steepness = by_speckle / tracked
-    return (
-        tracked / peak,
-        np.zeros_like(tracked),
-        _of_both_effects(steepness.real) + 1j * _of_both_effects(steepness.imag),
-    )
+    return tracked / peak, np.zeros_like(tracked), _of_both_effects(by_speckle / tracked)
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
@@ -157,13 +152,17 @@ def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
         return np.asarray(np.copysign(np.sqrt(np.mean(values**2, axis=1)), values.mean(axis=1)))
 
     deviation = log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0)
-    merged = _of_both_effects(rms(steepness.real)) + 1j * _of_both_effects(rms(steepness.imag))
-    return np.exp(log_ratio.mean(axis=0)), deviation, merged
+    rms_steepness = np.asarray(rms(steepness.real) + 1j * rms(steepness.imag))
+    return np.exp(log_ratio.mean(axis=0)), deviation, _of_both_effects(rms_steepness)
 
 
-def _of_both_effects(values: FloatArray) -> FloatArray:
-    """Return the root sum of squares of ``values`` (effect, frequency), with the sign of the first effect."""
-    return np.asarray(np.copysign(np.linalg.norm(values, axis=0), values[0]))
+def _of_both_effects(steepness: ComplexArray) -> ComplexArray:
+    """Return the root sum of squares over the effects of ``steepness`` (effect, frequency), with the first one's sign.
+
+    Real part (amplitude) and imaginary part (phase) are summed each by itself.
+    """
+    amplitude, phase = (np.copysign(np.linalg.norm(part, axis=0), part[0]) for part in (steepness.real, steepness.imag))
+    return np.asarray(amplitude + 1j * phase)
 
 
 def _prior_ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
