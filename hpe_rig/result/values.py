@@ -6,7 +6,7 @@ import cmath
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from hpe_rig.result.influence import Influence
@@ -156,17 +156,7 @@ class Estimate:
     @property
     def headline(self) -> Headline:
         """Amplitude and phase with the uncertainties of all components."""
-        sources_m = [(source.amplitude_m, source.degrees_of_freedom) for source in self.budget]
-        sources_rad = [(source.phase_rad, source.degrees_of_freedom) for source in self.budget]
-        return Headline(
-            amplitude_m=self.amplitude_m,
-            amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources_m)),
-            phase_rad=self.phase_rad,
-            phase_uncertainty_rad=math.hypot(*(u_rad for u_rad, _ in sources_rad)),
-            corrected=self.corrected,
-            interval_95_m=interval_95(sources_m),
-            interval_95_rad=phase_interval_95_rad(sources_rad),
-        )
+        return Headline(**{item.name: getattr(self, item.name) for item in fields(Headline)})
 
     @property
     def corrected(self) -> bool:
@@ -191,12 +181,12 @@ class Estimate:
     @property
     def amplitude_uncertainty_m(self) -> float:
         """Combined standard uncertainty of ``amplitude_m``, from all components."""
-        return self.headline.amplitude_uncertainty_m
+        return math.hypot(*(source.amplitude_m for source in self.budget))
 
     @property
     def phase_uncertainty_rad(self) -> float:
         """Combined standard uncertainty of ``phase_rad``, from all components."""
-        return self.headline.phase_uncertainty_rad
+        return math.hypot(*(source.phase_rad for source in self.budget))
 
     @property
     def phasor_m(self) -> complex:
@@ -227,12 +217,12 @@ class Estimate:
     @property
     def interval_95_m(self) -> float:
         """Half width of the 95 % interval about ``amplitude_m``."""
-        return self.headline.interval_95_m
+        return interval_95([(source.amplitude_m, source.degrees_of_freedom) for source in self.budget])
 
     @property
     def interval_95_rad(self) -> float:
         """Half width of the 95 % interval about ``phase_rad``."""
-        return self.headline.interval_95_rad
+        return phase_interval_95_rad([(source.phase_rad, source.degrees_of_freedom) for source in self.budget])
 
     @property
     def amplitude_error(self) -> float | None:
