@@ -86,8 +86,8 @@ class Ensemble:
 
     ``tracked`` is the mean over tracking beam and gate, ``peak`` the displacement on the beam's axis at the focus, both
     up to one real factor a member. ``steepness`` (effect, member, node) has the derivatives of ``tracked`` by the
-    logarithm of the tracking beam's area and, off the axis, by the beam's offset, which speckle changes. ``voigt``
-    (member,) marks Voigt media. The first ``exact_nodes`` nodes are harmonics and are not interpolated.
+    logarithm of the tracking beam's area and, off the axis, by the beam's offset over its radius; speckle changes both.
+    ``voigt`` (member,) marks Voigt media. The first ``exact_nodes`` nodes are harmonics and are not interpolated.
     """
 
     node_hz: FloatArray

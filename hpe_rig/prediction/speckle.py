@@ -26,7 +26,7 @@ INSTANTS = 64
 BAND_OVER_CARRIER = 1.0
 """Width of the band over the carrier."""
 MAX_SCATTERERS = 5000
-"""Scatterers of one draw. With tens in every resolution cell the sums are nearly normal.
+"""Largest mean number of scatterers of one draw. With tens in every resolution cell the sums are nearly normal.
 
 The excess of their fourth moment is inversely proportional to the number in a cell."""
 BLOCK_DRAWS = 50

@@ -47,8 +47,8 @@ class AveragingRule:
         factor = (1 - loss_scale (1 - |r|)) geometry_factor,    phase = arg r + geometry_phase_rad
 
     ``loss_scale``: loss with few speckles and scatterers over the loss with many. ``area_spread``: standard deviation,
-    over speckle, of the logarithm of the tracking beam's area. The geometry is that of a gate off the focus, oblique
-    waves and a force that is not Gaussian.
+    over speckle, of the logarithm of the tracking beam's area, and also of the beam's offset over its radius. The
+    geometry is that of a gate off the focus, oblique waves and a force that is not Gaussian.
     """
 
     area_spread: float = 0.0

@@ -75,7 +75,7 @@ class ShotRecords:
         return replace(self, codes=self.codes[:, samples], margin=margins)
 
     def placed(self, placement: Placement) -> ShotRecords:
-        """Return records in the order of arrival at the pulses of ``placement``."""
+        """Return these records, numbered by their arrival, assigned to the pulses of ``placement``."""
         if placement.is_identity:
             return self
         record = placement.record

@@ -64,7 +64,7 @@ class StoredShot:
     record: Int64Array | None = None
 
     def placed(self, placement: Placement) -> StoredShot:
-        """Return records in the order of arrival at the pulses of ``placement``."""
+        """Return these records, numbered by their arrival, assigned to the pulses of ``placement``."""
         record = placement.record
         has_record = record >= 0
         valid, damaged = (has_record & values[np.maximum(record, 0)] for values in (self.valid, self.damaged))

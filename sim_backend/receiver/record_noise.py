@@ -39,6 +39,7 @@ class RecordNoise:
         # One thread, so that blocks are drawn in order.
         self._thread: ThreadPoolExecutor | None = None
         self._next_block: tuple[Capture, Future[FloatArray]] | None = None
+        # Capture, first record and number of records of the block requested last.
         self._latest_block: tuple[int, int, int] | None = None
 
     def source_for(self, capture: Capture) -> NoiseSource:
