@@ -72,7 +72,8 @@ def _refusal(error: Any) -> str:
     message, context = error.format_message(), error.ctx
     if context is None or "\n" in message:
         return str(message)
-    return f"{context.command_path}: {message.rstrip('.')}. Try: {context.command_path} --help"
+    remedy = "" if "Try: " in message else f" Try: {context.command_path} --help"
+    return f"{context.command_path}: {message.rstrip('.')}.{remedy}"
 
 
 @app.callback()

@@ -31,6 +31,7 @@ EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 
 EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
 OUTPUTS = ("output", "print_to", "figure")
 """Parameters of commands that name files to write."""
+FIGURE_SUFFIXES = {".svg", ".png", ".pdf"}
 
 
 def guarded(command: Callable[..., None]) -> Callable[..., None]:
@@ -102,8 +103,10 @@ def printing(command: Callable[..., None]) -> Callable[..., None]:
         if print_to is None:
             command(**values)
             return
-        from hpe_rig.store import refuse_unwritable, write_file
+        from hpe_rig.store import StoreError, refuse_unwritable, write_file
 
+        if "figure" in values and print_to.suffix.lower() in FIGURE_SUFFIXES:
+            raise StoreError(f"-o {print_to}: the printed text is no figure. Try: --figure {print_to}.")
         refuse_unwritable(print_to)
         _refuse_binary(print_to)
         text = io.StringIO()

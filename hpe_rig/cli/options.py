@@ -25,9 +25,28 @@ def check_file_name(path: Path | None) -> Path | None:
     return path
 
 
-def file_option(text: str) -> Any:
-    """Return an option for the name of a file, with the help ``text``."""
-    return typer.Option(metavar="FILE", callback=check_file_name, help=text)
+def check_figure_name(path: Path | None) -> Path | None:
+    """Return ``path``; refuse a figure that cannot be written, before the command computes anything."""
+    if path is None or check_file_name(path) is None:
+        return None
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    from hpe_rig.store import StoreError, refuse_unwritable
+
+    if path.suffix.lower().removeprefix(".") not in FigureCanvasBase.get_supported_filetypes():
+        why = f"Matplotlib has no format {path.suffix!r}"
+        raise typer.BadParameter(f"{path} cannot be written ({why}). Try: a name that ends in .svg, .png or .pdf.")
+    try:
+        refuse_unwritable(path)
+    except StoreError as error:
+        raise typer.BadParameter(str(error)) from None
+    return path
+
+
+def figure_option(text: str, *names: str) -> Any:
+    """Return an option for the file of a figure, with the help ``text``; ``names``: as -o, default the parameter's."""
+    help_text = f"{text}, .svg, .png or .pdf."
+    return typer.Option(*names, metavar="FILE", callback=check_figure_name, help=help_text)
 
 
 def output_option(text: str, metavar: str = "FILE") -> Any:

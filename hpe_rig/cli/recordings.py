@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from hpe_rig.cli.console import guarded
-from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions, RunFile, file_option, output_option
+from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions, RunFile, figure_option, output_option
 
 recordings = typer.Typer()
 
@@ -56,17 +56,17 @@ def map_command(
     scene: RecordedScene,
     settings: RecordingOptions,
     output: Annotated[Path | None, output_option("NetCDF file of the map (needs the extra 'frames').")] = None,
-    figure: Annotated[Path | None, file_option("Figure of the map, .png, .svg or .pdf.")] = None,
+    figure: Annotated[Path | None, figure_option("Figure of the map")] = None,
     moduli: Annotated[
         bool, typer.Option("--moduli", help="Also fit the moduli of the medium to the lines at the focus.")
     ] = False,
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
-    from hpe_rig.cli.stored import refuse_outputs, write_map
+    from hpe_rig.cli.stored import refuse_dataset, write_map
     from hpe_rig.cli.terminal import progress_reporter
     from hpe_rig.runs import fit_map_moduli, map_recording
 
-    refuse_outputs(figure, output)
+    refuse_dataset(output)
     with progress_reporter("lines") as report:
         motion_map, inferred = map_recording(
             _source(recording), scene, settings.sidecar, _parsed(settings), lambda done, total: report(done, total, "")

@@ -16,7 +16,6 @@ from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import probability_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 from hpe_rig.store import (
-    StoreError,
     Verification,
     extra,
     read_run,
@@ -103,7 +102,6 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
     """Print the differences between two runs, and write their figure."""
     from hpe_rig.report import compare_runs
 
-    refuse_outputs(figure)
     comparison = compare_runs(first, second, estimator)
     if figure is not None:
         _save(comparison.figure(), figure, "both results and their differences")
@@ -196,7 +194,6 @@ def draw_figure(
         mistakes.append(Mistake("--width", f"{width!r} is too narrow for a figure", "a width such as 85mm"))
     if mistakes:
         raise SettingsError("command line", mistakes)
-    refuse_outputs(output)
     width_in = width_m / METRES_PER_INCH
     size = width_in, width_in * (0.62 if kind == "displacement" else 1.1)
     with rc_context({**STYLE, "font.size": 8, "pdf.fonttype": 42, "figure.figsize": size}):
@@ -229,18 +226,10 @@ def _figure_mistakes(
         yield Mistake("--frequency", f"--kind {kind} draws all frequencies", "leave it out")
 
 
-def refuse_outputs(figure: Path | None, dataset: Path | None = None) -> None:
-    """Raise ``StoreError`` for a ``figure`` or ``dataset`` that cannot be written, before anything is computed."""
-    for path in (figure, dataset):
-        if path is not None:
-            refuse_unwritable(path)
-    if figure is not None:
-        from matplotlib.backend_bases import FigureCanvasBase
-
-        if figure.suffix.lower().removeprefix(".") not in FigureCanvasBase.get_supported_filetypes():
-            why = f"Matplotlib has no format {figure.suffix!r}"
-            raise StoreError(f"{figure} cannot be written ({why}). Try: a name that ends in .svg, .png or .pdf.")
+def refuse_dataset(dataset: Path | None) -> None:
+    """Raise ``StoreError`` for a ``dataset`` that cannot be written, before anything is computed."""
     if dataset is not None:
+        refuse_unwritable(dataset)
         with extra("frames"):
             importlib.import_module("xarray")
 

@@ -16,7 +16,7 @@ from hpe_rig.cli.options import (
     RunFile,
     RunsFigureKind,
     SweepOptions,
-    file_option,
+    figure_option,
     output_option,
 )
 from hpe_rig.result import Stages
@@ -108,7 +108,7 @@ def compare(
     first: Annotated[Path, typer.Argument(metavar="A.h5", help="Run file.")],
     second: Annotated[Path, typer.Argument(metavar="B.h5", help="Run file to compare with it.")],
     estimator: Estimator = None,
-    figure: Annotated[Path | None, file_option("Both results and their differences, .svg, .png or .pdf.")] = None,
+    figure: Annotated[Path | None, figure_option("Both results and their differences")] = None,
     json: Json = False,
 ) -> None:
     """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
@@ -130,14 +130,13 @@ def moduli(
     width_uncertainty: WidthUncertainty = 0.05,
     per_place: PerPlace = False,
     gate_profile_step: ProfileStep = None,
-    figure: Annotated[Path | None, file_option("Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
+    figure: Annotated[Path | None, figure_option("Measured and fitted vibrations")] = None,
     json: Json = False,
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations of one or more runs."""
-    from hpe_rig.cli.stored import print_moduli, refuse_outputs
+    from hpe_rig.cli.stored import print_moduli
     from hpe_rig.runs import fit_moduli
 
-    refuse_outputs(figure)
     result = fit_moduli(
         *run_files,
         laws=law or (),
@@ -151,12 +150,13 @@ def moduli(
 
 @stored_runs.command()
 @guarded
+@printing
 def dispersion(
     run_files: RunsAtOffsets,
     estimator: Estimator = None,
     width_uncertainty: WidthUncertainty = 0.05,
     per_place: PerPlace = False,
-    output: Annotated[Path | None, output_option("Figure of both quantities: .pdf, .svg or .png.")] = None,
+    figure: Annotated[Path | None, figure_option("Phase velocity and attenuation")] = None,
     json: Json = False,
     csv: Annotated[bool, typer.Option("--csv", help="Print CSV, one row per method and frequency.")] = False,
 ) -> None:
@@ -170,7 +170,7 @@ def dispersion(
     result = dispersion_of(
         *run_files, estimator=estimator, width_uncertainty=width_uncertainty, common_amplitude=not per_place
     )
-    print_dispersion(result, output, json=json, csv=csv)
+    print_dispersion(result, figure, json=json, csv=csv)
 
 
 @stored_runs.command()
@@ -180,7 +180,7 @@ def figure(
         list[Path],
         typer.Argument(metavar="RUN.h5 ...", help="Run file; several for moduli and dispersion only."),
     ],
-    output: Annotated[Path, output_option("File: .pdf, .svg or .png.")],
+    output: Annotated[Path, figure_option("File of the figure", "--output", "-o")],
     kind: Annotated[
         RunsFigureKind,
         typer.Option(

@@ -150,7 +150,7 @@ def refuse_unwritable(path: Path) -> None:
     if why := unwritable(path):
         if not path.parent.exists():
             raise StoreError(
-                f"{path} cannot be written: the folder {path.parent} does not exist. Try: make it, or another --output."
+                f"{path} cannot be written: the folder {path.parent} does not exist. Try: make it, or another folder."
             )
         raise StoreError(f"{path} cannot be written ({why}). Try: another folder or name.")
 

@@ -56,7 +56,7 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
 
 def test_the_phase_velocity_of_the_shipped_scene_is_the_twins(run: hpe.Run, tmp_path: Path) -> None:
     """gelatin-moduli, seed 1: c and alpha of the Voigt medium of 7.25 kPa and 1 Pa s, and the bias of other methods."""
-    printed = CliRunner().invoke(app, ["dispersion", str(run.path), "--json", "-o", str(tmp_path / "c.svg")])
+    printed = CliRunner().invoke(app, ["dispersion", str(run.path), "--json", "--figure", str(tmp_path / "c.svg")])
     assert printed.exit_code == 0, printed.output
     assert (tmp_path / "c.svg").read_text(encoding="utf-8").startswith("<?xml")
     result = json.loads(printed.stdout)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
@@ -75,6 +77,38 @@ def test_a_file_that_is_read_and_a_binary_file_are_not_replaced(command: list[st
     assert done.exit_code != 0
     assert message in " ".join(done.output.split()), done.output
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def figure_options() -> dict[str, tuple[list[str], str]]:
+    """Return the command line with dummy inputs, and the name of the option, of every command that writes a figure."""
+    commands: Any = typer.main.get_command(app)
+    found = {}
+    for name, command in commands.commands.items():
+        for option in command.params:
+            if ".svg, .png or .pdf" in (getattr(option, "help", None) or ""):
+                needed = [parameter for parameter in command.params if parameter.required and parameter is not option]
+                inputs = [[*parameter.opts[-1:] * parameter.opts[0].startswith("-"), "absent"] for parameter in needed]
+                found[name] = [name, *(word for words in inputs for word in words)], option.opts[0]
+    return found
+
+
+def test_every_command_that_writes_a_figure_refuses_its_format_before_the_input_is_read(folder: Path) -> None:
+    """Also an option that is added later, if its help names the formats."""
+    options = figure_options()
+    assert set(options) == {"accuracy", "compare", "dispersion", "figure", "map", "moduli"}
+    for command, option in options.values():
+        for name, why in (("a.xyz", "Matplotlib has no format '.xyz'"), ("a", "Matplotlib has no format ''")):
+            done = CliRunner().invoke(app, [*command, option, name])
+            message = " ".join(done.output.split())
+            assert done.exit_code == 2, message
+            assert f"{name} cannot be written ({why}). Try: a name that ends in .svg, .png or .pdf." in message
+
+
+@pytest.mark.parametrize("command", ["compare", "dispersion", "moduli"])
+def test_a_table_is_not_written_under_the_name_of_a_figure(command: str, folder: Path) -> None:
+    done = CliRunner().invoke(app, [command, "absent.h5", "absent.h5", "-o", "a.PDF"])
+    assert done.exit_code == 2
+    assert "the printed text is no figure. Try: --figure a.PDF." in " ".join(done.output.split())
 
 
 def test_a_result_file_is_refused_before_the_run_is_estimated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
