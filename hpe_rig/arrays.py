@@ -1,4 +1,4 @@
-"""Types of the arrays that functions take and return: one name for each element type."""
+"""Types of the arrays that functions take and return: one name for each element type; and their text in messages."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,3 +13,8 @@ SingleArray = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 ComplexSingleArray = NDArray[np.complex64]
 ComplexArray = NDArray[np.complex128]
+
+
+def numbers_text(numbers: FloatArray) -> str:
+    """Return ``numbers`` (number,) as words of a message, such as "100, 200.5"."""
+    return ", ".join(f"{number:g}" for number in numbers)

@@ -162,11 +162,10 @@ def dispersion(
 ) -> None:
     """Phase velocity and attenuation of shear waves at every harmonic, beside those of plane-wave methods."""
     from hpe_rig.cli.options import refuse_two_formats
-    from hpe_rig.cli.stored import print_dispersion, refuse_outputs
+    from hpe_rig.cli.stored import print_dispersion
     from hpe_rig.runs import dispersion as dispersion_of
 
     refuse_two_formats(json, csv)
-    refuse_outputs(output)
     result = dispersion_of(
         *run_files, estimator=estimator, width_uncertainty=width_uncertainty, common_amplitude=not per_place
     )

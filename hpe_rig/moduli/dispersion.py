@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.moduli.inversion import REJECTED
-from hpe_rig.moduli.outcome import FREE_GAIN_UNCERTAINTY
 from hpe_rig.moduli.run_vibrations import Source, vibrations_of
 from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
 from hpe_rig.moduli.vibration_model import Push, Vibration
@@ -100,7 +99,7 @@ def dispersion_of(
     push = push_of([source.scene for source in sources], width_uncertainty)
     vibrations, omitted = vibrations_of(sources, estimator)
     if not common_amplitude:
-        vibrations = [replace(vibration, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for vibration in vibrations]
+        vibrations = [vibration.with_free_gain() for vibration in vibrations]
     return dispersion_of_vibrations(
         vibrations,
         push,
@@ -149,16 +148,29 @@ def _at_enough_offsets(
             offsets_m.setdefault(hz, set()).add(round(abs(vibration.lateral_m), 9))
     enough = [hz for hz, offsets in offsets_m.items() if len(offsets) >= MIN_OFFSETS]
     if not enough:
-        offsets_mm = sorted({round(abs(vibration.lateral_m) * 1e3, 6) for vibration in vibrations})
-        text = (
-            f"no frequency is significant at {MIN_OFFSETS} lateral offsets, which a wave number and its misfit need; "
-            f"offsets with a vibration: {', '.join(f'{offset:g} mm' for offset in offsets_mm) or 'none'}. Try: more "
-            "values of sweep.lateral_offset_m, more run files, or a stronger push"
-        )
-        raise ValueError("; ".join([text, *omitted]))
-    too_few = (f"{hz:g} Hz: significant at {len(offsets_m[hz])} offsets only" for hz in offsets_m if hz not in enough)
+        raise ValueError("; ".join([_too_few_offsets(vibrations), *omitted]))
+    total = len(set.union(*offsets_m.values()))
+    too_few = (
+        f"{hz:g} Hz: significant at {len(offsets_m[hz])} of {total} offsets" for hz in offsets_m if hz not in enough
+    )
     at_enough = (vibration.at_frequencies(np.isin(vibration.frequency_hz, enough)) for vibration in vibrations)
     return [vibration for vibration in at_enough if vibration.frequency_hz.size], too_few
+
+
+def _too_few_offsets(vibrations: Sequence[Vibration]) -> str:
+    """Return the message that no frequency has a vibration at enough lateral offsets, with its cause and remedy."""
+    offsets_mm = sorted({round(abs(vibration.lateral_m) * 1e3, 6) for vibration in vibrations})
+    names = ", ".join(f"{offset:g} mm" for offset in offsets_mm) or "none"
+    remedy = "Try: more values of sweep.lateral_offset_m, more run files"
+    if len(offsets_mm) < MIN_OFFSETS:
+        count = f"{len(offsets_mm)} lateral offset{'s' * (len(offsets_mm) != 1)}"
+        return (
+            f"{count} with a vibration ({names}), {MIN_OFFSETS} are needed for a wave number and its misfit. {remedy}"
+        )
+    return (
+        f"no frequency is significant at {MIN_OFFSETS} lateral offsets, which a wave number and its misfit need; "
+        f"offsets with a vibration: {names}. {remedy}, or a stronger push"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,13 +178,15 @@ class _LateralGrid:
     """Measured, exact and perturbed fields on a grid of offsets beside the push and frequencies.
 
     ``fields`` (field, offset, frequency): the measured one, the exact one of the fitted medium, then the measured one
-    plus, and minus, each of its one-sigma errors. ``present`` (offset, frequency).
+    plus, and minus, each of its one-sigma errors. ``present`` (offset, frequency). ``has_free_gains``: amplitudes at
+    different offsets do not compare.
     """
 
     offset_m: FloatArray
     frequency_hz: FloatArray
     fields: ComplexArray
     present: BoolArray
+    has_free_gains: bool
 
     @classmethod
     def from_vibrations(cls, vibrations: Sequence[Vibration], fit: WavenumberFit) -> _LateralGrid:
@@ -191,7 +205,8 @@ class _LateralGrid:
             present[row, columns] = True
             fields[:, row, columns] = [measured_m, fit.nominal_m[index], *measured_m + error_m, *measured_m - error_m]
         offset_m = np.array([round(abs(vibrations[index].lateral_m), 9) for index in rows])
-        return cls(offset_m, frequency_hz, fields, present)
+        has_free_gains = any(vibrations[index].has_free_gain for index in rows)
+        return cls(offset_m, frequency_hz, fields, present, has_free_gains)
 
     def gap_m(self, frequency: int) -> float:
         """Return the largest distance of neighbouring offsets, infinite for fewer than ``MIN_OFFSETS``."""
@@ -201,6 +216,10 @@ class _LateralGrid:
 
 def _method_curve(method: WaveMethod, grid: _LateralGrid, curve: DispersionCurve) -> tuple[MethodCurve, list[str]]:
     """Return the results of ``method`` with uncertainties and predicted bias, and its missing values in words."""
+    if method.is_attenuation and grid.has_free_gains:
+        nothing = np.full(curve.frequency_hz.size, np.nan)
+        result = MethodCurve(method.name, method.is_attenuation, nothing, nothing, nothing, nothing)
+        return result, [f"{method.name}: the amplitude at every offset is free, so that its decay is unknown"]
     half_wave_m = curve.phase_velocity_m_per_s / curve.frequency_hz / 2
     gap_m = np.array([grid.gap_m(index) for index in range(curve.frequency_hz.size)])
     sampled = gap_m <= half_wave_m if method.needs_sampling else np.isfinite(gap_m)
@@ -219,9 +238,10 @@ def _method_curve(method: WaveMethod, grid: _LateralGrid, curve: DispersionCurve
 def _missing_values(
     result: MethodCurve, frequency_hz: FloatArray, sampled: BoolArray, gap_m: FloatArray
 ) -> Iterator[str]:
-    """Yield why ``result`` has no value at some frequencies. ``sampled``: whether the offsets are near enough."""
+    """Yield why ``result`` has no value or no u at some frequencies. ``sampled``: whether offsets are near enough."""
     few_offsets, coarse = ~np.isfinite(gap_m), ~sampled & np.isfinite(gap_m)
     no_wave = sampled & ~np.isfinite(result.value)
+    no_u = np.isfinite(result.value) & ~np.isfinite(result.uncertainty)
     reasons = (
         (few_offsets, f"fewer than {MIN_OFFSETS} offsets beside the push"),
         (
@@ -230,6 +250,7 @@ def _missing_values(
             "phases are ambiguous. Try: smaller steps of the lateral offset",
         ),
         (no_wave, "no outward wave: the phase does not fall with distance"),
+        (no_u, "u is undetermined: an error of one standard uncertainty leaves no outward wave"),
     )
     for where, reason in reasons:
         if where.any():
@@ -331,5 +352,6 @@ def _with_bias(method: MethodCurve, near_field: FloatArray, index: int) -> str:
         return "-"
     bias = 100 * method.bias[index] / near_field[index] if near_field[index] else math.nan
     bias_text = f"{bias:+.1f} %" if math.isfinite(bias) else "-"
-    value = with_u(method.value[index], method.uncertainty[index]).partition(" ")[0]
+    u = method.uncertainty[index]
+    value = with_u(method.value[index], u).partition(" ")[0] if math.isfinite(u) else f"{method.value[index]:.3g}, no u"
     return f"{value} ({bias_text})"

@@ -45,7 +45,9 @@ def dispersion_figure(
     for is_attenuation, axes, (value, uncertainty) in zip((False, True), panels, curves, strict=True):
         marker, colour = mark(0)
         axes.errorbar(hz, value, 2 * uncertainty, fmt=f"{marker}-", ms=4, color=colour, lw=1.2, label="near field")
-        methods = [method for method in compared if method.is_attenuation == is_attenuation]
+        methods = [
+            method for method in compared if method.is_attenuation == is_attenuation and np.isfinite(method.value).any()
+        ]
         for method, dashes in zip(methods, DASHES, strict=False):
             marker, colour = marks[method.name]
             style: Any = {"fmt": marker, "ms": 4.5, "mfc": "none", "lw": 0.8, "label": method.name}

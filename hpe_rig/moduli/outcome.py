@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 TESTED_RANGES = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
 """Ranges of the comparison of the field with independent ones."""
-FREE_GAIN_UNCERTAINTY = 5.0
-"""Uncertainty of the logarithm of a gain that is unknown."""
 UNITS = {"_pa_s": (1.0, "Pa s"), "_pa": (1e-3, "kPa")}
 """Factor and unit in text, by the suffix of a parameter's name."""
 NAMES = {
@@ -244,7 +242,7 @@ def _fitted(
 ) -> ModuliResult:
     """Return the moduli fitted to measured ``vibrations``; raise ``ValueError`` if there are none."""
     if not common_amplitude:
-        vibrations = [replace(vibration, gain_uncertainty=FREE_GAIN_UNCERTAINTY) for vibration in vibrations]
+        vibrations = [vibration.with_free_gain() for vibration in vibrations]
     if not vibrations:
         raise ValueError("no vibration exceeds its noise: " + "; ".join(omitted))
     # Every law is fitted, because the user needs to know which ones the data exclude.

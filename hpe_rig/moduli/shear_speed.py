@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from hpe_rig.arrays import FloatArray
+from hpe_rig.arrays import FloatArray, numbers_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ def shear_speed(
     """
     offset, frequency = np.asarray(position_m, dtype=np.float64), np.asarray(frequency_hz, dtype=np.float64)
     if np.unique(offset).size < 2:
-        raise ValueError(f"positions {offset.tolist()} m: two different ones are needed for a phase gradient")
+        raise ValueError(f"lateral offsets {numbers_text(offset)} m: a phase gradient needs two different ones")
     order = np.argsort(offset, kind="stable")
     # Unwrapping needs neighbouring offsets in order.
     phase = np.unwrap(phase_rad[order], axis=0)
@@ -53,7 +53,7 @@ def shear_speed(
     information = np.sum(weight * distance**2, axis=0)
     slope = np.sum(weight * distance * phase, axis=0) / information
     if not np.all(slope < 0):
-        rising_hz = frequency[slope >= 0].tolist()
+        rising_hz = numbers_text(frequency[slope >= 0])
         raise ValueError(
             f"the phase does not fall with distance at {rising_hz} Hz: offsets more than half a wavelength apart, "
             "positions not counted from the focus, or noise. Try: smaller steps of the lateral offset"

@@ -22,6 +22,10 @@ APERTURE_SHAPE = 0.005
 """Relative error of each amplitude: difference of two sums of Gaussians for one aperture, to 4 mm off the axis."""
 
 
+FREE_GAIN_UNCERTAINTY = 5.0
+"""Uncertainty of the logarithm of a gain that is unknown."""
+
+
 @dataclass(frozen=True, slots=True)
 class Push:
     """The force of the tonebursts, and relative uncertainties of its widths (across, along).
@@ -82,6 +86,15 @@ class Vibration:
     gain_uncertainty: float = 0.0
     phase_uncertainty_rad: float = 0.0
     area_uncertainty: float = 0.0
+
+    @property
+    def has_free_gain(self) -> bool:
+        """Whether nothing is known of the gain, so that amplitudes at different offsets do not compare."""
+        return self.gain_uncertainty >= FREE_GAIN_UNCERTAINTY
+
+    def with_free_gain(self) -> Vibration:
+        """Return the vibration with an unknown gain."""
+        return replace(self, gain_uncertainty=FREE_GAIN_UNCERTAINTY)
 
     def at_frequencies(self, selected: BoolArray) -> Vibration:
         """Return the vibration at the ``selected`` (frequency,) frequencies only."""

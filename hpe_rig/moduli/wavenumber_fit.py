@@ -19,8 +19,8 @@ from scipy.special import chdtrc
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import Law, Parameter, law_of
 from hpe_rig.moduli.inversion import FINE, Moduli, fit_medium, solve
-from hpe_rig.moduli.problem import COMMON, Problem
-from hpe_rig.moduli.vibration_model import Push, Vibration
+from hpe_rig.moduli.problem import COMMON, Nuisance, Problem
+from hpe_rig.moduli.vibration_model import FREE_GAIN_UNCERTAINTY, Push, Vibration
 
 SPEED_LIMITS_M_PER_S = (0.05, 100.0)
 ATTENUATION_LIMITS_NP_PER_M = (0.0, 1e5)
@@ -43,8 +43,9 @@ class WavenumberFit:
 
     ``chi_square`` of data and nuisances has ``freedom`` degrees of freedom; ``significance`` is the probability of a
     larger one by chance. ``nominal_m``: exact field (frequency,) of every vibration in a medium with this curve,
-    without noise and with all positions as stated. ``error_m``: one-sigma errors of each vibration's phasors, of noise
-    and position, (frequency, error source); the sources are independent.
+    without noise, with positions as stated, and with the fitted gains where they are unknown. ``error_m``: one-sigma
+    errors of each vibration's phasors, of noise, positions and known gains, (frequency, error source); the sources are
+    independent.
     """
 
     curve: DispersionCurve
@@ -89,7 +90,9 @@ def fit_wavenumbers(vibrations: Sequence[Vibration], push: Push, start: Dispersi
     variance = np.diag(problem.coordinate_covariance(jacobian)).reshape(-1, 2)
     u_speed, u_attenuation = np.sqrt(variance).T
     freedom = problem.data_count - problem.free_count
-    nominal = np.concatenate([best.unknown[: problem.free_count], np.zeros(len(problem.nuisances))])
+    # An unknown gain is no error: the fitted one weights the offsets of the exact field as it does the measured ones.
+    unknown_gains = [True] * problem.free_count + [_is_unknown_gain(nuisance) for nuisance in problem.nuisances]
+    nominal = np.where(unknown_gains, best.unknown, 0.0)
     return WavenumberFit(
         curve=DispersionCurve(frequency_hz, speed, u_speed, attenuation, u_attenuation),
         chi_square=best.chi_square,
@@ -128,11 +131,19 @@ def _law_without_relation(frequency_hz: FloatArray, density_kg_per_m3: float) ->
     return Law("dispersion", tuple(parameters), modulus)
 
 
+def _is_unknown_gain(nuisance: Nuisance) -> bool:
+    return nuisance.kind == "gain" and nuisance.uncertainty >= FREE_GAIN_UNCERTAINTY
+
+
 def _one_sigma_errors_m(problem: Problem, jacobian: FloatArray) -> tuple[ComplexArray, ...]:
     """Return one-sigma errors of each vibration's phasors by noise and positions, (frequency, error source)."""
     data = problem.data_count
     # Errors of the push are common to all offsets: they change the field, and not how well it is measured.
-    sources = [problem.free_count + i for i, nuisance in enumerate(problem.nuisances) if nuisance.vibration != COMMON]
+    sources = [
+        problem.free_count + i
+        for i, nuisance in enumerate(problem.nuisances)
+        if nuisance.vibration != COMMON and not _is_unknown_gain(nuisance)
+    ]
     whitened = np.hstack([np.eye(data), -jacobian[:data, sources]])
     errors_m = block_diag(*(np.linalg.inv(root) for root in problem.whitening)) @ whitened
     # Real and imaginary parts of a phasor are neighbouring rows.

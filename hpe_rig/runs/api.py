@@ -134,18 +134,37 @@ def _sources(
 ) -> Iterator[list[Source]]:
     """Yield the stored ``runs`` for an inversion; a ``ValueError`` of the block becomes a ``StoreError``.
 
-    Raises ``SettingsError`` without a run and for an unknown estimator.
+    Raises ``SettingsError`` without a run, if two files hold the same data, and for an unknown estimator.
     """
     from hpe_rig.moduli import Source
 
     stored_runs = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
     if not stored_runs:
         raise SettingsError(command, [Mistake("", "no run is named", f"hpe-rig {command} RUN.h5")])
+    _refuse_repeated_data(command, stored_runs)
     chosen_estimator(estimator, stored_runs[0].scene)
     try:
         yield [Source(run.path.name, run.scene, run.plan, run.stored) for run in stored_runs]
     except ValueError as error:
         raise StoreError(f"{stored_runs[0].path}: {error}") from error
+
+
+def _refuse_repeated_data(command: str, runs: Sequence[Run]) -> None:
+    """Raise ``SettingsError`` if two of the ``runs`` hold the same shots, which would count as independent data."""
+    mistakes, first = list[Mistake](), dict[tuple[str, bytes], Run]()
+    for run in runs:
+        # Runs of scripts may have no identifier; the echoes of the first shot then distinguish runs of one scene.
+        echoes = b"" if run.stored.run_id else run.stored.records[0].codes.tobytes()
+        earlier = first.setdefault((run.identity, echoes), run)
+        if earlier is not run:
+            what = f"{run.path} is the same run as {earlier.path}, so that its data would count twice"
+            mistakes.append(Mistake("RUN.h5", what, "every run once"))
+        predecessors = (other for other in runs if other.path.name == run.stored.predecessor != run.path.name)
+        for other in predecessors:
+            what = f"{run.path} continues {other.path} and contains its shots, which would count twice"
+            mistakes.append(Mistake("RUN.h5", what, f"{run.path} alone of these two"))
+    if mistakes:
+        raise SettingsError(command, mistakes)
 
 
 def estimate(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from hpe_rig.measurement.mover import require_mover
 from hpe_rig.moduli import ModuliResult
 from hpe_rig.report.page import _scene_at
 from hpe_rig.runs import json_schema
+from hpe_rig.runs.api import _refuse_repeated_data
 from hpe_rig.scene import SettingsError, load_scene
 
 
@@ -121,6 +124,25 @@ def test_the_command_prints_what_the_function_returns(run: hpe.Run, tmp_path: Pa
     wrong = CliRunner().invoke(app, ["moduli", str(run.path), "--law", "jelly"])
     assert wrong.exit_code == 2
     assert "voigt, zener, power_law, maxwell" in wrong.output
+
+
+def test_the_same_run_twice_is_refused_under_any_name(run: hpe.Run, tmp_path: Path) -> None:
+    """It would count as independent data, with u too small by the square root of 2."""
+    copy = tmp_path / "copy.h5"
+    shutil.copyfile(run.path, copy)
+    for command in ("moduli", "dispersion"):
+        for second in (run.path, copy):
+            refused = CliRunner().invoke(app, [command, str(run.path), str(second)])
+            assert refused.exit_code == 2
+            assert f"{second} is the same run as {run.path}" in refused.output.replace("\n", "")
+
+
+def test_two_runs_of_one_scene_are_not_the_same_run_and_a_continued_one_is(run: hpe.Run) -> None:
+    again = replace(run, stored=replace(run.stored, provenance=replace(run.stored.provenance, started="later")))
+    _refuse_repeated_data("moduli", [run, again])
+    continued = replace(again, path=Path("run-1.h5"), stored=replace(again.stored, predecessor=run.path.name))
+    with pytest.raises(SettingsError, match=r"run-1\.h5 continues .*run\.h5 and contains its shots"):
+        _refuse_repeated_data("moduli", [run, continued])
 
 
 def test_a_scene_without_push_is_refused_with_all_reasons(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
+from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray, numbers_text
 from hpe_rig.medium import BeamWidths, RigidSphere, medium_ensemble
 from hpe_rig.processing.harmonics.model import harmonic_columns
 
@@ -141,7 +141,7 @@ class MediumPrior:
         close = np.abs(frequency_hz - number * self.burst_rate_hz) <= 1e-6 * self.burst_rate_hz
         if not np.all(close & (number >= 1) & (number <= self.peak_over_tracked.shape[1])):
             raise ValueError(
-                f"frequencies {frequency_hz.tolist()} Hz are not all multiples of the burst rate of "
+                f"frequencies {numbers_text(frequency_hz)} Hz are not all multiples of the burst rate of "
                 f"{self.burst_rate_hz:g} Hz up to {self.frequency_hz[-1]:g} Hz: the tonebursts drive no others; "
                 "try least_squares"
             )

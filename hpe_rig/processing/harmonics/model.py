@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, FloatArray, IndexArray
+from hpe_rig.arrays import BoolArray, FloatArray, IndexArray, numbers_text
 from hpe_rig.plan import MAX_CONDITION as MAX_CONDITION
 
 MAX_CONDITION_OF_PRODUCTS = 1e4
@@ -299,9 +299,9 @@ def _check_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
     if frequency_hz.ndim != 1 or frequency_hz.size == 0:
         raise ValueError("no vibration frequency given: name at least one")
     if not np.all(np.isfinite(frequency_hz) & (frequency_hz > 0)):
-        raise ValueError(f"frequencies {frequency_hz.tolist()} Hz: each must be finite and above zero")
+        raise ValueError(f"frequencies {numbers_text(frequency_hz)} Hz: each must be finite and above zero")
     if len(set(frequency_hz.tolist())) != frequency_hz.size:
-        raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: give each once")
+        raise ValueError(f"frequencies {numbers_text(frequency_hz)} Hz name one twice: give each once")
     if time_s.size < 2:
         raise ValueError(f"{time_s.size} pulse: no motion can be measured; try more tracking pulses")
     rate_hz = pulse_rate_hz(time_s)
@@ -319,7 +319,7 @@ def _unresolved_message(time_s: FloatArray, frequency_hz: FloatArray, condition:
     span_s = float(time_s[-1] - time_s[0])
     closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
     return (
-        f"frequencies {frequency_hz.tolist()} Hz cannot be resolved (condition {condition:.3g}, limit {limit:g}): "
+        f"frequencies {numbers_text(frequency_hz)} Hz cannot be resolved (condition {condition:.3g}, limit {limit:g}): "
         f"the closest two, zero included, are {closest_hz:g} Hz apart in a window of {span_s:g} s, or the valid "
         f"pulses are spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
     )

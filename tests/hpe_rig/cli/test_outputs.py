@@ -49,7 +49,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["import", "absent.npy", "--scene", "s.toml", "-o", "taken.h5"], "taken.h5 already exists"),
         (["compare", "absent.h5", "absent.h5", "--figure", "a.docx"], "Matplotlib has no format '.docx'"),
         (["moduli", "absent.h5", "--figure", "no/a.png"], "the folder no does not exist"),
-        (["dispersion", "absent.h5", "-o", "a.docx"], "Matplotlib has no format '.docx'"),
+        (["dispersion", "absent.h5", "--figure", "a.docx"], "Matplotlib has no format '.docx'"),
         (["figure", "absent.h5", "-o", "no/a.png"], "the folder no does not exist"),
         (["report", "absent.h5", "--output", "no/a.html"], "the folder no does not exist"),
     ],

@@ -119,6 +119,44 @@ def test_methods_are_biased_as_predicted_and_their_u_is_the_scatter() -> None:
         assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.6)
 
 
+def test_free_amplitudes_leave_the_phase_methods_their_u_and_no_amplitude_decay() -> None:
+    """Gains of 0.5 to 2 that the fit does not know: c and u of the phase gradient do not depend on them.
+
+    u of the other methods stays that of noise and positions with these weights, within a factor of 2.
+    """
+    gains, measured = (1.0, 2.0, 0.5, 1.5, 0.7), vibrations(rng=np.random.default_rng(1))
+    known = dispersion_of_vibrations(measured, PUSH)
+    scaled = [
+        replace(one, phasor_m=gain * one.phasor_m, covariance_m2=gain**2 * one.covariance_m2).with_free_gain()
+        for gain, one in zip(gains, measured, strict=True)
+    ]
+    free = dispersion_of_vibrations(scaled, PUSH)
+    for method, reference in zip(free.methods[:-1], known.methods[:-1], strict=True):
+        assert np.all(np.isfinite(method.uncertainty)), method.name
+        ratio = method.uncertainty / reference.uncertainty
+        assert np.all((ratio > 0.5) & (ratio < 2)), method.name
+        # The exact field has the gains of the fit, so that the predicted error is that of the weights of the data.
+        assert np.abs(method.value - method.predicted)[:5] == pytest.approx(0, abs=4 * method.uncertainty[:5].max())
+    gradient, reference = free.methods[0], known.methods[0]
+    assert gradient.value == pytest.approx(reference.value, rel=1e-9)
+    assert gradient.uncertainty == pytest.approx(reference.uncertainty, rel=0.01)
+    assert np.isnan(free.methods[-1].value).all()
+    assert "amplitude decay: the amplitude at every offset is free" in str(free)
+    legend = {text.get_text() for text in free.figure().legends[0].get_texts()}
+    assert legend == {"near field", "phase gradient", "2-D FT", "GST-SFK", "LPVI"}
+
+
+def test_an_undetermined_u_is_stated() -> None:
+    """Noise as large as the farthest amplitudes: an error of one u turns a phase beyond the next offset's."""
+    noisy = [replace(one, covariance_m2=3e5 * one.covariance_m2) for one in vibrations(frequency_hz=FREQUENCY_HZ[:3])]
+    result = dispersion_of_vibrations(noisy, PUSH)
+    gradient = result.methods[0]
+    undetermined = np.isfinite(gradient.value) & ~np.isfinite(gradient.uncertainty)
+    assert undetermined.any()
+    assert "Hz: u is undetermined" in str(result)
+    assert ", no u (" in str(result)
+
+
 def test_offsets_too_far_apart_have_no_phase_velocity() -> None:
     far = dispersion_of_vibrations(vibrations(4e3, 1.0), PUSH)
     half_wave_m = true_wave(4e3, 1.0)[0] / FREQUENCY_HZ / 2
@@ -135,13 +173,19 @@ def test_what_is_left_out_is_stated() -> None:
     without_last = [near, *(one.at_frequencies(FREQUENCY_HZ < 950) for one in others)]
     result = dispersion_of_vibrations(without_last, PUSH, "gel", simulated=True)
     assert result.near_field.frequency_hz.tolist() == FREQUENCY_HZ[:-1].tolist()
-    assert "1000 Hz: significant at 1 offsets only" in result.omitted
+    assert "1000 Hz: significant at 1 of 3 offsets" in result.omitted
     assert "SIMULATED, lateral offsets 1, 2.25, 3.5 mm, 9 frequencies" in str(result)
 
 
 def test_fewer_than_three_offsets_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"at 3 lateral offsets.*1 mm, 2.25 mm\. Try: more values of sweep\.lateral"):
+    with pytest.raises(
+        ValueError, match=r"^2 lateral offsets with a vibration \(1 mm, 2\.25 mm\), 3 are needed.*lateral"
+    ):
         dispersion_of_vibrations(vibrations(offsets_m=FIVE[:2]), PUSH)
+    # Enough offsets, but each frequency is significant at one of them only.
+    scattered = [one.at_frequencies(hz == FREQUENCY_HZ) for one, hz in zip(vibrations(), FREQUENCY_HZ, strict=False)]
+    with pytest.raises(ValueError, match=r"^no frequency is significant at 3 lateral offsets.*or a stronger push"):
+        dispersion_of_vibrations(scattered, PUSH)
     # An offset on the axis counts for the near field; beside the push two are left.
     axis = dispersion_of_vibrations(vibrations(offsets_m=(0.0, *FIVE[:2])), PUSH)
     assert all(np.isnan(method.value).all() for method in axis.methods)
