@@ -132,6 +132,10 @@ def emulate(
     from hpe_rig.scene import Mistake, SettingsError
     from hpe_rig.store import write_file
 
+    if bench is None and Path(bench_or_scene).suffix == ".toml" and not Path(bench_or_scene).exists():
+        what = f"there is no file {bench_or_scene}"
+        remedy = "the path of a bench file or a scene, or a name that hpe-rig scenes lists"
+        raise SettingsError("command line", [Mistake("BENCH.toml|SCENE", what, remedy)])
     scene = bench_or_scene
     if is_bench_file(bench_or_scene):
         if bench is not None:

@@ -23,7 +23,7 @@ from hpe_rig.measurement import (
 )
 from hpe_rig.result import Result, rich_table
 from hpe_rig.runs import process
-from hpe_rig.scene import Mistake, SettingsError, printable
+from hpe_rig.scene import Mistake, SettingsError, plural, printable
 
 MAX_REASON = 120
 """Characters of a failure in the closing table; ``queue.json`` holds the whole message."""
@@ -51,7 +51,7 @@ def continue_queue(folder: Path, is_alone: bool) -> tuple[Path, tuple[QueueRun, 
 
 def measure_queue(folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool, watch: WatchOptions) -> int:
     """Measure the runs of a queue, print the state of each, and return the exit code."""
-    announce(f"{len(queue)} runs into {folder}, all of them checked")
+    announce(f"{plural(len(queue), 'run')} into {folder}, checked")
 
     @contextmanager
     def supervise_run(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:

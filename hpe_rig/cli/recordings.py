@@ -98,7 +98,6 @@ def export_command(
     shots = None if shot is None else [number - 1 for number in shot]
     for text in export_run(run_file, output, file_format, shots, overwrite=overwrite):
         typer.echo(text)
-    typer.echo(f"{output}: hpe-rig import {output} --scene SCENE reads it again")
 
 
 def _source(paths: list[Path]) -> Path | tuple[Path, ...]:

@@ -14,7 +14,7 @@ from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.options import RunsFigureKind
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import probability_text, rich_table
-from hpe_rig.scene import Mistake, SettingsError, printable
+from hpe_rig.scene import Mistake, SettingsError, plural, printable
 from hpe_rig.store import (
     Verification,
     extra,
@@ -26,9 +26,10 @@ from hpe_rig.store import (
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
     from hpe_rig.moduli import DispersionResult, ModuliResult
-    from hpe_rig.report import ResultDifference
+    from hpe_rig.report import Comparison, ResultDifference
     from hpe_rig.result import MotionMap
 
 METRES_PER_INCH = 0.0254
@@ -43,10 +44,10 @@ def print_verification(verification: Verification, json: bool = False) -> None:
         print_json(verification.as_dict())
         return
     shots = verification.shots
-    content = f"results of {shots} shots" if verification.kind == "result" else verification.kind
+    content = f"results of {plural(shots, 'shot')}" if verification.kind == "result" else verification.kind
     # Only a run file has records and a status.
     if verification.kind == "run":
-        counts = f"{verification.shots_complete} of {shots} shots complete, {verification.records} records"
+        counts = f"{verification.shots_complete} of {shots} shots complete, {plural(verification.records, 'record')}"
         content = f"{counts}, {verification.status}"
     typer.echo(f"{verification.path}: {content}")
     for damage in verification.damage:
@@ -109,11 +110,6 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
         print_json(comparison.as_dict())
         return
     console = wide_console()
-    settings = [(item.where, item.what, _value(item.before), _value(item.after)) for item in comparison.settings]
-    title = {0: "no setting differs", 1: "1 setting differs"}.get(len(settings), f"{len(settings)} settings differ")
-    console.print(title, style="bold")
-    if settings:
-        console.print(rich_table(("", "setting", *comparison.names), settings, words=4))
     for setting in dict.fromkeys(row.setting for row in comparison.results):
         console.print(f"\n{setting}", style="bold")
         headers = ["f\nHz"]
@@ -124,7 +120,17 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
         console.print(text)
     if not comparison.results:
         console.print("no setting and frequency has a result in both")
-        return
+    else:
+        _explain_differences(console, comparison)
+    settings = [(item.where, item.what, _value(item.before), _value(item.after)) for item in comparison.settings]
+    title = {0: "no setting differs", 1: "1 setting differs"}.get(len(settings), f"{len(settings)} settings differ")
+    console.print(f"\n{title}", style="bold")
+    if settings:
+        console.print(rich_table(("", "setting", *comparison.names), settings, words=4))
+
+
+def _explain_differences(console: Console, comparison: Comparison) -> None:
+    """Print the two runs and the meaning of both probabilities."""
     console.print()
     for run, name, origin, method in zip(
         ("first", "second"), comparison.names, comparison.origins, comparison.estimators, strict=True

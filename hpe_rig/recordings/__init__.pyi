@@ -12,6 +12,7 @@ from .recording import (
     as_source as as_source,
     read_recording as read_recording,
 )
+from .scanners import differing_setting as differing_setting
 from .settings import (
     RecordingSettings as RecordingSettings,
     read_settings as read_settings,

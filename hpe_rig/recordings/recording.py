@@ -37,7 +37,7 @@ from hpe_rig.recordings.series import read_series, series_name
 from hpe_rig.recordings.settings import DIMENSIONS, KEYS_OF_FORMAT, Dimension, RecordingSettings
 from hpe_rig.recordings.spectrum import compare_with_carrier, echo_band, unfold
 from hpe_rig.recordings.statements import Statements
-from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.scene import Mistake, SettingsError, plural
 
 MIN_PULSES = 2
 Source = Path | tuple[Path, ...] | NDArray[Any]
@@ -299,7 +299,7 @@ class _Reader:
             remedy = f'numbers of up to {MAX_VALUE:g}, or not_finite = "missing"'
             self.statements.add_mistake("", what, remedy)
         elif missing:
-            self.statements.inferred.append(f"{missing} records hold values that are not finite: missing")
+            self.statements.inferred.append(f"{plural(missing, 'record')} with values that are not finite: missing")
             if not recorded.any():
                 self.statements.add_mistake("", "no record holds finite values alone", "another file")
         return recorded

@@ -239,10 +239,20 @@ def _exported_settings(values: Values, group: str) -> Stated:
         return {}
     # MATLAB counts the shots along the last axis.
     times_s = times_s if group else times_s.T
-    for key, rows in (("pulse_time_s", times_s), ("lateral_offset_m", values.get(f"{group}lateral_offset_m"))):
-        if rows is not None and np.ptp(rows.reshape(len(times_s), -1), axis=0).max() > SAME_DELAY_S:
-            raise ValueError(f"its shots differ in {key}: hpe-rig export RUN.h5 --shot for shots of one {key}")
+    if key := differing_setting(times_s, values.get(f"{group}lateral_offset_m")):
+        raise ValueError(f"its shots differ in {key}: hpe-rig export RUN.h5 --shot for shots of one {key}")
     return exported | {"pulse_time_s": (tuple(times_s[0].tolist()), f"{group}pulse_time_s")}
+
+
+def differing_setting(pulse_time_s: NDArray[Any], lateral_offset_m: NDArray[Any] | None) -> str | None:
+    """Return the name of the first setting in which the shots of an exported run differ; an import has one value of it.
+
+    ``pulse_time_s`` (shot, pulse); ``lateral_offset_m`` (shot,), or None if unknown.
+    """
+    for name, rows in (("pulse_time_s", pulse_time_s), ("lateral_offset_m", lateral_offset_m)):
+        if rows is not None and np.ptp(rows.reshape(len(pulse_time_s), -1), axis=0).max() > SAME_DELAY_S:
+            return name
+    return None
 
 
 def _record_rows(values: Values, count: int) -> NDArray[np.intp]:

@@ -1,4 +1,5 @@
 from .comparison import (
+    Comparison as Comparison,
     ResultDifference as ResultDifference,
     compare_runs as compare_runs,
     comparison_schema as comparison_schema,

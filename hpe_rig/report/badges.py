@@ -9,6 +9,7 @@ from typing import Literal
 from hpe_rig.plan import CheckResult
 from hpe_rig.report.residual_tests import ResidualTest
 from hpe_rig.result import RepeatMean, Result
+from hpe_rig.scene import plural
 
 Verdict = Literal["passed", "noticed", "open"]
 MARKS: dict[Verdict, str] = {"passed": "✓", "noticed": "!", "open": "–"}
@@ -35,9 +36,9 @@ def badges(
     """Yield the badges of a run: status, warnings, repeats, plan and residual tests."""
     yield Badge("passed" if result.status == "complete" else "noticed", f"run {result.status}", "measurement")
     if count := len({shot.index for shot in result.shots if shot.untrusted}):
-        yield Badge("noticed", f"{_count_text(count, 'shot')} not to be trusted", "estimates")
+        yield Badge("noticed", f"{plural(count, 'shot')} not to be trusted", "estimates")
     if warnings:
-        yield Badge("noticed", _count_text(len(warnings), "warning"), "warnings")
+        yield Badge("noticed", plural(len(warnings), "warning"), "warnings")
     else:
         yield Badge("passed", "no warnings", "provenance")
     if result.means:
@@ -56,7 +57,3 @@ def _repeats_badge(means: Sequence[RepeatMean]) -> Badge:
     if not disagreements:
         return Badge("passed", "repeats agree", "means")
     return Badge("noticed", f"repeats scatter in {disagreements} of {len(means)} means", "means")
-
-
-def _count_text(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"

@@ -11,7 +11,7 @@ p_all uses the uncertainties from all sources, p_noise those that are independen
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ from hpe_rig.result import (
     titled,
 )
 from hpe_rig.runs import Run, open_run
-from hpe_rig.scene import parse_toml
+from hpe_rig.scene import Scene, parse_toml
 from hpe_rig.store import StoreError, read_snapshots
 
 if TYPE_CHECKING:
@@ -263,15 +263,31 @@ def _setting_text(setting: Setting) -> str:
 
 def _settings_differences(first: Run, second: Run) -> Iterator[SettingDifference]:
     """Yield the differences of scene, bench file, and settings read back from the instruments in the last shot."""
-    for where, attribute in (("scene", "scene_toml"), ("bench file", "bench_toml")):
+    recordings = [run.bench.recording for run in (first, second)]
+    has_bench = [recording is None for recording in recordings]
+    files = [("scene", "scene_toml"), ("bench file", "bench_toml")]
+    for where, attribute in files if has_bench[0] == has_bench[1] else files[:1]:
         before, after = (dict(_flat(parse_toml(getattr(run.stored, attribute), where))) for run in (first, second))
+        if where == "scene":
+            # A setting that one scene leaves out has its default there.
+            before, after = _defaults(first.scene, after) | before, _defaults(second.scene, before) | after
         for name in dict.fromkeys([*before, *after]):
             if _single(before.get(name)) != _single(after.get(name)):
                 yield SettingDifference(where, name, before.get(name), after.get(name))
+    if has_bench[0] != has_bench[1]:
+        # An imported recording has no bench of which single settings could differ.
+        yield SettingDifference("bench file", "imported from", *(item and item.words for item in recordings))
+        return
     snapshots = [(read_snapshots(run.path) or ({},))[-1] for run in (first, second)]
     for item in settings_differences(*snapshots):
         name = f"{item.what} ({item.unit})" if item.unit else item.what
         yield SettingDifference(f"set: {item.where}", name, item.before, item.after)
+
+
+def _defaults(scene: Scene, names: Collection[str]) -> dict[str, Any]:
+    """Return the values in ``scene`` of the settings ``names`` by path, without those that it lacks."""
+    values = dict(_flat(scene.model_dump(mode="json", exclude_none=True)))
+    return {name: values[name] for name in names if name in values}
 
 
 def _single(value: Any) -> Any:

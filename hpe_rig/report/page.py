@@ -36,7 +36,7 @@ from hpe_rig.result import (
     spectrum_pictures,
 )
 from hpe_rig.runs import Run, estimate_points, open_run, points_over
-from hpe_rig.scene import Axis, Scene
+from hpe_rig.scene import Axis, Scene, plural
 from hpe_rig.store import StoreError, refuse_unwritable, write_file
 
 MAX_TEXT = 60_000
@@ -326,7 +326,9 @@ def _push_text(scene: Scene) -> str:
         return "none: the scene has no [excitation]"
     lengths = " / ".join(f"{length * 1e6:g}" for length in scene.excitation.burst_length_s)
     forces = " / ".join(f"{force:g}" for force in scene.excitation.force_fraction)
-    bursts = f"{scene.excitation.burst_count} tonebursts of {lengths} us at {scene.excitation.burst_rate_hz:g} Hz"
+    bursts = (
+        f"{plural(scene.excitation.burst_count, 'toneburst')} of {lengths} us at {scene.excitation.burst_rate_hz:g} Hz"
+    )
     return f"{bursts}, F = {forces} F_0"
 
 

@@ -91,7 +91,11 @@ def result_grid(result: ResultData) -> Grid:
         frequency_hz=frequency_hz,
         frequency=frequency_hz[0] if same_frequencies else None,
         estimates={name: table(name) for name in UNITS},
-        settings={name: np.array([_number(getattr(s, name)) for s in result.shots]) for name in SETTING_UNITS},
+        settings={
+            # As in every table, repeats count from 1.
+            name: np.array([_number(getattr(shot, name)) for shot in result.shots]) + (name == "repeat")
+            for name in SETTING_UNITS
+        },
         motion=_motion(result),
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from hpe_rig.arrays import ByteArray, FloatArray
 from hpe_rig.result.sentence import scale_of
 from hpe_rig.result.tables import package_of_extra
-from hpe_rig.scene import engineering
+from hpe_rig.scene import engineering, plural
 
 if TYPE_CHECKING:
     import xarray
@@ -62,10 +62,10 @@ class MotionMap:
     def _lines(self) -> Iterator[str]:
         lines, gates = self.bad.shape
         good = self.bad == 0
-        yield f"{lines} lines of {gates} gates, {int(good.sum())} of {good.size} pixels estimated"
+        yield f"{plural(lines, 'line')} of {plural(gates, 'gate')}, {int(good.sum())} of {good.size} pixels estimated"
         for kind in list(BadPixel)[1:]:
             if count := int((self.bad == kind).sum()):
-                yield f"{count} pixel{'' if count == 1 else 's'} excluded: {_REASONS[kind]}"
+                yield f"{plural(count, 'pixel')} excluded: {_REASONS[kind]}"
         if not good.any():
             return
         for index, hz in enumerate(self.frequency_hz.tolist()):

@@ -61,7 +61,7 @@ class ResultData:
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; numbers that JSON cannot hold become None.
 
-        ``left_out`` repeats ``omitted``, which had that name in earlier versions.
+        ``left_out`` repeats ``omitted``, which had that name before 1.0.0rc1; 1.0.0 omits it.
         """
         # JSON omits displacements and influences, which are arrays of the result file.
         without_arrays = replace(self, shots=tuple(replace(shot, motion=None, influences=()) for shot in self.shots))
@@ -77,8 +77,8 @@ class ResultData:
         shots = [*self.shots, *(gate.shot for gate in self.profile)]
         shot_tables = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
         for shot, table in zip(shots, shot_tables, strict=True):
-            del table["motion"], table["influences"], table["index"]
-            _put_first(table, {"shot": shot.shot})
+            del table["motion"], table["influences"], table["index"], table["repeat"]
+            _put_first(table, {"shot": shot.shot, "repeat": shot.repeat + 1})
             for estimate, row in zip(
                 (*shot.estimates, *shot.control), (*table["estimates"], *table["control"]), strict=True
             ):

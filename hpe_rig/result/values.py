@@ -262,15 +262,15 @@ class Estimate:
 class ShotResult:
     """The estimates of one shot, with its settings and the number of missing pulses.
 
-    ``index``: that of the shot's records (``run.records[index]``), from 0. ``complete`` is False if the run stopped
-    during the shot. ``untrusted`` states why the records are not to be trusted, "" without a reason. ``swept``: values
-    of the sweep's axes by their full names. ``conditions``: by name, read before and after the shot, NaN if not read.
-    ``motion``: displacement, model and residual of each pulse, None if not stored. ``pulse_rate_error``: relative error
-    of the pulse rate by the digitizer's clock, with its standard uncertainty; None without trigger times.
-    ``frequency_error``: relative error of the motion's frequencies (of the burst rate) by the clock of the pulses,
-    which the estimates are corrected for, with its standard uncertainty; None for one common clock. ``control``:
-    tracked motion in the control of the shot, which has been subtracted, at each frequency; empty without a control.
-    ``influences``: errors of the estimates by source.
+    ``index``: that of the shot's records (``run.records[index]``), from 0, as ``repeat``; tables count both from 1.
+    ``complete`` is False if the run stopped during the shot. ``untrusted`` states why the records are not to be
+    trusted, "" without a reason. ``swept``: values of the sweep's axes by their full names. ``conditions``: by name,
+    read before and after the shot, NaN if not read. ``motion``: displacement, model and residual of each pulse, None if
+    not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its standard
+    uncertainty; None without trigger times. ``frequency_error``: relative error of the motion's frequencies (of the
+    burst rate) by the clock of the pulses, which the estimates are corrected for, with its standard uncertainty; None
+    for one common clock. ``control``: tracked motion in the control of the shot, which has been subtracted, at each
+    frequency; empty without a control. ``influences``: errors of the estimates by source.
     """
 
     index: int

@@ -11,13 +11,15 @@ import numpy as np
 
 from hpe_rig.arrays import Int16Array
 from hpe_rig.plan import Shot, scene_of_shot
-from hpe_rig.recordings import Echoes, ExportFormat, Label, export_image
+from hpe_rig.recordings import Echoes, ExportFormat, Label, differing_setting, export_image
 from hpe_rig.runs.run import Run, open_run
-from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.scene import Mistake, SettingsError, plural
 from hpe_rig.store import StoreError, refuse_output, write_file
 
 SUFFIXES: Mapping[str, ExportFormat] = {".hdf5": "zea", ".uff": "uff", ".mat": "mat"}
 """Format by the ending of the file."""
+ENDINGS: Mapping[ExportFormat, tuple[str, ...]] = {"zea": (".hdf5", ".h5"), "uff": (".uff", ".h5"), "mat": (".mat",)}
+"""Endings by which readers, ``import_records`` among them, detect a format."""
 MAX_BYTES = 2**31 - 1
 """Most bytes of echoes in a file: the limit of MATLAB's format, and the file is in memory until it is whole."""
 SAME_PULSE_TIME_S = 1e-12
@@ -31,7 +33,7 @@ def export_run(
     *,
     overwrite: bool = False,
 ) -> tuple[str, ...]:
-    """Write the echoes of ``run`` to ``path`` for other programs; return in words which shots and records are absent.
+    """Write the echoes of ``run`` to ``path`` for other programs; return in words what is absent, and how to read it.
 
     ``file_format``: "zea", "uff" of USTB, or "mat"; default: by the ending .hdf5, .uff or .mat. ``shots``, counted
     from 0; default: all complete ones that are not marked as bad. Missing records are NaN, or -32768 in MATLAB. A
@@ -48,16 +50,29 @@ def export_run(
     if mistakes:
         raise SettingsError("export", mistakes)
     missing: dict[int, int] = {}
-    write_file(path, export_image(_echoes_of(run, selected, missing), selected_format), overwrite)
-    return (*omitted, *(f"shot {shot + 1}: {count} missing records" for shot, count in missing.items() if count))
+    echoes = _echoes_of(run, selected, missing)
+    write_file(path, export_image(echoes, selected_format), overwrite)
+    gaps = [f"shot {shot + 1}: {plural(count, 'missing record')}" for shot, count in missing.items() if count]
+    lateral_offset_m = np.array([shot.lateral_offset_m for shot in selected])
+    if key := differing_setting(echoes.pulse_time_s, lateral_offset_m):
+        again = f"for other programs only: its shots differ in {key}, and hpe-rig import needs one value of it. "
+        again += f"Try: hpe-rig export {run.path} --shot for shots of one {key}"
+    else:
+        option = " --set not_finite=missing" if gaps else ""
+        again = f"hpe-rig import {path} --scene SCENE{option} reads it again"
+    return (*omitted, *gaps, f"{path}: {again}")
 
 
 def _format_of(path: Path, file_format: ExportFormat | None) -> ExportFormat:
-    """Return ``file_format``, by default that of the ending of ``path``; raise ``SettingsError`` for no format."""
+    """Return ``file_format``, by default that of the ending of ``path``; raise ``SettingsError`` for another."""
     selected = file_format or SUFFIXES.get(path.suffix.lower())
     if selected is None or selected not in SUFFIXES.values():
         what = f"{selected!r} is unknown" if selected else f"the ending of {path.name} implies no format"
         raise SettingsError("export", [Mistake("format", what, f"one of {', '.join(SUFFIXES.values())}")])
+    if path.suffix.lower() not in ENDINGS[selected]:
+        what = f"{path.name} is no name of a {selected} file, and readers detect a format by the ending"
+        remedy = " or ".join(f"{path.stem}{ending}" for ending in ENDINGS[selected])
+        raise SettingsError("export", [Mistake("format", what, remedy)])
     return selected
 
 

@@ -64,6 +64,11 @@ def engineering(value: float, unit: str, digits: int = 4) -> str:
     return f"{rounded / 10.0**power:.{digits}g} {_PREFIXES[power]}{unit}"
 
 
+def plural(count: int, noun: str) -> str:
+    """Return ``count`` and ``noun``, with an s unless it is one: 1 shot, 3 shots."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
 def length_m(text: str, key: str, max_m: float = MAX_LENGTH_M) -> float:
     """Return a length from 1 fm to ``max_m``, given as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key``."""
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(nm|um|mm|m)?\s*", text)

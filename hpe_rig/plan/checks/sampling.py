@@ -20,7 +20,7 @@ from hpe_rig.plan.selection import (
     window_pulse_count,
 )
 from hpe_rig.plan.shots import Plan
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Scene, engineering
 
 MAX_DRIVEN, MAX_VALUES = 5000, 50_000_000
 """Harmonics of a fit, and values of its matrix: 0.4 GB, and the fit needs about four copies."""
@@ -92,8 +92,14 @@ def resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     train_s = plan.shots[0].capture.record_count / rate_hz
     window_s = min(processing.window_length_s or math.inf, train_s - processing.window_start_s)
     text = f"processing window of {window_s * 1e3:.4g} ms in a tracking train of {train_s * 1e3:.4g} ms"
+    if processing.window_start_s >= train_s:
+        text = f"processing.window_start_s = {engineering(processing.window_start_s, 's')} lies after the end of the "
+        text += f"tracking train ({engineering(train_s, 's')})"
+        remedy = f"processing.window_start_s = 0, a start before {train_s:.4g} s, or more tracking.pulse_count"
+        yield CheckResult("window", "refused", text, remedy)
+        return
     window_end_s = processing.window_start_s + (processing.window_length_s or 0)
-    if window_end_s > train_s or window_s <= 0:
+    if window_end_s > train_s:
         remedy = f"window_start_s plus window_length_s within {train_s:g} s, or more tracking.pulse_count"
         yield CheckResult("window", "refused", text, remedy)
         return

@@ -95,6 +95,10 @@ def test_a_bench_file_is_told_from_a_scene(real: Path, tmp_path: Path) -> None:
     refused = CliRunner().invoke(app, ["emulate", str(real), "--bench", str(real)])
     assert refused.exit_code == 2
     assert "is a bench file too" in refused.output
+    absent = CliRunner().invoke(app, ["emulate", str(tmp_path / "nothere.toml")])
+    assert absent.exit_code == 2
+    assert "there is no file" in absent.output
+    assert "path of a bench file or a scene" in " ".join(absent.output.split())
 
 
 def test_an_imported_recording_has_no_instruments_to_emulate() -> None:

@@ -38,6 +38,23 @@ def test_a_run_agrees_with_itself(runs: tuple[Path, Path, Path]) -> None:
     assert [(row.p_all, row.p_noise) for row in found.results] == [(1.0, 1.0)]
 
 
+def test_a_default_and_an_absent_setting_are_equal(tmp_path: Path, runs: tuple[Path, Path, Path]) -> None:
+    scene = hpe.load_scene("table-1")
+    hpe.measure(scene.with_({"tracking.delay_s": 0.0, "processing.flag_pulses": True}), path=tmp_path / "stated.h5")
+    assert compare_runs(runs[0], tmp_path / "stated.h5").settings == ()
+
+
+def test_an_imported_recording_differs_from_a_bench_in_one_setting_and_the_result_comes_first(
+    tmp_path: Path, runs: tuple[Path, Path, Path]
+) -> None:
+    hpe.export_run(runs[0], tmp_path / "a.hdf5")
+    again = hpe.import_records(tmp_path / "a.hdf5", "table-1", tmp_path / "again.h5")
+    of_bench = [item for item in compare_runs(runs[0], again.path).settings if item.where != "scene"]
+    assert [(item.where, item.what, item.before) for item in of_bench] == [("bench file", "imported from", None)]
+    done = CliRunner().invoke(app, ["compare", str(runs[0]), str(again.path)])
+    assert 0 <= done.output.index("agrees") < done.output.index("settings differ")
+
+
 def test_other_speckle_differs_only_if_the_place_were_the_same(runs: tuple[Path, Path, Path]) -> None:
     found = compare_runs(runs[0], runs[1])
     assert [(each.where, each.what, each.before, each.after) for each in found.settings] == [
@@ -51,7 +68,7 @@ def test_other_speckle_differs_only_if_the_place_were_the_same(runs: tuple[Path,
 def test_half_the_motion_is_told_from_chance_whatever_else_differs(runs: tuple[Path, Path, Path]) -> None:
     found = compare_runs(runs[0], runs[2])
     changed = {(each.where, each.what): (each.before, each.after) for each in found.settings}
-    assert changed[("scene", "tracking.delay_s")] == (None, 1e-4)
+    assert changed[("scene", "tracking.delay_s")] == (0.0, 1e-4)
     assert changed[("scene", "simulation.motion[0].amplitude_m")] == (1e-6, 5e-7)
     assert changed[("set: tracking pulse train", "delay (s)")] == (0.0, 1e-4)
     (row,) = found.results

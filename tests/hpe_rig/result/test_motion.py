@@ -71,7 +71,8 @@ def test_xarray_reads_the_file_with_axes_and_units(run: hpe.Run, result: Result)
         np.testing.assert_array_equal(stored.residual_m, dataset.displacement_m - dataset.model_m)
     assert dataset.amplitude_m.sel(shot=2, frequency=200.0).item() == result.shots[1].estimates[0].amplitude_m
     assert dataset.time_s.dims == ("shot", "pulse")
-    assert dataset.repeat.values.tolist() == [0, 1]
+    assert dataset.repeat.values.tolist() == [1, 2]
+    assert [shot["repeat"] for shot in result.as_dict()["shots"]] == [1, 2]
     assert dataset.attrs["note_operator"] == "A. B."
 
 

@@ -65,7 +65,7 @@ def test_an_exported_run_is_imported_with_the_same_codes_and_motion(
     file_format: str, run: Run, folder: Path, tmp_path: Path
 ) -> None:
     exported = tmp_path / f"a.{FORMATS[file_format]}"
-    assert hpe.export_run(run, exported) == ()
+    assert hpe.export_run(run, exported) == (f"{exported}: hpe-rig import {exported} --scene SCENE reads it again",)
     again = hpe.import_records(exported, folder / "scene.toml", tmp_path / "again.h5")
     for shot, records in enumerate(run.records):
         other = again.records[shot]
@@ -133,7 +133,10 @@ def test_a_missing_record_stays_missing(file_format: str, folder: Path, tmp_path
     lossy: dict[str, Any] = {"not_finite": "missing"}
     once = hpe.import_records(tmp_path / "all.hdf5", folder / "scene.toml", tmp_path / "once.h5", **lossy)
     exported = tmp_path / f"a.{FORMATS[file_format]}"
-    assert hpe.export_run(once, exported) == ("shot 1: 1 missing records",)
+    missing, again = hpe.export_run(once, exported)
+    assert missing == "shot 1: 1 missing record"
+    # Without the option the import refuses the missing record.
+    assert "--set not_finite=missing reads it again" in again
     twice = hpe.import_records(exported, folder / "scene.toml", tmp_path / "twice.h5", **lossy)
     assert np.flatnonzero(~twice.records[0].valid).tolist() == [7]
     volts, other = (
@@ -160,10 +163,10 @@ def test_echoes_that_were_changed_after_the_export_are_imported_as_volts(
 def test_bad_shots_are_left_out_unless_they_are_named(run: Run, tmp_path: Path) -> None:
     marked = run.mark(0, "cable touched")
     try:
-        (sentence,) = hpe.export_run(marked, tmp_path / "a.mat")
+        sentence, _ = hpe.export_run(marked, tmp_path / "a.mat")
         assert sentence == "shot 1 is left out: marked bad: cable touched"
         assert loadmat(tmp_path / "a.mat")["shot_number"].item() == 2
-        assert hpe.export_run(marked, tmp_path / "b.mat", shots=[0]) == ()
+        assert len(hpe.export_run(marked, tmp_path / "b.mat", shots=[0])) == 1
     finally:
         marked.mark(0, None)
 
@@ -175,7 +178,8 @@ def test_shots_of_several_offsets_or_rates_are_exported_together_only_where_a_fo
     rates = hpe.measure(scene.with_({"sweep.axes": {"tracking.pulse_rate_hz": [2000.0, 2500.0]}}), path=tmp_path / "r")
     with pytest.raises(SettingsError, match=r"UFF holds one pulse rate, the intervals are 0\.0004 to 0\.0005 s"):
         hpe.export_run(rates, tmp_path / "a.uff")
-    hpe.export_run(rates, tmp_path / "a.hdf5")
+    (sentence,) = hpe.export_run(rates, tmp_path / "a.hdf5")
+    assert "its shots differ in pulse_time_s, and hpe-rig import needs one value of it" in sentence
     with pytest.raises(SettingsError, match="time_to_next_transmit differs between frames"):
         hpe.import_records(tmp_path / "a.hdf5", folder / "scene.toml", tmp_path / "again.h5")
     hpe.export_run(rates, tmp_path / "b.uff", shots=[1])
@@ -186,10 +190,24 @@ def test_shots_of_several_offsets_or_rates_are_exported_together_only_where_a_fo
         hpe.export_run(hpe.measure(carriers, path=tmp_path / "c"), tmp_path / "c.mat")
 
 
+def test_an_export_promises_no_import_of_several_offsets(folder: Path, tmp_path: Path) -> None:
+    scene = hpe.load_scene(folder / "scene.toml").with_(
+        {"acquisition.repeats": 1, "sweep.lateral_offset_m": [0.0, 1e-3]}
+    )
+    run = hpe.measure(scene, path=tmp_path / "wide.h5")
+    for ending in FORMATS.values():
+        (sentence,) = hpe.export_run(run, tmp_path / f"wide.{ending}")
+        assert "its shots differ in lateral_offset_m" in sentence
+        assert "reads it again" not in sentence
+        with pytest.raises(SettingsError, match="its shots differ in lateral_offset_m"):
+            hpe.import_records(tmp_path / f"wide.{ending}", folder / "scene.toml", tmp_path / "again.h5")
+
+
 def test_a_wrong_request_ends_with_a_message_and_no_file(run: Run, tmp_path: Path, monkeypatch: Any) -> None:
     for name, options, said in (
         ("a.dat", {}, r"the ending of a\.dat implies no format\. Try: one of zea, uff, mat"),
         ("a.mat", {"file_format": "dicom"}, "'dicom' is unknown"),
+        ("a.mat", {"file_format": "zea"}, r"a\.mat is no name of a zea file.* Try: a\.hdf5 or a\.h5"),
         ("a.mat", {"shots": [2]}, r"shot 3 does not exist\. Try: 1 to 2"),
     ):
         with pytest.raises(SettingsError, match=said):

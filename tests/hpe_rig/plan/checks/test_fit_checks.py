@@ -52,6 +52,17 @@ def test_an_estimator_without_prior_needs_what_least_squares_need() -> None:
     assert "fit" not in levels(changes)
 
 
+def test_a_window_after_the_train_is_refused_by_its_start() -> None:
+    window = found_of({"excitation.burst_count": 6, "processing.window_start_s": 0.1}, "gelatin-moduli")["window"]
+    assert window.level == "refused"
+    assert "window_start_s = 0.1 s lies after the end of the tracking train" in window.text
+    # A window that starts in the train and ends after it has the other message.
+    window = found_of(
+        {"excitation.burst_count": 6, "processing.window_start_s": 0.03, "processing.window_length_s": 1.0}
+    )
+    assert "in a tracking train of" in window["window"].text
+
+
 def test_more_unknowns_than_pulses_are_refused() -> None:
     changes = {"processing.window_length_s": 0.005, "processing.background_order": 5}
     assert levels(changes | {"processing.harmonic": "least_squares"})["fit"] == "refused"
