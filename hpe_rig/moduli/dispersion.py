@@ -161,7 +161,7 @@ def _too_few_offsets(vibrations: Sequence[Vibration]) -> str:
     """Return the message that no frequency has a vibration at enough lateral offsets, with its cause and remedy."""
     offsets_mm = sorted({round(abs(vibration.lateral_m) * 1e3, 6) for vibration in vibrations})
     names = ", ".join(f"{offset:g} mm" for offset in offsets_mm) or "none"
-    remedy = "Try: more values of sweep.lateral_offset_m, more run files"
+    remedy = "Try: more values of sweep.lateral_offset_m, or more run files"
     if len(offsets_mm) < MIN_OFFSETS:
         count = f"{len(offsets_mm)} lateral offset{'s' * (len(offsets_mm) != 1)}"
         return (
