@@ -24,7 +24,7 @@ LIST = "scenes"
 MANY_LINES = """
 import sys
 from hpe_rig.cli import app
-app.app = lambda: print("a line of a long table\\n" * 20_000, end="")
+app.app = lambda **_: print("a line of a long table\\n" * 20_000, end="")
 app.main()
 """
 
