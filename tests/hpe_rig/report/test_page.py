@@ -243,7 +243,9 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     assert "Over force F / F<sub>0</sub>" in page
     (described,) = re.findall(r'<desc id="amplitude-settings-d">.*: (F = .*)\.</desc>', page)
     assert re.fullmatch(r"F = 0.25\d* F_0; F = 0.5\d* F_0; F = 1 F_0", described), described
-    slopes = re.findall(r'<tr><th scope="row">100</th><td class="word">T<sub>b</sub> = 100 µs</td><td>([\d.]+)</td>', page)
+    slopes = re.findall(
+        r'<tr><th scope="row">100</th><td class="word">T<sub>b</sub> = 100 µs</td><td>([\d.]+)</td>', page
+    )
     last = process(run_file).shots[-1].estimates[0].headline.amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
