@@ -58,13 +58,7 @@ def dispersion_figure(
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
     if ax is None:
-        pairs = (pair for axes in panels for pair in zip(*axes.get_legend_handles_labels(), strict=True))
-        by_label = {label: handle for handle, label in pairs}
-        position: Any = "outside right center" if is_wide else "outside lower center"
-        columns = 1 if is_wide else 2
-        figure.legend(
-            list(by_label.values()), list(by_label), loc=position, ncols=columns, fontsize="small", frameon=False
-        )
+        _add_common_legend(figure, panels, is_wide=is_wide)
     else:
         for axes in panels:
             axes.legend(fontsize="small", frameon=False)
@@ -74,3 +68,12 @@ def dispersion_figure(
         # Simulated and measured data must not be confused.
         panels[0].set_title("SIMULATED", loc="right", fontsize="small")
     return figure
+
+
+def _add_common_legend(figure: Figure, panels: Sequence[Axes], *, is_wide: bool) -> None:
+    """Add one legend for the curves of all panels, beside them in a wide figure and otherwise below."""
+    pairs = (pair for axes in panels for pair in zip(*axes.get_legend_handles_labels(), strict=True))
+    by_label = {label: handle for handle, label in pairs}
+    position: Any = "outside right center" if is_wide else "outside lower center"
+    columns = 1 if is_wide else 2
+    figure.legend(list(by_label.values()), list(by_label), loc=position, ncols=columns, fontsize="small", frameon=False)

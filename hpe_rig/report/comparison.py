@@ -267,13 +267,7 @@ def _settings_differences(first: Run, second: Run) -> Iterator[SettingDifference
     has_bench = [recording is None for recording in recordings]
     files = [("scene", "scene_toml"), ("bench file", "bench_toml")]
     for where, attribute in files if has_bench[0] == has_bench[1] else files[:1]:
-        before, after = (dict(_flat(parse_toml(getattr(run.stored, attribute), where))) for run in (first, second))
-        if where == "scene":
-            # A setting that one scene leaves out has its default there.
-            before, after = _defaults(first.scene, after) | before, _defaults(second.scene, before) | after
-        for name in dict.fromkeys([*before, *after]):
-            if _single(before.get(name)) != _single(after.get(name)):
-                yield SettingDifference(where, name, before.get(name), after.get(name))
+        yield from _file_differences(first, second, where, attribute)
     if has_bench[0] != has_bench[1]:
         # An imported recording has no bench of which single settings could differ.
         yield SettingDifference("bench file", "imported from", *(item and item.words for item in recordings))
@@ -282,6 +276,17 @@ def _settings_differences(first: Run, second: Run) -> Iterator[SettingDifference
     for item in settings_differences(*snapshots):
         name = f"{item.what} ({item.unit})" if item.unit else item.what
         yield SettingDifference(f"set: {item.where}", name, item.before, item.after)
+
+
+def _file_differences(first: Run, second: Run, where: str, attribute: str) -> Iterator[SettingDifference]:
+    """Yield the differences between the scenes or bench files that the runs store under ``attribute``."""
+    before, after = (dict(_flat(parse_toml(getattr(run.stored, attribute), where))) for run in (first, second))
+    if where == "scene":
+        # A setting that one scene leaves out has its default there.
+        before, after = _defaults(first.scene, after) | before, _defaults(second.scene, before) | after
+    for name in dict.fromkeys([*before, *after]):
+        if _single(before.get(name)) != _single(after.get(name)):
+            yield SettingDifference(where, name, before.get(name), after.get(name))
 
 
 def _defaults(scene: Scene, names: Collection[str]) -> dict[str, Any]:

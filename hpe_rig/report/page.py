@@ -122,8 +122,7 @@ def render(
         sweep = make_sweep(result.shots)
         sweep_pictures = figures.sweep_pictures(sweep) if sweep else ()
         moduli = moduli_summary(stored_run, estimator)
-        same_window = [gate for gate in result.profile if gate.shot.window_length_s == shot.window_length_s]
-        depth_pictures = profile_pictures([gate for gate in same_window if gate.shot.index == shot.index])
+        depth_pictures = _depth_pictures(result, shot)
     warnings = (*result.warnings, *shot_warnings(result.shots))
     return render_template(
         "report.html",
@@ -152,6 +151,12 @@ def render(
         max_text=MAX_TEXT,
         max_rows=page_tables.MAX_ROWS,
     )
+
+
+def _depth_pictures(result: Result, shot: ShotResult) -> Sequence[Picture]:
+    """Return the pictures of amplitude and phase over depth, for ``shot`` and its window."""
+    same_window = [gate for gate in result.profile if gate.shot.window_length_s == shot.window_length_s]
+    return profile_pictures([gate for gate in same_window if gate.shot.index == shot.index])
 
 
 def _tables(run: Run, result: Result, shot: ShotResult, sweep: Sweep | None) -> dict[str, PageTable | None]:
