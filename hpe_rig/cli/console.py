@@ -70,13 +70,13 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 def _refuse_inputs_as_outputs(values: Mapping[str, Any]) -> None:
     """Raise ``StoreError`` if one of ``OUTPUTS`` is a file that the other ``values`` of a command name."""
-    outputs = [path for name in OUTPUTS if isinstance(path := values.get(name), Path) and path.is_file()]
+    outputs = [path for name in OUTPUTS if isinstance(path := values.get(name), Path)]
     inputs = [value for name, value in values.items() if name not in OUTPUTS]
     for item in itertools.chain.from_iterable(value if isinstance(value, list) else [value] for value in inputs):
         for output in outputs if isinstance(item, str | Path) else ():
             # A text that is no name of a file, such as that of a shipped scene, cannot be an output.
             with suppress(OSError, ValueError):
-                if output.samefile(item):
+                if output.is_file() and output.samefile(item):
                     from hpe_rig.store import StoreError
 
                     raise StoreError(f"{output} is read by this command: it stays unchanged. Try: another name.")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import announce, guarded
-from hpe_rig.cli.options import BenchPath, Json, SceneName, SchedulerOptions, figure_option, output_option
+from hpe_rig.cli.options import BenchPath, Json, SceneName, SchedulerOptions, output_option
 
 studies = typer.Typer()
 
@@ -64,7 +64,11 @@ def accuracy(
         Path | None,
         output_option("Table, .csv or .json. Default: printed. Without PART: the report, default accuracy.html."),
     ] = None,
-    figure: Annotated[Path | None, figure_option("Work-precision figure")] = None,
+    figure: Annotated[
+        # Not checked by itself: all mistakes of the command are reported at once.
+        Path | None,
+        typer.Option(metavar="FILE", help="Work-precision figure, .svg, .png or .pdf."),
+    ] = None,
     full: Annotated[
         bool, typer.Option("--full", help="All sizes and draws, which take minutes instead of one minute.")
     ] = False,

@@ -110,7 +110,7 @@ def import_recording(
 
     # The bench file holds the inferred values, but the warnings about quantisation need a plan, which needs a bench.
     # So the bench file is made twice.
-    inferred = (*recording.inferred, *assumptions, *_replacements(tables, values))
+    inferred = (*recording.inferred, *assumptions, *_replacements(tables, values), *_settings_in_turn(tables))
     bench = parse_bench("imported", _bench_text(recording, inferred))
     plan, findings = plan_and_check(scene_as_recorded.scene, bench.bench)
     refuse_conflicts(findings)
@@ -177,13 +177,25 @@ def _replacements(tables: Mapping[str, Any], values: Mapping[KeyPath, Any]) -> I
             yield f"{'.'.join(map(str, key))} = {value}, not {stated} as in the scene"
 
 
-def _setting_count(tables: Mapping[str, Any]) -> int:
-    """Return the number of forces times that of burst lengths in the scene: as many shots are no repeats."""
+def _lists(tables: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Return the lists of forces and of burst lengths in the scene by key, empty ones left out."""
     excitation = tables.get("excitation", {})
     if not isinstance(excitation, dict):
-        return 1
-    lists = [excitation.get(key) for key in ("burst_length_s", "force_fraction")]
-    return math.prod(len(values) for values in lists if isinstance(values, list) and values)
+        return {}
+    lists = {key: excitation.get(key) for key in ("burst_length_s", "force_fraction")}
+    return {key: values for key, values in lists.items() if isinstance(values, list) and values}
+
+
+def _setting_count(tables: Mapping[str, Any]) -> int:
+    """Return the number of forces times that of burst lengths in the scene: as many shots are no repeats."""
+    return math.prod(len(values) for values in _lists(tables).values())
+
+
+def _settings_in_turn(tables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each list of the scene: the file itself does not say which shot has which value."""
+    for key, values in _lists(tables).items():
+        if len(values) > 1:
+            yield f"the shots have excitation.{key} = {', '.join(map(str, values))} of the scene in turn"
 
 
 def _refuse_sweeps(tables: Mapping[str, Any], source: str) -> None:

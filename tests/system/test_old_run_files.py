@@ -55,6 +55,7 @@ def shots_of(name: str) -> list[dict[str, Any]]:
     shots: list[dict[str, Any]] = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))["shots"]
     for shot in shots:
         shot["shot"] += 1
+        shot["repeat"] += 1
         shot["estimates"] = [
             {PRESENT_NAMES.get(key, key): value for key, value in estimate.items() if "corrected" not in key}
             for estimate in shot["estimates"]

@@ -87,7 +87,7 @@ def commands() -> set[str]:
 @cache
 def options(command: str) -> set[str]:
     """Return the options that a command's help lists."""
-    return set(re.findall(r"^  (--[a-z-]+)", output_of(f"{command} --help"), flags=re.MULTILINE))
+    return set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", output_of(f"{command} --help"), flags=re.MULTILINE))
 
 
 def shown_commands() -> Iterator[tuple[str, str, list[str]]]:

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare_resumption
-from hpe_rig.recordings import matlab
+from hpe_rig.recordings import as_source, matlab
 from hpe_rig.recordings.lines import select_lines
 from hpe_rig.result import main_shot
 from hpe_rig.runs import import_recording
@@ -188,6 +188,16 @@ def test_every_format_gives_the_true_motion_of_its_echoes(
         AMPLITUDE_M, abs=3 * found.tracked_amplitude_uncertainty_m + 1e-3 * AMPLITUDE_M
     )
     assert found.tracked_phase_rad == pytest.approx(PHASE_RAD, abs=3e-3)
+
+
+def test_forces_of_the_scene_that_the_shots_of_a_file_receive_are_named(scene: Path, tmp_path: Path) -> None:
+    bursts = (
+        "[excitation]\nburst_rate_hz = 200.0\nburst_length_s = 1e-4\nburst_count = 2\nforce_fraction = [0.5, 1.0]\n"
+    )
+    scene.write_text(SCENE.replace("[tracking]", bursts + "[tracking]"), encoding="utf-8")
+    settings = RATES | {"axes": "shot,pulse,sample"}
+    _, inferred = import_recording(as_source(np.stack([RF[0], RF[0]])), scene, tmp_path / "run.h5", options=settings)
+    assert "the shots have excitation.force_fraction = 0.5, 1.0 of the scene in turn" in inferred
 
 
 def test_an_imported_run_is_sound_states_its_origin_and_is_not_resumed(scene: Path, tmp_path: Path) -> None:
