@@ -191,10 +191,9 @@ def test_every_format_gives_the_true_motion_of_its_echoes(
 
 
 def test_forces_of_the_scene_that_the_shots_of_a_file_receive_are_named(scene: Path, tmp_path: Path) -> None:
-    bursts = (
-        "[excitation]\nburst_rate_hz = 200.0\nburst_length_s = 1e-4\nburst_count = 2\nforce_fraction = [0.5, 1.0]\n"
-    )
-    scene.write_text(SCENE.replace("[tracking]", bursts + "[tracking]"), encoding="utf-8")
+    excitation = "[excitation]\nburst_rate_hz = 200.0\nburst_length_s = 1e-4\nburst_count = 2"
+    tables = f'{excitation}\nforce_fraction = [0.5, 1.0]\n[tracking]\ndisturbed = "skip"'
+    scene.write_text(SCENE.replace("[tracking]", tables), encoding="utf-8")
     settings = RATES | {"axes": "shot,pulse,sample"}
     _, inferred = import_recording(as_source(np.stack([RF[0], RF[0]])), scene, tmp_path / "run.h5", options=settings)
     assert "the shots have excitation.force_fraction = 0.5, 1.0 of the scene in turn" in inferred
