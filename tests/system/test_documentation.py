@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import re
 import shlex
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -210,6 +212,38 @@ def test_every_public_name_is_documented(generated: dict[str, str], generate: Mo
     assert {"hpe_rig.recordings", "hpe_rig.extensions", "drivers.alazar", "sim_backend.echoes"} <= set(
         generate.PACKAGES
     )
+
+
+SEARCHES = {
+    "verasonics": "how-to/research-scanners",
+    "uff": "how-to/research-scanners",
+    "cite": "project/citing",
+    "licence": "project/citing",
+    "license": "project/citing",
+    "phase velocity": "how-to/dispersion",
+    "oscilloscope": "how-to/oscilloscopes",
+    "excel": "how-to/cookbook",
+}
+"""Searches of readers, and the page that each has to find."""
+
+
+@pytest.mark.external
+def test_the_site_is_built_without_warning_and_its_search_finds_the_page_of_a_task(tmp_path: Path) -> None:
+    from sphinx.search.en import SearchEnglish
+
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", str(DOCS), str(tmp_path)]
+    subprocess.run(command, check=True, cwd=DOCS.parent)
+    index = json.loads(re.sub(r"^Search\.setIndex\(|\)$", "", (tmp_path / "searchindex.js").read_text("utf-8")))
+    stem = SearchEnglish({}).stem
+
+    def pages_with(word: str) -> set[str]:
+        """Return the pages whose text or titles contain a word with the same stem, as the search of the site does."""
+        entries = [index[terms].get(stem(word), []) for terms in ("terms", "titleterms")]
+        numbers = [number for entry in entries for number in (entry if isinstance(entry, list) else [entry])]
+        return {index["docnames"][number] for number in numbers}
+
+    found = {search: set.intersection(*map(pages_with, search.split())) for search in SEARCHES}
+    assert {search: page for search, page in SEARCHES.items() if page not in found[search]} == {}
 
 
 def test_every_page_is_in_the_contents() -> None:
