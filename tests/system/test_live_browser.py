@@ -16,11 +16,11 @@ import pytest
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import Progress
-from hpe_rig.measurement.setup import prepare
+from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.measurement.stop_request import StopRequested
 from hpe_rig.report.page import write_report
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.store import read_run
+from hpe_rig.store import WriteOptions, read_run
 
 FLAGS = [
     "--headless",
@@ -191,6 +191,33 @@ def test_the_page_of_a_short_run_stays_until_it_is_closed(
     run.communicate(timeout=30)
     assert run.returncode == 0
     page.close()
+
+
+def test_a_page_of_a_run_that_is_overwritten_shows_the_new_run_only(
+    browser: object, started: Callable[..., tuple[subprocess.Popen[str], str]], tmp_path: Path
+) -> None:
+    def record(title: str, repeats: int) -> None:
+        text = shipped_scenes()["table-1"].replace("title = ", f'title = "{title}" # ', 1)
+        setup = prepare_text("scene", text.replace("[acquisition]", f"[acquisition]\nrepeats = {repeats}"))
+        record_run(setup, tmp_path / "run.h5", options=WriteOptions(overwrite=True))
+
+    record("first", 2)
+    _, address = started("live", "run.h5")
+    open_page, new_page = (browser.new_page() for _ in range(2))  # type: ignore[attr-defined]
+    open_page.goto(address)
+    # The second run has no curve over shots.
+    open_page.wait_for_selector("#over[aria-label*='of 2 shots']", timeout=60_000)
+    record("second", 1)
+    new_page.goto(address)
+    for page in (open_page, new_page):
+        page.wait_for_selector("#title:text-is('second')", timeout=60_000)
+        page.wait_for_selector("body[data-status=complete]", timeout=60_000)
+        page.wait_for_selector("#rows tr")
+    charts = "[...document.querySelectorAll('[aria-label]')].map(chart => chart.ariaLabel)"
+    assert open_page.inner_text("body") == new_page.inner_text("body")
+    assert open_page.evaluate(charts) == new_page.evaluate(charts)
+    for page in (open_page, new_page):
+        page.close()
 
 
 def test_a_phone_sees_where_the_run_is_and_pauses_it(

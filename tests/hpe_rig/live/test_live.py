@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 import pytest
 from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from hpe_rig.cli.app import app
 from hpe_rig.cli.options import WatchOptions
@@ -30,7 +30,7 @@ from hpe_rig.live import history, server
 from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
 from hpe_rig.live.history import RemainingTime
 from hpe_rig.live.server import ENDED, LivePage
-from hpe_rig.live.source import RunSource
+from hpe_rig.live.source import RunSource, Source
 from hpe_rig.live.state import State, band_verdict
 from hpe_rig.measurement.pause import pause_path, wait_for_move
 from hpe_rig.measurement.run import record_run
@@ -68,17 +68,24 @@ def counter() -> Counter:
     return Counter()
 
 
-@pytest.fixture
-def page(counter: Counter) -> Iterator[LivePage]:
-    served = LivePage(counter)
-    thread = threading.Thread(target=served.serve, daemon=True)
+@contextmanager
+def served(source: Source) -> Iterator[LivePage]:
+    """Yield the live page of ``source``, which a thread serves."""
+    page = LivePage(source)
+    thread = threading.Thread(target=page.serve, daemon=True)
     thread.start()
     try:
-        yield served
+        yield page
     finally:
-        served.close()
+        page.close()
         thread.join(10)
         assert not thread.is_alive()
+
+
+@pytest.fixture
+def page(counter: Counter) -> Iterator[LivePage]:
+    with served(counter) as page:
+        yield page
 
 
 def asked(page: LivePage, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], str]:
@@ -363,10 +370,18 @@ def last_state(source: RunSource) -> State:
     return state
 
 
+def states_until_the_run_ends(viewer: ClientConnection, title: str) -> list[State]:
+    """Return the states that ``viewer`` receives up to the last one of the run with ``title``."""
+    states: list[State] = []
+    while not (states and states[-1].get("title") == title and states[-1].get("shots_pending") == 0):
+        states.append(json.loads(viewer.recv(timeout=10)))
+    return states
+
+
 def test_the_page_of_a_replaced_file_is_that_of_the_new_run(tmp_path: Path) -> None:
-    path, runs = tmp_path / "run.h5", [("first", 0.13e-3, 1, 20), ("second", 0.15e-3, 2, 24)]
-    source, states = RunSource(path), list[State]()
-    for title, delay_s, repeats, pulses in runs:
+    path = tmp_path / "run.h5"
+
+    def record(title: str, delay_s: float, repeats: int, pulses: int) -> None:
         scene = load_scene("table-1").with_(
             {
                 "tracking.delay_s": delay_s,
@@ -377,11 +392,21 @@ def test_the_page_of_a_replaced_file_is_that_of_the_new_run(tmp_path: Path) -> N
         )
         setup = prepare_text(title, scene_text(scene)[1].replace("title = ", f'title = "{title}" # ', 1))
         record_run(setup, path, options=WriteOptions(overwrite=True))
-        states.append(last_state(source))
+
+    record("first", 0.13e-3, 1, 20)
+    with served(RunSource(path)) as page:
+        with connect(watch(page), max_size=None) as viewer:
+            states = states_until_the_run_ends(viewer, "first")
+            record("second", 0.15e-3, 2, 24)
+            states += states_until_the_run_ends(viewer, "second")
+        with connect(watch(page), max_size=None) as viewer:
+            reloaded = json.loads(viewer.recv(timeout=10))
     fresh = last_state(RunSource(path))
-    assert states[1] == fresh
-    assert states[0]["run"] != fresh["run"]
-    assert (fresh["title"], fresh["shots"]) == ("second", 2)
+    assert states[-1] == reloaded == json.loads(json.dumps(fresh))
+    # A page reloads itself when this value changes.
+    runs = {state["run"]: (state["title"], state["shots"]) for state in states if "run" in state}
+    assert list(runs.values()) == [("first", 1), ("second", 2)]
+    assert all((state["title"], state["shots"]) == runs[state["run"]] for state in states if "run" in state)
 
 
 def test_the_command_refuses_a_file_that_is_no_run_file(tmp_path: Path) -> None:
@@ -432,17 +457,14 @@ def waiting_for_places(tmp_path: Path, ended: list[str]) -> Iterator[LivePage]:
         except StopRequested:
             ended.append("stopped")
 
-    served = LivePage(RunSource(path))
-    threads = [threading.Thread(target=each, daemon=True) for each in (served.serve, measure)]
-    for thread in threads:
-        thread.start()
-    try:
-        yield served
-    finally:
-        threads[1].join(30)
-        served.close()
-        threads[0].join(10)
-    assert not threads[1].is_alive()
+    run = threading.Thread(target=measure, daemon=True)
+    run.start()
+    with served(RunSource(path)) as page:
+        try:
+            yield page
+        finally:
+            run.join(30)
+    assert not run.is_alive()
     assert not pause_path(path).exists()
 
 
