@@ -254,6 +254,38 @@ def test_an_instrument_that_is_silent_in_local_mode_is_made_safe_at_once(scripte
     assert connection.held["OUTP"] == "0"
 
 
+def lose(connection) -> None:
+    """Close ``connection`` at the instrument's end; ``reopen`` restores it."""
+    write = connection.write
+
+    def refuse(message: str) -> None:
+        raise ConnectionResetError("closed by the instrument")
+
+    connection.write, connection.timeout_s, connection.bus = refuse, 1.0, "GPIB0"
+    connection.reopen = lambda: setattr(connection, "write", write)
+
+
+def test_an_output_whose_connection_was_lost_is_proven_off_over_a_new_one(scripted) -> None:
+    connection = scripted()
+    connection.held["OUTP"] = "1"
+    lose(connection)
+    assert "opened again" in Agilent33250A(connection, "toneburst").make_safe()
+    assert connection.held["OUTP"] == "0"
+
+
+def test_a_connection_lost_between_two_shots_is_opened_again_if_the_same_instrument_answers(scripted) -> None:
+    connection = scripted()
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    lose(connection)
+    generator.configure(dataclasses.replace(BURST, cycles=300))
+    assert connection.held["BURS:NCYC"] == "300"
+    lose(connection)
+    connection.replies["*IDN"] = connection.replies["*IDN"].replace("2.04", "1.00")
+    with pytest.raises(InstrumentError, match="exchanged"):
+        generator.configure(BURST)
+
+
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_verify_returns_every_setting_in_few_messages_without_repeats(scripted, role_type, program) -> None:
     connection = scripted()

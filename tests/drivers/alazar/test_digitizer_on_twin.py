@@ -20,6 +20,7 @@ from drivers.alazar.board import AlazarBoard
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
+from drivers.alazar.return_codes import UNSUPPORTED_FUNCTION
 from drivers.interfaces import Capture, DeadlineError, Digitizer, InstrumentError, PulseTrain, TriggerPulse
 from sim_backend.digitizer.boards import IMPEDANCE_50_OHM
 from sim_backend.settings import Instruments, SimulationSettings, TriggerFaults
@@ -279,6 +280,14 @@ def test_faults_of_the_twins_triggers_reach_the_records(dual: bool, faults: Trig
             times_s.extend(block.trigger_time_s)
     relative_s = np.array(times_s) - times_s[0]
     np.testing.assert_allclose(relative_s, (np.array(periods) - periods[0]) / RATE_HZ, rtol=0, atol=41e-9)
+
+
+def test_a_board_that_does_not_report_its_counter_is_timed_by_its_model() -> None:
+    rig = Rig(dual=True)
+    rig.fire(CAPTURE)
+    rig.library.answers["AlazarGetParameter"] = UNSUPPORTED_FUNCTION
+    times_s = np.concatenate([block.trigger_time_s for block in rig.digitizer.records(rig.deadline_s())])
+    np.testing.assert_allclose(np.diff(times_s), 1 / RATE_HZ, rtol=0, atol=41e-9)
 
 
 @pytest.mark.parametrize("records", [(200, 100), (100, 100), (-1, 5)])

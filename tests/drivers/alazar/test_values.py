@@ -19,6 +19,7 @@ from drivers.alazar.samples import (
     timestamp_counts,
     volts_offset,
     volts_per_code,
+    word_dtype,
 )
 from drivers.interfaces import Capture
 from sim_backend.digitizer.boards import BOARDS, HERTZ_BY_ID, IMPEDANCE_50_OHM, MILLIVOLTS_BY_ID
@@ -76,6 +77,8 @@ REFUSED = [
     ({"trigger_delay_samples": -100}, ["pre-trigger samples = 100", "64", "128"]),
     ({"trigger_delay_samples": -2048}, ["pre-trigger samples = 2048", "1984"]),
     ({"record_count": 0}, ["record_count = 0", "1"]),
+    # The library records without end for this count.
+    ({"record_count": 0x7FFF_FFFF}, ["record_count = 2147483647", "2147483646"]),
     ({"trigger_level_v": 6.0}, ["trigger_level_v = 6", "5"]),
     ({"record_samples": 2_097_152}, ["record_samples = 2097152"]),
     ({"record_samples": 1_048_576, "monitor_range_v": 1.0}, ["record_samples of 2 channels = 1048576", "1048552"]),
@@ -108,6 +111,14 @@ def test_only_the_lowest_and_the_highest_code_are_full_scale(model: BoardModel) 
     for end in (lowest, highest):
         assert any_at_full_scale(np.append(inside, np.int16(end)), model)
         assert any_at_full_scale(np.full(3, end, np.int16), model)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_the_codes_of_words_stay_within_the_limits_of_the_board(model: BoardModel) -> None:
+    unused_bits = 8 * model.sample_bytes - model.code_bits
+    words = np.array([0, 1 << (model.code_bits - 1), (1 << model.code_bits) - 1], word_dtype(model)) << unused_bits
+    lowest, highest = model.code_limits
+    assert codes(words, model).tolist() == [lowest, 0, highest]
 
 
 @pytest.mark.parametrize(("level_v", "code"), [(0.0, 128), (1.0, 153), (1.5, 166), (2.0, 178), (5.0, 255)])
