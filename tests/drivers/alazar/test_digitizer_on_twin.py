@@ -8,7 +8,7 @@ import dataclasses
 import gc
 import math
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -347,11 +347,12 @@ def test_make_safe_between_two_blocks_ends_the_capture_and_frees_the_memory() ->
         next(blocks)
 
 
-def test_make_safe_ends_a_capture_that_was_not_read(rig: Rig) -> None:
+@pytest.mark.parametrize("end", [AlazarDigitizer.make_safe, AlazarDigitizer.prove_off])
+def test_a_capture_that_was_not_read_is_ended(rig: Rig, end: Callable[[AlazarDigitizer], str]) -> None:
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.arm()
     assert not rig.world.digitizer_idle()
-    rig.digitizer.make_safe()
+    end(rig.digitizer)
     assert rig.world.digitizer_idle()
     assert rig.memory.held == 0
     with pytest.raises(InstrumentError, match="before arm"):

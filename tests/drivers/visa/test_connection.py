@@ -13,11 +13,14 @@ from contextlib import contextmanager
 from typing import IO
 
 import pytest
+import pyvisa
+from pyvisa.constants import StatusCode
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain
-from drivers.visa import PrologixAdapter, VisaConnection
+from drivers.visa import PrologixAdapter, VisaConnection, resources
+from drivers.visa.resources import VisaLine
 from sim_backend.generator.instrument import Generator33250A
 from sim_backend.transports import Emulator
 from sim_backend.wiring import SimulatedClock
@@ -174,6 +177,32 @@ def test_without_a_vendor_library_pyvisa_py_opens_the_address() -> None:
         connection.write("*IDN?")
         assert "33250A" in connection.read()
         connection.close()
+
+
+class LockedResource:
+    """A VISA resource whose exclusive lock fails with ``error_code``."""
+
+    def __init__(self, error_code: StatusCode) -> None:
+        self.error_code, self.closed = error_code, False
+
+    def lock_excl(self, timeout_ms: float) -> None:
+        raise pyvisa.VisaIOError(self.error_code)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_an_instrument_locked_by_another_program_is_not_opened(monkeypatch) -> None:
+    locked, unlockable = map(
+        LockedResource, (StatusCode.error_resource_locked, StatusCode.error_nonsupported_operation)
+    )
+    resources_by_address = {"GPIB0::10::INSTR": locked, "GPIB0::11::INSTR": unlockable}
+    monkeypatch.setattr(resources, "_message_resource", lambda address, backend: resources_by_address[address])
+    with pytest.raises(OSError, match="another program holds its lock"):
+        VisaLine("GPIB0::10::INSTR", TIMEOUT_S, "@py", lock=True)
+    # Most transports have no locks.
+    VisaLine("GPIB0::11::INSTR", TIMEOUT_S, "@py", lock=True)
+    assert (locked.closed, unlockable.closed) == (True, False)
 
 
 def test_closing_twice_is_no_error(scripted) -> None:
