@@ -12,6 +12,7 @@ from hpe_rig.cli.console import announce, guarded, progress, show
 from hpe_rig.cli.options import (
     BenchPath,
     Compress,
+    Json,
     Open,
     Overwrite,
     Port,
@@ -125,6 +126,7 @@ def queue(
     stop_on_failure: Annotated[
         bool, typer.Option("--stop-on-failure", help="A failed run ends the queue. Default: the others follow.")
     ] = False,
+    json: Json = False,
 ) -> None:
     """Measure several scenes one after another. All are checked first; p pauses between two shots, Ctrl-C stops."""
     from hpe_rig.cli.queue import continue_queue, measure_queue, start_queue
@@ -133,7 +135,7 @@ def queue(
         folder, runs, stop = start_queue(scenes or (), bench, output)
     else:
         folder, runs, stop = continue_queue(resume, is_alone=not (scenes or bench or output))
-    raise typer.Exit(measure_queue(folder, runs, stop or stop_on_failure, watch))
+    raise typer.Exit(measure_queue(folder, runs, stop or stop_on_failure, watch, json))
 
 
 @measuring.command()

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, progress
+from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, print_json, progress
 from hpe_rig.cli.options import WatchOptions
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.cli.watch import live_page, supervise
@@ -21,7 +22,7 @@ from hpe_rig.measurement import (
     read_queue,
     run_queue,
 )
-from hpe_rig.result import Result, rich_table
+from hpe_rig.result import Headline, Result, rich_table
 from hpe_rig.runs import process
 from hpe_rig.scene import Mistake, SettingsError, plural, printable
 
@@ -49,8 +50,10 @@ def continue_queue(folder: Path, is_alone: bool) -> tuple[Path, tuple[QueueRun, 
     return folder, read_queue(folder, announce), False
 
 
-def measure_queue(folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool, watch: WatchOptions) -> int:
-    """Measure the runs of a queue, print the state of each, and return the exit code."""
+def measure_queue(
+    folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool, watch: WatchOptions, json: bool = False
+) -> int:
+    """Measure the runs of a queue, print the state of each as a table or as ``json``, and return the exit code."""
     announce(f"{plural(len(queue), 'run')} into {folder}, checked")
 
     @contextmanager
@@ -62,7 +65,11 @@ def measure_queue(folder: Path, queue: Sequence[QueueRun], stop_on_failure: bool
     with live_page(folder, watch, announce):
         hooks = QueueHooks(announce, supervise_run, process)
         runs, results = run_queue(folder, queue, hooks, stop_on_failure)
-        _print_table(runs, results)
+        if json:
+            rows = [_as_dict(run, results.get(index)) for index, run in enumerate(runs)]
+            print_json({"folder": str(folder), "runs": rows})
+        else:
+            _print_table(runs, results)
         unfinished = sum(run.state != "done" for run in runs)
         if unfinished:
             remedy = f"hpe-rig queue --resume {folder} measures them"
@@ -79,17 +86,39 @@ def _print_table(runs: Sequence[QueueRun], results: Mapping[int, Result]) -> Non
     wide_console().print(table)
 
 
+def _as_dict(run: QueueRun, result: Result | None) -> dict[str, Any]:
+    """Return the values of a row of the table; those of the strongest harmonic are None without a new result."""
+    lead, frequency_hz = (result and _strongest(result)) or (None, None)
+    return {
+        "scene": run.name,
+        "state": run.state,
+        "run_file": run.run_file,
+        "why": run.why,
+        "planned_s": run.planned_s,
+        "took_s": run.took_s,
+        "frequency_hz": frequency_hz,
+        "amplitude_m": lead and lead.amplitude_m,
+        "amplitude_uncertainty_m": lead and lead.amplitude_uncertainty_m,
+    }
+
+
+def _strongest(result: Result) -> tuple[Headline, float] | None:
+    """Return the harmonic with the largest amplitude, of the means over repeats if any, and its frequency, Hz."""
+    estimates = result.means or [estimate for shot in result.shots for estimate in shot.estimates]
+    headlines = [(estimate.headline, estimate.frequency_hz) for estimate in estimates]
+    return max(headlines, key=lambda item: item[0].amplitude_m, default=None)
+
+
 def _result_text(run: QueueRun, result: Result | None) -> str:
-    """Return the strongest harmonic of a run, of the means over repeats if any, or why it has no result."""
+    """Return the strongest harmonic of a run in words, or why it has no result."""
     if result is None:
         # The first line up to its remedy states the reason.
         reason = printable(run.why.partition("\n")[0].partition(". Try")[0])
         return reason[:MAX_REASON] or ("measured earlier" if run.state == "done" else "")
-    estimates = result.means or [estimate for shot in result.shots for estimate in shot.estimates]
-    headlines = [(estimate.headline, estimate.frequency_hz) for estimate in estimates]
-    if not headlines:
+    strongest = _strongest(result)
+    if strongest is None:
         return "the scene has no frequency"
-    lead, frequency_hz = max(headlines, key=lambda item: item[0].amplitude_m)
+    lead, frequency_hz = strongest
     amplitude = f"{lead.amplitude_m * 1e9:.4g} +- {lead.amplitude_uncertainty_m * 1e9:.2g} nm"
     return f"{amplitude} at {frequency_hz:g} Hz"
 

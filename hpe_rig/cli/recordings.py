@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from hpe_rig.cli.console import guarded
-from hpe_rig.cli.options import Compress, Overwrite, RecordingOptions, RunFile, figure_option, output_option
+from hpe_rig.cli.console import announce, guarded, print_json
+from hpe_rig.cli.options import Compress, Json, Overwrite, RecordingOptions, RunFile, figure_option, output_option
 
 recordings = typer.Typer()
 
@@ -35,6 +35,7 @@ def import_command(
     output: Annotated[Path | None, output_option("Run file. Default: RECORDING.h5 in this folder, numbered.")] = None,
     compress: Compress = False,
     overwrite: Overwrite = False,
+    json: Json = False,
 ) -> None:
     """Make a run file of echoes that another program recorded. Prints the inferred values."""
     from hpe_rig.runs import import_recording
@@ -44,6 +45,9 @@ def import_command(
         refuse_output(output, overwrite)
     options = WriteOptions(compress, overwrite)
     path, inferred = import_recording(_source(recording), scene, output, settings.sidecar, _parsed(settings), options)
+    if json:
+        print_json({"run_file": str(path), "inferred": inferred})
+        return
     for text in inferred:
         typer.echo(text)
     typer.echo(f"{path}: hpe-rig process {path} estimates it, hpe-rig report {path} shows it")
@@ -60,6 +64,7 @@ def map_command(
     moduli: Annotated[
         bool, typer.Option("--moduli", help="Also fit the moduli of the medium to the lines at the focus.")
     ] = False,
+    json: Json = False,
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
     from hpe_rig.cli.stored import refuse_dataset, write_map
@@ -71,11 +76,16 @@ def map_command(
         motion_map, inferred = map_recording(
             _source(recording), scene, settings.sidecar, _parsed(settings), lambda done, total: report(done, total, "")
         )
+    show = announce if json else typer.echo
     for text in (*inferred, str(motion_map)):
-        typer.echo(text)
+        show(text)
     write_map(motion_map, output, figure)
-    if moduli:
-        typer.echo(str(fit_map_moduli(motion_map, scene)))
+    fitted = fit_map_moduli(motion_map, scene) if moduli else None
+    if json:
+        fit = None if fitted is None else fitted.as_dict()
+        print_json({**motion_map.summary(), "inferred": inferred, "moduli": fit})
+    elif fitted is not None:
+        typer.echo(str(fitted))
 
 
 @recordings.command("export")
@@ -91,12 +101,16 @@ def export_command(
         typer.Option(metavar="SHOT", help="Shot to export, counted from 1; repeatable. Default: all good ones."),
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the output if it exists.")] = False,
+    json: Json = False,
 ) -> None:
     """Write the echoes of a run for zea, USTB or MATLAB, with rates and times; a simulated run with its truth."""
     from hpe_rig.runs import export_run
 
     shots = None if shot is None else [number - 1 for number in shot]
-    for text in export_run(run_file, output, file_format, shots, overwrite=overwrite):
+    texts = export_run(run_file, output, file_format, shots, overwrite=overwrite)
+    if json:
+        print_json({"file": str(output), "messages": texts})
+    for text in () if json else texts:
         typer.echo(text)
 
 

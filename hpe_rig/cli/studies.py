@@ -144,6 +144,7 @@ def design(
         bool,
         typer.Option("--report", help="Write a page, SCENE-design.html: before and after, the goal over each key."),
     ] = False,
+    json: Json = False,
 ) -> None:
     """Optimise a scene within limits. By the analytic model, checked by Monte Carlo; no instrument is opened."""
     from hpe_rig.cli.terminal import progress_reporter
@@ -161,6 +162,7 @@ def design(
         seed=seed,
         output=output,
         report=report,
+        json=json,
     )
     with progress_reporter("design") as report_progress:
         write_design(request, typer.echo, announce, report_progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ class Request:
     seed: int = 0
     output: Path | None = None
     report: bool = False
+    json: bool = False
 
 
 def write_design(
@@ -50,7 +52,8 @@ def write_design(
 ) -> None:
     """Search, show the table and write the new scene; raise ``SettingsError`` with all mistakes before the search.
 
-    ``report_progress`` gets the curve points of the report that are computed, their number, and the varied key.
+    ``report_progress`` gets the curve points of the report that are computed, their number, and the varied key. With
+    ``json``, ``show`` gets the comparison as JSON alone, and ``announce`` the names of the files.
     """
     problem, text = _problem(request)
     announce(f"searching {', '.join(str(variable.key) for variable in problem.space)}")
@@ -58,17 +61,18 @@ def write_design(
     if request.draws > 0:
         announce(f"simulating {request.draws} draws of scatterers and noise")
     comparison = compare(design, request.draws, request.seed)
-    show("\n".join(comparison.lines()))
+    show(json.dumps(comparison.as_dict(), indent=2) if request.json else "\n".join(comparison.lines()))
+    show_file = announce if request.json else show
     command = f"hpe-rig design {request.scene} --minimise {request.minimise} --over {request.over}"
     if request.report:
         from hpe_rig.design.page import write_page
 
         announce("computing the goal over each number")
         page = write_page(design, comparison, request.scene, command, report_progress)
-        show(f"{page}: open it in any browser")
+        show_file(f"{page}: open it in any browser")
     if request.output is not None:
         write_file(request.output, f"# {command}\n{edited_text(text, design.best.values)}", overwrite=False)
-        show(f"{request.output}: hpe-rig check {request.output}")
+        show_file(f"{request.output}: hpe-rig check {request.output}")
 
 
 def _problem(request: Request) -> tuple[Problem, str]:

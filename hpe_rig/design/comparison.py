@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hpe_rig.design.model import effective_pulses
 from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, Candidate, Problem
 from hpe_rig.design.search import DesignResult
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.plan import highest_output
-from hpe_rig.prediction import EstimatorErrors, detection_text, predict, predicted_averaging, with_beam_averaging
-from hpe_rig.result import text_table
+from hpe_rig.prediction import EstimatorErrors, detection_floor, predict, predicted_averaging, with_beam_averaging
+from hpe_rig.result import json_values, text_table
 from hpe_rig.study import Errors
 
 JITTER_TOLERANCE, BIAS_TOLERANCE, STANDARD_ERRORS = 0.15, 0.02, 3.0
@@ -28,19 +29,98 @@ Row = tuple[str, str, str]
 
 
 @dataclass(frozen=True, slots=True)
+class _Quantity:
+    """One outcome of a scene: its key in JSON, and name, scale, format and unit of its row in the table."""
+
+    key: str
+    name: str
+    scale: float = 1.0
+    form: str = ".3g"
+    unit: str = ""
+    absent: str = "-"
+    standard_error: str = ""
+    """Key of the standard error, if the value is simulated."""
+
+    def text(self, values: Mapping[str, Any]) -> str:
+        """Return the value among ``values`` with its standard error and unit, or why it is absent."""
+        value = values.get(self.key)
+        if isinstance(value, str):
+            return value
+        if value is None:
+            return self.absent
+        number = format(value * self.scale, self.form)
+        if self.standard_error:
+            number += f" +- {values[self.standard_error] * self.scale:.2g}"
+        return f"{number} {self.unit}".rstrip()
+
+
+DEGREES = math.degrees(1)
+QUANTITIES = (
+    _Quantity("amplitude_m", "amplitude", 1e9, ".4g", "nm"),
+    _Quantity("effective_pulses", "effective number of pulses", form=".0f"),
+    _Quantity("snr_db", "SNR in the gate", 1, ".1f", "dB"),
+    _Quantity("predicted_bias_m", "bias, predicted", 1e9, ".4g", "nm"),
+    _Quantity("simulated_bias_m", "bias, simulated", 1e9, unit="nm", standard_error="simulated_bias_se_m"),
+    _Quantity("predicted_jitter_m", "jitter, predicted", 1e9, ".4g", "nm"),
+    _Quantity("simulated_jitter_m", "jitter, simulated", 1e9, unit="nm", standard_error="simulated_jitter_se_m"),
+    _Quantity("quadrature_noise_m", "noise of a quadrature", 1e9, unit="nm"),
+    _Quantity("speckle_m", "speckle", 1e9, ".4g", "nm"),
+    _Quantity("detection_floor_m", "detection floor", 1e9, unit="nm"),
+    _Quantity("relative_jitter", "jitter over amplitude", 100, unit="%"),
+    _Quantity("predicted_phase_jitter_rad", "phase jitter, predicted", DEGREES, unit="deg"),
+    _Quantity(
+        *("simulated_phase_jitter_rad", "phase jitter, simulated", DEGREES),
+        unit="deg",
+        standard_error="simulated_phase_jitter_se_rad",
+    ),
+    _Quantity("model", "model"),
+    _Quantity("no_moduli_because", "u of mu1"),
+    _Quantity("mu1_relative_uncertainty", "u of mu1", 100, unit="%"),
+    _Quantity("mu2_relative_uncertainty", "u of mu2", 100, unit="%"),
+    _Quantity("duration_s", "time", 1, ".4g", "s"),
+    _Quantity("mechanical_index", "derated MI", absent="not calibrated"),
+    _Quantity("spta_w_per_m2", "I_spta", 0.1, unit="mW/cm2", absent="not calibrated"),
+)
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
-    """The scene before and after: the request in words, rows of varied numbers and of outcomes, and remarks."""
+    """The scene before and after: the request in words, varied numbers, outcomes by key, and remarks.
+
+    ``varied``: key, number before and after, None where the scene lacks it. ``before`` is empty if the starting scene
+    cannot be planned.
+    """
 
     request: str
-    varied: Sequence[Row]
-    outcome: Sequence[Row]
+    varied: Sequence[tuple[str, float | None, float | None]]
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
     remarks: Sequence[str]
+
+    def varied_rows(self) -> list[Row]:
+        """Return the varied numbers as text."""
+        return [(key, _number(before), _number(after)) for key, before, after in self.varied]
+
+    def outcome_rows(self) -> list[Row]:
+        """Return the outcomes as text."""
+        return [
+            (quantity.name, quantity.text(self.before) if self.before else "-", quantity.text(self.after))
+            for quantity in QUANTITIES
+            if quantity.key in self.after
+        ]
 
     def lines(self) -> Iterator[str]:
         """Yield the request, the table and the remarks."""
         yield self.request
-        yield text_table(("", "before", "after"), [*self.varied, *self.outcome])
+        yield text_table(("", "before", "after"), [*self.varied_rows(), *self.outcome_rows()])
         yield from self.remarks
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all values in the form of JSON."""
+        varied = [{"key": key, "before": before, "after": after} for key, before, after in self.varied]
+        outcome = {"before": self.before, "after": self.after, "remarks": self.remarks}
+        plain: dict[str, Any] = json_values({"request": self.request, "varied": varied, **outcome})
+        return plain
 
 
 def compare(design: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:
@@ -50,14 +130,13 @@ def compare(design: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:
     varied = []
     for variable in problem.space:
         path, initial = variable.key.path, variable.key.value
-        before_value, after_value = (_number(candidate.values.get(path, initial)) for candidate in (start, best))
+        before_value, after_value = (candidate.values.get(path, initial) for candidate in (start, best))
         varied.append((str(variable.key), before_value, after_value))
     after = _outcome(problem, best, draws, seed)
     # Without a better scene both columns are equal: one simulation is enough.
     before = _outcome(problem, start, draws, seed) if best.values else after
-    outcome = [(name, before.rows.get(name, "-"), text) for name, text in after.rows.items()]
     remarks = [*_remarks(design), *(_unconfirmed_gains(before, after) if best.values else ())]
-    return Comparison(_request_text(design), varied, outcome, remarks)
+    return Comparison(_request_text(design), varied, before.values, after.values, remarks)
 
 
 def _request_text(design: DesignResult) -> str:
@@ -105,9 +184,9 @@ def _number(value: float | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """Rows of the table by name, prediction, and simulated errors of amplitude and phase; empty without a plan."""
+    """Outcomes by key, prediction, and simulated errors of amplitude and phase; empty without a plan."""
 
-    rows: dict[str, str]
+    values: dict[str, Any]
     prediction: EstimatorErrors | None = None
     simulated: tuple[Errors, Errors] | None = None
 
@@ -126,54 +205,54 @@ def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> _
     simulated = None
     if draws and not candidate.conflicts:
         simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
-    amplitude, phase = simulated or (None, None)
-    detection = next(iter(detection_text(scene, problem.bench.simulated, plan.shots[0])))
-    rows = {
-        "amplitude": _nm(setting.amplitude_m),
-        "effective number of pulses": f"{effective_pulses(scene, plan)}",
-        "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
-        "bias, predicted": _nm(prediction.bias_m),
-        "bias, simulated": _simulated_text(amplitude, "bias", 1e9, "nm"),
-        "jitter, predicted": _nm(prediction.jitter_m),
-        "jitter, simulated": _simulated_text(amplitude, "jitter", 1e9, "nm"),
-        "noise of a quadrature": f"{quadrature_m * 1e9:.3g} nm",
-        "speckle": _nm(prediction.speckle_jitter_m),
-        "detection floor": detection.split()[2] + " nm",
-        "jitter over amplitude": f"{100 * prediction.jitter_m / setting.amplitude_m:.3g} %",
-        "phase jitter, predicted": f"{math.degrees(prediction.phase_jitter_rad):.3g} deg",
-        "phase jitter, simulated": _simulated_text(phase, "jitter", math.degrees(1), "deg"),
-        "model": _agreement(prediction, setting.amplitude_m, simulated),
+    floor_m = detection_floor(scene, problem.bench.simulated, plan.shots[0]).detected_m
+    values = {
+        "amplitude_m": setting.amplitude_m,
+        "effective_pulses": effective_pulses(scene, plan),
+        "snr_db": 10 * math.log10(setting.snr),
+        "predicted_bias_m": prediction.bias_m,
+        "predicted_jitter_m": prediction.jitter_m,
+        "quadrature_noise_m": quadrature_m,
+        "speckle_m": prediction.speckle_jitter_m,
+        "detection_floor_m": floor_m,
+        "relative_jitter": prediction.jitter_m / setting.amplitude_m,
+        "predicted_phase_jitter_rad": prediction.phase_jitter_rad,
+        **(_simulated_values(prediction, setting.amplitude_m, simulated) if draws else {}),
         **_moduli(problem, candidate),
-        "time": f"{plan.duration_s:.4g} s",
-        "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
-        "I_spta": "not calibrated" if output is None else f"{output.spta_w_per_m2 / 10:.3g} mW/cm2",
+        "duration_s": plan.duration_s,
+        "mechanical_index": output and output.mechanical_index,
+        "spta_w_per_m2": output and output.spta_w_per_m2,
     }
-    if not draws:
-        rows = {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
-    return _Outcome(rows, prediction, simulated)
+    return _Outcome(values, prediction, simulated)
 
 
-def _moduli(problem: Problem, candidate: Candidate) -> dict[str, str]:
-    """Return the uncertainties of the moduli if they are the goal."""
+def _simulated_values(
+    prediction: EstimatorErrors, amplitude_m: float, simulated: tuple[Errors, Errors] | None
+) -> dict[str, Any]:
+    """Return the simulated errors with their standard errors, None without a simulation, and the model's verdict."""
+    amplitude, phase = simulated or (None, None)
+    return {
+        "simulated_bias_m": amplitude and amplitude.bias,
+        "simulated_bias_se_m": amplitude and amplitude.bias_se,
+        "simulated_jitter_m": amplitude and amplitude.jitter,
+        "simulated_jitter_se_m": amplitude and amplitude.jitter_se,
+        "simulated_phase_jitter_rad": phase and phase.jitter,
+        "simulated_phase_jitter_se_rad": phase and phase.jitter_se,
+        "model": _agreement(prediction, amplitude_m, simulated),
+    }
+
+
+def _moduli(problem: Problem, candidate: Candidate) -> dict[str, Any]:
+    """Return the relative uncertainties of the moduli, or why there are none, if they are the goal."""
     if problem.goal != "modulus-uncertainty":
         return {}
     try:
         forecast = candidate.moduli
     except ValueError as error:
-        return {"u of mu1": str(error)}
-    columns = zip(("u of mu1", "u of mu2"), forecast.uncertainty, forecast.values, strict=True)
-    return {name: f"{100 * u / value:.3g} %" for name, u, value in columns}
-
-
-def _nm(value_m: float) -> str:
-    return f"{value_m * 1e9:.4g} nm"
-
-
-def _simulated_text(errors: Errors | None, name: str, scale: float, unit: str) -> str:
-    """Return a simulated error with its standard error; a dash without a simulation."""
-    if errors is None:
-        return "-"
-    return f"{getattr(errors, name) * scale:.3g} +- {getattr(errors, f'{name}_se') * scale:.2g} {unit}"
+        return {"no_moduli_because": str(error)}
+    names = ("mu1_relative_uncertainty", "mu2_relative_uncertainty")
+    columns = zip(names, forecast.uncertainty, forecast.values, strict=True)
+    return {name: u / value for name, u, value in columns}
 
 
 def _agreement(prediction: EstimatorErrors, amplitude_m: float, simulated: tuple[Errors, Errors] | None) -> str:

@@ -72,7 +72,7 @@ def write_page(
 
 def _introduction(design: DesignResult, comparison: Comparison) -> tuple[str, ...]:
     row = GOAL_LABELS[design.problem.goal].row
-    before, after = next((before, after) for name, before, after in comparison.outcome if name == row)
+    before, after = next((before, after) for name, before, after in comparison.outcome_rows() if name == row)
     headline = f"{_capitalised(row)}: {after} instead of {before}."
     return (
         headline,
@@ -88,8 +88,8 @@ def _capitalised(text: str) -> str:
 def _before_and_after(comparison: Comparison) -> PageSection:
     outcome_caption = "Outcome: predicted, and simulated with standard errors."
     tables = (
-        page_table("varied", "Varied numbers.", _rows(comparison.varied), folded=False),
-        page_table("outcome", outcome_caption, _rows(comparison.outcome), folded=False),
+        page_table("varied", "Varied numbers.", _rows(comparison.varied_rows()), folded=False),
+        page_table("outcome", outcome_caption, _rows(comparison.outcome_rows()), folded=False),
     )
     return PageSection("before-section", "Before and after", tables=tables)
 

@@ -60,21 +60,41 @@ class MotionMap:
         return "\n".join(self._lines())
 
     def _lines(self) -> Iterator[str]:
+        numbers = self.summary()
+        lines, gates = plural(numbers["lines"], "line"), plural(numbers["gates"], "gate")
+        yield f"{lines} of {gates}, {numbers['pixels_estimated']} of {self.bad.size} pixels estimated"
+        for kind, why in _REASONS.items():
+            if count := numbers["pixels_excluded"][kind.name.lower()]:
+                yield f"{plural(count, 'pixel')} excluded: {why}"
+        for row in numbers["frequencies"]:
+            yield (
+                f"{row['frequency_hz']:g} Hz: amplitude {engineering(row['median_amplitude_m'], 'm')} in the median of "
+                f"the pixels, {engineering(row['amplitude_at_95_percent_m'], 'm')} at 95 %, "
+                f"median u {engineering(row['median_amplitude_uncertainty_m'], 'm', 3)}"
+            )
+
+    def summary(self) -> dict[str, Any]:
+        """Return the numbers of pixels and, for each frequency, the amplitudes that the text states."""
         lines, gates = self.bad.shape
         good = self.bad == 0
-        yield f"{plural(lines, 'line')} of {plural(gates, 'gate')}, {int(good.sum())} of {good.size} pixels estimated"
-        for kind in list(BadPixel)[1:]:
-            if count := int((self.bad == kind).sum()):
-                yield f"{plural(count, 'pixel')} excluded: {_REASONS[kind]}"
-        if not good.any():
-            return
-        for index, hz in enumerate(self.frequency_hz.tolist()):
+        frequencies = []
+        for index, hz in enumerate(self.frequency_hz.tolist() if good.any() else ()):
             amplitude, u = self.amplitude_m[good, index], self.amplitude_uncertainty_m[good, index]
-            yield (
-                f"{hz:g} Hz: amplitude {engineering(float(np.median(amplitude)), 'm')} in the median of the pixels, "
-                f"{engineering(float(np.quantile(amplitude, 0.95)), 'm')} at 95 %, "
-                f"median u {engineering(float(np.median(u)), 'm', 3)}"
+            frequencies.append(
+                {
+                    "frequency_hz": hz,
+                    "median_amplitude_m": float(np.median(amplitude)),
+                    "amplitude_at_95_percent_m": float(np.quantile(amplitude, 0.95)),
+                    "median_amplitude_uncertainty_m": float(np.median(u)),
+                }
             )
+        return {
+            "lines": lines,
+            "gates": gates,
+            "pixels_estimated": int(good.sum()),
+            "pixels_excluded": {kind.name.lower(): int((self.bad == kind).sum()) for kind in _REASONS},
+            "frequencies": frequencies,
+        }
 
     def to_xarray(self) -> xarray.Dataset:
         """Return an xarray dataset with axes line, depth and frequency, and units; needs the extra 'frames'."""

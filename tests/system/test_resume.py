@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import signal
 from collections.abc import Callable
 from functools import partial
@@ -162,6 +163,7 @@ def test_resume_from_the_command_line_logs_and_stops_like_run(
     assert not stop_path(tmp_path / "run-2.h5").exists()
     done = CliRunner().invoke(app, ["resume", str(tmp_path / "run-2.h5"), "--json"])
     assert done.exit_code == 0, done.output
+    assert len(json.loads(done.stdout)["shots"]) == 4
     assert read_run(tmp_path / "run-2-2.h5").status == "complete"
 
 

@@ -25,12 +25,9 @@ NO_FILE = {
 }
 """Commands without -o, and why."""
 NO_JSON = {
-    "queue": "queue.json",
     "schema": "it prints JSON",
     "accuracy": "-o FILE.json",
-    **dict.fromkeys(
-        ("report", "figure", "import", "export", "map", "new", "design", "bug-report", "emulate"), "it writes a file"
-    ),
+    **dict.fromkeys(("report", "figure", "new", "bug-report", "emulate"), "it prints only the name of its file"),
     **{name: why for name, why in NO_FILE.items() if name != "new"},
 }
 """Commands without --json, and why."""

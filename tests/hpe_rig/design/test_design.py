@@ -97,10 +97,10 @@ def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
     path = write_page(most_pulses, comparison, "my scenes/mine.toml", "hpe-rig design mine.toml", lambda *_: None)
     page = path.read_text(encoding="utf-8")
     assert path.name == "mine-design.html"
-    before, after = next(row[1:] for row in comparison.outcome if row[0] == "jitter over amplitude")
+    before, after = next(row[1:] for row in comparison.outcome_rows() if row[0] == "jitter over amplitude")
     assert f"Jitter over amplitude: {after} instead of {before}." in page
     assert page.count("<figure") == len(most_pulses.problem.space)
-    for name, _, now in (*comparison.varied, *comparison.outcome):
+    for name, _, now in (*comparison.varied_rows(), *comparison.outcome_rows()):
         assert symbols(name) in page
         assert f">{symbols(now)}<" in page
     assert "<script" not in page
