@@ -115,15 +115,15 @@ def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumP
     """
     pulses = select(scene, shot)
     projected = project_prior(prior, pulses.time_s, pulses.used, pulses.wanted_hz, scene.processing.background_order)
-    unit_m = math.sqrt(float(np.mean(np.sum(projected.wanted_members[:, :2] ** 2, axis=1))))
+    unit_m = math.sqrt(float(np.mean(np.sum(projected.member_states[:, :2] ** 2, axis=1))))
     noise_m = math.hypot(echo_noise_m(scene, spec), trigger_noise_m(scene))
     # The evidence does not distinguish scales below the noise of the fit.
-    min_amplitude_m = noise_m * math.sqrt(2 / len(projected.left_vectors))
+    min_amplitude_m = noise_m * math.sqrt(2 / len(projected.patterns))
     amplitude_m = max(expected_amplitude_m(scene, float(pulses.wanted_hz[0]), shot), min_amplitude_m)
     scale2 = (PRIOR_WIDENING * amplitude_m / unit_m) ** 2
-    # Wiener gain of each singular direction.
-    gain = scale2 * projected.value / (noise_m**2 + scale2 * projected.value**2)
-    return np.asarray((projected.wanted_rows * gain) @ projected.left_vectors.T)
+    # Wiener gain of each pattern of displacement.
+    gain = scale2 * projected.pattern_sd / (noise_m**2 + scale2 * projected.pattern_sd**2)
+    return np.asarray((projected.wanted_per_pattern * gain) @ projected.patterns.T)
 
 
 def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:

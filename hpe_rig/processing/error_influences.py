@@ -101,15 +101,15 @@ def _media_influences(
 ) -> Iterator[Influence]:
     """Yield the influences of the unknown medium and of speckle in it."""
     if (causes := fit.aliasing_causes) is not None:
-        yield Influence("aliasing", causes.members_m.T * factor[:, None], "run", "medium")
+        yield Influence("aliasing", causes.media_influences_m.T * factor[:, None], "run", "medium")
         yield Influence("aliasing", _root(causes.deviation_m2) * factor[:, None], "setting", "deviation from media")
         if np.any(causes.noise_m2):
             yield Influence("aliasing", _root(np.asarray(causes.noise_m2)) * factor[:, None], "shot", "aliasing noise")
     items = [NO_AVERAGING if item is None else item for item in averaging]
     steepness = np.array([[item.steepness] for item in items])
     if (medium := fit.medium) is not None and averaging_of_media:
-        yield Influence("beam averaging", medium.ratio_errors.T * phasor_m[:, None], "run", "medium")
-        steepness = medium.steepness_terms.T
+        yield Influence("beam averaging", medium.ratio_influences.T * phasor_m[:, None], "run", "medium")
+        steepness = medium.steepness_influences.T
     first_order = np.array([[item.rule.area_spread] for item in items]) * steepness
     if first_order.any():
         second_order = math.sqrt(SPECKLE_KURTOSIS) / 2 * np.sum(first_order.imag**2, axis=1, keepdims=True)

@@ -161,8 +161,8 @@ def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averagin
         speckle_phase_rad=speckle_phase_rad,
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
-        shared_relative=float(medium.shared[index, 0]),
-        shared_phase_rad2=float(medium.shared[index, 1]),
+        shared_relative=float(medium.aliasing_covariance[index, 0]),
+        shared_phase_rad2=float(medium.aliasing_covariance[index, 1]),
     )
     return with_second_order_speckle(averaging)
 

@@ -5,8 +5,9 @@ the wanted ones. The fit is linear. With x the states (in-phase and quadrature) 
 
     e = M x,    M = S - W A
 
-S selects the wanted states, A samples the motion at the pulses, W are the weights of the fit. W is never formed: column
-j of M is the error of the fit on the noise-free motion of direction j of the prior.
+S selects the wanted states, A samples the motion at the pulses, W are the weights of the fit. The motion x is linear in
+the response of the medium (medium_prior.py), so M is needed for each component of the response only. W is never
+formed: column j of M is the error of the fit on the noise-free motion of response component j.
 
 The prior of media gives the statistics of x, hence of e:
 
@@ -32,9 +33,9 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.processing.harmonics.harmonic_fit import AliasingCauses, HarmonicFit, corrected_by, with_aliasing
 from hpe_rig.processing.harmonics.medium_fit import (
+    media_influences_m,
     medium_fit,
     medium_posterior,
-    member_phasors_m,
     posterior_of_states,
 )
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
@@ -51,22 +52,21 @@ def with_aliasing_error(
 ) -> HarmonicFit:
     """Return ``fit`` with the covariance of its aliasing error added, and with the corrected fit attached to it.
 
-    Harmonics above half the pulse rate alias onto the wanted ones. This error is M x for a linear fit, with x the
-    states of all harmonics. ``fit`` is ``fit_function`` of a displacement with the timing of ``motion``. A fit of
-    ``motion`` with the ``prior`` of media estimates x: the corrected fit, ``aliasing_corrected``, is ``fit`` minus the
-    mean of the error given the data, with the error's covariance given the data. Raises ``ValueError`` if the pulses
-    cannot constrain the prior.
+    Harmonics above half the pulse rate alias onto the wanted ones. ``fit`` is ``fit_function`` of a displacement with
+    the timing of ``motion``. A fit of ``motion`` with the ``prior`` of media estimates all harmonics and thereby the
+    aliasing error of ``fit``. The corrected fit, ``aliasing_corrected``, is ``fit`` minus the mean of that error given
+    the data, with the error's covariance given the data. Raises ``ValueError`` if the pulses are too few for the prior.
     """
     fit_with_prior = medium_fit(motion, fit.frequency_hz, prior, background_order=background_order)
     evidence = fit_with_prior.evidence
     pulses = PulseTimes.of(motion.time_s, motion.valid)
-    error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)  # M
-    # The error M x given the data: its mean, its covariance, and its remainder for every member of the ensemble.
-    mean_m, causes, member_errors = posterior_of_states(motion, fit_with_prior, prior, error_matrix, background_order)
+    error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)
+    # The error given the data: its mean, its covariance, and its remainder for every medium of the ensemble.
+    mean_m, causes, member_errors = posterior_of_states(fit_with_prior, prior, error_matrix)
     corrected = corrected_by(fit, mean_m)
     medium = medium_posterior(prior, evidence, corrected, member_errors)
     corrected = with_aliasing(corrected, causes, fit_with_prior.fit, medium)
-    # Before the correction the error has the larger covariance of M x over the media of the ensemble.
+    # Before the correction the error has a larger covariance, that over the media of the ensemble.
     ensemble_causes = _ensemble_causes(error_matrix, prior, evidence)
     uncorrected = with_aliasing(fit, ensemble_causes, fit_with_prior.fit, medium)
     return replace(uncorrected, aliasing_corrected=corrected)
@@ -75,30 +75,31 @@ def with_aliasing_error(
 def _ensemble_causes(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> AliasingCauses:
     """Return the aliasing error over the media of the ensemble, before correction.
 
-    ``error_matrix`` M (state, direction): error of the fit for the motion of each direction of the prior.
+    ``error_matrix`` (state, response component): the fit's error for each component of a medium's response.
     """
-    # First term: each member with its posterior probability p_m and its own scale s_m.
-    member_errors = prior.members @ error_matrix.T  # M x_m, (member, state)
+    # First term: the error in each member, (member, state), with its posterior probability and its own scale.
+    member_errors = prior.member_responses @ error_matrix.T
     member_weights = evidence.probability * evidence.member_scale_m2
     members_m2 = (member_errors.T * member_weights) @ member_errors
     # Second term: media outside the span of the members, scaled like the whole ensemble.
-    deviation_errors = prior.deviation[:, None] * error_matrix.T  # M D
+    deviation_errors = prior.response_deviation[:, None] * error_matrix.T
     total_m2 = members_m2 + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
-    return AliasingCauses(total_m2, member_phasors_m(evidence, member_errors))
+    return AliasingCauses(total_m2, media_influences_m(evidence, member_errors))
 
 
 @functools.lru_cache(maxsize=8)
 def _error_matrix(
     prior: MediumPrior, pulses: PulseTimes, wanted_hz: tuple[float, ...], fit_function: FitFunction
 ) -> FloatArray:
-    """Return M (wanted state, direction): true minus fitted states for the motion of each direction of the prior.
+    """Return the matrix (wanted state, response component) from a medium's response to the fit's error in its motion.
 
-    The fit ignores harmonics above half the pulse rate, so they alias. Cached for shots of the same timing.
+    The error is true minus fitted states. The fit ignores harmonics above half the pulse rate, so they alias. Cached
+    for shots of the same timing.
     """
     indices = prior.harmonic_indices(np.array(wanted_hz))
-    motions, _ = prior.sampled_motions(pulses.time_s, indices)  # A, of each direction
-    fitted_states = _fit_noise_free(motions.T, pulses, fit_function)[..., : 2 * len(wanted_hz)]  # W A
-    return np.asarray(prior.states(indices) - fitted_states.T)
+    displacement_m, _ = prior.displacement_matrices(pulses.time_s, indices)
+    fitted_states = _fit_noise_free(displacement_m.T, pulses, fit_function)[..., : 2 * len(wanted_hz)]
+    return np.asarray(prior.states_of_response(indices) - fitted_states.T)
 
 
 def _fit_noise_free(displacement_m: FloatArray, pulses: PulseTimes, fit_function: FitFunction) -> FloatArray:

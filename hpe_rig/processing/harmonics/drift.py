@@ -25,7 +25,6 @@ from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, with_state_er
 from hpe_rig.processing.harmonics.medium_fit import driven_phasors_m, medium_fit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import linear_model
-from hpe_rig.processing.harmonics.projected_prior import project_prior
 from hpe_rig.processing.motion.displacement import Motion
 
 GROWTH_SD = 0.1
@@ -42,7 +41,7 @@ MAX_ITERATIONS = 30
 CONVERGED_U = 0.2
 """Change of every unknown in a step, in standard uncertainties, below which the estimate has converged."""
 MIN_SHRINKAGE = 0.01
-"""Directions of a prior of media with at least this shrinkage count as columns of the fit."""
+"""Patterns of a prior of media with at least this shrinkage count as columns of the fit."""
 NEGLIGIBLE = 1e-3
 """Unwanted harmonics that are weaker than this, relative to the strongest of all, are omitted."""
 RANK_TOLERANCE = 1e-10
@@ -207,10 +206,9 @@ def _fitted(
         phasor_m = states[::2] + 1j * states[1::2]
     else:
         fit = medium_fit(motion, frequency_hz, prior, background_order=background_order)
-        projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
-        # ``left_vectors`` span the prior's motions. Only those count to which the data contribute.
-        basis = np.hstack([projected.background, projected.left_vectors[:, fit.shrinkage > MIN_SHRINKAGE]])
-        others_hz, others_m = driven_phasors_m(prior, projected, fit)
+        # The patterns span the prior's motions. Only those count to which the data contribute.
+        basis = np.hstack([fit.projected.background, fit.projected.patterns[:, fit.shrinkage > MIN_SHRINKAGE]])
+        others_hz, others_m = driven_phasors_m(prior, fit)
         strong = np.abs(others_m) > NEGLIGIBLE * np.abs(others_m).max()
         strong[list(prior.harmonic_indices(frequency_hz))] = False
         all_hz = np.concatenate([frequency_hz, others_hz[strong]])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.processing.harmonics.medium_fit import fit_residual
+from hpe_rig.processing.harmonics.medium_fit import medium_fit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import aliased_hz, linear_model, pulse_rate_hz
 from hpe_rig.processing.motion.displacement import Motion
@@ -54,7 +54,7 @@ def residual_line(
         residual = model.solve(motion.displacement_m[motion.valid])[1]
         fitted_hz = aliased_hz(np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)]), rate_hz)
     else:
-        residual = fit_residual(motion, frequency_hz, prior, background_order=background_order)
+        residual = medium_fit(motion, frequency_hz, prior, background_order=background_order).residual_m(motion)
         fitted_hz = np.zeros(0)
     # An even series: skipped pulses are zero.
     index = np.round((motion.time_s - motion.time_s[0]) * rate_hz).astype(np.int64)

@@ -32,43 +32,46 @@ class MediumPosterior:
     ``significance`` (...): probability that a medium of the ensemble gives data as improbable as these.
     ``peak_over_tracked``, complex (..., frequency): peak displacement over tracked displacement.
     ``peak_covariance`` (..., frequency, 2, 2): covariance of its relative amplitude and its phase.
-    ``steepness`` (..., frequency, 2): root mean square derivative of tracked amplitude, relative, and tracked phase by
-    area and offset of the tracking beam. ``shared``, same shape: covariance of the errors of
-    ``peak_over_tracked`` and of aliasing, relative amplitude and phase; both depend on the medium.
+    ``steepness`` (..., frequency, 2): root mean square change of the tracked motion with the logarithm of the tracking
+    beam's area and with its offset, in relative amplitude and in phase. ``aliasing_covariance``, same shape: covariance
+    of the errors of ``peak_over_tracked`` and of aliasing, as both depend on the medium.
 
-    ``ratio_errors``, complex (..., member, frequency): deviation of the logarithm of ``peak_over_tracked`` from its
-    mean in each medium, times the root of its probability. ``steepness_terms`` (..., effect and member, frequency): the
-    derivatives in each medium, times that root.
+    Influences of the medium, complex, for each member of the ensemble times the root of its probability:
+    ``ratio_influences`` (..., member, frequency), deviation of the logarithm of ``peak_over_tracked`` from its mean;
+    ``steepness_influences`` (..., effect and member, frequency), change with area (first all members) and offset.
     """
 
     significance: FloatArray
     peak_over_tracked: ComplexArray
     peak_covariance: FloatArray
     steepness: FloatArray
-    shared: FloatArray
-    ratio_errors: ComplexArray
-    steepness_terms: ComplexArray
+    aliasing_covariance: FloatArray
+    ratio_influences: ComplexArray
+    steepness_influences: ComplexArray
 
 
 @dataclass(frozen=True, slots=True)
 class AliasingCauses:
     """Aliasing error of a fit by its causes, with the covariance between all frequencies.
 
-    ``total_m2`` (..., state, state): covariance of the whole error. ``members_m``, complex (..., member, frequency):
-    error in each medium of the ensemble, times the root of the medium's probability. ``noise_m2``, as ``total_m2``: of
-    the noise in a correction for aliasing, 0 without one.
+    ``total_m2`` (..., state, state): covariance of the whole error. ``media_influences_m``, complex (..., member,
+    frequency): error in each medium of the ensemble, times the root of the medium's probability. ``noise_m2``, as
+    ``total_m2``: of the noise in a correction for aliasing, 0 without one.
     """
 
     total_m2: FloatArray
-    members_m: ComplexArray
+    media_influences_m: ComplexArray
     noise_m2: FloatArray | float = 0.0
 
     @property
     def deviation_m2(self) -> FloatArray:
-        """Covariance (..., state, state) of the error in media that deviate from the ensemble."""
-        members = np.stack([self.members_m.real, self.members_m.imag], axis=-1)
-        members = members.reshape(*members.shape[:-2], -1)
-        return np.asarray(self.total_m2 - self.noise_m2 - np.swapaxes(members, -1, -2) @ members)
+        """Covariance (..., state, state) of the error from deviations of the medium from the ensemble.
+
+        It is the total minus the part of the ensemble and, after a correction, minus that of its noise.
+        """
+        influences = np.stack([self.media_influences_m.real, self.media_influences_m.imag], axis=-1)
+        influences = influences.reshape(*influences.shape[:-2], -1)
+        return np.asarray(self.total_m2 - self.noise_m2 - np.swapaxes(influences, -1, -2) @ influences)
 
 
 @dataclass(frozen=True, slots=True)

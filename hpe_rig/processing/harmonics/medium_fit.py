@@ -5,8 +5,8 @@
     Cov(x^ - x) = K R K' + mean over members of (I - K A) x_m x_m' (I - K A)'
 
 R = sigma² I is the noise, s the scale of the evidence, k = PRIOR_WIDENING. The first term is noise, the second aliasing
-and shrinkage: x_m are the members of the ensemble, each with its own scale and posterior probability. With A F = U
-diag(l) V' (projected_prior.py) and z = U'd,
+and shrinkage: x_m are the members of the ensemble, each with its own scale and posterior probability. With the patterns
+U of A F = U diag(l) V' (projected_prior.py) and the coefficients z = U'd of the data,
 
     x^ = F V diag(g) z,    g = (k s)² l / (sigma² + (k s)² l²)         shrinkage h = g l
 
@@ -41,7 +41,7 @@ PRIOR_WIDENING = 3.0
 DIFFUSE_STD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: a diffuse prior."""
 DRIFT_VARIANCE_RATIO = 4.0
-"""Residual variances larger than this, relative to the step noise, count as drift instead of noise of the steps."""
+"""Residual variances larger than this, relative to the noise of the steps, count as drift."""
 MIN_RELATIVE_MOTION = 0.5
 """Smallest motion, relative to the rms motion of the probable members, that a relative change is divided by."""
 
@@ -51,16 +51,23 @@ class MediumFit:
     """Fit of the wanted harmonics with its two error covariances and the evidence.
 
     ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``.
-    ``shrinkage`` (..., rank): fraction of the data along each observed direction that the estimate uses.
-    ``coordinates`` (..., rank): the estimated motion along V of the projected prior.
+    ``projected``: the prior as patterns of displacement that the pulses can observe. ``shrinkage`` (..., pattern):
+    fraction of each pattern in the data that the fit attributes to the motion. ``coordinates`` (..., pattern): the
+    fitted motion in prior standard deviations of each pattern.
     """
 
     fit: HarmonicFit
     noise_m2: FloatArray
     aliasing_m2: FloatArray
     evidence: Evidence
+    projected: ProjectedPrior
     shrinkage: FloatArray
     coordinates: FloatArray
+
+    def residual_m(self, motion: Motion) -> FloatArray:
+        """Return the displacement of ``motion`` (..., valid pulse) minus background and fitted motion, m."""
+        data = self.projected.without_background(motion.displacement_m[..., motion.valid])
+        return self.projected.residual(data, self.shrinkage)
 
 
 def medium_fit(
@@ -81,33 +88,31 @@ def medium_fit(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
     data = projected.without_background(motion.displacement_m[..., motion.valid])
-    # The sampled motions of the prior are U diag(l) V': ``left_vectors`` is U and ``value`` is l, the singular values.
-    # ``along`` (..., rank): the data along each column of U.
-    along = data @ projected.left_vectors
-    evidence = evidence_of(projected, data, along)
-    # The gain leads from the data to coordinates along V, and ``wanted_rows`` from there to the wanted states.
-    # Shrinkage is the fraction of the data along each column of U that the fit attributes to the motion.
+    coefficients = data @ projected.patterns
+    evidence = evidence_of(projected, data, coefficients)
+    # The gain leads from the coefficients of the data to the coordinates of the motion, ``wanted_per_pattern`` from
+    # there to the wanted states, and ``weights`` directly from the coefficients to these.
     gain = _gain(projected, evidence)
-    weights = projected.wanted_rows * gain[..., None, :]
-    shrinkage = gain * projected.value
-    noise_m2 = evidence.total_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    weights = projected.wanted_per_pattern * gain[..., None, :]
+    shrinkage = gain * projected.pattern_sd
+    noise_m2 = evidence.total_noise_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     degrees = evidence.degrees_of_freedom
     if motion.step_noise_ratio is not None:
-        residual = data - (shrinkage * along) @ projected.left_vectors.T
-        step_noise_ratio = np.asarray(motion.step_noise_ratio)
+        residual, step_noise_ratio = projected.residual(data, shrinkage), np.asarray(motion.step_noise_ratio)
         noise_m2, degrees = _step_noise(projected, evidence, weights, shrinkage, residual, step_noise_ratio)
     aliasing_m2, member_errors = _aliasing(projected, weights, evidence)
-    coordinates = gain * along
-    state = coordinates @ projected.wanted_rows.T
-    quality = FitQuality(np.sqrt(evidence.variance_m2), degrees, len(projected.left_vectors))
+    coordinates = gain * coefficients
+    state = coordinates @ projected.wanted_per_pattern.T
+    quality = FitQuality(np.sqrt(evidence.noise_m2), degrees, len(projected.patterns))
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
-    causes = AliasingCauses(aliasing_m2, member_phasors_m(evidence, member_errors))
+    causes = AliasingCauses(aliasing_m2, media_influences_m(evidence, member_errors))
     fit = replace(fit, aliasing_causes=causes, medium=medium_posterior(prior, evidence, fit, member_errors))
     return MediumFit(
         fit=fit,
         noise_m2=noise_m2,
         aliasing_m2=aliasing_m2,
         evidence=evidence,
+        projected=projected,
         shrinkage=shrinkage,
         coordinates=coordinates,
     )
@@ -121,98 +126,87 @@ def _step_noise(
     residual: FloatArray,
     step_noise_ratio: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return noise covariance (..., state, state) and degrees of freedom (...) of the fit to a sum of noisy steps.
+    """Return noise covariance (..., state, state) and degrees of freedom (...) for a displacement that adds up steps.
 
-    ``weights`` (..., state, rank): from the data along the observed directions to the states. ``shrinkage``
-    (..., rank): fraction of these data that the fit uses. ``residual`` (..., pulse). Each step adds
-    ``step_noise_ratio`` times the variance of one pulse's white noise to all later pulses.
+    Its noise is white noise plus a random walk: each phase step adds ``step_noise_ratio`` times the white variance to
+    all later pulses. ``weights`` (..., state, pattern): from the coefficients of the data to the states. ``shrinkage``
+    (..., pattern): fraction of each pattern that the fit has removed from its ``residual`` (..., pulse).
     """
-    white = weights @ np.swapaxes(weights, -1, -2)
-    # The background is removed whole, each observed direction by its shrinkage.
-    columns = np.hstack([projected.background, projected.left_vectors])
+    # The fit removes the background whole, each pattern by its shrinkage.
+    columns = np.hstack([projected.background, projected.patterns])
     background_shrinkage = np.ones((*shrinkage.shape[:-1], projected.background.shape[1]))
     all_shrinkage = np.concatenate([background_shrinkage, shrinkage], axis=-1)
     expected_energy, degrees = difference_noise_moments(columns, all_shrinkage, step_noise_ratio)
-    pulse_weights = weights @ projected.left_vectors.T
-    pulse_m2, step_noise_m2 = step_covariance(residual, step_noise_ratio, pulse_weights, expected_energy)
-    # Differences between pulses do not contain slow drift such as creep: a residual far above the step noise counts.
-    # A random walk of n steps, minus its mean, has n / 6 times the variance of a step.
-    explained_m2 = pulse_m2 * (1 + step_noise_ratio * len(projected.left_vectors) / 6)
-    drifts = evidence.variance_m2 > DRIFT_VARIANCE_RATIO * explained_m2
-    model_error_m2 = (evidence.total_m2 - evidence.variance_m2)[..., None, None] * white
-    residual_noise_m2 = evidence.total_m2[..., None, None] * white
-    return step_noise_m2 + np.where(drifts[..., None, None], residual_noise_m2, model_error_m2), degrees
+    pulse_weights = weights @ projected.patterns.T
+    white_m2, covariance_m2 = step_covariance(residual, step_noise_ratio, pulse_weights, expected_energy)
+    # The steps do not contain slow drift such as creep: then the larger variance of the residual counts as well. A
+    # random walk of n steps, minus its mean, has n / 6 times the variance of a step.
+    explained_m2 = white_m2 * (1 + step_noise_ratio * len(projected.patterns) / 6)
+    drifts = evidence.noise_m2 > DRIFT_VARIANCE_RATIO * explained_m2
+    added_m2 = np.where(drifts, evidence.total_noise_m2, evidence.total_noise_m2 - evidence.noise_m2)
+    return covariance_m2 + added_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2)), degrees
 
 
-def fit_residual(
-    motion: Motion, frequencies_hz: FloatArray | Sequence[float], prior: MediumPrior, *, background_order: int = 0
-) -> FloatArray:
-    """Return the displacement minus background and the motion that ``medium_fit`` fits, m (..., valid pulse)."""
-    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
-    shrinkage = medium_fit(motion, frequency_hz, prior, background_order=background_order).shrinkage
-    projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
-    data = projected.without_background(motion.displacement_m[..., motion.valid])
-    return np.asarray(data - (shrinkage * (data @ projected.left_vectors)) @ projected.left_vectors.T)
+def driven_phasors_m(prior: MediumPrior, fit: MediumFit) -> tuple[FloatArray, ComplexArray]:
+    """Return frequency (harmonic,) and phasor (..., harmonic), m, of all harmonics of the bursts in ``fit``.
 
-
-def driven_phasors_m(
-    prior: MediumPrior, projected: ProjectedPrior, prior_fit: MediumFit
-) -> tuple[FloatArray, ComplexArray]:
-    """Return frequency (harmonic,) and phasor (..., harmonic), m, of all harmonics of the bursts in ``prior_fit``.
-
-    ``projected``: the ``prior`` at the pulses of the fit. Independent deviations of the wanted harmonics from the
-    ensemble's span are not included.
+    Independent deviations of the wanted harmonics from the ensemble's span are not included.
     """
-    directions = prior_fit.coordinates @ projected.right_vectors[:, : len(prior.root)] @ prior.root.T
-    states = directions @ prior.states(range(prior.frequency_hz.size)).T
+    responses = fit.coordinates @ _coordinates_of_response(prior, fit) @ prior.response_root.T
+    states = responses @ prior.states_of_response(range(prior.frequency_hz.size)).T
     return prior.frequency_hz, np.asarray(states[..., ::2] + 1j * states[..., 1::2])
 
 
-def posterior_of_states(
-    motion: Motion, prior_fit: MediumFit, prior: MediumPrior, directions: FloatArray, background_order: int
-) -> tuple[FloatArray, AliasingCauses, FloatArray]:
-    """Return mean and covariance of further states of the motion, given the data of ``motion``.
+def _coordinates_of_response(prior: MediumPrior, fit: MediumFit) -> FloatArray:
+    """Return V' (pattern, coordinate) without the coordinates that are deviations of wanted harmonics."""
+    return fit.projected.pattern_coordinates[:, : len(prior.response_root)]
 
-    ``prior_fit`` is the fit of that motion. ``directions`` (state, direction): the states as a linear function of the
-    prior's directions, the real and imaginary parts of a medium's response. The third value (..., member, state): true
-    minus estimated states of every member of the ensemble, each scaled to a motion of 1 m rms.
+
+def posterior_of_states(
+    prior_fit: MediumFit, prior: MediumPrior, from_response: FloatArray
+) -> tuple[FloatArray, AliasingCauses, FloatArray]:
+    """Return mean and covariance of further states of the motion, given the data of ``prior_fit``.
+
+    ``from_response`` (state, response component): the states as a linear function of a medium's response. The third
+    value (..., member, state): true minus estimated states of every member of the ensemble, each scaled to a motion of
+    1 m rms.
     """
-    evidence = prior_fit.evidence
-    projected = project_prior(prior, motion.time_s, motion.valid, prior_fit.fit.frequency_hz, background_order)
-    # Independent deviations of the wanted harmonics are no directions of the prior: these states do not contain them.
-    # As in ``medium_fit``: gain from the data along U to coordinates along V, ``rows`` from there to the states.
-    rows = directions @ prior.root @ projected.right_vectors[:, : len(prior.root)].T
-    deviation = np.zeros((len(projected.deviation), len(directions)))
-    deviation[: prior.deviation.size] = prior.deviation[:, None] * directions.T
-    gain = _gain(projected, evidence)
-    weights = rows * gain[..., None, :]
-    noise_m2 = evidence.total_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
-    of_states = replace(projected, wanted_members=prior.members @ directions.T, wanted_deviation=deviation)
+    evidence, projected = prior_fit.evidence, prior_fit.projected
+    # As in ``medium_fit``, with these states instead of the wanted ones. They do not contain the independent deviations
+    # of the wanted harmonics.
+    per_pattern = from_response @ prior.response_root @ _coordinates_of_response(prior, prior_fit).T
+    weights = per_pattern * _gain(projected, evidence)[..., None, :]
+    deviation_states = np.zeros((len(projected.deviation_coefficients), len(from_response)))
+    deviation_states[: prior.response_deviation.size] = prior.response_deviation[:, None] * from_response.T
+    member_states = prior.member_responses @ from_response.T
+    of_states = replace(projected, member_states=member_states, deviation_states=deviation_states)
+    noise_m2 = evidence.total_noise_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     aliasing_m2, member_errors = _aliasing(of_states, weights, evidence)
-    data = projected.without_background(motion.displacement_m[..., motion.valid])
-    causes = AliasingCauses(noise_m2 + aliasing_m2, member_phasors_m(evidence, member_errors), noise_m2)
-    return (gain * (data @ projected.left_vectors)) @ rows.T, causes, member_errors
+    causes = AliasingCauses(noise_m2 + aliasing_m2, media_influences_m(evidence, member_errors), noise_m2)
+    return prior_fit.coordinates @ per_pattern.T, causes, member_errors
 
 
 def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
-    """Return g (..., rank), from data along U to coordinates along V."""
+    """Return g (..., pattern): from a coefficient of the data to the motion in prior standard deviations."""
     prior_m2 = (PRIOR_WIDENING * evidence.scale_m[..., None]) ** 2
-    return np.asarray(prior_m2 * projected.value / (evidence.total_m2[..., None] + prior_m2 * projected.value**2))
+    noise_m2 = evidence.total_noise_m2[..., None]
+    return np.asarray(prior_m2 * projected.pattern_sd / (noise_m2 + prior_m2 * projected.pattern_sd**2))
 
 
 def _aliasing(projected: ProjectedPrior, weights: FloatArray, evidence: Evidence) -> tuple[FloatArray, FloatArray]:
     """Return the covariance (..., state, state) of the error that the fit makes without noise: aliasing and shrinkage.
 
-    ``weights`` (..., state, rank): the fit, from the data along the observed directions to the states. The second value
-    (..., member, state) is (I - K A) x_m, true minus fitted states of every medium of the ensemble, scaled to 1 m rms.
+    ``weights`` (..., state, pattern): the fit, from the coefficients of the data to the states. The second value (...,
+    member, state): true minus fitted states of every medium of the ensemble, scaled to 1 m rms.
     """
     transposed = np.swapaxes(weights, -1, -2)
-    member_errors = projected.wanted_members - projected.members @ transposed
-    deviation_errors = projected.wanted_deviation - projected.deviation @ transposed
-    # Deviations are as large as the data suggest. Those from the ensemble's span, all but the last rows, are at least
-    # those of the prior: media between the members deviate as much.
-    factor = np.repeat(evidence.deviation_factor[..., None], len(projected.deviation), axis=-1)
-    factor[..., : -len(projected.wanted_rows)] = factor[..., : -len(projected.wanted_rows)].clip(min=1)
+    member_errors = projected.member_states - projected.member_coefficients @ transposed
+    deviation_errors = projected.deviation_states - projected.deviation_coefficients @ transposed
+    # Deviations are as large as the data suggest. Those of the response, all but the last rows, are at least those of
+    # the prior: media between the members deviate as much.
+    factor = np.repeat(evidence.deviation_factor[..., None], len(projected.deviation_coefficients), axis=-1)
+    of_response = slice(0, -len(projected.wanted_per_pattern))
+    factor[..., of_response] = factor[..., of_response].clip(min=1)
     deviation_errors = factor[..., None] * deviation_errors
     # Members with their posterior probability and their own scale; deviations with the scale of the ensemble.
     member_weights = (evidence.probability * evidence.member_scale_m2)[..., None]
@@ -221,10 +215,11 @@ def _aliasing(projected: ProjectedPrior, weights: FloatArray, evidence: Evidence
     return members_m2 + evidence.scale_m[..., None, None] ** 2 * deviations_m2, member_errors
 
 
-def member_phasors_m(evidence: Evidence, member_errors: FloatArray) -> ComplexArray:
-    """Return the error (..., member, frequency) in each medium, m, times the root of the medium's probability.
+def media_influences_m(evidence: Evidence, member_errors: FloatArray) -> ComplexArray:
+    """Return the influences (..., member, frequency), m, of the unknown medium on the fitted phasors.
 
-    ``member_errors`` (..., member, state): in-phase and quadrature, for a motion of 1 m rms.
+    They are the phasors' errors in each medium times the root of its probability: the sum of their squares over the
+    media is the variance. ``member_errors`` (..., member, state): in-phase and quadrature, for a motion of 1 m rms.
     """
     root = np.sqrt(evidence.probability * evidence.member_scale_m2)[..., None]
     return np.asarray(root * (member_errors[..., ::2] + 1j * member_errors[..., 1::2]))
@@ -239,22 +234,21 @@ def medium_kalman(
 ) -> MediumFit:
     """Return the fit with a prior of media by a Kalman filter, which adds the correlation of its innovations.
 
-    The filter estimates coordinates a of the motion x = F a, with F the factor of the prior; their initial covariance
-    is (k s)² I, with s the rms motion and k = PRIOR_WIDENING. Scale s and noise are first estimated by the fit in
-    closed form, ``medium_fit``, which has the same result.
+    The filter estimates coordinates a of the motion x = F a, with F the root of the prior's covariance; their initial
+    covariance is (k s)² I, with s the rms motion and k = PRIOR_WIDENING. Scale s and noise are first estimated by the
+    fit in closed form, ``medium_fit``, which has the same result.
     """
     closed_form = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
-    frequency_hz, evidence = closed_form.fit.frequency_hz, closed_form.evidence
-    projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
-    scales_m, noises_m = evidence.scale_m.reshape(-1), np.sqrt(evidence.total_m2.reshape(-1))
+    frequency_hz, evidence, projected = closed_form.fit.frequency_hz, closed_form.evidence, closed_form.projected
+    scales_m, noises_m = evidence.scale_m.reshape(-1), np.sqrt(evidence.total_noise_m2.reshape(-1))
     data = motion.displacement_m[..., motion.valid]
     states, innovations = [], []
     for displacement_m, scale_m, noise_m in zip(
         data.reshape(-1, data.shape[-1]), scales_m.tolist(), noises_m.tolist(), strict=True
     ):
         # In units of the noise, with columns scaled by the initial standard deviations.
-        prior_std = PRIOR_WIDENING * scale_m / noise_m
-        matrix = np.hstack([prior_std * projected.factor[projected.repeats], DIFFUSE_STD * projected.background])
+        prior_sd = PRIOR_WIDENING * scale_m / noise_m
+        matrix = np.hstack([prior_sd * projected.factor[projected.repeats], DIFFUSE_STD * projected.background])
         filtered = filter_constant(matrix, displacement_m / noise_m, 1.0, innovations=True)
         coordinates = filtered.state[: projected.wanted_factor.shape[1]]
         states.append(PRIOR_WIDENING * scale_m * projected.wanted_factor @ coordinates)
@@ -270,40 +264,42 @@ def medium_kalman(
 def medium_posterior(
     prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, member_errors: FloatArray
 ) -> MediumPosterior:
-    """Return the posterior of the medium: moments over the ensemble with the members' posterior probability.
+    """Return the posterior of the medium, given its motion: ratio of peak to tracked motion, dependence on speckle.
 
-    They are the ratio of peak to tracked motion, its covariance, its dependence on speckle, and its covariance with the
-    aliasing error. ``fit``: frequencies and phasors. ``member_errors`` (..., member, 2 * frequency): true minus
-    estimated states of every member, scaled to 1 m rms.
+    Means and covariances over the ensemble, each medium with its posterior probability. ``fit``: frequencies and
+    phasors. ``member_errors`` (..., member, 2 * frequency): error of the fit without noise in every medium (aliasing
+    and shrinkage), true minus fitted in-phase and quadrature values, for a motion of 1 m rms.
     """
     indices, probability = list(prior.harmonic_indices(fit.frequency_hz)), evidence.probability
+    # Logarithm of the ratio of peak to tracked motion in each medium, minus its mean: relative amplitude and phase.
     log_ratio = np.log(prior.peak_over_tracked[:, indices])
-    member_power_m2 = evidence.member_scale_m2[..., None] * prior.amplitude_m[:, indices] ** 2
-    # The lower bound avoids 0/0 if nothing moves.
-    mean_power_m2 = np.maximum(np.einsum("...m,...mf->...f", probability, member_power_m2), np.finfo(np.float64).tiny)
-    relative_power = member_power_m2 / mean_power_m2[..., None, :]
-    bounded = [bounded_steepness(effect[:, indices], relative_power) for effect in prior.steepness]
-    # Speckle changes the beam's area and offset independently.
-    steepness2 = sum(_real_imaginary(effect) ** 2 for effect in bounded)
     mean_log_ratio = probability @ log_ratio
     ratio_error = np.asarray(log_ratio - mean_log_ratio[..., None, :], np.complex128)
-    ratio_deviation = _real_imaginary(ratio_error)
-    # Aliasing error of each member relative to the fitted phasor; zero amplitudes have no relative error.
+    ratio_errors = _real_imaginary(ratio_error)
+    # Relative change of the motion with area and offset of the tracking beam, bounded where a medium hardly moves.
+    power_m2 = evidence.member_scale_m2[..., None] * prior.amplitude_m[:, indices] ** 2
+    # The lower bound avoids 0/0 if nothing moves.
+    mean_power_m2 = np.maximum(np.einsum("...m,...mf->...f", probability, power_m2), np.finfo(np.float64).tiny)
+    relative_power = power_m2 / mean_power_m2[..., None, :]
+    effects = [bounded_steepness(effect[:, indices], relative_power) for effect in prior.steepness]
+    # Speckle changes the beam's area and offset independently.
+    steepness2 = sum(_real_imaginary(effect) ** 2 for effect in effects)
+    # Aliasing error of each medium relative to the fitted phasor; zero amplitudes have no relative error.
     phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
     errors = member_errors[..., ::2] + 1j * member_errors[..., 1::2]
     divisor_m = np.where(phasor_m == 0, np.inf, phasor_m)[..., None, :]
-    relative_errors = _real_imaginary(np.asarray(errors / divisor_m, np.complex128))
-    error_weights = probability * np.sqrt(evidence.member_scale_m2)
-    # Sums over members m weighted by their probability; f: frequency, i and j: amplitude and phase.
+    aliasing_errors = _real_imaginary(np.asarray(errors / divisor_m, np.complex128))
+    aliasing_weights = probability * np.sqrt(evidence.member_scale_m2)
+    # Sums over media m weighted by their probability; f: frequency, i and j: amplitude and phase.
     root = np.sqrt(probability)[..., None]
     return MediumPosterior(
         significance=evidence.significance,
         peak_over_tracked=np.exp(mean_log_ratio),
-        peak_covariance=np.einsum("...m,...mfi,...mfj->...fij", probability, ratio_deviation, ratio_deviation),
+        peak_covariance=np.einsum("...m,...mfi,...mfj->...fij", probability, ratio_errors, ratio_errors),
         steepness=np.sqrt(np.einsum("...m,...mfi->...fi", probability, steepness2)),
-        shared=np.einsum("...m,...mfi,...mfi->...fi", error_weights, relative_errors, ratio_deviation),
-        ratio_errors=root * ratio_error,
-        steepness_terms=np.concatenate([root * effect for effect in bounded], axis=-2),
+        aliasing_covariance=np.einsum("...m,...mfi,...mfi->...fi", aliasing_weights, aliasing_errors, ratio_errors),
+        ratio_influences=root * ratio_error,
+        steepness_influences=np.concatenate([root * effect for effect in effects], axis=-2),
     )
 
 

@@ -1,15 +1,16 @@
 """Prior of the states of all harmonics: the motions that media can make under known tonebursts.
 
 Under a long train of tonebursts the displacement is periodic. x are the in-phase and quadrature states of every
-harmonic of the burst rate up to 40 kHz. An ensemble of media answers the known spectrum of the bursts; its responses
-span few directions of x:
+harmonic of the burst rate up to 40 kHz. An ensemble of media responds to the known spectrum of the bursts; few linear
+combinations of x describe all of its media:
 
-    Cov x = s² F F',    F = S L (state, rank)          s: rms displacement of the motion
+    Cov x = s² F F',    F = S L (state, column)          s: rms displacement of the motion
 
-A medium is described by its complex response at a few frequency nodes; a *direction* is the real or imaginary part of
-one node. S (``MediumPrior.states``) converts directions to states: interpolation between nodes times the spectrum of
-the bursts. L (``MediumPrior.root``) is a root of the covariance of the directions over the ensemble. Fits with this
-prior: medium_fit.py. Derivation: docs/explanation/medium-prior.md.
+A medium is described by its complex response at a few frequency nodes. A *response component* is the real or imaginary
+part of the response at one node. S (``MediumPrior.states_of_response``) converts these components to states:
+interpolation between nodes times the spectrum of the bursts. L (``MediumPrior.response_root``) is a root of the
+components' covariance over the ensemble. Fits with this prior: medium_fit.py. Derivation:
+docs/explanation/medium-prior.md.
 """
 
 from __future__ import annotations
@@ -43,21 +44,24 @@ harmonic, far above trigger jitter and the rounding of times."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MediumPrior:
-    """Prior of the states of all harmonics for a motion of 1 m rms; compared by identity, arrays read-only.
+    """Prior of the motion of media under tonebursts, for a motion of 1 m rms; compared by identity, arrays read-only.
 
-    ``spectrum`` complex (harmonic, node): from responses at the nodes to A exp(j phase) of every harmonic. ``root``
-    (direction, direction): root of the covariance of the directions. ``members`` (member, direction): the ensemble.
-    ``deviation`` (direction,): standard deviation of a medium from the ensemble's span. ``peak_over_tracked``, complex
-    (member, harmonic): peak over tracked motion. ``amplitude_m`` (member, harmonic): tracked amplitude.
-    ``steepness``, complex (effect, member, harmonic): relative change of the tracked motion with the logarithm of the
-    tracking beam's area and, off the axis of the force, with the beam's offset relative to its radius.
+    A response component is the real or imaginary part of a medium's complex response at one frequency node: real parts
+    of all nodes first, then imaginary parts. ``node_to_harmonic``, complex (harmonic, node): converts responses to A
+    exp(j phase) of every harmonic of the bursts. ``member_responses`` (member, component): the media of the ensemble.
+    ``response_deviation`` (component,): standard deviation of a medium from the ensemble's span. ``response_root``
+    (component, component): root of the covariance, deviations included.
+
+    ``peak_over_tracked``, complex (member, harmonic): peak over tracked motion. ``amplitude_m`` (member, harmonic):
+    tracked amplitude. ``steepness``, complex (effect, member, harmonic): relative change of the tracked motion with the
+    logarithm of the tracking beam's area and, off the axis of the force, with the beam's offset relative to its radius.
     """
 
     burst_rate_hz: float
-    spectrum: ComplexArray
-    root: FloatArray
-    members: FloatArray
-    deviation: FloatArray
+    node_to_harmonic: ComplexArray
+    response_root: FloatArray
+    member_responses: FloatArray
+    response_deviation: FloatArray
     peak_over_tracked: ComplexArray
     amplitude_m: FloatArray
     steepness: ComplexArray
@@ -67,40 +71,41 @@ class MediumPrior:
         """Frequencies (harmonic,) of the states."""
         return self.burst_rate_hz * np.arange(1.0, self.peak_over_tracked.shape[1] + 1)
 
-    def states(self, harmonic_indices: Sequence[int]) -> FloatArray:
-        """Return S (2 * harmonic, direction): from the prior's directions to the states of the given harmonics, from 0.
+    def states_of_response(self, harmonic_indices: Sequence[int]) -> FloatArray:
+        """Return the matrix S (2 * harmonic, response component) from a medium's response to its motion.
 
-        States are in-phase and quadrature. A direction is the real or imaginary part of a medium's response at a node.
+        The motion is given by the in-phase and quadrature states of the harmonics with these indices, counted from 0.
         """
-        rows = self.spectrum[list(harmonic_indices)]
-        # Directions are the real parts of all nodes, then the imaginary parts: Re and Im of (spectrum times node).
+        rows = self.node_to_harmonic[list(harmonic_indices)]
+        # Real and imaginary part of (rows @ response), with the response split into real and imaginary parts.
         pairs = np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real])
         return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
 
-    def sampled_motions(self, time_s: FloatArray, harmonic_indices: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return two linear models of the displacement at ``time_s``, as matrices with a row for each pulse.
+    def displacement_matrices(
+        self, time_s: FloatArray, harmonic_indices: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return two matrices that give the displacement at ``time_s`` (pulse,): of a medium, and of some harmonics.
 
-        The first (pulse, direction) times the directions of a medium (real parts of its response at the nodes, then
-        imaginary parts) is the medium's displacement. The second (pulse, state), sin and cos of every harmonic in
-        ``harmonic_indices``, times their in-phase and quadrature states is the displacement of these harmonics alone.
+        The first (pulse, response component) is multiplied by the response of a medium. The second (pulse, state)
+        is multiplied by in-phase and quadrature states of the harmonics in ``harmonic_indices``.
         """
         # Computed once for each distinct instant of the burst period, then repeated for the pulses at that instant.
         first, repeats = self.distinct_instants(time_s)
         # exp(jwt) of every harmonic as powers of one exponential, which is faster than a sine for each.
-        phasors = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
+        phasors = _powers(self._burst_phasor(time_s[first]), len(self.node_to_harmonic))
         # The displacement is Im(weights @ response), (instant, node): the response's real part has the factor
         # Im(weights), its imaginary part Re(weights).
-        weights = phasors @ self.spectrum
-        displacement = np.hstack([weights.imag, weights.real])
+        weights = phasors @ self.node_to_harmonic
+        of_response = np.hstack([weights.imag, weights.real])
         # sin and cos of the first harmonic, then of the next: j conj(exp(jwt)) = sin + j cos.
         sin_cos = 1j * np.conj(phasors[:, list(harmonic_indices)])
-        harmonic_displacement = np.stack([sin_cos.real, sin_cos.imag], axis=-1).reshape(len(sin_cos), -1)
-        return displacement[repeats], harmonic_displacement[repeats]
+        of_harmonics = np.stack([sin_cos.real, sin_cos.imag], axis=-1).reshape(len(sin_cos), -1)
+        return of_response[repeats], of_harmonics[repeats]
 
     def velocity_m_per_s(self, time_s: FloatArray, phasor_m: ComplexArray) -> FloatArray:
         """Return the velocity (pulse,) at ``time_s`` of the motion with ``phasor_m`` A exp(j phase), (harmonic,)."""
         first, repeats = self.distinct_instants(time_s)
-        phasors = _powers(self._burst_phasor(time_s[first]), len(self.spectrum))
+        phasors = _powers(self._burst_phasor(time_s[first]), len(self.node_to_harmonic))
         velocity: FloatArray = (phasors @ (2j * np.pi * self.frequency_hz * phasor_m)).imag
         return velocity[repeats]
 
@@ -136,7 +141,7 @@ class MediumPrior:
         return float(np.sum(1 / neighbours))
 
     def harmonic_indices(self, frequency_hz: FloatArray) -> tuple[int, ...]:
-        """Return which harmonics of the bursts, from 0, ``frequency_hz`` are; raise ``ValueError`` if one is none."""
+        """Return the index of each frequency among the bursts' harmonics, from 0; raise ``ValueError`` for others."""
         number = np.rint(frequency_hz / self.burst_rate_hz)
         close = np.abs(frequency_hz - number * self.burst_rate_hz) <= 1e-6 * self.burst_rate_hz
         if not np.all(close & (number >= 1) & (number <= self.peak_over_tracked.shape[1])):
@@ -164,33 +169,36 @@ def medium_prior(
     """
     lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
     ensemble = medium_ensemble(pushed, lowest_hz, highest_hz, known_medium, density_kg_per_m3)
-    spectrum = ensemble.driven_spectrum(round(highest_hz / burst_rate_hz), burst_rate_hz, burst_length_s)
+    node_to_harmonic = ensemble.driven_spectrum(round(highest_hz / burst_rate_hz), burst_rate_hz, burst_length_s)
     # Tracked and peak motion of every member, (member, harmonic).
-    tracked, peak = ensemble.tracked @ spectrum.T, ensemble.peak @ spectrum.T
+    tracked, peak = ensemble.tracked @ node_to_harmonic.T, ensemble.peak @ node_to_harmonic.T
     # Each member is scaled to a tracked motion of 1 m rms.
     scale = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
     responses = scale * ensemble.tracked
-    members = np.hstack([responses.real, responses.imag])
-    # Voigt media weigh more. Standard deviation of a medium from the ensemble's span, equal in the real and imaginary
-    # part of a node.
+    member_responses = np.hstack([responses.real, responses.imag])
+    # Weight of each member; Voigt media weigh more.
     weight = np.where(ensemble.voigt, VOIGT_WEIGHT, 1.0)
-    power = (weight / weight.sum()) @ (members**2)
-    deviation = ENSEMBLE_RESIDUAL * np.sqrt(np.tile(power.reshape(2, -1).mean(axis=0), 2))
-    # The root L of the covariance: L L' = weighted second moment of the members + squared deviation, by QR of the
-    # stacked factors.
-    weighted = np.sqrt(weight / weight.sum())[:, None] * members
-    root = np.asarray(np.linalg.qr(np.vstack([weighted, np.diag(deviation)]), mode="r")).T
+    weight /= weight.sum()
+    # Standard deviation of a medium from the ensemble's span: a fraction of the rms response at each node, equal in
+    # the real and imaginary part.
+    mean_square = (weight @ member_responses**2).reshape(2, -1).mean(axis=0)
+    deviation = ENSEMBLE_RESIDUAL * np.sqrt(np.tile(mean_square, 2))
+    # Root L of the covariance L L' = weighted second moment of the members + squared deviation. A QR decomposition of
+    # both roots, stacked, gives it.
+    stacked_roots = np.vstack([np.sqrt(weight)[:, None] * member_responses, np.diag(deviation)])
     prior = MediumPrior(
         burst_rate_hz=burst_rate_hz,
-        spectrum=spectrum,
-        root=root,
-        members=members,
-        deviation=deviation,
+        node_to_harmonic=node_to_harmonic,
+        response_root=np.asarray(np.linalg.qr(stacked_roots, mode="r")).T,
+        member_responses=member_responses,
+        response_deviation=deviation,
         peak_over_tracked=peak / tracked,
         amplitude_m=scale * np.abs(tracked),
-        steepness=ensemble.steepness @ spectrum.T / tracked,
+        steepness=ensemble.steepness @ node_to_harmonic.T / tracked,
     )
-    for array in (spectrum, root, members, deviation, prior.peak_over_tracked, prior.amplitude_m, prior.steepness):
+    for array in (node_to_harmonic, prior.response_root, member_responses, deviation):
+        array.flags.writeable = False
+    for array in (prior.peak_over_tracked, prior.amplitude_m, prior.steepness):
         array.flags.writeable = False
     return prior
 

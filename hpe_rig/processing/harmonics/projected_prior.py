@@ -1,11 +1,14 @@
 """Prior of media projected onto a pulse train: the part of it that the pulses can observe.
 
 A samples the states at the valid pulses, with the background projected out; F is the prior's factor (medium_prior.py),
-extended by an independent deviation of each wanted harmonic. The singular value decomposition
+extended by an independent deviation of each wanted harmonic. A motion has the states x = F a; the prior of the
+coordinates a is independent, with unit variance for a motion of 1 m rms. The singular value decomposition
 
     A F = U diag(l) V'
 
-turns all sums of the fit into sums over the rank. Directions with l = 0 are not observed.
+expresses it in *patterns*, the columns of U: orthonormal displacements (pulse,). A motion has the coefficient l_i
+(V'a)_i of pattern i, so that l_i is the standard deviation of that coefficient under the prior. All sums of the fit are
+sums over patterns. Combinations with l = 0 are not observed.
 """
 
 from __future__ import annotations
@@ -23,32 +26,35 @@ HARMONIC_DEVIATION = 0.03
 """Standard deviation of each wanted harmonic from the ensemble's span, relative to its rms amplitude: reflections and
 layers, which the infinite media of the ensemble do not have."""
 RANK_TOLERANCE = 1e-10
-"""Singular value over the largest below which a direction counts as unobserved."""
+"""Singular value over the largest below which a pattern counts as unobserved."""
 
 
 @dataclass(frozen=True, slots=True)
 class ProjectedPrior:
     """A prior of media at the valid pulses of one train, as the decomposition A F = U diag(l) V'.
 
-    ``left_vectors`` (pulse, rank) is U, ``value`` (rank,) is l, ``right_vectors`` (rank, column of F) is V'.
-    ``wanted_rows`` (wanted state, rank): F V, from coordinates along V to the wanted states.
-    ``members`` (member, rank): motion of every member in coordinates along U. ``wanted_members`` (member, wanted
-    state). ``deviation`` and ``wanted_deviation``: as members, for each independent deviation from the ensemble's span.
-    ``background`` (pulse, order + 1): orthonormal columns of the background.
+    ``patterns`` (pulse, pattern), U: the orthonormal displacements of which observable motions consist.
+    ``pattern_sd`` (pattern,), l: standard deviation of a motion's coefficient of each, for 1 m rms.
+    ``pattern_coordinates`` (pattern, coordinate), V'. ``wanted_per_pattern`` (wanted state, pattern), F V: in-phase and
+    quadrature states of the wanted harmonics in a motion with one standard deviation of a pattern.
+
+    ``member_coefficients`` (member, pattern) and ``member_states`` (member, wanted state): motion of each medium of the
+    ensemble. ``deviation_coefficients`` and ``deviation_states``: as these, for each independent deviation from the
+    ensemble's span. ``background`` (pulse, order + 1): orthonormal columns of the background.
     ``hidden_variance_factor``: see ``hidden_variance_factor()``.
 
-    For the Kalman filter: ``factor`` (instant, column of F) is A F with its background, ``repeats`` (pulse,) its row
-    for each pulse, ``wanted_factor`` (wanted state, column of F) is F of the wanted states.
+    For the Kalman filter: ``factor`` (instant, coordinate) is A F with its background, ``repeats`` (pulse,) its row
+    for each pulse, ``wanted_factor`` (wanted state, coordinate) is F of the wanted states.
     """
 
-    left_vectors: FloatArray
-    value: FloatArray
-    right_vectors: FloatArray
-    wanted_rows: FloatArray
-    members: FloatArray
-    wanted_members: FloatArray
-    deviation: FloatArray
-    wanted_deviation: FloatArray
+    patterns: FloatArray
+    pattern_sd: FloatArray
+    pattern_coordinates: FloatArray
+    wanted_per_pattern: FloatArray
+    member_coefficients: FloatArray
+    member_states: FloatArray
+    deviation_coefficients: FloatArray
+    deviation_states: FloatArray
     background: FloatArray
     hidden_variance_factor: float
     factor: FloatArray
@@ -59,11 +65,15 @@ class ProjectedPrior:
         """Return ``displacement_m`` (..., valid pulse) minus its projection onto the background."""
         return np.asarray(displacement_m - (displacement_m @ self.background) @ self.background.T)
 
+    def residual(self, data: FloatArray, shrinkage: FloatArray) -> FloatArray:
+        """Return ``data`` (..., valid pulse) minus the fraction ``shrinkage`` (..., pattern) of each pattern in it."""
+        return np.asarray(data - (shrinkage * (data @ self.patterns)) @ self.patterns.T)
+
 
 def project_prior(
     prior: MediumPrior, time_s: FloatArray, valid: BoolArray, frequency_hz: FloatArray, background_order: int = 0
 ) -> ProjectedPrior:
-    """Return the part of ``prior`` that the valid pulses at ``time_s`` (pulse,) can observe.
+    """Return ``prior`` as patterns of displacement (pulse,) that the valid pulses at ``time_s`` (pulse,) can observe.
 
     ``frequency_hz``: wanted harmonics. The result is cached for trains of the same timing. Raises ``ValueError`` for
     frequencies that are no harmonics of the bursts and for too few pulses.
@@ -76,7 +86,7 @@ def project_prior(
 
 @functools.lru_cache(maxsize=4)
 def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[int, ...], order: int) -> ProjectedPrior:
-    """Return the part of ``prior`` that ``pulses`` observe, for wanted harmonics and a background of ``order``.
+    """Return ``prior`` at ``pulses``, for the harmonics with these indices and a background polynomial of ``order``.
 
     It is the singular value decomposition A F = U diag(l) V': F is the root of the prior's covariance, and A samples
     its motions at the pulses, minus the background.
@@ -87,35 +97,41 @@ def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[i
     index = np.arange(np.count_nonzero(valid))
     first, repeats = (index, index) if order else prior.distinct_instants(time_s[valid])
     count = np.bincount(repeats)[:, None]
-    # Motion of each direction of the prior, and of each wanted state, at the instants.
-    directions, columns = prior.sampled_motions(time_s[valid][first], harmonic_indices)
-    basis = prior.states(harmonic_indices)
+    # From a medium's response, and from wanted states, to the displacement at the instants; from response to states.
+    of_response, of_states = prior.displacement_matrices(time_s[valid][first], harmonic_indices)
+    response_to_states = prior.states_of_response(harmonic_indices)
     # F, the root of the prior's covariance, is extended by a deviation of each wanted harmonic, equal in both states.
-    power = np.sum((basis @ prior.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
-    wanted_deviation = np.diag(HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2)))
-    sampled_deviation = columns @ wanted_deviation
-    factor = np.hstack([directions @ prior.root, sampled_deviation])
-    wanted_factor = np.hstack([basis @ prior.root, wanted_deviation])
+    harmonic_root = response_to_states @ prior.response_root
+    mean_square = np.sum(harmonic_root**2, axis=1).reshape(-1, 2).mean(axis=1)
+    wanted_deviation = np.diag(HARMONIC_DEVIATION * np.sqrt(np.repeat(mean_square, 2)))
+    wanted_factor = np.hstack([harmonic_root, wanted_deviation])
+    sampled_deviation = of_states @ wanted_deviation
+    factor = np.hstack([of_response @ prior.response_root, sampled_deviation])
     # A F: one row for each instant; ``count`` pulses share it.
     centred = factor - background[first] @ ((count * background[first]).T @ factor)
     # The triangle of a QR decomposition has the same singular values as all pulses, at far less work; U follows from
     # it.
-    _, value, right_vectors = np.linalg.svd(np.linalg.qr(np.sqrt(count) * centred, mode="r"))
-    observed = value > RANK_TOLERANCE * value[0]
-    value, right_vectors = value[observed], right_vectors[: observed.size][observed]
-    left_vectors = centred @ (right_vectors.T / value)
-    along = directions.T @ (count * left_vectors)  # motion of each direction along U
+    _, singular_values, right_vectors = np.linalg.svd(np.linalg.qr(np.sqrt(count) * centred, mode="r"))
+    observed = singular_values > RANK_TOLERANCE * singular_values[0]
+    pattern_sd, pattern_coordinates = singular_values[observed], right_vectors[: observed.size][observed]
+    patterns = centred @ (pattern_coordinates.T / pattern_sd)
+    # Coefficients of the patterns, (response component, pattern), in the motion of each response component.
+    component_coefficients = of_response.T @ (count * patterns)
     return ProjectedPrior(
-        left_vectors=left_vectors[repeats],
-        value=value,
-        right_vectors=right_vectors,
-        wanted_rows=wanted_factor @ right_vectors.T,
-        members=prior.members @ along,
-        wanted_members=prior.members @ basis.T,
-        deviation=np.vstack([prior.deviation[:, None] * along, sampled_deviation.T @ (count * left_vectors)]),
-        wanted_deviation=np.vstack([prior.deviation[:, None] * basis.T, wanted_deviation]),
+        patterns=patterns[repeats],
+        pattern_sd=pattern_sd,
+        pattern_coordinates=pattern_coordinates,
+        wanted_per_pattern=wanted_factor @ pattern_coordinates.T,
+        member_coefficients=prior.member_responses @ component_coefficients,
+        member_states=prior.member_responses @ response_to_states.T,
+        deviation_coefficients=np.vstack(
+            [prior.response_deviation[:, None] * component_coefficients, sampled_deviation.T @ (count * patterns)]
+        ),
+        deviation_states=np.vstack([prior.response_deviation[:, None] * response_to_states.T, wanted_deviation]),
         background=background,
-        hidden_variance_factor=hidden_variance_factor(int(valid.sum()), prior.instant_count(time_s[valid]), value.size),
+        hidden_variance_factor=hidden_variance_factor(
+            int(valid.sum()), prior.instant_count(time_s[valid]), pattern_sd.size
+        ),
         factor=factor,
         repeats=repeats,
         wanted_factor=wanted_factor,
@@ -123,11 +139,12 @@ def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[i
 
 
 def hidden_variance_factor(pulses: int, instants: float, rank: int) -> float:
-    """Return the model-error variance that the residual does not contain, over the variance of one pulse's model error.
+    """Return the part of the model error that the residual does not contain, as a factor on its variance.
 
-    Pulses at the same instant share the model error. The mean of m = pulses / instants of them has its full variance,
-    like an error of m times the variance in every pulse. The residual contains only the part left after ``rank``
-    directions are fitted to the instants, spread over all its degrees of freedom.
+    The model error e is the deviation of the prior's motion from the true one. Pulses at the same instant of the burst
+    period share it. The mean of m = pulses / ``instants`` of them has the full variance e², like independent errors of
+    variance m e² in every pulse. The residual contains only what remains after ``rank`` patterns are fitted to the
+    instants, spread over all its degrees of freedom. The result is m minus that part.
     """
-    # The full error m minus its part in the residual, m (instants - rank) / (pulses - rank).
+    # m minus m (instants - rank) / (pulses - rank).
     return pulses / instants * (pulses - instants) / (pulses - min(rank, instants))

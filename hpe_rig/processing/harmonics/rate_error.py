@@ -26,7 +26,6 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.processing.harmonics.medium_fit import driven_phasors_m, medium_fit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import background_columns, harmonic_columns, linear_model
-from hpe_rig.processing.harmonics.projected_prior import project_prior
 from hpe_rig.processing.motion.displacement import Motion
 
 SIGNIFICANT: Final = 3.0
@@ -168,19 +167,18 @@ def _least_squares(
 def _with_medium_prior(
     motion: Motion, frequency_hz: FloatArray, prior: MediumPrior, background_order: int
 ) -> Linearisation:
-    """Return the fit of ``motion`` with the ``prior`` of media and its derivative, all harmonics included."""
+    """Return the fit of ``motion`` with the ``prior`` of media, all harmonics included, and its velocity."""
     medium = medium_fit(motion, frequency_hz, prior, background_order=background_order)
-    projected = project_prior(prior, motion.time_s, motion.valid, frequency_hz, background_order)
-    data_m = projected.without_background(motion.displacement_m[motion.valid])
-    along_m = data_m @ projected.left_vectors
-    _, phasors_m = driven_phasors_m(prior, projected, medium)
+    background = medium.projected.background
+    # All harmonics of the bursts; the wanted ones include their deviations from the ensemble's span.
+    _, phasors_m = driven_phasors_m(prior, medium)
     phasors_m[list(prior.harmonic_indices(frequency_hz))] = medium.fit.amplitude_m * np.exp(1j * medium.fit.phase_rad)
     return Linearisation(
-        basis=np.hstack([projected.background, projected.left_vectors]),
-        shrinkage=np.concatenate([np.ones(projected.background.shape[1]), medium.shrinkage]),
-        residual_m=data_m - projected.left_vectors @ (medium.shrinkage * along_m),
+        basis=np.hstack([background, medium.projected.patterns]),
+        shrinkage=np.concatenate([np.ones(background.shape[1]), medium.shrinkage]),
+        residual_m=medium.residual_m(motion),
         velocity_m_per_s=prior.velocity_m_per_s(motion.time_s[motion.valid], phasors_m),
-        noise_m2=float(medium.evidence.total_m2),
+        noise_m2=float(medium.evidence.total_noise_m2),
         degrees_of_freedom=float(medium.evidence.degrees_of_freedom),
     )
 

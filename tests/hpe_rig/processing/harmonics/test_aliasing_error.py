@@ -45,7 +45,7 @@ def fits(prior: MediumPrior, estimator: str, count: int = 60) -> tuple[list[Harm
     """Return the fits of other media's motions, in noise, and their true states (medium, state)."""
     random, valid = np.random.default_rng(5), np.ones(PULSES.size, dtype=bool)
     places = prior.harmonic_indices(WANTED_HZ)
-    directions, basis = prior.sampled_motions(PULSES, places)[0], prior.states(places)
+    directions, basis = prior.displacement_matrices(PULSES, places)[0], prior.states_of_response(places)
     found, true = [], []
     for response in other_media(count):
         moved = directions @ response

@@ -195,9 +195,11 @@ def test_between_its_nodes_a_medium_is_interpolated() -> None:
 
 
 def test_columns_are_those_of_every_harmonic() -> None:
-    directions, columns = PRIOR.sampled_motions(SHIFTING.time_s, range(10))
+    directions, columns = PRIOR.displacement_matrices(SHIFTING.time_s, range(10))
     every = harmonic_columns(SHIFTING.time_s, PRIOR.frequency_hz)
-    np.testing.assert_allclose(directions, every @ PRIOR.states(range(400)), atol=1e-10 * np.abs(directions).max())
+    np.testing.assert_allclose(
+        directions, every @ PRIOR.states_of_response(range(400)), atol=1e-10 * np.abs(directions).max()
+    )
     np.testing.assert_allclose(columns, every[:, :20], atol=1e-11)
 
 
@@ -209,7 +211,7 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Puls
     filtered = medium_kalman(motion, WANTED_HZ, PRIOR)
     used = train.valid
     columns = harmonic_columns(train.time_s[used], PRIOR.frequency_hz)
-    states = PRIOR.states(range(400)) @ PRIOR.root
+    states = PRIOR.states_of_response(range(400)) @ PRIOR.response_root
     power = np.sum(states[:20] ** 2, axis=1).reshape(-1, 2).mean(axis=1)
     start = states @ states.T
     start[np.arange(20), np.arange(20)] += HARMONIC_DEVIATION**2 * np.repeat(power, 2)
@@ -217,7 +219,7 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Puls
     contrasts = np.linalg.svd(np.ones((1, used.sum())))[2][1:]
     projected = contrasts @ columns
     for index in range(2):
-        scale, variance = result.evidence.scale_m[index], result.evidence.total_m2[index]
+        scale, variance = result.evidence.scale_m[index], result.evidence.total_noise_m2[index]
         prior = (PRIOR_WIDENING * scale) ** 2 * start
         total = projected @ prior @ projected.T + variance * np.eye(len(contrasts))
         gain = np.linalg.solve(total, projected @ prior[:, :20]).T
@@ -336,7 +338,7 @@ def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_
         state = result.state[::2] + 1j * result.state[1::2]
         error = np.angle(state * result.medium.peak_over_tracked / peak[:10])
         apart = result.covariance[:, 1, 1] + result.medium.peak_covariance[:, 1, 1]
-        ratios.append(error**2 / np.stack([apart, apart + 2 * result.medium.shared[:, 1]]))
+        ratios.append(error**2 / np.stack([apart, apart + 2 * result.medium.aliasing_covariance[:, 1]]))
     apart, together = np.mean(ratios, axis=(0, 2))
     assert apart < 0.95 * together
     assert 0.8 < together < 1.25
@@ -379,7 +381,7 @@ def test_the_scale_is_the_rms_displacement() -> None:
         wave, _ = harmonics(IN_RANGE["9 kPa"], rms_m=rms_m)
         result = medium_fit(noisy(SHIFTING, wave, rms_m / 30, 3), WANTED_HZ, PRIOR)
         np.testing.assert_allclose(result.evidence.scale_m, rms_m, rtol=0.6)
-        np.testing.assert_allclose(result.evidence.variance_m2, (rms_m / 30) ** 2, rtol=0.3)
+        np.testing.assert_allclose(result.evidence.noise_m2, (rms_m / 30) ** 2, rtol=0.3)
 
 
 def test_noise_alone_is_no_motion() -> None:
@@ -426,16 +428,16 @@ def test_the_deviation_from_the_ensemble_is_that_of_the_dense_likelihood() -> No
     projected = project_prior(PRIOR, SHIFTING.time_s, SHIFTING.valid, WANTED_HZ)
     along = projected.without_background(noisy(SHIFTING, wave, 77e-9, 1).displacement_m[..., SHIFTING.valid])
     for data, scale_m, noise_m2, factor in zip(
-        along @ projected.left_vectors,
+        along @ projected.patterns,
         result.evidence.scale_m,
-        result.evidence.total_m2,
+        result.evidence.total_noise_m2,
         result.evidence.deviation_factor,
         strict=True,
     ):
         log_likelihood = []
         for each in DEVIATION_FACTORS:
-            deviation = (each**2 - 1) * projected.deviation.T @ projected.deviation
-            covariance = np.diag(noise_m2 + scale_m**2 * projected.value**2) + scale_m**2 * deviation
+            deviation = (each**2 - 1) * projected.deviation_coefficients.T @ projected.deviation_coefficients
+            covariance = np.diag(noise_m2 + scale_m**2 * projected.pattern_sd**2) + scale_m**2 * deviation
             log_likelihood.append(-(np.linalg.slogdet(covariance)[1] + data @ np.linalg.solve(covariance, data)) / 2)
         weight = np.exp(np.array(log_likelihood) - max(log_likelihood)) / DEVIATION_FACTORS
         assert factor == pytest.approx(np.sqrt(weight @ DEVIATION_FACTORS**2 / weight.sum()), rel=1e-6)
@@ -533,13 +535,13 @@ def test_repeated_instants_give_the_projection_of_separate_pulses(order: int) ->
     train = AT_4000
     projected = project_prior(PRIOR, train.time_s, train.valid, WANTED_HZ, order)
     used = train.time_s[train.valid]
-    rows, wanted_columns = PRIOR.sampled_motions(used, range(10))
-    power = np.sum((PRIOR.states(range(10)) @ PRIOR.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
-    factor = np.hstack([rows @ PRIOR.root, wanted_columns * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
+    rows, wanted_columns = PRIOR.displacement_matrices(used, range(10))
+    power = np.sum((PRIOR.states_of_response(range(10)) @ PRIOR.response_root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
+    factor = np.hstack([rows @ PRIOR.response_root, wanted_columns * HARMONIC_DEVIATION * np.sqrt(np.repeat(power, 2))])
     np.testing.assert_allclose(projected.factor[projected.repeats], factor, atol=1e-12 * np.abs(factor).max())
     moving = factor - projected.background @ (projected.background.T @ factor)
-    left, value = projected.left_vectors, projected.value
-    np.testing.assert_allclose((left * value) @ projected.right_vectors, moving, atol=1e-9 * value[0])
+    left, value = projected.patterns, projected.pattern_sd
+    np.testing.assert_allclose((left * value) @ projected.pattern_coordinates, moving, atol=1e-9 * value[0])
     np.testing.assert_allclose(left.T @ left, np.eye(value.size), atol=1e-4)
 
 
@@ -550,8 +552,8 @@ def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(
     _, first, repeats = np.unique(instant, return_index=True, return_inverse=True)
     shared_error = np.random.default_rng(9).standard_normal((400, first.size))[:, repeats]
     shared_error -= (shared_error @ projected.background) @ projected.background.T
-    left = shared_error - (shared_error @ projected.left_vectors) @ projected.left_vectors.T
-    degrees = instant.size - 1 - projected.value.size
+    left = shared_error - (shared_error @ projected.patterns) @ projected.patterns.T
+    degrees = instant.size - 1 - projected.pattern_sd.size
     residual = np.mean(np.sum(left**2, axis=-1)) / degrees
     # all of it: of the mean over an instant's pulses, counted for each as if they were independent
     assert residual + projected.hidden_variance_factor == pytest.approx(instant.size / first.size, rel=0.02)

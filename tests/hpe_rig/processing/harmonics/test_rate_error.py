@@ -35,9 +35,9 @@ def phasors(fit: HarmonicFit) -> ComplexArray:
 
 def medium_motion(prior: MediumPrior) -> ComplexArray:
     """Return the phasors of the member of the ensemble with the median amplitude at 1 kHz, scaled to 0.5 um rms."""
-    member = np.argsort(prior.amplitude_m[:, 9])[len(prior.members) // 2]
-    real, imaginary = np.split(prior.members[member], 2)
-    return np.asarray(0.5e-6 * (prior.spectrum @ (real + 1j * imaginary)))
+    member = np.argsort(prior.amplitude_m[:, 9])[len(prior.member_responses) // 2]
+    real, imaginary = np.split(prior.member_responses[member], 2)
+    return np.asarray(0.5e-6 * (prior.node_to_harmonic @ (real + 1j * imaginary)))
 
 
 @pytest.mark.parametrize("error", [pytest.param(0.0, marks=pytest.mark.slow), 5e-5])
