@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _BAND_NODES = 9
 """Frequencies between which the response is interpolated over the band of a pulse."""
-_MAX_WINDOW_LINES = 3
+_MAX_WINDOW_EXPONENTIALS = 3
 """Pulses of at most so many exponentials are windows; only a response linear in frequency keeps the window's shape."""
 _FAINT_AMPLITUDE = 1e-5
 """Relative amplitude below which an exponential does not extend the band."""
@@ -51,42 +51,46 @@ def beam_response(
 
     x, y = (0.0, 0.0) if of_push else settings.beams.lateral_offset_m
     lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
-    # The beam is computed at a few frequencies, the nodes, and interpolated to the exponentials (lines) of the pulse.
-    node_hz, mixture, nodes_to_lines = _band(pulse)
+    # The beam is computed at a few frequencies, tabulated, and interpolated to the exponentials of the pulse.
+    computed_hz, mixture, from_tables = _frequency_interpolation(pulse)
     reach_m = float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
-    at_nodes, delay_ratio = pulse_echo_beam(settings, node_hz, *reach_m, mixture, of_push).at(lateral_m, axial_m)
-    response = nodes_to_lines @ at_nodes
+    beam = pulse_echo_beam(settings, computed_hz, *reach_m, mixture, of_push)
+    tabulated, delay_ratio = beam.at(lateral_m, axial_m)
+    response = from_tables @ tabulated
     weight = np.abs(response).max(axis=0)
     relative_response = response / np.where(weight > 0, weight, 1.0)
     return BeamResponse(weight=weight, response=relative_response, delay_ratio=delay_ratio)
 
 
-def _band(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, FloatArray]:
-    """Return frequencies for the computation of an aperture's beam for ``pulse``, and how to interpolate between them.
+def _frequency_interpolation(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, FloatArray]:
+    """Return at which frequencies to compute a beam for ``pulse``, and how to interpolate to all its exponentials.
 
-    The mixture (table, frequency), if any, sums the computed beams to fewer tables; the matrix (exponential, table)
-    leads from the tables to each exponential of the pulse. For a window of up to three exponentials, this is a straight
-    line in frequency, fitted with energy as weight, since any other function would make steps where the window ends.
-    For more, it is the polynomial through the Chebyshev points of the band.
+    * The frequencies, Hz.
+    * Weights (table, frequency) of the tables that are sums over these frequencies; None: one table a frequency.
+    * The matrix (exponential, table) from the tables to the beam at each exponential of the pulse.
+
+    A window of up to three exponentials takes a straight line in frequency, fitted with energy as weight, since any
+    other function would make steps where the window ends. More exponentials take the polynomial through the Chebyshev
+    points of the band.
     """
-    line_hz, amplitude = np.array(pulse.frequency_hz), np.abs(pulse.amplitude)
-    if len(line_hz) == 1:
+    exponential_hz, amplitude = np.array(pulse.frequency_hz), np.abs(pulse.amplitude)
+    if len(exponential_hz) == 1:
         return pulse.frequency_hz, None, np.ones((1, 1))
-    if len(line_hz) <= _MAX_WINDOW_LINES:
+    if len(exponential_hz) <= _MAX_WINDOW_EXPONENTIALS:
         energy = amplitude**2 / (amplitude**2).sum()
-        offset_hz = line_hz - energy @ line_hz
-        # Two tables: the mean, and the slope times the largest offset from the mean frequency.
+        offset_hz = exponential_hz - energy @ exponential_hz
+        # Two tables: the line's value at the mean frequency, and its change from there to the largest offset.
         max_offset_hz = np.abs(offset_hz).max()
-        slope = energy * offset_hz * max_offset_hz / (energy @ offset_hz**2)
-        mixture = tuple(energy.tolist()), tuple(slope.tolist())
-        return pulse.frequency_hz, mixture, np.stack([np.ones(len(line_hz)), offset_hz / max_offset_hz], axis=1)
-    strong_hz = line_hz[amplitude > _FAINT_AMPLITUDE * amplitude.max()]
+        change = energy * offset_hz * max_offset_hz / (energy @ offset_hz**2)
+        line = np.stack([np.ones(len(exponential_hz)), offset_hz / max_offset_hz], axis=1)
+        return pulse.frequency_hz, (tuple(energy.tolist()), tuple(change.tolist())), line
+    strong_hz = exponential_hz[amplitude > _FAINT_AMPLITUDE * amplitude.max()]
     low_hz, high_hz = float(strong_hz.min()), float(strong_hz.max())
-    # Values at the points -> coefficients of the Chebyshev polynomials -> values at the exponentials.
+    # Values at the Chebyshev points -> coefficients of the polynomials -> values at the exponentials.
     chebyshev = np.polynomial.chebyshev
     points = chebyshev.chebpts1(_BAND_NODES)
     to_coefficients = chebyshev.chebvander(points, _BAND_NODES - 1).T * (2 / _BAND_NODES)
     to_coefficients[0] /= 2
-    position = np.clip(2 * (line_hz - low_hz) / (high_hz - low_hz) - 1, -1.0, 1.0)
-    node_hz = tuple((low_hz + (high_hz - low_hz) * (points + 1) / 2).tolist())
-    return node_hz, None, chebyshev.chebvander(position, _BAND_NODES - 1) @ to_coefficients
+    position = np.clip(2 * (exponential_hz - low_hz) / (high_hz - low_hz) - 1, -1.0, 1.0)
+    point_hz = tuple((low_hz + (high_hz - low_hz) * (points + 1) / 2).tolist())
+    return point_hz, None, chebyshev.chebvander(position, _BAND_NODES - 1) @ to_coefficients

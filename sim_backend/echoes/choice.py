@@ -31,26 +31,30 @@ def method_times_s(
 ) -> dict[Method, float]:
     """Return the estimated run time, s, of each method of echo synthesis that meets the tolerance.
 
-    The times of single operations are measured ones.
+    A time is a sum of numbers of operations, each times the measured time of one operation, s.
     """
-    samples, scatterers, frequencies = len(sample_time_s), len(delays.rest_s), len(pulse.frequency_hz)
+    echo_count, samples = delays.echo_count, len(sample_time_s)
+    scatterers, frequencies = len(delays.rest_s), len(pulse.frequency_hz)
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     blocks = max(1, math.ceil(duration_s / (pulse.end_s - pulse.start_s)))
-    # A scatterer reaches at most two blocks of the gate, or three if it moves far.
+    # Running sums of one echo: exponentials of every scatterer in each block that it reaches (two at most, or three if
+    # it moves far), and sums at every sample.
     echo_s = min(blocks, 2) * (20e-9 + 30e-9 * frequencies) * scatterers + 57e-9 * frequencies * samples
-    times_s: dict[Method, float] = {"running_sum": 3e-4 * blocks + delays.echo_count * echo_s}
+    times_s: dict[Method, float] = {"running_sum": 3e-4 * blocks + echo_count * echo_s}
     if tolerance < FINEST_TOLERANCE:
         return times_s
     exponents = series_exponents(shape_angles_rad(pulse, delays.shape, delays.centred().amplitude_s), tolerance)
     if exponents is not None:
         terms, degrees = len(exponents), sum(exponents[-1]) + 1
+        # Samples that the start and the end of all pulses cross as the scatterers move.
         sample_period_s = duration_s / max(1, samples - 1) or 1.0
         reach_s = (np.ptp(delays.amplitude_s, axis=0) / 2) @ np.abs(delays.shape)
         crossings = 4 * float(reach_s.sum()) / sample_period_s
+        # The series: sums over the scatterers, common to all echoes; a correction for each crossing of each echo; and
+        # the product of sums and amplitude factors at every sample of each echo.
         sums_s = 5e-4 * blocks + scatterers * (160e-9 + 10e-9 * terms * frequencies)
-        times_s["series"] = (
-            sums_s + 7e-10 * degrees * crossings * delays.echo_count + 4e-10 * terms * delays.echo_count * samples
-        )
+        corrections_s, products_s = 7e-10 * degrees * crossings * echo_count, 4e-10 * terms * echo_count * samples
+        times_s["series"] = sums_s + corrections_s + products_s
     return times_s
 
 
@@ -76,7 +80,12 @@ def negligible_weight(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArra
 
 
 def incoherent_rms(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> float:
-    """Return the expected rms over the gate of the echoes' sum, for independent random phases of the scatterers."""
-    power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
+    """Return the expected rms over the gate of the echoes' sum, if the phases of the scatterers are independent.
+
+    Then their powers add. ``weight`` (scatterer,): those of all scatterers with an echo that reaches the gate.
+    """
+    # Mean power of a pulse while it lasts: half the squared amplitude of each exponential.
+    pulse_power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
+    # The delays of these scatterers extend over gate and pulse; at any sample only those within one pulse are alive.
     pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])
-    return math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))
+    return math.sqrt(float(weight @ weight) * pulse_power * (pulse_s / (pulse_s + gate_s)))

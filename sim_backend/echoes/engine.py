@@ -141,21 +141,25 @@ def _to_tolerance(
 ) -> Synthesis:
     """Return the echoes to ``tolerance`` of their rms, also where scatterers nearly cancel each other.
 
-    The error of the power series is proportional to the parts of the sum. If the sum is far smaller, it is computed
-    again with a tolerance that is finer by the ratio of the two, and exactly where that is below rounding.
+    The error of the power series is relative to the rms of a sum with random phases. If the actual rms is far smaller,
+    the series is evaluated again with a tolerance that is finer by the ratio of the two. Without ``method``,
+    `_evaluate` takes the exact sums where that tolerance is below rounding.
     """
     synthesis = _evaluate(delays, weight, pulse, sample_time_s, tolerance, method)
     if synthesis.method != "series":
         return synthesis
-    expected_rms, ratio, finer = incoherent_rms(weight, pulse, sample_time_s), 1.0, tolerance
+    random_phase_rms = incoherent_rms(weight, pulse, sample_time_s)
+    rms_ratio, series_tolerance = 1.0, tolerance
     step = max(1, delays.echo_count // _ECHOES_FOR_RMS)
     # The first sum may be all error and thus too large: repeat until the rms stops falling.
-    while synthesis.method == "series" and _rms(synthesis.echo[::step]) < CANCELLATION * ratio * expected_rms:
-        ratio, coarser = _rms(synthesis.echo[::step]) / expected_rms, finer
-        finer = tolerance * ratio if method is None else max(tolerance * ratio, FINEST_TOLERANCE)
-        if finer == coarser:
+    while synthesis.method == "series" and _rms(synthesis.echo[::step]) < CANCELLATION * rms_ratio * random_phase_rms:
+        rms_ratio = _rms(synthesis.echo[::step]) / random_phase_rms
+        previous_tolerance, series_tolerance = series_tolerance, tolerance * rms_ratio
+        if method is not None:
+            series_tolerance = max(series_tolerance, FINEST_TOLERANCE)
+        if series_tolerance == previous_tolerance:
             break
-        synthesis = _evaluate(delays, weight, pulse, sample_time_s, finer, method)
+        synthesis = _evaluate(delays, weight, pulse, sample_time_s, series_tolerance, method)
     return synthesis
 
 
@@ -176,15 +180,17 @@ def _evaluate(
     Without a method the faster one that meets the tolerance is used.
     """
     if len(weight) == 0:
-        return Synthesis(np.zeros((delays.echo_count, len(sample_time_s))), method or "running_sum", 0, 0)
+        no_echo = np.zeros((delays.echo_count, len(sample_time_s)))
+        return Synthesis(no_echo, method or "running_sum", terms=0, scatterers=0)
     if method != "running_sum" and _usable_method(delays, pulse, sample_time_s, tolerance, method) == "series":
         centred = delays.centred()
-        exponents = series_exponents(shape_angles_rad(pulse, delays.shape, centred.amplitude_s), tolerance) or ()
+        terms = series_exponents(shape_angles_rad(pulse, delays.shape, centred.amplitude_s), tolerance) or ()
         echo = _series_by_blocks(centred, weight, pulse, sample_time_s, tolerance)
-        return Synthesis(echo, "series", len(exponents), len(weight))
+        return Synthesis(echo, "series", terms=len(terms), scatterers=len(weight))
+    # The delays of some echoes at a time, so that they fit into memory.
     chunks = delays.chunks(_PAIRS_PER_CHUNK)
     exact = [running_sum(delay_s, weight, pulse, sample_time_s, delays.response) for delay_s in chunks]
-    return Synthesis(np.concatenate(exact), "running_sum", 0, len(weight))
+    return Synthesis(np.concatenate(exact), "running_sum", terms=0, scatterers=len(weight))
 
 
 def _usable_method(
@@ -210,7 +216,8 @@ def _series_by_blocks(
 ) -> FloatArray:
     """Return the echoes (echo, sample) by the power series, computed for one block of samples after another.
 
-    A block is at most as long as the pulse, the longest time that `series` accepts.
+    A block is at most as long as the pulse, the longest time that `series` accepts. ``delays`` and ``weight``: of all
+    scatterers; a block includes those that can reach it.
     """
     # `series` needs ascending delays.
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
@@ -218,25 +225,23 @@ def _series_by_blocks(
         delays, weight = delays.selected(order), weight[order]
     # Bound on the change of any delay by the motion.
     max_change_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
-    # `series` computes several rows (draws or gates); these echoes are a single row, row 0.
+    # `series` can compute several independent sets of scatterers, "rows"; here all are in row 0.
     out: FloatArray = np.empty((1, delays.echo_count, len(sample_time_s)))
     for block in blocks(sample_time_s, pulse):
         time_s = sample_time_s[block]
         # Far from the origin of time the phases of the exponentials lose digits, so each block has an origin near it.
         origin_s = local_origin_s(time_s, pulse)
-        # Scatterers that reach the block, and one more on either side because the limits are rounded.
-        first, end = np.searchsorted(
-            delays.rest_s, [time_s[0] - pulse.end_s - max_change_s, time_s[-1] - pulse.start_s + max_change_s]
-        )
-        near = slice(max(0, int(first) - 1), int(end) + 1)
+        # Delays at rest of the scatterers that reach the block; one more on either side because the limits are rounded.
+        min_s, max_s = time_s[0] - pulse.end_s - max_change_s, time_s[-1] - pulse.start_s + max_change_s
+        first, end = np.searchsorted(delays.rest_s, [min_s, max_s])
+        reaching = slice(max(0, int(first) - 1), int(end) + 1)
         scatterer_rows = ScattererRows(
-            row=np.zeros(len(delays.rest_s[near]), dtype=np.int64),
-            rest_s=delays.rest_s[near] - origin_s,
-            weight=weight[near],
-            shape=delays.shape[:, near],
+            row=np.zeros(len(delays.rest_s[reaching]), dtype=np.int64),
+            rest_s=delays.rest_s[reaching] - origin_s,
+            weight=weight[reaching],
+            shape=delays.shape[:, reaching],
             amplitude_s=delays.amplitude_s[None],
-            response=None if delays.response is None else delays.response[:, near],
+            response=None if delays.response is None else delays.response[:, reaching],
         )
         series(scatterer_rows, pulse, time_s - origin_s, tolerance, out[:, :, block])
-    echo: FloatArray = out[0]
-    return echo
+    return np.asarray(out[0])

@@ -15,10 +15,12 @@ the scatterers that enter, and one backwards over those that leave. See docs/exp
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.arrays import ComplexArray, FloatArray
+from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.pulse import Pulse, extended, phasors
 
 # Pairs of echo and scatterer in one array: 2 MB of complex values, which fits the cache.
@@ -101,65 +103,80 @@ def _add_block(
     sample_time_s: FloatArray,
     response: ComplexArray | None,
 ) -> None:
-    """Add the echoes in one block of samples to ``out`` (echo, sample), some echoes and scatterers at a time.
+    """Add the echoes in one block of samples to ``out`` (echo, sample), in chunks of echoes and scatterers.
 
-    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s``: of the block. ``response`` (frequency,
-    scatterer): of the beam, None for 1.
+    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s``: times of the block. ``response``
+    (frequency, scatterer): response of the beam, None for 1.
     """
     origin_s = local_origin_s(sample_time_s, pulse)
     time_s = sample_time_s - origin_s
-    # (frequency, sample): c_m exp(j w_m t).
-    rotation = phasors(pulse, time_s, 1) * np.array(pulse.amplitude)[:, None]
+    # c_m exp(j w_m t), (frequency, sample): the exponentials whose sum is the pulse.
+    exponentials = phasors(pulse, time_s, 1) * np.array(pulse.amplitude)[:, None]
+    # Chunks of echoes and scatterers, so that the temporary arrays stay in the cache.
     echoes_per_chunk = max(1, _PAIRS_PER_CHUNK // max(1, len(weight)))
-    for first in range(0, len(delay_s), echoes_per_chunk):
-        echoes = slice(first, first + echoes_per_chunk)
-        for cut in range(0, len(weight), _PAIRS_PER_CHUNK):
-            pairs = slice(cut, cut + _PAIRS_PER_CHUNK)
-            pair_response = None if response is None else response[:, pairs]
-            tau = delay_s[echoes, pairs] - origin_s
-            out[echoes] += _block(tau, weight[pairs], pulse, time_s, rotation, pair_response)
+    for first_echo in range(0, len(delay_s), echoes_per_chunk):
+        echoes = slice(first_echo, first_echo + echoes_per_chunk)
+        for first in range(0, len(weight), _PAIRS_PER_CHUNK):
+            scatterers = slice(first, first + _PAIRS_PER_CHUNK)
+            chunk_response = None if response is None else response[:, scatterers]
+            tau_s = delay_s[echoes, scatterers] - origin_s
+            out[echoes] += _chunk_echoes(tau_s, weight[scatterers], pulse, time_s, exponentials, chunk_response)
 
 
-def _block(
-    tau: FloatArray,
+def _chunk_echoes(
+    tau_s: FloatArray,
     weight: FloatArray,
     pulse: Pulse,
     sample_time_s: FloatArray,
-    rotation: ComplexArray,
+    exponentials: ComplexArray,
     response: ComplexArray | None,
 ) -> FloatArray:
-    """Return the echoes in one block of samples, (echo, sample), by running sums over the scatterers.
+    """Return the sum of delayed, weighted pulses over some scatterers, (echo, sample), in one block of samples.
 
-    ``tau`` (echo, scatterer): delays. ``rotation`` (exponential m, sample): c_m exp(j w_m t) of the pulse. A scatterer
-    contributes while its pulse lasts ("alive"); the sum over these changes only where a pulse begins or ends.
+    ``tau_s`` (echo, scatterer): delays. ``exponentials`` (m, sample): c_m exp(j w_m t) of the pulse. A scatterer is
+    alive, and contributes, while its pulse lasts. The block is no longer than the pulse.
     """
-    echo_count, samples = len(tau), len(sample_time_s)
-    row = np.arange(echo_count)[:, None]
-    # First samples at or after start and end of each support, (echo, scatterer).
-    enter = np.searchsorted(sample_time_s, tau + pulse.start_s)
-    leave = np.searchsorted(sample_time_s, tau + pulse.end_s)
-    holds_sample = (enter < leave) & (enter < samples) & (leave > 0)
-    # Two rows of cells an echo: scatterers alive at the first sample, by the sample they leave at, backwards; and
-    # scatterers that enter later, by the sample they enter at.
-    leaving, entering = 2 * row * samples + samples - leave, (2 * row + 1) * samples + enter
-    cell = np.where(enter == 0, leaving, entering)[holds_sample]
-    weight_in, tau_in = np.broadcast_to(weight, tau.shape)[holds_sample], tau[holds_sample]
-    # exp(-j w_m tau) of every exponential m and delay tau, times the beam's response.
-    phasor = phasors(pulse, tau_in, -1)
+    echo_count, samples = len(tau_s), len(sample_time_s)
+    # First samples at or after start and end of each pulse, (echo, scatterer).
+    enter = np.searchsorted(sample_time_s, tau_s + pulse.start_s)
+    leave = np.searchsorted(sample_time_s, tau_s + pulse.end_s)
+    is_alive = is_alive_in_block(enter, leave, samples)
+    cell = running_sum_cell(np.arange(echo_count)[:, None], enter, leave, samples)[is_alive]
+    # The pair's weight times exp(-j w_m tau), times the beam's response, for every exponential m: (m, pair).
+    pair_weight = np.broadcast_to(weight, tau_s.shape)[is_alive]
+    phasor = phasors(pulse, tau_s[is_alive], -1)
     if response is not None:
-        phasor *= np.broadcast_to(response[:, None], (len(response), *tau.shape))[:, holds_sample]
-    # Sum S_m(t) over the scatterers alive at t, for each exponential; the echo is Re c_m exp(j w_m t) S_m(t).
+        phasor *= np.broadcast_to(response[:, None], (len(response), *tau_s.shape))[:, is_alive]
+    # The echo is the sum over m of Re c_m exp(j w_m t) S_m(t), with S_m(t) the sum over the scatterers alive at t.
     echoes = np.zeros((echo_count, samples))
-    for terms, factor in zip(phasor, rotation, strict=True):
-        real, imag = (
-            _alive_sums(np.bincount(cell, weights=weight_in * component, minlength=2 * echo_count * samples), samples)
-            for component in (terms.real, terms.imag)
-        )
-        echoes += real * factor.real - imag * factor.imag
+    for pair_phasor, exponential in zip(phasor, exponentials, strict=True):
+        sums = []
+        for part in (pair_phasor.real, pair_phasor.imag):
+            cells = np.bincount(cell, weights=pair_weight * part, minlength=echo_count * 2 * samples)
+            sums.append(running_sums(cells.reshape(echo_count, 2, samples)))
+        echoes += sums[0] * exponential.real - sums[1] * exponential.imag
     return echoes
 
 
-def _alive_sums(cells: NDArray[np.floating | np.integer], samples: int) -> FloatArray:
-    """Return the sum over the scatterers alive at each sample, (echo, sample), from both rows of cells."""
-    summed = np.cumsum(cells.reshape(-1, 2, samples), axis=2)
-    return np.asarray(summed[:, 0, ::-1] + summed[:, 1])
+def is_alive_in_block(enter: Int64Array, leave: Int64Array, samples: int) -> BoolArray:
+    """Return whether a pulse contains a sample of a block, from the first samples at or after its start and its end."""
+    return np.asarray((enter < leave) & (enter < samples) & (leave > 0))
+
+
+def running_sum_cell(row: Int64Array, enter: Int64Array, leave: Int64Array, samples: int) -> Int64Array:
+    """Return the cell, in a flat array (row, 2, sample), to which each scatterer adds its term for `running_sums`.
+
+    ``enter`` and ``leave``: first samples of the block at or after start and end of its pulse. The block is no longer
+    than the pulse, so a scatterer either enters or leaves in it. One that enters goes into the second half, at the
+    sample it enters at. One that is alive at the first sample goes into the first half, which is reversed in time.
+    """
+    return np.asarray(row * (2 * samples) + np.where(enter == 0, samples - leave, samples + enter))
+
+
+def running_sums(cells: NDArray[Any]) -> NDArray[Any]:
+    """Return the sum over the scatterers alive at each sample, (..., sample), from ``cells`` (..., 2, sample).
+
+    Overwrites ``cells``. A scatterer that enters counts from that sample on, one that leaves up to the sample before.
+    """
+    np.cumsum(cells, axis=-1, out=cells)
+    return np.asarray(cells[..., 0, ::-1] + cells[..., 1, :])

@@ -190,19 +190,19 @@ def draw_thinned(
     rng: np.random.Generator,
     draws: int,
 ) -> ThinnedDraws:
-    """Return draws of only those scatterers that reach the gate and are strong enough for ``tolerance``.
+    """Return independent draws of scatterers, without those that miss the gate or are too weak for ``tolerance``.
 
-    ``reach_s``: earliest and latest delay that counts. Scatterers are independent, so the number that falls into a
-    smaller box is binomial. Echoes have the same statistics as those of all scatterers, but from other random numbers.
-    Reflectors are in every draw.
+    ``reach_s``: earliest and latest delay of an echo in the gate. Echoes have the same statistics as those of all
+    scatterers, but from other random numbers. Reflectors are in every draw.
     """
     scatterers, beams = settings.scatterers, settings.beams
     count = scatterer_count(scatterers, beams)
-    # N weights below the limit add less than a tenth of the tolerance to an echo of rms 1, one scatterer in focus.
-    # The beam of an aperture falls off slowly and is unknown at this point: all scatterers matter.
-    limit = 0.1 * tolerance / max(1, count) if beams.field == "gaussian" else 0.0
-    low, high = _relevant_box(settings, reach_s, limit)
-    # Binomial number in the smaller box; uniform in x and y, sorted uniform in z.
+    # So many weights below the smallest add less than a tenth of the tolerance to the echo of a scatterer in the focus.
+    # The beam of an aperture falls off slowly and is computed later: it has no smallest weight.
+    min_weight = 0.1 * tolerance / max(1, count) if beams.field == "gaussian" else 0.0
+    # Draw only inside the box of scatterers that can matter. Positions are independent, so their number in it is
+    # binomial. They are uniform in x and y, and sorted uniform in z.
+    low, high = _relevant_box(settings, reach_s, min_weight)
     fraction = min(1.0, math.prod(((high - low) / np.array(scatterers.volume_m)).tolist()))
     counts = rng.binomial(count, fraction, draws)
     row = np.repeat(np.arange(draws), counts)
@@ -210,31 +210,29 @@ def draw_thinned(
     x_m, y_m = (low[axis] + (high[axis] - low[axis]) * rng.random(len(row)) for axis in (0, 1))
     from_axis_m = (x_m - beams.lateral_offset_m[0], y_m - beams.lateral_offset_m[1], z_m)
     tracking_weight = _gaussian(from_axis_m, beams.tracking_width_m)
-    strong = np.flatnonzero(tracking_weight >= limit)
+    # Remove the weak ones in the corners of the box.
+    strong = np.flatnonzero(tracking_weight >= min_weight)
     x_m, y_m, z_m, tracking_weight = x_m[strong], y_m[strong], z_m[strong], tracking_weight[strong]
-    motion_weight = _gaussian((x_m, y_m, z_m), beams.motion_width_m())
     reflectivity = draw_reflectivity(scatterers, len(strong), rng)
     loss = depth_loss(scatterers, z_m)
-    tracking_weight = tracking_weight * reflectivity if loss is None else tracking_weight * reflectivity * loss
     delay_per_m = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
-    offset_m = np.stack([x_m, y_m, z_m], axis=1)
     scatterer_draws = ThinnedDraws(
         row=row[strong],
         delay_s=delay_per_m * z_m,
-        tracking_weight=tracking_weight,
-        motion_weight=motion_weight,
-        offset_m=offset_m,
+        tracking_weight=tracking_weight * reflectivity * (1.0 if loss is None else loss),
+        motion_weight=_gaussian((x_m, y_m, z_m), beams.motion_width_m()),
+        offset_m=np.stack([x_m, y_m, z_m], axis=1),
         reflectivity=reflectivity,
     )
     return _with_reflectors(scatterer_draws, settings, draws) if scatterers.reflectors else scatterer_draws
 
 
 def _relevant_box(
-    settings: SimulationSettings, reach_s: tuple[float, float], limit: float
+    settings: SimulationSettings, reach_s: tuple[float, float], min_weight: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return two opposite corners (3,), m, of the box outside which no scatterer matters.
 
-    Inside it the echo delay is within ``reach_s`` and the weight in the tracking beam above ``limit``.
+    Inside it the echo delay is within ``reach_s`` and the weight in the tracking beam above ``min_weight``.
     """
     scatterers, beams = settings.scatterers, settings.beams
     box = np.array(scatterers.volume_m)
@@ -244,7 +242,7 @@ def _relevant_box(
         depth_m = np.array(reach_s) * settings.sound_speed_m_per_s / 2
         low[2], high[2] = np.clip(depth_m, low[2], high[2])
     width_m, axis_m = np.array(beams.tracking_width_m), np.array(beams.lateral_offset_m)
-    radius_m = width_m[:2] * math.sqrt(-2 * math.log(limit)) if limit > 0 else np.full(2, math.inf)
+    radius_m = width_m[:2] * math.sqrt(-2 * math.log(min_weight)) if min_weight > 0 else np.full(2, math.inf)
     low[:2], high[:2] = np.maximum(low[:2], axis_m - radius_m), np.minimum(high[:2], axis_m + radius_m)
     return low, np.maximum(high, low)
 

@@ -24,12 +24,14 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
+from sim_backend.echoes.exact_sums import is_alive_in_block, running_sum_cell, running_sums
 from sim_backend.echoes.pulse import Pulse, phasors
 
 MAX_ANGLE_RAD = 3.0
@@ -40,7 +42,7 @@ MAX_TERMS = 1000
 _VALUES_PER_CHUNK = 1 << 15  # complex values of one temporary array, 0.5 MB, which fits the cache
 _MIN_SCATTERERS_PER_CHUNK = 256
 _MAX_POWER = 64
-_JUMP_ORDERS = 8  # derivatives that bound the pulse near an edge of its support, to 1 %
+_ENVELOPE_ORDERS = 8  # derivatives that bound the pulse near an edge of its support, to 1 %
 _TAYLOR_ORDERS = 40
 # Fractions of the tolerance: for the terms left out of the series, and for the corrections left out.
 _TAIL_FRACTION = 0.25
@@ -118,14 +120,15 @@ def series_exponents(angles_rad: tuple[float, ...], tolerance: float) -> Exponen
 
 
 def _power_bounds(angle_rad: float, limit: float) -> list[float]:
-    """Return, for each power p from 0, the largest angle^q / q! of all powers q >= p, until it falls to ``limit``.
+    """Return a bound on the size of the term of each power p = 0, 1, ... of exp(angle), until it falls to ``limit``.
 
-    The bounds fall with the power, so the exponents that exceed a limit have no gaps.
+    For an angle above 1 the terms angle^p / p! rise before they fall. The bound is the largest term from p on, so that
+    a term with a lower power than a selected one is selected too.
     """
-    sizes = [1.0]
-    while len(sizes) < _MAX_POWER and (sizes[-1] > limit or len(sizes) <= angle_rad):
-        sizes.append(sizes[-1] * angle_rad / len(sizes))
-    return list(itertools.accumulate(reversed(sizes), max))[::-1]
+    terms = [1.0]
+    while len(terms) < _MAX_POWER and (terms[-1] > limit or len(terms) <= angle_rad):
+        terms.append(terms[-1] * angle_rad / len(terms))
+    return list(itertools.accumulate(reversed(terms), max))[::-1]
 
 
 def series(
@@ -144,18 +147,20 @@ def series(
             f"series holds up to {MAX_ANGLE_RAD} rad and {MAX_TERMS} terms: take the running sum"
         )
     steps = _power_steps(exponents)
+    # The degree of a term is the sum of its exponents; the last term has the highest.
     degrees = [sum(exponent) for exponent in exponents]
     tables = _tables(pulse, sample_time_s.tobytes(), degrees[-1] + 1)
-    # For each scatterer, the first samples at or after the start and the end of its pulse.
+    # For each scatterer at rest, the first samples at or after the start and the end of its pulse.
     enter = sample_time_s.searchsorted(scatterer_rows.rest_s + pulse.start_s)
     leave = sample_time_s.searchsorted(scatterer_rows.rest_s + pulse.end_s)
-    # Term a is a sum U_a(t) over the scatterers at rest, times the amplitudes b_k^a / a! of echo k.
-    sums = _rest_sums(scatterer_rows, enter, leave, steps, np.array(degrees), tables, pulse)
+    # An echo is the sum over terms of U_a(t), a sum over the scatterers at rest, times its amplitude factor b^a / a!.
+    sums = _sums_at_rest(scatterer_rows, enter, leave, steps, np.array(degrees), tables, pulse)
     np.matmul(_amplitude_factors(scatterer_rows.amplitude_s * tables.scale_rad_per_s, steps), sums, out=out)
-    # The series moves the pulses but not their edges: correct the samples that a moving edge crosses.
-    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
-    budget = _CROSSING_FRACTION * tolerance * rms * math.sqrt(len(sample_time_s))
-    _correct_crossings(out, scatterer_rows, (enter, leave), tables, pulse, sample_time_s, budget)
+    # The series moves the pulses but not their edges: correct the samples that a moving edge crosses. All corrections
+    # left out may add up to a fraction of the tolerance, relative to the norm of the echo at rest (term 0) in the gate.
+    rms_at_rest = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
+    max_omitted = _CROSSING_FRACTION * tolerance * rms_at_rest * math.sqrt(len(sample_time_s))
+    _correct_crossings(out, scatterer_rows, (enter, leave), tables, pulse, sample_time_s, max_omitted)
 
 
 class _PowerStep(NamedTuple):
@@ -189,46 +194,52 @@ class _Tables:
 
     scale_rad_per_s: float
     """Highest angular frequency of the pulse; amplitudes b are multiplied by it, frequencies divided."""
-    rotation: ComplexArray
-    """(frequency, degree, sample): c_m (-j w_m / scale)^degree exp(j w_m t)."""
-    jump: ComplexArray
-    """(edge, frequency, order): derivatives over factorials at start and end of the support, carrier removed."""
-    taylor: ComplexArray
-    """(edge, frequency, order): derivatives over factorials at start and end, sign reversed at the end."""
+    delay_derivatives: ComplexArray
+    """(frequency, degree, sample): c_m (-j w_m / scale)^degree exp(j w_m t), derivatives by the delay."""
+    envelope_taylor: ComplexArray
+    """(edge, frequency, order): Taylor coefficients of the complex envelope about start and end of the support."""
+    pulse_taylor: ComplexArray
+    """(edge, frequency, order): Taylor coefficients of the pulse about start and end, sign reversed at the end."""
 
 
 @functools.lru_cache(maxsize=32)
 def _tables(pulse: Pulse, sample_times: bytes, degrees: int) -> _Tables:
-    """Return the factors of the series that depend on pulse and sample times only, for term degrees below ``degrees``.
+    """Return the factors of the series that depend on pulse and sample times only, for derivatives below ``degrees``.
 
     ``sample_times``: the bytes of an array, which can be a cache key. Cached, since records and studies share few
     gates.
     """
-    # Derivatives of each exponential c exp(j w t) by its delay: amplitudes c (-j w)^degree, with w over the highest w.
     hz, amplitude = np.array(pulse.frequency_hz), np.array(pulse.amplitude)
-    slope = amplitude[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], np.arange(degrees))
+    # A derivative of c exp(j w (t - tau)) by the delay tau multiplies c by -j w; here w is over the highest w.
+    factor = amplitude[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], np.arange(degrees))
+    exponentials = phasors(pulse, np.frombuffer(sample_times), 1)
+    # The envelope, for a bound on the pulse near an edge, is the pulse shifted down by its strongest frequency.
     carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(amplitude)))]
-    # Taylor coefficients of the pulse at its start and end; for a bound on its size, without the strongest frequency.
     edges_s = (pulse.start_s, pulse.end_s)
-    jump = np.stack([_edge_derivatives(pulse, edge_s, carrier_hz, _JUMP_ORDERS) for edge_s in edges_s])
-    taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, _TAYLOR_ORDERS) for edge_s in edges_s])
-    taylor[1] *= -1
-    rotation = slope[:, :, None] * phasors(pulse, np.frombuffer(sample_times), 1)[:, None]
-    return _Tables(scale_rad_per_s=float(2 * math.pi * np.abs(hz).max()), rotation=rotation, jump=jump, taylor=taylor)
+    envelope_taylor = np.stack([_edge_taylor(pulse, edge_s, carrier_hz, _ENVELOPE_ORDERS) for edge_s in edges_s])
+    pulse_taylor = np.stack([_edge_taylor(pulse, edge_s, 0.0, _TAYLOR_ORDERS) for edge_s in edges_s])
+    pulse_taylor[1] *= -1
+    return _Tables(
+        scale_rad_per_s=float(2 * math.pi * np.abs(hz).max()),
+        delay_derivatives=factor[:, :, None] * exponentials[:, None],
+        envelope_taylor=envelope_taylor,
+        pulse_taylor=pulse_taylor,
+    )
 
 
-def _edge_derivatives(pulse: Pulse, edge_s: float, removed_hz: float, orders: int) -> ComplexArray:
-    """Return derivative over factorial of each exponential of the pulse at one of its edges, (frequency, order).
+def _edge_taylor(pulse: Pulse, edge_s: float, shift_hz: float, orders: int) -> ComplexArray:
+    """Return the Taylor coefficients of each exponential of the pulse about its start or end, (frequency, order).
 
-    ``edge_s``: start or end of the pulse. ``removed_hz``: a frequency removed from all exponentials before.
+    ``edge_s``: time of the start or end. ``shift_hz``: subtracted from all frequencies, so that the strongest one
+    gives the coefficients of the pulse's complex envelope (up to a phase), and 0 those of the pulse.
     """
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
-    rate = 1j * (omega - 2 * np.pi * removed_hz)
-    derivatives = np.empty((len(omega), orders), dtype=np.complex128)
-    derivatives[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
+    rate = 1j * (omega - 2 * np.pi * shift_hz)
+    coefficients = np.empty((len(omega), orders), dtype=np.complex128)
+    coefficients[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
     for order in range(1, orders):
-        derivatives[:, order] = derivatives[:, order - 1] * rate / order
-    return derivatives
+        coefficients[:, order] = coefficients[:, order - 1] * rate / order
+    return coefficients
 
 
 def _amplitude_factors(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatArray:
@@ -238,28 +249,24 @@ def _amplitude_factors(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> Fl
     b_kr^a_r / a_r!. ``amplitude_rad`` (row, echo, shape): b_kr times the pulse's highest angular frequency. A row is a
     draw of scatterers or a gate.
     """
-    # Term 0 has exponents 0. Each further term is a lower one times b_kr / a_r.
-    factors = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
-    factors[0] = 1.0
-    for term, step in enumerate(steps, 1):
-        np.multiply(factors[step.lower_term], amplitude_rad[..., step.shape] / step.power, out=factors[term])
+    ones = np.ones(amplitude_rad.shape[:2])
+    factors = _term_values(ones, steps, (amplitude_rad[..., step.shape] / step.power for step in steps))
     return np.ascontiguousarray(np.moveaxis(factors, 0, -1))
 
 
-def _moments(weight: FloatArray, shape: FloatArray, steps: list[_PowerStep]) -> FloatArray:
-    """Return weight times powers of the motion's shapes, I_n g_n^a (term, scatterer).
+def _term_values(first_term: FloatArray, steps: list[_PowerStep], factors: Iterable[FloatArray]) -> FloatArray:
+    """Return the values of all terms of the series, (term, *first_term); the first one has exponents 0.
 
-    ``weight`` (scatterer,): I_n. ``shape`` (shape, scatterer): g_rn. The exponents a are those that ``steps`` lead to;
-    the first term has exponents 0. Each term is a lower one times g_rn.
+    Each of ``steps`` leads from a lower term to the next one, by multiplication with its entry of ``factors``.
     """
-    moments = np.empty((len(steps) + 1, len(weight)))
-    moments[0] = weight
-    for term, step in enumerate(steps, 1):
-        np.multiply(moments[step.lower_term], shape[step.shape], out=moments[term])
-    return moments
+    values = np.empty((len(steps) + 1, *first_term.shape))
+    values[0] = first_term
+    for term, (step, factor) in enumerate(zip(steps, factors, strict=True), 1):
+        np.multiply(values[step.lower_term], factor, out=values[term])
+    return values
 
 
-def _rest_sums(
+def _sums_at_rest(
     scatterer_rows: ScattererRows,
     enter: Int64Array,
     leave: Int64Array,
@@ -270,33 +277,27 @@ def _rest_sums(
 ) -> FloatArray:
     """Return the sums over the scatterers at rest for every term of the series, U_a(t), float64 (row, term, sample).
 
-    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each scatterer's pulse. Scatterers
-    with a pulse that has begun at the first sample are summed backwards from the sample they leave at, the others
-    forwards from the sample they enter at. Nothing is subtracted, since that would cost digits. ``degree`` (term,): sum
-    of exponents.
+    ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each scatterer's pulse, which may
+    be alive in the block of samples or not. ``degree`` (term,): sum of exponents.
     """
-    frequencies, _, samples = tables.rotation.shape
-    rotation = tables.rotation[:, degree]
+    frequencies, _, samples = tables.delay_derivatives.shape
+    derivatives = tables.delay_derivatives[:, degree]
     sums = np.empty((len(scatterer_rows.amplitude_s), len(degree), samples))
     row_bounds = scatterer_rows.row_bounds
+    # Some rows at a time, so that their cells stay in the cache.
     rows_per_chunk = max(1, _VALUES_PER_CHUNK // (frequencies * len(degree) * 2 * samples))
     for first_row in range(0, len(sums), rows_per_chunk):
         rows = slice(first_row, min(first_row + rows_per_chunk, len(sums)))
         first, end = row_bounds[rows.start], row_bounds[rows.stop]
-        alive = first + np.flatnonzero(
-            (enter[first:end] < leave[first:end]) & (enter[first:end] < samples) & (leave[first:end] > 0)
-        )
-        # A row has two halves of cells: scatterers alive at the first sample by the sample they leave at, counted
-        # backwards, and the others by the sample they enter at.
-        at_first = enter[alive] == 0
-        position = np.where(at_first, samples - leave[alive], samples + enter[alive])
-        cell = (scatterer_rows.row[alive] - rows.start) * (2 * samples) + position
+        alive = first + np.flatnonzero(is_alive_in_block(enter[first:end], leave[first:end], samples))
+        # Each alive scatterer adds to the cell of the sample at which its pulse starts or ends; sums over the cells
+        # then give the sum over all scatterers alive at each sample, (frequency, term, row, sample).
+        cell = running_sum_cell(scatterer_rows.row[alive] - rows.start, enter[alive], leave[alive], samples)
         cells = np.zeros((frequencies, len(degree), rows.stop - rows.start, 2, samples), dtype=np.complex128)
         _add_to_cells(cells.reshape(frequencies, len(degree), -1), scatterer_rows, alive, cell, steps, pulse)
-        np.cumsum(cells, axis=-1, out=cells)
-        inner = cells[..., 1, :] + cells[..., 0, ::-1]
-        # Re sum_m c_m (-j w_m)^|a| exp(j w_m t) (inner sum over the alive scatterers).
-        sums[rows] = np.einsum("fqi,fqri->rqi", rotation, inner).real
+        alive_sums = running_sums(cells)
+        # U_a = Re sum_m c_m (-j w_m)^|a| exp(j w_m t) alive_sums. f: frequency m, a: term, r: row, t: sample.
+        sums[rows] = np.einsum("fat,fart->rat", derivatives, alive_sums).real
     return sums
 
 
@@ -308,27 +309,32 @@ def _add_to_cells(
     steps: list[_PowerStep],
     pulse: Pulse,
 ) -> None:
-    """Add I_n g_n^a exp(-j w_m tau_n) of some scatterers n to ``cells`` (frequency m, term a, cell), in place.
+    """Add the term of every one of ``scatterers``, for every frequency and power, to its cell in ``cells``, in place.
 
-    I_n: weight, g_n: shape of the motion, tau_n: delay at rest. ``cell`` (scatterer,): cell of each, in order.
+    ``cells`` (frequency m, term a, cell). The term of scatterer n is I_n g_n^a exp(-j w_m tau_n), with I_n its weight,
+    g_n the motion's shape at it and tau_n its delay at rest. ``cell`` (scatterer,): index of its cell; equal ones are
+    neighbours.
     """
     frequencies, terms, _ = cells.shape
     chunk_length = max(_MIN_SCATTERERS_PER_CHUNK, _VALUES_PER_CHUNK // (frequencies * terms))
     for first in range(0, len(scatterers), chunk_length):
         chunk = scatterers[first : first + chunk_length]
+        # Where a run of scatterers with the same cell starts, and that cell: each run is summed, then added at once.
         starts = np.flatnonzero(np.diff(cell[first : first + chunk_length], prepend=-1))
-        target = cell[first + starts]
-        # exp(-j w_m tau_n), times the beam's response, and I_n g_n^a.
+        cell_of_run = cell[first + starts]
+        # exp(-j w_m tau_n) times the beam's response, (frequency, scatterer).
         phasor = phasors(pulse, scatterer_rows.rest_s[chunk], -1)
         if scatterer_rows.response is not None:
             phasor *= scatterer_rows.response[:, chunk]
-        moments = _moments(scatterer_rows.weight[chunk], scatterer_rows.shape[:, chunk], steps)
+        # I_n g_n^a, (term, scatterer): each term is a lower one times a shape.
+        shape = scatterer_rows.shape[:, chunk]
+        weight_moments = _term_values(scatterer_rows.weight[chunk], steps, [shape[step.shape] for step in steps])
         # Some terms at a time: their products with all phasors fit the cache.
         terms_per_group = max(1, _VALUES_PER_CHUNK // (frequencies * len(chunk)))
         for first_term in range(0, terms, terms_per_group):
             group = slice(first_term, first_term + terms_per_group)
-            products = phasor[:, None] * moments[group]
-            cells[:, group, target] += np.add.reduceat(products, starts, axis=-1)
+            products = phasor[:, None] * weight_moments[group]
+            cells[:, group, cell_of_run] += np.add.reduceat(products, starts, axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,34 +365,36 @@ class _Crossings:
 def _correct_crossings(
     out: FloatArray,
     scatterer_rows: ScattererRows,
-    rest_sample: tuple[Int64Array, Int64Array],
+    sample_at_rest: tuple[Int64Array, Int64Array],
     tables: _Tables,
     pulse: Pulse,
     sample_time_s: FloatArray,
-    budget: float,
+    max_omitted: float,
 ) -> None:
-    """Correct ``out`` (row, echo, sample), in place, at samples that an edge of a moving pulse crosses.
+    """Correct ``out`` (row, echo, sample), in place, at samples that the start or end of a moving pulse crosses.
 
-    The power series moves the pulses but not their edges. ``rest_sample``: for start and end, the first sample
-    (scatterer,) at or after it at rest. Edges that together change an echo by less than ``budget`` are left out.
+    The power series moves the pulses but not their edges. ``sample_at_rest``: for start and end of each scatterer's
+    pulse, the first sample (scatterer,) at or after it at rest. ``max_omitted``: size of the corrections that may be
+    left out in total.
     """
+    # Largest change of each scatterer's delay by the motion.
     reach_s = np.abs(scatterer_rows.amplitude_s).max(axis=(0, 1)) @ np.abs(scatterer_rows.shape)
     max_reach_s, max_weight = float(reach_s.max(initial=0.0)), float(np.abs(scatterer_rows.weight).max(initial=0.0))
     if max_reach_s == 0 or max_weight == 0:
         return
-    # Each edge may cross at most ``crossed`` samples, and every crossing gets an equal fraction of the budget.
+    # Divide the total equally among the samples that the two edges of each scatterer can cross.
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
-    crossed = 1 + (2 * max_reach_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
-    limit = budget / (2 * len(reach_s) * crossed)
-    crossings = _significant_edges(scatterer_rows, tables, pulse, sample_time_s, reach_s, limit)
-    term_count = _taylor_term_count(
-        tables.scale_rad_per_s * max_reach_s, limit / max_weight / max(1.0, float(np.abs(pulse.amplitude).sum()))
-    )
-    taylor = tables.taylor[:, :, :term_count]
+    samples_per_edge = 1 + (2 * max_reach_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
+    max_error = max_omitted / (2 * len(reach_s) * samples_per_edge)
+    crossings = _significant_edges(scatterer_rows, tables, pulse, sample_time_s, reach_s, max_error)
+    # As many Taylor terms as the same error needs for the heaviest scatterer and the farthest shift of an edge.
+    pulse_bound = max(1.0, float(np.abs(pulse.amplitude).sum()))
+    term_count = _taylor_term_count(tables.scale_rad_per_s * max_reach_s, max_error / max_weight / pulse_bound)
+    taylor = tables.pulse_taylor[:, :, :term_count]
     edges_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
     for first in range(0, len(crossings.edge), edges_per_chunk):
         chunk = crossings.selected(slice(first, first + edges_per_chunk))
-        _correct_edges(out, scatterer_rows, rest_sample, chunk, taylor, sample_time_s)
+        _correct_edges(out, scatterer_rows, sample_at_rest, chunk, taylor, sample_time_s)
 
 
 def _significant_edges(
@@ -395,37 +403,37 @@ def _significant_edges(
     pulse: Pulse,
     sample_time_s: FloatArray,
     reach_s: FloatArray,
-    limit: float,
+    max_error: float,
 ) -> _Crossings:
-    """Return the edges of pulses that cross a sample as they move and may change it by more than ``limit``.
+    """Return the starts and ends of pulses that cross a sample as they move, and may change it above ``max_error``.
 
     ``reach_s`` (scatterer,): largest change of the delay by the motion.
     """
-    # Scatterers with a pulse large enough at its start, then at its end.
-    scatterers = [
+    # Scatterers with a large enough pulse near its start, then near its end.
+    starting, ending = (
         np.flatnonzero(
-            np.abs(scatterer_rows.weight) * _pulse_bound_near_edge(scatterer_rows.response, jump, reach_s) > limit
+            np.abs(scatterer_rows.weight) * _pulse_bound_near_edge(scatterer_rows.response, taylor, reach_s) > max_error
         )
-        for jump in tables.jump
-    ]
-    scatterer = np.concatenate(scatterers)
-    # 0 for a start, 1 for an end; its time at rest, and the samples within reach of it.
-    edge = np.repeat([0, 1], [len(indices) for indices in scatterers])
+        for taylor in tables.envelope_taylor
+    )
+    scatterer = np.concatenate([starting, ending])
+    edge = np.repeat([0, 1], [len(starting), len(ending)])
+    # Time of the start or end at rest, and the samples that it can reach.
     time_s = scatterer_rows.rest_s[scatterer] + np.array([pulse.start_s, pulse.end_s])[edge]
     first_sample = sample_time_s.searchsorted(time_s - reach_s[scatterer])
     sample_count = sample_time_s.searchsorted(time_s + reach_s[scatterer], side="right") - first_sample
     return _Crossings(scatterer, edge, time_s, first_sample, sample_count).selected(np.flatnonzero(sample_count))
 
 
-def _pulse_bound_near_edge(response: ComplexArray | None, jump: ComplexArray, reach_s: FloatArray) -> FloatArray:
+def _pulse_bound_near_edge(response: ComplexArray | None, taylor: ComplexArray, reach_s: FloatArray) -> FloatArray:
     """Return a bound on each scatterer's pulse within ``reach_s`` (scatterer,) of an edge of its support, (scatterer,).
 
-    There the pulse is a Taylor series. ``jump`` (frequency, order): its coefficients, derivatives over factorials, of
-    each frequency component of the pulse. ``response`` (frequency, scatterer): factor of each component, None for 1.
+    ``taylor`` (frequency, order): Taylor coefficients about the edge of each frequency component of the envelope.
+    ``response`` (frequency, scatterer): factor of each component, None for 1.
     """
     # Coefficients (order, scatterer or 1). Sums that cancel to rounding error count as zero.
-    derivative = jump.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, jump)
-    size, parts_size = np.abs(derivative), np.abs(jump).sum(axis=0)
+    coefficient = taylor.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, taylor)
+    size, parts_size = np.abs(coefficient), np.abs(taylor).sum(axis=0)
     # Horner's rule over the orders.
     bound = np.zeros(len(reach_s))
     for order in range(len(size) - 1, -1, -1):
@@ -436,51 +444,55 @@ def _pulse_bound_near_edge(response: ComplexArray | None, jump: ComplexArray, re
 def _correct_edges(
     out: FloatArray,
     scatterer_rows: ScattererRows,
-    rest_sample: tuple[Int64Array, Int64Array],
+    sample_at_rest: tuple[Int64Array, Int64Array],
     crossings: _Crossings,
     taylor: ComplexArray,
     sample_time_s: FloatArray,
 ) -> None:
-    """Add to ``out`` (row, echo, sample), in place, the corrections at the samples of ``crossings``.
+    """Correct ``out`` (row, echo, sample), in place, at all samples that the edges in ``crossings`` can reach.
 
-    ``taylor`` (edge, frequency, order): Taylor coefficients of each exponential at start and end of the pulse.
+    An edge is the start or the end of a scatterer's pulse, which moves with the scatterer. ``sample_at_rest``: for
+    start and end of each scatterer's pulse, the first sample (scatterer,) at or after it at rest. ``taylor`` (edge,
+    frequency, order): Taylor coefficients of each exponential of the pulse about start and end.
     """
-    # (pair,): every edge with every sample within its reach.
+    # A pair is an edge and one of the samples within its reach: index of its edge, and its sample, (pair,).
     count = crossings.sample_count
     pair = np.repeat(np.arange(len(count)), count)
-    sample = np.arange(len(pair)) + np.repeat(crossings.first_sample - np.cumsum(count) + count, count)
+    index_in_edge = np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
+    sample = np.repeat(crossings.first_sample, count) + index_in_edge
     scatterer, edge = crossings.scatterer[pair], crossings.edge[pair]
     after_edge_at_rest_s = sample_time_s[sample] - crossings.time_s[pair]
-    after_at_rest = sample >= np.where(edge == 0, rest_sample[0][scatterer], rest_sample[1][scatterer])
-    # Taylor coefficients (pair, order), common to all scatterers or with each one's beam response.
+    is_after_at_rest = sample >= np.where(edge == 0, sample_at_rest[0][scatterer], sample_at_rest[1][scatterer])
+    # Taylor coefficients of the pulse, (pair, order): common to all scatterers, or with each one's beam response.
     if scatterer_rows.response is None:
         coefficients = taylor.sum(axis=1).real[edge]
     else:
         response, edge_taylor = scatterer_rows.response[:, crossings.scatterer], taylor[crossings.edge]
         coefficients = np.einsum("fs,sfq->sq", response, edge_taylor, optimize=True).real[pair]
-    correction = _crossing_corrections(scatterer_rows, scatterer, after_edge_at_rest_s, after_at_rest, coefficients)
-    # Pairs of one row and sample are summed first, since fancy indexing adds to each element only once.
+    correction = _crossing_corrections(scatterer_rows, scatterer, after_edge_at_rest_s, is_after_at_rest, coefficients)
+    # Several pairs may have the same row and sample, and fancy indexing adds to an element only once: sort the pairs by
+    # row and sample, sum each run of equal ones, and add the sums.
     row = scatterer_rows.row[scatterer]
-    target = row * out.shape[2] + sample
-    order = np.argsort(target, kind="stable")
-    starts = np.flatnonzero(np.diff(target[order], prepend=-1))
-    first = order[starts]
-    out[row[first], :, sample[first]] += np.add.reduceat(correction[order], starts, axis=0)
+    element = row * out.shape[2] + sample
+    order = np.argsort(element, kind="stable")
+    run_starts = np.flatnonzero(np.diff(element[order], prepend=-1))
+    first = order[run_starts]
+    out[row[first], :, sample[first]] += np.add.reduceat(correction[order], run_starts, axis=0)
 
 
 def _crossing_corrections(
     scatterer_rows: ScattererRows,
     scatterer: Int64Array,
     after_edge_at_rest_s: FloatArray,
-    after_at_rest: BoolArray,
+    is_after_at_rest: BoolArray,
     coefficients: FloatArray,
 ) -> FloatArray:
     """Return the corrections of the echoes where motion moves an edge of a pulse past a sample, (pair, echo).
 
     A pair is an edge (start or end) and a sample near it. At a crossing the correction is plus or minus the weighted
-    pulse, elsewhere 0. ``after_edge_at_rest_s`` (pair,): time of the sample after the edge at rest; ``after_at_rest``
-    (pair,): whether the sample is at or after it. ``coefficients`` (pair, order): Taylor coefficients of the pulse at
-    its edge, sign reversed at its end.
+    pulse, elsewhere 0. ``after_edge_at_rest_s`` (pair,): time of the sample after the edge at rest;
+    ``is_after_at_rest`` (pair,): whether the sample is at or after it. ``coefficients`` (pair, order): Taylor
+    coefficients of the pulse about its edge, sign reversed at its end.
     """
     # Change of the echo delay by the motion, (pair, echo).
     if len(scatterer_rows.amplitude_s) == 1:
@@ -488,19 +500,20 @@ def _crossing_corrections(
     else:
         amplitude_s = scatterer_rows.amplitude_s[scatterer_rows.row[scatterer]]
         delay_change_s = np.matmul(amplitude_s, scatterer_rows.shape[:, scatterer].T[:, :, None])[:, :, 0]
-    # Time of the sample after the moved edge, in the memory of the delays.
+    # Time of the sample after the moved edge; it overwrites the delays, to save memory.
     after_moved_edge_s = np.subtract(after_edge_at_rest_s[:, None], delay_change_s, out=delay_change_s)
     # The pulse at the sample, by Horner's rule.
-    correction = np.zeros_like(after_moved_edge_s)
+    pulse_value = np.zeros_like(after_moved_edge_s)
     for coefficient in coefficients.T[:0:-1]:
-        correction += coefficient[:, None]
-        correction *= after_moved_edge_s
-    correction += coefficients[:, :1]
-    # + weight where the motion puts the sample after the edge, - weight where it puts it before, 0 without a crossing.
+        pulse_value += coefficient[:, None]
+        pulse_value *= after_moved_edge_s
+    pulse_value += coefficients[:, :1]
+    # A sample that is after the edge only in motion gains the weighted pulse, one that is after it only at rest loses
+    # it, and one on the same side in both cases does not change.
     weight = scatterer_rows.weight[scatterer]
-    if_after, if_before = np.where(after_at_rest, 0.0, weight), np.where(after_at_rest, -weight, 0.0)
-    correction *= np.where(after_moved_edge_s >= 0, if_after[:, None], if_before[:, None])
-    return np.asarray(correction)
+    if_after, if_before = np.where(is_after_at_rest, 0.0, weight), np.where(is_after_at_rest, -weight, 0.0)
+    pulse_value *= np.where(after_moved_edge_s >= 0, if_after[:, None], if_before[:, None])
+    return np.asarray(pulse_value)
 
 
 def _taylor_term_count(angle_rad: float, tolerance: float) -> int:

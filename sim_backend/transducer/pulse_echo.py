@@ -42,7 +42,6 @@ _MARGIN_STEPS = 12
 class PulseEchoBeam:
     """Tables of G around the focus, at a few frequencies or as weighted sums of them."""
 
-    frequency_hz: tuple[float, ...]
     lateral_step_m: float
     axial_step_m: float
     axial_reach_m: float
@@ -52,18 +51,16 @@ class PulseEchoBeam:
     """Delay caused by a displacement, over 2 u / c, at the middle frequency, (axial, lateral)."""
 
     def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return the relative echo (table, point) of scatterers at points (point,), and the delay by their motion.
+        """Return the echo of a scatterer at each point, (table, point), and its delay ratio, (point,).
 
-        The echo is relative to that of a scatterer at the focus. The delay (point,) is that of a displacement u, over 2
-        u / c.
+        ``lateral_m``, ``axial_m`` (point,): distance from the axis and from the focal plane. The echo is relative to
+        that of a scatterer at the focus. The delay ratio is the delay caused by a displacement u, over 2 u / c.
         """
         from scipy.ndimage import map_coordinates
 
         index = np.stack([(axial_m + self.axial_reach_m) / self.axial_step_m, lateral_m / self.lateral_step_m])
-        response = [
-            map_coordinates(table, index, order=3, prefilter=False, mode="mirror") for table in self.coefficient
-        ]
-        return np.stack(response), np.asarray(map_coordinates(self.delay_ratio, index, order=1, mode="nearest"))
+        echo = [map_coordinates(table, index, order=3, prefilter=False, mode="mirror") for table in self.coefficient]
+        return np.stack(echo), np.asarray(map_coordinates(self.delay_ratio, index, order=1, mode="nearest"))
 
 
 def pulse_echo_beam(
@@ -111,39 +108,46 @@ def _tabulated_beam(
     axial_reach_m: float,
     mixture: Mixture | None,
 ) -> PulseEchoBeam:
-    """Return the pulse-echo beam tabulated over the given reach, at each frequency or mixed by ``mixture``."""
+    """Return the pulse-echo beam tabulated over the given reach around the focus, as an array of tables.
+
+    One table for each of ``frequency_hz``, or with ``mixture`` (table, frequency) sums with these weights. ``scan``: a
+    measured beam instead of the computed one.
+    """
     from scipy.ndimage import spline_filter
 
+    # Steps are fractions of the beam's width and of the length of its focus.
     width_m = diffraction_width_m(transducer, max(frequency_hz), sound_speed_m_per_s)
     f_number = transducer.focal_length_m / transducer.diameter_m
     lateral_step_m, axial_step_m = width_m / STEPS_PER_WIDTH, 7.1 * width_m * f_number / STEPS_PER_DEPTH
     lateral_steps = math.ceil(lateral_reach_m / lateral_step_m) + _MARGIN_STEPS
     lateral_m = np.asarray(np.arange(lateral_steps) * lateral_step_m, np.float64)
-    steps = math.ceil(axial_reach_m / axial_step_m) + _MARGIN_STEPS
-    axial_m = np.asarray(np.arange(-steps, steps + 1) * axial_step_m, np.float64)
-    # Relative echo G at each frequency, (axial, lateral): pressure squared, by reciprocity.
-    tables = []
+    axial_steps = math.ceil(axial_reach_m / axial_step_m) + _MARGIN_STEPS
+    axial_m = np.asarray(np.arange(-axial_steps, axial_steps + 1) * axial_step_m, np.float64)
+    # Relative echo G at each frequency, (axial, lateral): pressure over that at the focus, squared by reciprocity,
+    # without the phase of a plane wave.
+    echo_tables = []
     for hz in frequency_hz:
         k = wave_number(hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
         if scan is not None:
-            tables.append(np.square(round_field(scan, k.real, lateral_m, axial_m)))
+            echo_tables.append(np.square(round_field(scan, k.real, lateral_m, axial_m)))
             continue
         pressure = bowl_pressure(transducer, k, lateral_m, axial_m)
-        tables.append(np.square(pressure / pressure[steps, 0]) * np.exp(2j * k.real * axial_m)[:, None])
-    # Delay of a displacement: 2 u / c minus the change of the phase of G along the axis.
-    middle = len(tables) // 2
-    k = 2 * math.pi * frequency_hz[middle] / sound_speed_m_per_s
-    gradient = np.gradient(tables[middle], axial_step_m, axis=0)
-    power = np.maximum(np.square(np.abs(tables[middle])), 1e-12)
-    delay_ratio = 1 - (gradient * tables[middle].conj()).imag / power / (2 * k)
+        echo_tables.append(np.square(pressure / pressure[axial_steps, 0]) * np.exp(2j * k.real * axial_m)[:, None])
+    # A displacement u changes the phase of an echo by -2 k u plus u times the gradient of G's phase along the axis. The
+    # delay is in proportion to the phase. Where G is nearly 0, its phase is undefined.
+    middle = len(echo_tables) // 2
+    echo, k = echo_tables[middle], 2 * math.pi * frequency_hz[middle] / sound_speed_m_per_s
+    phase_gradient = (np.gradient(echo, axial_step_m, axis=0) * echo.conj()).imag / np.maximum(
+        np.square(np.abs(echo)), 1e-12
+    )
+    delay_ratio = 1 - phase_gradient / (2 * k)
     if mixture is not None:
-        tables = list(np.tensordot(np.array(mixture), np.stack(tables), axes=1))
+        echo_tables = list(np.tensordot(np.array(mixture), np.stack(echo_tables), axes=1))
     return PulseEchoBeam(
-        frequency_hz=frequency_hz,
         lateral_step_m=lateral_step_m,
         axial_step_m=axial_step_m,
-        axial_reach_m=steps * axial_step_m,
+        axial_reach_m=axial_steps * axial_step_m,
         # The mirror condition at the axis is the symmetry of the beam.
-        coefficient=np.stack([spline_filter(table, order=3, output=np.complex128, mode="mirror") for table in tables]),
+        coefficient=np.stack([spline_filter(t, order=3, output=np.complex128, mode="mirror") for t in echo_tables]),
         delay_ratio=np.clip(delay_ratio, MIN_DELAY_RATIO, MAX_DELAY_RATIO),
     )
