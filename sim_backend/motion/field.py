@@ -96,23 +96,21 @@ class FocusField:
         ``lateral_m``, ``axial_m`` (point,): distance from the axis, and depth. Raises ``ValueError`` outside the
         tabulated region.
         """
-        reach, inner = (self.lateral_reach_m, self.axial_reach_m), (self.lateral_inner_m, 0.0)
-        outside = lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001)
-        if outside or lateral_m.min(initial=inner[0]) < inner[0] * 0.9999:
+        outer_m, inner_m, depth_m = self.lateral_reach_m, self.lateral_inner_m, self.axial_reach_m
+        outside = lateral_m.size and (lateral_m.max() > outer_m * 1.0001 or np.abs(axial_m).max() > depth_m * 1.0001)
+        if outside or lateral_m.min(initial=inner_m) < inner_m * 0.9999:
             raise ValueError(
                 f"a point {lateral_m.max() * 1e3:.3g} mm off the axis and {np.abs(axial_m).max() * 1e3:.3g} mm off the "
-                f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
+                f"focal plane lies outside the tabulated field of {outer_m * 1e3:.3g} and {depth_m * 1e3:.3g} mm. "
                 "Try: a field that reaches as far as the scatterers."
             )
-        # Squared coordinates, mapped from inner edge and reach to -1 and 1; the depth itself for an asymmetric field.
-        axes = zip((lateral_m, axial_m), inner, reach, strict=True)
-        lateral_position, axial_position = (
-            np.clip(2 * (at**2 - low**2) / (high**2 - low**2) - 1, -1.0, 1.0) for at, low, high in axes
-        )
-        if self.asymmetric:
-            axial_position = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
-        lateral = chebvander(lateral_position, self.shape.shape[1] - 1)
-        axial = chebvander(axial_position, self.shape.shape[2] - 1)
+        # The variables of the Chebyshev polynomials, -1 to 1, are the squared coordinates; for an asymmetric field the
+        # depth itself.
+        lateral_variable = 2 * (lateral_m**2 - inner_m**2) / (outer_m**2 - inner_m**2) - 1
+        axial_variable = axial_m / depth_m if self.asymmetric else 2 * axial_m**2 / depth_m**2 - 1
+        _, lateral_degrees, axial_degrees = self.shape.shape
+        lateral = chebvander(np.clip(lateral_variable, -1.0, 1.0), lateral_degrees - 1)
+        axial = chebvander(np.clip(axial_variable, -1.0, 1.0), axial_degrees - 1)
         # p: point, m: mode, l and a: lateral and axial Chebyshev degree.
         return np.asarray(np.einsum("pl,mla,pa->pm", lateral, self.shape, axial, optimize=True))
 
@@ -134,27 +132,28 @@ def focus_field(
     """
     gaussians = _gaussians(force)
     width_m, _ = _length_scales_m(gaussians)
+    # Step response at a grid of Chebyshev points of the squared coordinates, or of the depth itself.
     lateral_count = max(
         _LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_PER_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m)
     )
-    # Chebyshev points of the squared coordinates, or of the depth itself.
     lateral_m = np.sqrt(lateral_inner_m**2 + (lateral_reach_m**2 - lateral_inner_m**2) * _unit_points(lateral_count))
     asymmetric = any(gaussians.centre_m)
     axial_count = _ASYMMETRIC_AXIAL_DEGREES if asymmetric else _AXIAL_DEGREES
     axial_points = _unit_points(axial_count)
     axial_m = axial_reach_m * (2 * axial_points - 1 if asymmetric else np.sqrt(axial_points))
-    spectrum = _Spectrum(gaussians, lateral_m, axial_m)
-    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _rotated_contour(spectrum.ray / _RAY))
-    # Modes: singular vectors of the matrix of time by point. Few singular values are large.
+    panels = _Spectrum(gaussians, lateral_m, axial_m).step_response(specimen)
+    # Its matrix of time (degree and panel) by point, in units of the tolerated error, has few large singular values.
+    # They are the modes: the left vectors are responses in time, the right ones shapes in space.
     degrees, panel_count, points = panels.coefficient.shape
     scale = _error_scale(specimen, panels)[:, None]
-    time_modes, size, point_modes = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)
+    in_time, size, in_space = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
-    responses = Panels((time_modes[:, :modes] * size[:modes]).reshape(degrees, panel_count, modes) * scale)
-    # From values at the Chebyshev points of the grid to coefficients, along both axes.
-    grid = point_modes[:modes].reshape(modes, lateral_count, axial_count)
+    responses = Panels((in_time[:, :modes] * size[:modes]).reshape(degrees, panel_count, modes) * scale)
+    # From values at the grid to Chebyshev coefficients along both axes. m: mode, l and a: lateral and axial degree,
+    # i and j: lateral and axial point.
+    values = in_space[:modes].reshape(modes, lateral_count, axial_count)
     matrices = chebyshev_matrix(lateral_count), chebyshev_matrix(axial_count)
-    shape = np.einsum("la,cb,mab->mlc", *matrices, grid, optimize=True)
+    shape = np.einsum("li,aj,mij->mla", *matrices, values, optimize=True)
     # Changes below the tolerance are errors of the quadrature, so a response has ended there.
     response = StepResponse(memory_s(specimen, responses, 0.1 * tolerance), responses)
     return FocusField(
@@ -180,8 +179,7 @@ def focus_response(specimen: Specimen, force: Force) -> StepResponse:
 @lru_cache(maxsize=8)
 def _sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
     """Return the displacement at the focus after a step of a force that is a sum of Gaussians, tabulated over time."""
-    spectrum = _focus_spectrum(force)
-    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _rotated_contour(spectrum.ray / _RAY))
+    panels = _focus_spectrum(force).step_response(specimen)
     return StepResponse(memory_s(specimen, panels), panels)
 
 
@@ -208,11 +206,12 @@ def _error_scale(specimen: Specimen, panels: Panels) -> FloatArray:
     """
     if not creeps_for_ever(specimen):
         return np.ones(panels.coefficient.shape[1])
-    # The sum of its coefficients (degree, panel, point) bounds a Chebyshev series; the largest over points so far.
-    bound_so_far = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
-    # Shear waves are still in the force before this time: the scale does not fall below the displacement then.
-    smallest = bound_so_far[np.searchsorted(panels.begins_s, _START_OF_CREEP_S) - 1]
-    return np.asarray(np.maximum(bound_so_far, smallest) / smallest)
+    # A Chebyshev series is at most the sum of its coefficients (degree, panel, point). The displacement so far is the
+    # largest of these bounds over all points and all panels up to the present one.
+    largest_so_far = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
+    # The scale of the panels before the creep is the displacement at its start.
+    at_start = largest_so_far[np.searchsorted(panels.begins_s, _START_OF_CREEP_S) - 1]
+    return np.asarray(np.maximum(largest_so_far, at_start) / at_start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,10 +232,11 @@ class MediumMotion:
 
     def displacement_m(self, tonebursts: Bursts, time_ps: Int64Array, lateral_m: float) -> FloatArray:
         """Return the displacement in the focal plane, ``lateral_m`` off the axis, at ``time_ps`` (time,), m."""
-        shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
-        # Sum the modes first, so that one response replaces as many as there are modes.
+        # (degree, panel, mode) @ (mode, 1): the step response at the point is the sum of shape times response over the
+        # modes. Summed before the time course is computed, it has to be computed once only.
+        shapes_at_point = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1)).T
         response = self.field.response
-        at_point = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shape.T))
+        at_point = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shapes_at_point))
         return self._transients(at_point, tonebursts, time_ps)[:, 0]
 
     def _transients(self, response: StepResponse, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:
@@ -248,27 +248,29 @@ class MediumMotion:
 def medium_motion(
     settings: SimulationSettings, offset_m: FloatArray, travel_s: float, lateral_offset_m: float = 0.0
 ) -> MediumMotion:
-    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus, as modes of the medium's field.
+    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus under any train of tonebursts.
 
-    Needs ``settings.specimen``. ``travel_s``: of a burst to the focus. The field also covers the point
-    ``lateral_offset_m`` off the axis.
+    It is a sum of a few modes, each a shape in space times a response in time. ``travel_s``: travel time of a burst to
+    the focus. The modes also cover the point ``lateral_offset_m`` off the axis. Needs ``settings.specimen``.
     """
     specimen = settings.specimen or Specimen()
     lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), offset_m[:, 2]
-    # At least the widths of the force, so that a single scatterer at the focus has a field to tabulate.
+    # The modes are tabulated as far as the scatterers and the point, and at least over the widths of the force, so that
+    # a single scatterer at the focus has a field too.
     force = force_shape(settings)
-    width_m = _length_scales_m(_gaussians(force))
+    lateral_width_m, axial_width_m = _length_scales_m(_gaussians(force))
     point_m = abs(lateral_offset_m)
-    lateral_reach_m = max(float(lateral_m.max(initial=point_m)), width_m[0])
-    axial_reach_m = max(float(np.abs(axial_m).max(initial=0.0)), width_m[1])
-    # Far off the axis only the shell with the scatterers is tabulated; it needs some thickness for a single radius.
-    inner_m = float(lateral_m.min(initial=point_m))
-    lateral_reach_m = max(lateral_reach_m, inner_m + width_m[0] / 100)
-    shell_inner_m = inner_m if inner_m > width_m[0] else 0.0
-    field = _cached_field(specimen, force, lateral_reach_m, axial_reach_m, lateral_inner_m=shell_inner_m)
-    shape = field.shapes(lateral_m, axial_m).T
+    nearest_m, farthest_m = float(lateral_m.min(initial=point_m)), float(lateral_m.max(initial=point_m))
+    # If all are off the axis, only a shell around it is tabulated; it needs some thickness for a single radius.
+    field = _cached_field(
+        specimen,
+        force,
+        max(farthest_m, lateral_width_m, nearest_m + lateral_width_m / 100),
+        max(float(np.abs(axial_m).max(initial=0.0)), axial_width_m),
+        lateral_inner_m=nearest_m if nearest_m > lateral_width_m else 0.0,
+    )
     return MediumMotion(
-        shape=shape,
+        shape=field.shapes(lateral_m, axial_m).T,
         field=field,
         specimen=specimen,
         transmitter=settings.transmitter,
@@ -313,151 +315,167 @@ def _length_scales_m(force: GaussianSum) -> tuple[float, float]:
 
 
 class _Spectrum:
-    """Spectrum of the force at all points, for all wave numbers on the ray; computed once for a geometry."""
+    """Spectrum of the force times the wave at every point of a grid, for wave numbers along a ray in the complex plane.
+
+    It does not depend on the medium, so it is computed once for a force and a grid.
+    """
 
     def __init__(self, force: GaussianSum, lateral_m: FloatArray, axial_m: FloatArray) -> None:
-        """Compute the spectrum of ``force`` at all points of a grid, for wave numbers along a complex ray."""
+        """Compute the spectrum S of ``force`` at points with these distances from axis and focal plane."""
         directions = _Directions(force)
-        self.ray = _ray_angle(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
-        self._k2, weighted = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
-        self._k2_weighted = self._k2[:, None] * weighted
+        self._ray_rad = _ray_angle(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
+        self._k2, weighted_spectrum = _ray_spectrum(directions, lateral_m, axial_m, self._ray_rad)
+        # The factor k² of the integral over wave numbers, U = f0 / mu * integral of S k² / (k² + rho s² / mu) dk.
+        self._k2_spectrum = self._k2[:, None] * weighted_spectrum
+
+    def step_response(self, specimen: Specimen) -> Panels:
+        """Return the displacement over the force density after a step of force at every point, tabulated over time."""
+        return panels_of(lambda s: self.transfer(specimen, s), _rotated_contour(self._ray_rad / _RAY))
 
     def transfer(self, specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
         """Return the displacement over the force density, (s, point), at complex frequencies ``s_per_s``.
 
-        It is a sum over wave numbers k of k² / (k² + pole), with pole = rho s² / mu, times the spectrum of the force.
+        It is the sum of k² S / (k² + p) over wave numbers k, with the force's spectrum S and p = rho s² / mu, over the
+        shear modulus mu. Written out it would be a matrix of all p by all k. Instead, if k² or p is far larger than the
+        other, 1 / (k² + p) is a power series in their ratio: sums over k are then common to many p.
         """
         modulus = shear_modulus(specimen, s_per_s)
-        pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
-        pole[pole == 0] = np.finfo(np.float64).tiny  # at rest
-        response = np.empty((len(pole), self._k2_weighted.shape[1]), np.complex128)
-        order = np.argsort(np.abs(pole))
-        size, k2_size, power = np.abs(pole)[order], np.abs(self._k2), np.arange(_SERIES_TERMS)
-        # Poles of similar size (within a factor of 16) are evaluated together. Wave numbers near them need the fraction
-        # itself. If one of the two dominates, the fraction is a power series in their ratio: its sums over wave numbers
-        # are then the same for all these poles.
-        for poles in np.split(order, np.flatnonzero(np.diff(np.floor(np.log2(size) / 4))) + 1):
-            p, smallest, largest = pole[poles], abs(pole[poles[0]]), abs(pole[poles[-1]])
-            # The wave numbers ascend along the ray: long waves, near the pole, short waves.
-            low, high = np.searchsorted(k2_size, [smallest / _DOMINANCE_RATIO, largest * _DOMINANCE_RATIO])
-            short, near, long = self._k2[high:], self._k2[low:high], self._k2[:low]
-            # 1 / (k² + p) is the sum of (-p)^n / k²^(n + 1) for short waves and of (-k²)^n / p^(n + 1) for long ones,
-            # with powers scaled by the largest and the smallest pole.
-            short_sums = (largest / short) ** power[:, None] / short @ self._k2_weighted[high:]
-            long_sums = (long / smallest) ** power[:, None] @ self._k2_weighted[:low]
-            response[poles] = (
-                (1 / (near + p[:, None])) @ self._k2_weighted[low:high]
-                + (-p[:, None] / largest) ** power @ short_sums
-                + (-smallest / p[:, None]) ** power / p[:, None] @ long_sums
+        p = specimen.density_kg_per_m3 * s_per_s**2 / modulus
+        p[p == 0] = np.finfo(np.float64).tiny  # at rest
+        response = np.empty((len(p), self._k2_spectrum.shape[1]), np.complex128)
+        k2_size, power = np.abs(self._k2), np.arange(_SERIES_TERMS)
+        # Groups of p of similar size, within a factor of 16, are evaluated together.
+        ascending = np.argsort(np.abs(p))
+        factor_of_16 = np.floor(np.log2(np.abs(p)[ascending]) / 4)
+        for group in np.split(ascending, np.flatnonzero(np.diff(factor_of_16)) + 1):
+            p_group, min_p, max_p = p[group], abs(p[group[0]]), abs(p[group[-1]])
+            # Wave numbers ascend along the ray: long waves (k² far below p), comparable ones, short waves (far above).
+            low, high = np.searchsorted(k2_size, [min_p / _DOMINANCE_RATIO, max_p * _DOMINANCE_RATIO])
+            long, comparable, short = self._k2[:low], self._k2[low:high], self._k2[high:]
+            # 1 / (k² + p) is the sum of (-p)^n / k²^(n + 1) for short waves and of (-k²)^n / p^(n + 1) for long ones.
+            # Powers are scaled by the largest and the smallest p, so that they do not overflow.
+            short_sums = (max_p / short) ** power[:, None] / short @ self._k2_spectrum[high:]
+            long_sums = (long / min_p) ** power[:, None] @ self._k2_spectrum[:low]
+            response[group] = (
+                (1 / (comparable + p_group[:, None])) @ self._k2_spectrum[low:high]
+                + (-p_group[:, None] / max_p) ** power @ short_sums
+                + (-min_p / p_group[:, None]) ** power / p_group[:, None] @ long_sums
             )
         return np.asarray(response / modulus[:, None])
 
 
 class _Directions:
-    """Spectrum of the force along directions with cosine ``m`` (direction,) to the axis."""
+    """Directions of plane waves, with cosine ``m`` (direction,) to the axis, and the force's spectrum along them."""
 
     def __init__(self, force: GaussianSum) -> None:
-        """Prepare the spectrum of ``force`` along wave directions: widths, weights and positions of its Gaussians."""
+        """Choose directions for ``force``, and prepare widths, volumes and positions of its Gaussians along them."""
         widths = np.array(force.lateral_width_m)
-        # The nodes of the narrowest Gaussian, with the spectrum most concentrated at m = 0, serve all Gaussians.
-        self.m, self.min_a_m2, self.weight = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
-        # Half the squared width of each Gaussian along each direction, (direction, Gaussian).
+        # Nodes for the narrowest Gaussian, with the spectrum most concentrated at m = 0, serve all Gaussians.
+        self.m, self.min_a_m2, self._node_weight = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
+        # Along a direction the spectrum of a Gaussian is exp(-a k²), with a half its squared width along the direction,
+        # (direction, Gaussian), times its amplitude and volume, (position along the axis, Gaussian).
         self._a_m2 = (np.outer(1 - self.m**2, widths**2) + (force.axial_width_m * self.m[:, None]) ** 2) / 2
-        volumes = [force_volume((width, width, force.axial_width_m)) for width in force.lateral_width_m]
-        self._centre_m, self._strength = np.array(force.centre_m), np.array(force.amplitude) * np.array(volumes)
-        self.max_centre_m = float(np.abs(self._centre_m).max())
+        volumes_m3 = [force_volume((width, width, force.axial_width_m)) for width in force.lateral_width_m]
+        self._amplitude_m3 = np.array(force.amplitude) * np.array(volumes_m3)
+        self._centre_m = np.array(force.centre_m)
+        self._max_centre_m = float(np.abs(self._centre_m).max())
 
     def spectra(self, k: ComplexArray, selected: BoolArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Return the force's spectrum at wave numbers ``k`` along the ``selected`` directions, (k, direction).
 
-        It has an even part in depth, and an odd part: None if the force is symmetric about the focal plane.
+        The first value is the part that is even in depth. The second one is the odd part, None if the force is
+        symmetric about the focal plane. Both include the weights of the quadrature over directions.
         """
-        # (k, direction, width)
-        gaussian = np.exp(-(k**2)[:, None, None] * self._a_m2[selected]) * self.weight[selected, None]
+        # Spectrum of a Gaussian at the focus of each lateral width, (k, direction, width).
+        gaussian = np.exp(-(k**2)[:, None, None] * self._a_m2[selected]) * self._node_weight[selected, None]
         if not self._centre_m.any():
-            return np.asarray(gaussian @ self._strength[0]), None
+            return np.asarray(gaussian @ self._amplitude_m3[0]), None
+        # Sum over widths i at each position j along the axis; k: wave number, m: direction.
+        at_centre = np.einsum("ji,kmi->kmj", self._amplitude_m3, gaussian, optimize=True)
+        # A Gaussian at the depth c has the phase k m c: sum cosines for the even part and sines for the odd part.
         phase = np.multiply.outer(np.outer(k, self.m[selected]), self._centre_m)
-        # j: position along the axis, i: width, k: wave number, m: direction.
-        at_centre = np.einsum("ji,kmi->kmj", self._strength, gaussian, optimize=True)
         even, odd = (np.asarray((wave(phase) * at_centre).sum(axis=2)) for wave in (np.cos, np.sin))
         return even, odd
 
     def reach_m(self, lateral_m: float, axial_m: float) -> FloatArray:
         """Return the largest path along each direction from the force to points within a cylinder, (direction,)."""
-        return np.asarray(lateral_m * np.sqrt(1 - self.m**2) + (axial_m + self.max_centre_m) * self.m)
+        return np.asarray(lateral_m * np.sqrt(1 - self.m**2) + (axial_m + self._max_centre_m) * self.m)
 
 
 def _ray_angle(directions: _Directions, lateral_reach_m: float, axial_reach_m: float) -> float:
-    """Return the angle of the integration ray to the real axis of wave numbers, as large as the reach allows.
+    """Return the angle (rad) of the ray of complex wave numbers to the real axis, as large as the reach allows.
 
-    Waves grow along the ray, at any point to at most exp(``_MAX_GROWTH_EXPONENT``).
+    Waves grow along the ray until the force's spectrum decays: at any point to at most exp(``_MAX_GROWTH_EXPONENT``).
     """
     reach_m, a_m2 = directions.reach_m(lateral_reach_m, axial_reach_m), directions.min_a_m2
-    # exp(|k| r sin(ray) - a |k|² cos(2 ray)) has its maximum at the exponent r² sin(ray)² / (4 a cos(2 ray)).
+    # At the distance r, exp(|k| r sin(ray) - a |k|² cos(2 ray)) has its maximum over |k| at the exponent
+    # g = r² sin(ray)² / (4 a cos(2 ray)). With cos(2 ray) = 1 - 2 sin(ray)², sin(ray)² = g / (r² / 4a + 2 g).
     largest = float((reach_m**2 / (4 * a_m2)).max())
     return min(_RAY, math.asin(math.sqrt(_MAX_GROWTH_EXPONENT / (largest + 2 * _MAX_GROWTH_EXPONENT))))
 
 
 def _rotated_contour(angle_ratio: float) -> Contour:
-    """Return the field's contour of the inverse Laplace transform with its angle times ``angle_ratio``.
+    """Return the hyperbola of the inverse Laplace transform for a field, with its angle alpha times ``angle_ratio``.
 
-    It is as exact, with more nodes.
+    A ray of wave numbers at a smaller angle needs a hyperbola at a smaller angle, so that the shear pole stays behind
+    it. The hyperbola ends at the same real part, and has more nodes for the same error.
     """
     contour = FIELD_CONTOUR
     if angle_ratio == 1.0:
         return contour
     alpha = contour.alpha * angle_ratio
+    # The real part of its end is height (1 - sin(alpha) cosh(span)).
     span = math.acosh(math.cosh(contour.span) * math.sin(contour.alpha) / math.sin(alpha))
     return replace(contour, nodes=math.ceil(contour.nodes / angle_ratio), span=span, alpha=alpha)
 
 
 def _ray_spectrum(
-    directions: _Directions, lateral_m: FloatArray, axial_m: FloatArray, ray: float
+    directions: _Directions, lateral_m: FloatArray, axial_m: FloatArray, ray_rad: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return k² of the wave numbers, (k,), and their weighted spectrum at every point, (k, point).
+    """Return nodes k² of an integral over wave numbers, (k,), and the spectrum at every point times their weights.
 
-    The spectrum S(k, r) of the module's equation is a sum over directions with cosine m to the axis. The wave numbers
-    are the nodes of an integral along a ray at the angle ``ray`` to the real axis: k = |k| exp(j ray). On the real axis
-    the integral would come near the shear pole k² = -rho s² / mu, which is sharp for weakly damped media. Away from
+    The second array is (k, point). The spectrum S(k, r) is that of the force times the wave at point r, summed over
+    directions of waves. The integral runs along a ray at the angle ``ray_rad`` to the real axis: k = |k| exp(j ray). On
+    the real axis it would come near the shear pole k² = -rho s² / mu, which is sharp for weakly damped media. Away from
     the pole the integrand is smooth, so few nodes suffice. The cost: waves grow as exp(|k| reach sin(ray)), and the
     force's spectrum decays as exp(-a |k|² cos(2 ray)), more slowly than on the real axis.
     """
     # Along each direction: cosine to the axis, half the squared width of the narrowest Gaussian (m²), and the longest
     # path from the force to a point.
-    m, a_m2, rotation = directions.m, directions.min_a_m2, np.exp(1j * ray)
+    m, a_m2, phasor = directions.m, directions.min_a_m2, np.exp(1j * ray_rad)
     reach_m = directions.reach_m(lateral_m.max(), np.abs(axial_m).max())
     # The integral ends where the spectrum is negligible along every direction. Octaves of |k| follow from 0 to there.
-    highest = float(_highest_wave_number(a_m2, reach_m, ray).max())
-    bessel = _BesselOnRay(rotation, highest * float(lateral_m.max()))
+    highest = float(_highest_wave_number(a_m2, reach_m, ray_rad).max())
+    bessel = _BesselOnRay(phasor, highest * float(lateral_m.max()))
     edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
-    k2, weighted = [], []
+    k2, weighted_spectrum = [], []
     for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
         # Gauss-Legendre nodes of the octave: more for short waves, which oscillate over the reach. A ray at a smaller
         # angle is nearer to the pole and needs more nodes, in inverse proportion.
         is_short = octave > _OCTAVES - _SHORT_WAVE_OCTAVES
         count = _NODES_PER_SHORT_WAVE_OCTAVE if is_short else _NODES_PER_OCTAVE
-        node, weight = legendre(math.ceil(count * (_RAY / ray)))
+        node, weight = legendre(math.ceil(count * (_RAY / ray_rad)))
         along_ray = (high + low) / 2 + (high - low) / 2 * node
-        k = rotation * along_ray
+        k = phasor * along_ray
         # Omit directions with a negligible spectrum in the whole octave, where the force is long compared with the
         # wavelength. Bound: the decay exponent at the low edge, where it is least, minus the largest growth exponent,
         # at the high edge.
-        min_decay = a_m2 * (low * low * math.cos(2 * ray))
-        selected = min_decay - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
+        min_decay = a_m2 * (low * low * math.cos(2 * ray_rad))
+        selected = min_decay - high * reach_m * math.sin(ray_rad) < _NEGLIGIBLE_EXPONENT
         sine, cosine = np.sqrt(1 - m[selected] ** 2)[:, None], m[selected][:, None]
-        even, odd = directions.spectra(k, selected)
         # The wave across the axis is J0(k lateral sine), (k, direction, lateral). Along the axis it is a cosine for the
         # even part of the spectrum and a sine for the odd part, (k, direction, axial).
+        even, odd = directions.spectra(k, selected)
         across = bessel.at(along_ray[:, None, None] * (sine * lateral_m))
         phase = k[:, None, None] * cosine * axial_m
         along = even[:, :, None] * np.cos(phase)
         if odd is not None:
             along += odd[:, :, None] * np.sin(phase)
-        # Sum over directions, (k, lateral, axial), then the weight of the quadrature in dk.
-        block = np.einsum("kml,kma->kla", across, along, optimize=True)
+        # Sum over directions m, (k, lateral, axial), then the weight of the quadrature in dk.
+        spectrum = np.einsum("kml,kma->kla", across, along, optimize=True)
         k2.append(k**2)
-        weighted.append(block.reshape(len(k), -1) * (rotation * (high - low) / 2 * weight)[:, None])
-    return np.concatenate(k2), np.concatenate(weighted)
+        weighted_spectrum.append(spectrum.reshape(len(k), -1) * (phasor * (high - low) / 2 * weight)[:, None])
+    return np.concatenate(k2), np.concatenate(weighted_spectrum)
 
 
 class _BesselOnRay:
@@ -466,15 +484,15 @@ class _BesselOnRay:
     It takes a tenth of the time of scipy's jv for complex arguments.
     """
 
-    def __init__(self, rotation: complex, max_distance: float) -> None:
-        """Tabulate J0 along a ray in the complex plane: from 0 to ``max_distance`` in the direction ``rotation``."""
+    def __init__(self, phasor: complex, max_distance: float) -> None:
+        """Tabulate J0 along a ray in the complex plane: from 0 to ``max_distance`` in the direction of ``phasor``."""
         # Imported here, so that scenes without a field do not load it.
         from scipy.special import jv
 
         # In each cell of distance, a polynomial through the values at Chebyshev nodes.
         node = np.cos((np.arange(_BESSEL_NODES) + 0.5) * np.pi / _BESSEL_NODES)
         middle = (np.arange(int(max_distance / _BESSEL_CELL) + 1) + 0.5) * _BESSEL_CELL
-        value = jv(0, rotation * (middle + node[:, None] * _BESSEL_CELL / 2))
+        value = jv(0, phasor * (middle + node[:, None] * _BESSEL_CELL / 2))
         self._polynomial = np.linalg.solve(np.vander(node).astype(np.complex128), value)
 
     def at(self, distance: FloatArray) -> ComplexArray:
@@ -488,9 +506,12 @@ class _BesselOnRay:
         return np.asarray(value)
 
 
-def _highest_wave_number(a_m2: FloatArray, distance_m: FloatArray, ray: float) -> FloatArray:
-    """Return |k| beyond which the decay of the force's spectrum dominates the growth of the waves along the ray."""
-    decay, growth = a_m2 * math.cos(2 * ray), distance_m * math.sin(ray)
+def _highest_wave_number(a_m2: FloatArray, distance_m: FloatArray, ray_rad: float) -> FloatArray:
+    """Return |k| beyond which the force's spectrum times the wave is negligible, for each direction, (direction,).
+
+    It is the root of a |k|² cos(2 ray) - |k| distance sin(ray) = ``_NEGLIGIBLE_EXPONENT``: decay minus growth.
+    """
+    decay, growth = a_m2 * math.cos(2 * ray_rad), distance_m * math.sin(ray_rad)
     return np.asarray((growth + np.sqrt(growth**2 + 4 * _NEGLIGIBLE_EXPONENT * decay)) / (2 * decay))
 
 

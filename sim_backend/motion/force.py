@@ -63,39 +63,43 @@ def radiation_force(
     pressure = relative_pressure(tonebursts.amplitude_vpp, specimen, transmitter)
     pressure *= transmit_response(tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
     relative_force = np.square(pressure) if force_scale is None else force_scale(pressure, tonebursts.carrier_hz)
-    later_ps = np.full(tonebursts.onset_ps.shape, to_ps(travel_time_s))
+    delay_ps = np.full(tonebursts.onset_ps.shape, to_ps(travel_time_s))
     if tonebursts.onset_ps.size and (specimen.growth_per_s or specimen.delay_growth_s_per_s):
         elapsed_ps = tonebursts.onset_ps - tonebursts.onset_ps[0]
         relative_force = relative_force * (1 + specimen.growth_per_s * elapsed_ps / PS_PER_S)
-        later_ps += np.rint(specimen.delay_growth_s_per_s * elapsed_ps).astype(np.int64)
+        delay_ps += np.rint(specimen.delay_growth_s_per_s * elapsed_ps).astype(np.int64)
     return ForcePulses(
-        tonebursts.onset_ps + later_ps,
-        tonebursts.end_ps + later_ps,
+        tonebursts.onset_ps + delay_ps,
+        tonebursts.end_ps + delay_ps,
         specimen.force_density_n_per_m3 * relative_force,
     )
 
 
 def force_scale(settings: SimulationSettings) -> ForceScale | None:
-    """Return the function from relative pressure to relative force; None if it is the square (linear propagation).
+    """Return the function from pressure to force, both over their reference values, for nonlinear propagation.
 
-    The nonlinear push is computed once for each carrier, when its first toneburst comes.
+    None for linear propagation, where the force is the square of the pressure.
     """
     specimen = settings.specimen
     if settings.propagation is None or specimen is None:
         return None
 
-    def scale(pressure: FloatArray, carrier_hz: FloatArray) -> FloatArray:
-        """Return the relative force (burst,) of bursts with these relative pressures and carriers."""
+    def relative_force(pressure_ratio: FloatArray, carrier_hz: FloatArray) -> FloatArray:
+        """Return the force over ``specimen.force_density_n_per_m3``, (burst,), of bursts with nonlinear propagation.
+
+        ``pressure_ratio`` (burst,): pressure at the transducer over the one that gives this force density.
+        """
         from sim_backend.transducer import push_of
 
-        relative_force = np.zeros_like(pressure)
-        for one_carrier_hz in np.unique(carrier_hz):
-            push, selected = push_of(settings, float(one_carrier_hz)), carrier_hz == one_carrier_hz
+        force = np.zeros_like(pressure_ratio)
+        # The beam is computed once for each carrier, and then cached.
+        for hz in np.unique(carrier_hz):
+            push, selected = push_of(settings, float(hz)), carrier_hz == hz
             if push is not None:
-                relative_force[selected] = push.relative_force(pressure[selected], specimen.force_density_n_per_m3)
-        return relative_force
+                force[selected] = push.relative_force(pressure_ratio[selected], specimen.force_density_n_per_m3)
+        return force
 
-    return scale
+    return relative_force
 
 
 def relative_pressure(drive_vpp: FloatArray, specimen: Specimen, transmitter: Transmitter | None = None) -> FloatArray:

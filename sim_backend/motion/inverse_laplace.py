@@ -91,15 +91,16 @@ def panels_of(
     """
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_PANEL_RATIO)))
     begin_s = _FIRST_S * _PANEL_RATIO ** np.arange(count)
+    # The hyperbola for a panel that begins at 1; that of a later panel is smaller in proportion.
     s, weight = _hyperbola(contour)
-    # (panel, node, response): all panels have the same hyperbola, scaled by their begin.
-    value = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
+    transform = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
     # Chebyshev points in units of a panel's begin, 1 to 4, so that exp(s t) is common to all panels.
     time = 1 + (_PANEL_RATIO - 1) * (chebpts1(degrees) + 1) / 2
-    to_time = np.exp(np.outer(time, s)) * weight
-    # t: time in a panel, n: node of the contour, p: panel, r: response, d: Chebyshev degree.
-    samples = np.einsum("tn,pnr->tpr", to_time, value, optimize=True).real
-    return Panels(np.einsum("dt,tpr->dpr", chebyshev_matrix(degrees), samples, optimize=True))
+    inverse = np.exp(np.outer(time, s)) * weight
+    # The inverse transform is a sum over the nodes n of the hyperbola. Its values at the times t of a panel give the
+    # Chebyshev coefficients of degree d; p: panel, r: response.
+    values = np.einsum("tn,pnr->tpr", inverse, transform, optimize=True).real
+    return Panels(np.einsum("dt,tpr->dpr", chebyshev_matrix(degrees), values, optimize=True))
 
 
 def chebyshev_matrix(count: int) -> FloatArray:

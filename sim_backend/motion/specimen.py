@@ -103,11 +103,12 @@ def transfer(specimen: Specimen, width_m: Triple, s_per_s: ComplexArray) -> Comp
     if specimen.sphere is not None:
         response = sphere_response(specimen.sphere, modulus, specimen.density_kg_per_m3, s_per_s)
         return np.asarray(sphere_force_volume_m3(specimen, specimen.sphere) * response)
-    # A mean over wave directions, with a half the squared width of the force along each; q: shear wave number.
-    a, weight = _directions(width_m)
+    # The response is a mean over the directions of waves. Along each the force has half the squared width a; waves
+    # shorter than this width (|q| sqrt(a) large, with the shear wave number q) hardly move: inertia dominates.
+    a_m2, weight = _directions(width_m)
     q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
-    # (frequency, direction) @ (direction,): the inertia factor times the static contribution of each direction.
-    mean = inertia_factor(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * weight)
+    # (frequency, direction) @ (direction,): response over static response, times the static response.
+    mean = inertia_factor(q[:, None] * np.sqrt(a_m2)) @ (np.sqrt(np.pi / a_m2) / 2 * weight)
     return np.asarray(force_volume(width_m) / modulus * mean)
 
 
@@ -251,25 +252,26 @@ def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
 
 
 def polar_nodes(lateral_m2: float, axial_m2: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return quadrature nodes over wave directions: cosine m to the axis, half squared width of the force, weight.
+    """Return nodes of a quadrature over wave directions in a plane through the axis, three arrays (direction,).
 
-    All are (direction,), in one plane through the axis. ``lateral_m2`` and ``axial_m2``: squared widths of a Gaussian
-    force; the returned width is that along the direction. The weight is 2 (1 - m²) times the quadrature weight: 1 - m²
-    for the divergence-free part of the force, 2 for the directions of negative m. Gauss-Legendre integrates over t, in
-    which the width is smooth: m = m_scale sinh t for a force longer than wide, m = m_scale sin t for a disc
-    (docs/explanation/medium.md, section 2).
+    These are the direction's cosine m to the axis, half the squared width along it of a Gaussian force with the squared
+    widths ``lateral_m2`` and ``axial_m2``, and the weight. The weight includes 1 - m² for the divergence-free part of
+    the force along the axis, and 2 for the directions of negative m, which contribute equally. See
+    docs/explanation/medium.md, section 2.
     """
-    # ``node`` is t / t_max, from 0 to 1.
-    node, weight = legendre(_DIRECTION_NODES)
-    node, weight = (node + 1) / 2, weight / 2
+    node, node_weight = legendre(_DIRECTION_NODES)
+    node, node_weight = (node + 1) / 2, node_weight / 2
+    # The width as a function of m is sharp for a needle or a disc, and smooth as a function of t, with m = scale sinh t
+    # for a force longer than wide and m = scale sin t for a disc. The nodes are values of t / t_max from 0 to 1.
     if axial_m2 > lateral_m2:
-        m_scale = math.sqrt(lateral_m2 / (axial_m2 - lateral_m2))
-        t_max = math.asinh(1 / m_scale)
-        m, dm_dnode = m_scale * np.sinh(t_max * node), m_scale * t_max * np.cosh(t_max * node)
+        scale = math.sqrt(lateral_m2 / (axial_m2 - lateral_m2))
+        t_max = math.asinh(1 / scale)
+        m, dm_dnode = scale * np.sinh(t_max * node), scale * t_max * np.cosh(t_max * node)
     elif axial_m2 < lateral_m2:
-        m_scale = 1 / math.sqrt(1 - axial_m2 / lateral_m2)
-        t_max = math.asin(1 / m_scale)
-        m, dm_dnode = m_scale * np.sin(t_max * node), m_scale * t_max * np.cos(t_max * node)
+        scale = 1 / math.sqrt(1 - axial_m2 / lateral_m2)
+        t_max = math.asin(1 / scale)
+        m, dm_dnode = scale * np.sin(t_max * node), scale * t_max * np.cos(t_max * node)
     else:
         m, dm_dnode = node, np.ones_like(node)
-    return m, (lateral_m2 * (1 - m**2) + axial_m2 * m**2) / 2, 2 * (1 - m**2) * dm_dnode * weight
+    half_width_m2 = (lateral_m2 * (1 - m**2) + axial_m2 * m**2) / 2
+    return m, half_width_m2, 2 * (1 - m**2) * dm_dnode * node_weight
