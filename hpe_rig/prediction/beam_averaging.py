@@ -10,7 +10,9 @@ Gaussian, oblique waves, and a gate off the focus. Without tonebursts the motion
 from __future__ import annotations
 
 import cmath
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,14 +44,18 @@ SHAPE_RELATIVE = 0.004
 From scripts/validation/aperture.py."""
 
 
-AveragingRatio = tuple[ComplexArray, ComplexArray, ComplexArray]
-"""Tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
+class AveragingRatio(NamedTuple):
+    """Tracked over peak motion ``ratio`` (frequency,), its scatter over media, and its change with speckle.
 
-The steepness is the ratio's relative change per unit of the logarithm of the tracking beam's area. Off the axis it is
-the root sum of squares with the change per unit of the beam's offset relative to its radius.
-Deviation and steepness are pairs of real numbers: relative amplitude as real part, phase (rad) as imaginary part. Over
-the ensemble the ratio is the exponential of its mean logarithm, the steepness a root mean square with the sign of the
-mean."""
+    ``deviation`` and ``steepness`` have relative amplitude as real part and phase (rad) as imaginary part.
+    ``deviation``: standard deviation over media. ``steepness``: relative change per unit of the logarithm of the
+    tracking beam's area, which speckle changes. Off the axis it is the root sum of squares with the change per unit of
+    the beam's offset relative to its radius, which speckle changes as much.
+    """
+
+    ratio: ComplexArray
+    deviation: ComplexArray
+    steepness: ComplexArray
 
 
 def predicted_averaging(
@@ -68,100 +74,104 @@ def predicted_averaging(
     beams, resting = beam_widths(scene, estimator, offsets_of_joint_fit_m), resting_conditions(scene)
     if beams is None or resting is None:
         return (None,) * frequency_hz.size
-    # A Gaussian motion: its ratio with few scatterers is known, and the relative standard deviations over speckle of
-    # the tracked displacement and of the echo's mean frequency (0 for estimators that do not divide by the carrier).
-    gaussian = beam_averaging_factor(beams.force_width_m, tracking_gate(scene, estimator), resting.scatterers_per_m3)
-    speckle_sd, carrier_sd = speckle_spread(resting, estimator)
+    # A Gaussian motion with the widths of the force: its factor among few scatterers, and the relative standard
+    # deviations over speckle of the tracked displacement and of the echo's mean frequency.
+    factor = beam_averaging_factor(beams.force_width_m, tracking_gate(scene, estimator), resting.scatterers_per_m3)
+    speckle_sd, frequency_sd = speckle_spread(resting, estimator)
+    gaussian = Averaging(factor, phase_rad=0.0, speckle_relative=speckle_sd, carrier_relative=frequency_sd)
     if scene.excitation is None:
-        gaussian_motion = Averaging(gaussian, 0.0, speckle_sd, carrier_relative=carrier_sd)
-        return (_with_scene_offsets(scene, gaussian_motion),) * frequency_hz.size
-    # The random media assume dense scatterers. Sparse scatterers change 1 - ratio; the same relative change as for a
-    # Gaussian motion is assumed.
-    loss_scale = (1 - gaussian) / (1 - beams.gaussian_averaging())
-    # Speckle changes the tracked region: the logarithm of its area and, off the axis, its offset over its radius.
-    # Both have this standard deviation: for N equal echoes 1 / sqrt(N), as the centroid over the radius, and the
-    # variance x² + y² relative to its mean. ``steepness`` is the relative change of the ratio per unit of them.
-    region_sd = speckle_sd / -beams.gaussian_steepness()
-    ratio, deviation, steepness = averaging_ratio(scene, beams, frequency_hz)
-    factor = 1 - loss_scale * (1 - np.abs(ratio))
-    # Fields of ``Averaging``, (frequency,).
-    columns = {
-        "factor": factor,
-        "phase_rad": np.angle(ratio),
-        "speckle_relative": np.abs((region_sd * steepness).real),
-        "factor_uncertainty": factor * deviation.real,
-        "phase_uncertainty_rad": deviation.imag,
-        "speckle_phase_rad": np.abs((region_sd * steepness).imag),
-    }
-    # For a posterior over media, whose ratio replaces this one.
-    rule = AveragingRule(area_spread=region_sd, loss_scale=loss_scale)
-    averagings = (
-        Averaging(
-            **{name: float(column[i]) for name, column in columns.items()},
-            carrier_relative=carrier_sd,
-            rule=rule,
-            steepness=complex(steepness[i]),
-        )
-        for i in range(frequency_hz.size)
-    )
+        return (_with_scene_offsets(scene, gaussian),) * frequency_hz.size
+    averagings = _in_media(averaging_ratio(scene, beams, frequency_hz), beams, gaussian)
     corrections = _aperture_correction(scene, beams, frequency_hz)
     return tuple(
-        _times(_with_scene_offsets(scene, with_second_order_speckle(averaging)), correction)
+        _multiplied(_with_scene_offsets(scene, with_second_order_speckle(averaging)), correction)
         for averaging, correction in zip(averagings, corrections, strict=True)
     )
 
 
-def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return tracked over peak motion (frequency,), its standard deviation over media, and its steepness.
+def _in_media(media: AveragingRatio, beams: BeamWidths, gaussian: Averaging) -> Iterator[Averaging]:
+    """Yield the averaging at every frequency of ``media``, with the effects of few scatterers and of speckle.
 
-    The steepness is the relative change per unit of the logarithm of the tracking beam's area. Deviation and steepness
-    have relative amplitude as real part and phase (rad) as imaginary part. All are those of the declared medium,
-    without deviation, else statistics over the ensemble of media.
+    ``gaussian``: averaging of a Gaussian motion with the widths of the force, which has these effects. ``media``:
+    averaging of the motion under tonebursts, among dense scatterers.
     """
-    # Only a medium that the scene declares: the medium set in the twin is not known on a real bench.
+    # Few scatterers are assumed to change 1 - ratio by the same factor as for the Gaussian motion.
+    loss_scale = (1 - gaussian.factor) / (1 - beams.gaussian_averaging())
+    factor = 1 - loss_scale * (1 - np.abs(media.ratio))
+    # Standard deviation over speckle of the logarithm of the tracked region's area and of its offset over its radius:
+    # both are 1 / sqrt(N) for N equal echoes. The Gaussian motion's effect of speckle and its steepness give it.
+    region_sd = gaussian.speckle_relative / -beams.gaussian_steepness()
+    by_speckle = region_sd * media.steepness
+    phase_rad = np.angle(media.ratio)
+    for i in range(media.ratio.size):
+        yield Averaging(
+            factor=float(factor[i]),
+            phase_rad=float(phase_rad[i]),
+            speckle_relative=float(np.abs(by_speckle[i].real)),
+            speckle_phase_rad=float(np.abs(by_speckle[i].imag)),
+            factor_uncertainty=float(factor[i] * media.deviation[i].real),
+            phase_uncertainty_rad=float(media.deviation[i].imag),
+            carrier_relative=gaussian.carrier_relative,
+            # For a posterior over media, whose ratio replaces this one.
+            rule=AveragingRule(area_spread=region_sd, loss_scale=loss_scale),
+            steepness=complex(media.steepness[i]),
+        )
+
+
+def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
+    """Return tracked over peak motion at ``frequency_hz``, its standard deviation over media, and its steepness.
+
+    They are those of the medium that the scene declares, without deviation, else statistics over the media of the
+    prior. The medium of the twin is not used, as it is not known on a real bench.
+    """
     medium = medium_of(scene, frequency_hz, simulated=False)
     if medium is None:
         return _ensemble_ratio(scene, beams, frequency_hz)
-    tracked, peak, by_speckle = tracked_motion(medium, beams)
-    return tracked / peak, np.zeros_like(tracked), _of_both_effects(by_speckle / tracked)
+    tracked, peak, derivatives = tracked_motion(medium, beams)
+    return AveragingRatio(tracked / peak, np.zeros_like(tracked), _sum_of_effects(derivatives / tracked))
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return tracked over peak motion (frequency,), its deviation and its steepness, over the media of the prior.
+    """Return mean, standard deviation and steepness of tracked over peak motion, over the media of the prior.
 
     Mean and standard deviation are those of the logarithm of the ratio: its real part is relative amplitude, its
-    imaginary part is phase. The steepness, the relative change per unit of the logarithm of the tracking beam's area,
-    is a root mean square with the sign of the mean.
+    imaginary part is phase. The steepness is a root mean square with the sign of the mean.
     """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
-    # Motion of every medium at the wanted frequencies, (member, frequency).
+    # From the nodes to the wanted frequencies: motion of every medium (member, frequency), and the derivatives (effect,
+    # member, frequency) of the tracked motion by the area and the offset of the tracking beam.
     to_wanted = ensemble.interpolation(frequency_hz).T
-    tracked, peak, by_speckle = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
+    tracked, peak, derivatives = (nodes @ to_wanted for nodes in (ensemble.tracked, ensemble.peak, ensemble.steepness))
     # All media are driven to the same rms motion, so a medium that hardly moves at a frequency has little weight there.
     burst_rate_hz = scene.excitation.burst_rate_hz
     harmonics = round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz)
     spectrum = ensemble.driven_spectrum(harmonics, burst_rate_hz, scene.excitation.burst_length_s[0])
     driven = ensemble.tracked @ spectrum.T
     power = np.abs(tracked) ** 2 / np.sum(np.abs(driven) ** 2, axis=1, keepdims=True)
-    steepness = bounded_steepness(by_speckle / tracked, power / power.mean(axis=0))
-    log_ratio = np.log(tracked / peak)
+    steepness = bounded_steepness(derivatives / tracked, power / power.mean(axis=0))
 
     def rms(values: FloatArray) -> FloatArray:
         """Return the root mean square over members (effect, member, frequency), with the signs of the means."""
         return np.asarray(np.copysign(np.sqrt(np.mean(values**2, axis=1)), values.mean(axis=1)))
 
-    deviation = log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0)
-    rms_steepness = np.asarray(rms(steepness.real) + 1j * rms(steepness.imag))
-    return np.exp(log_ratio.mean(axis=0)), deviation, _of_both_effects(rms_steepness)
+    log_ratio = np.log(tracked / peak)
+    return AveragingRatio(
+        ratio=np.exp(log_ratio.mean(axis=0)),
+        deviation=log_ratio.real.std(axis=0) + 1j * log_ratio.imag.std(axis=0),
+        steepness=_sum_of_effects(np.asarray(rms(steepness.real) + 1j * rms(steepness.imag))),
+    )
 
 
-def _of_both_effects(steepness: ComplexArray) -> ComplexArray:
-    """Return the root sum of squares over the effects of ``steepness`` (effect, frequency), with the first one's sign.
+def _sum_of_effects(steepness: ComplexArray) -> ComplexArray:
+    """Return the root sum of squares (frequency,) of the independent effects of speckle, with the first one's sign.
 
-    Real part (amplitude) and imaginary part (phase) are summed each by itself.
+    ``steepness`` (effect, frequency): relative change of the tracked motion with the tracking beam's area and, off the
+    axis, with its offset. Real part (amplitude) and imaginary part (phase) are summed separately.
     """
-    amplitude, phase = (np.copysign(np.linalg.norm(part, axis=0), part[0]) for part in (steepness.real, steepness.imag))
+    amplitude, phase = (
+        np.copysign(np.linalg.norm(change, axis=0), change[0]) for change in (steepness.real, steepness.imag)
+    )
     return np.asarray(amplitude + 1j * phase)
 
 
@@ -196,10 +206,11 @@ def _aperture_correction(scene: Scene, beams: BeamWidths, frequency_hz: FloatArr
     return [ratio / reference for ratio, reference in zip(shaped, gaussian, strict=True)]
 
 
-def _times(averaging: Averaging, correction: complex, **errors: float) -> Averaging:
-    """Return ``averaging`` with ratio and rule multiplied by the complex ``correction``, and with ``errors`` set.
+def _multiplied(averaging: Averaging, correction: complex, **uncertainties: float) -> Averaging:
+    """Return ``averaging`` with tracked over peak displacement multiplied by the complex ``correction``.
 
-    ``errors``: uncertainties of the correction, fields of ``Averaging`` by name.
+    The rule, which gives the averaging of another medium, is multiplied too. ``uncertainties``: of the correction, by
+    their field in ``Averaging``.
     """
     size, angle = abs(correction), cmath.phase(correction)
     rule = replace(
@@ -208,7 +219,7 @@ def _times(averaging: Averaging, correction: complex, **errors: float) -> Averag
         geometry_phase_rad=averaging.rule.geometry_phase_rad + angle,
     )
     factor, phase_rad = averaging.factor * size, averaging.phase_rad + angle
-    return replace(averaging, factor=factor, phase_rad=phase_rad, rule=rule, **errors)
+    return replace(averaging, factor=factor, phase_rad=phase_rad, rule=rule, **uncertainties)
 
 
 def _with_scene_offsets(scene: Scene, averaging: Averaging) -> Averaging:
@@ -225,7 +236,7 @@ def _with_obliquity(scene: Scene, averaging: Averaging) -> Averaging:
         return averaging
     focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m
     obliquity = obliquity_factor(scene.beams.transducer_diameter_m, focus_m)
-    return _times(averaging, obliquity, shape_relative=SHAPE_RELATIVE)
+    return _multiplied(averaging, obliquity, shape_relative=SHAPE_RELATIVE)
 
 
 def _with_focus_offset(scene: Scene, averaging: Averaging) -> Averaging:
@@ -243,17 +254,18 @@ def _with_focus_offset(scene: Scene, averaging: Averaging) -> Averaging:
         focus_m, relative_uncertainty = scene.acquisition.gate_depth_m, 0.0
     width_m = scene.beams.excitation_width_m[2]
     factor, factor_sd = axial_offset_factor(gate_m - focus_m, gate_m * relative_uncertainty, width_m)
-    return _times(averaging, factor, offset_relative=factor_sd)
+    return _multiplied(averaging, factor, offset_relative=factor_sd)
 
 
 def obliquity_factor(diameter_m: float, focal_length_m: float) -> float:
-    """Return the echo delay of a displacement u in a focused beam over 2 u / c, weighted by echo energy.
+    """Return the factor on the echo delay 2 u / c of a displacement u by the oblique waves of a focused bowl.
 
-    Waves from a bowl reach the focus at all angles up to its half angle: their mean cosine is below 1.
-    docs/explanation/transducer.md, section 2.
+    Waves from a bowl reach the focus at all angles up to its half angle: their mean cosine is below 1. The factor is a
+    mean over the focal plane, weighted by echo energy (docs/explanation/transducer.md, section 2).
     """
     sine = min(diameter_m / 2 / focal_length_m, 1.0)
-    return float(1 - OBLIQUITY_FOCAL_PLANE_MEAN * (1 - np.sqrt(1 - sine**2)) / 2)
+    loss_on_axis = (1 - np.sqrt(1 - sine**2)) / 2
+    return float(1 - OBLIQUITY_FOCAL_PLANE_MEAN * loss_on_axis)
 
 
 def axial_offset_factor(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:

@@ -33,7 +33,7 @@ class Floor:
     """Noise of a displacement amplitude: standard deviations of one quadrature, rms of the two, m.
 
     ``larger_quadrature``: noise of the larger principal quadrature over that rms, 1 to sqrt(2). ``relative_variances``:
-    noise variances in groups of equally many media over their mean, if they differ.
+    noise variances in groups of equally many measurements over their mean, if they differ.
     """
 
     noise_m: float
@@ -63,15 +63,17 @@ def amplitude_quantile(larger_quadrature: float, relative_variances: tuple[float
     distribution, sqrt(2) that of the magnitude of one normal number. ``relative_variances``: noise variances of groups
     of equally many measurements, over their mean; if they differ, the largest exceed the floor more often.
     """
-    # Variance over directions of the phasor, (group, direction); the quantile averages over both.
-    largest = larger_quadrature**2
-    sine2 = np.sin(np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS) ** 2
-    variance = np.multiply.outer(relative_variances, largest + (2 - 2 * largest) * sine2)
-    variance = np.maximum(variance, np.finfo(np.float64).tiny)
+    # Noise variance of the phasor's component in each direction, (group, direction). The variances v_1 and v_2 of the
+    # principal quadratures have the mean 1: v_1 cos^2 + v_2 sin^2 = v_1 + (2 - 2 v_1) sin^2.
+    larger_variance = larger_quadrature**2
+    sine_squared = np.sin(np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS) ** 2
+    by_direction = larger_variance + (2 - 2 * larger_variance) * sine_squared
+    variance = np.maximum(np.multiply.outer(relative_variances, by_direction), np.finfo(np.float64).tiny)
     # Bisection: `hpe-rig check` must not load SciPy for this alone.
     low, high = 0.0, 2 * math.sqrt(2 * math.log(1 / FALSE_ALARMS) * max(relative_variances))
     for _ in range(50):
         middle = (low + high) / 2
+        # Probability that the amplitude exceeds ``middle``: the mean over groups and directions.
         exceeded = float(np.mean(np.exp(-(middle**2) / 2 / variance)))
         low, high = (middle, high) if exceeded > FALSE_ALARMS else (low, middle)
     return high
@@ -86,29 +88,30 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
     See docs/explanation/prediction.md, "Detection floor".
     """
     spec = spec_of(scene.processing.estimator)
-    gain, larger = _gain_and_larger_quadrature(scene, shot)
-    quantile = np.array([amplitude_quantile(ratio) for ratio in larger.tolist()])
-    worst = int(np.argmax(gain * quantile))
-    worst_hz = scene.wanted_frequencies_hz[worst] if scene.wanted_frequencies_hz else None
-    conditions = conditions_of(scene, shot, worst_hz)
-    noise_m, relative_variances = echo_noise_m(scene, spec) * float(gain[worst]), tuple[float, ...]((1.0,))
+    noise_gains, larger_quadratures = _fit_noise(scene, shot)
+    # The worst frequency has the highest floor for equal noise of the pulses.
+    quantiles = np.array([amplitude_quantile(larger) for larger in larger_quadratures.tolist()])
+    worst = int(np.argmax(noise_gains * quantiles))
+    gain = float(noise_gains[worst])
+    noise_m, relative_variances = echo_noise_m(scene, spec) * gain, (1.0,)
+    conditions = conditions_of(scene, shot, scene.wanted_frequencies_hz[worst] if scene.wanted_frequencies_hz else None)
     if conditions is not None:
         at_rest = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
         errors = predict(at_rest, (spec.name,)).expected[0]
         noise_m, relative_variances = errors.quadrature_m, errors.relative_variances
-    trigger_jitter_m = trigger_noise_m(scene, simulated) * float(gain[worst])
     return Floor(
         noise_m=noise_m,
-        trigger_jitter_m=trigger_jitter_m,
-        larger_quadrature=float(larger[worst]),
+        trigger_jitter_m=trigger_noise_m(scene, simulated) * gain,
+        larger_quadrature=float(larger_quadratures[worst]),
         relative_variances=relative_variances,
     )
 
 
-def _gain_and_larger_quadrature(scene: Scene, shot: Shot | None) -> tuple[FloatArray, FloatArray]:
-    """Return noise of a quadrature over that of a pulse, and of the larger quadrature over the rms, (frequency,) each.
+def _fit_noise(scene: Scene, shot: Shot | None) -> tuple[FloatArray, FloatArray]:
+    """Return the noise of the fitted quadratures at every wanted frequency: (frequency,) each.
 
-    They are those of a single fitted sinusoid if no plan or no fit is known.
+    The first is the rms noise of both quadratures over the displacement noise of a pulse, the second the noise of the
+    larger principal quadrature over that rms. They are those of a single fitted sinusoid without plan or fit.
     """
     if shot is not None:
         # A plan with conflicts may have no fit.

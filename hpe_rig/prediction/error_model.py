@@ -33,8 +33,9 @@ class EstimatorErrors:
     """Predicted errors of one estimator against the peak displacement and its phase; standard deviations.
 
     ``quadrature_m``: noise of each quadrature, comparable with the stated uncertainty. ``noise_jitter_m``: resulting
-    noise of the amplitude, smaller for small amplitudes. ``tracked``: mean of tracked over peak displacement without
-    noise. ``relative_variances``: noise variances in groups of equally many media over their mean, if they differ.
+    noise of the amplitude, smaller for small amplitudes. ``averaging_factor``: mean of tracked over peak displacement
+    without noise. ``relative_variances``: noise variances in groups of equally many draws over their mean, if they
+    differ.
     """
 
     estimator: str
@@ -43,7 +44,7 @@ class EstimatorErrors:
     noise_jitter_m: float
     speckle_jitter_m: float
     phase_jitter_rad: float
-    tracked: float = 1.0
+    averaging_factor: float = 1.0
     relative_variances: tuple[float, ...] = (1.0,)
 
     @property
@@ -60,18 +61,21 @@ def estimator_errors(
     ``speckle``: random draws of echoes under the same ``conditions``.
     """
     spec = spec_of(estimator)
-    # Tracked over peak displacement in every draw, and phase variances (rad^2) of a pulse and of a step.
+    # Tracked over peak displacement in every draw, and phase variances (rad^2): that of a pulse, and the part of a
+    # pulse-to-pulse step that the next step does not cancel, for each group of draws with equally strong echoes.
     if spec.reads_peak:
         ratio, variances = peak_statistics(conditions, speckle, generator)
     else:
         ratio, band_fraction = _whole_gate_ratio(conditions, speckle, spec.by_carrier)
-        pulse = spec.gate_noise / (conditions.gate_samples * conditions.snr)
-        step = _step_variance(conditions, pulse) if spec.steps_add_up else 0.0
-        variances = [(pulse * band_fraction, step)]
-    jitter = conditions.trigger_jitter_variance
-    deviations_m = np.array([_quadrature_sd_m(conditions, spec, pulse + jitter, step) for pulse, step in variances])
-    rms_m = float(np.sqrt(np.mean(deviations_m**2)))
-    relative = tuple((deviations_m**2 / rms_m**2).tolist()) if rms_m > 0 else (1.0,)
+        pulse_variance = spec.gate_noise / (conditions.gate_samples * conditions.snr)
+        step_variance = _step_variance(conditions, pulse_variance) if spec.steps_add_up else 0.0
+        variances = [(pulse_variance * band_fraction, step_variance)]
+    jitter_variance = conditions.trigger_jitter_variance
+    quadrature_sd_m = np.array(
+        [_quadrature_sd_m(conditions, spec, pulse + jitter_variance, step) for pulse, step in variances]
+    )
+    rms_m = float(np.sqrt(np.mean(quadrature_sd_m**2)))
+    relative = tuple((quadrature_sd_m**2 / rms_m**2).tolist()) if rms_m > 0 else (1.0,)
     return _with_rice_statistics(conditions, estimator, ratio, rms_m, relative)
 
 
@@ -98,71 +102,81 @@ def _whole_gate_ratio(conditions: Conditions, speckle: Speckle, by_carrier: bool
     """
     carrier_rad_per_s = 2 * np.pi * conditions.carrier_hz
 
-    def phase_rate(envelope: ComplexArray) -> FloatArray:
-        """Return the change of phase (draw,) with delay, times the echo energy."""
+    def phase_per_delay(envelope: ComplexArray) -> FloatArray:
+        """Return the change of phase for a delay of 1 s, rad/s, times the echo's energy, (draw,).
+
+        ``envelope`` (draw, instant): echo at rest, or weighted by the displacement of its scatterers.
+        """
         # Slope of the echo: that of its envelope, plus that of the carrier.
         slope = np.gradient(envelope, instant_s(conditions), axis=-1) + 1j * carrier_rad_per_s * envelope
         return np.asarray(np.sum(np.conj(speckle.resting) * slope, axis=-1).imag)
 
     energy = np.sum(np.abs(speckle.resting) ** 2, axis=-1)
-    # The displaced echo is weighted by the displacement of its scatterers.
-    ratio = phase_rate(speckle.displaced) / (carrier_rad_per_s * energy if by_carrier else phase_rate(speckle.resting))
+    frequency = carrier_rad_per_s * energy if by_carrier else phase_per_delay(speckle.resting)
+    ratio = phase_per_delay(speckle.displaced) / frequency
     band_energy = np.sum(np.abs(matmul(speckle.resting, to_band(conditions, INSTANTS))) ** 2)
     return np.asarray(ratio), float(band_energy / (INSTANTS * energy.sum()))
 
 
-def _step_variance(conditions: Conditions, pulse: float) -> float:
-    """Return the phase variance of a step that the next step does not cancel, for correlation over the whole band.
+def _step_variance(conditions: Conditions, pulse_variance: float) -> float:
+    """Return the phase variance (rad^2) that noise adds to the sum of phase steps with every further pulse.
 
-    With M independent samples in the gate and ``pulse`` = 1 / (2 M SNR) the phase variance of a pulse in white noise,
-    it is 2 M ``pulse``^2. For noise limited to the band B before a gate of duration T cuts it, M is the sum of the
-    squared eigenvalues of time and band limiting (Slepian and Pollak, 1961). It is below B T, since neighbours at the
-    gate's ends are correlated.
+    Displacement by steps is the sum of the phase steps between consecutive pulses. Most of a step's error is cancelled
+    by the next step, which has the noise of their common pulse with the opposite sign; this variance remains. With M
+    independent samples in the gate and ``pulse_variance`` = 1 / (2 M SNR) it is 2 M ``pulse_variance``^2.
     """
+    # M of noise that is limited to the band before the gate cuts it: the sum of the squared eigenvalues of time and
+    # band limiting (Slepian and Pollak, 1961), which is the sum over the squared covariance of the gate's samples.
     lag_s = instant_s(conditions) * np.subtract.outer(np.arange(INSTANTS), np.arange(INSTANTS))
     band_hz = BAND_OVER_CARRIER * conditions.carrier_hz
-    covariance = band_hz * instant_s(conditions) * np.sinc(band_hz * lag_s)
-    return 2 * float(np.sum(covariance**2)) * pulse**2
+    sample_covariance = band_hz * instant_s(conditions) * np.sinc(band_hz * lag_s)
+    independent_samples = float(np.sum(sample_covariance**2))
+    return 2 * independent_samples * pulse_variance**2
 
 
-def _quadrature_sd_m(conditions: Conditions, spec: EstimatorSpec, pulse: float, step: float) -> float:
-    """Return the standard deviation of a fitted quadrature, m, from phase variances of a ``pulse`` and a ``step``.
+def _quadrature_sd_m(conditions: Conditions, spec: EstimatorSpec, pulse_variance: float, step_variance: float) -> float:
+    """Return the standard deviation of a fitted quadrature (in-phase or quadrature component), m.
 
-    The variance of a step is the part that the next step does not cancel.
+    ``pulse_variance``: phase variance (rad^2) of a pulse. ``step_variance``: the part of the variance of a phase step
+    between two pulses that the next step does not cancel; it adds up from pulse to pulse.
     """
     if spec.fits_all_at_once:
-        return conditions.fit_gain * _fitted_sd_m(conditions, pulse, step)
-    # The slow-time window w over steps raises the noise by N sum w^2 / (sum w)^2, ``slow_time_noise``.
-    level = pulse + step / (4 * conditions.half_step**2)
-    return float(conditions.metres_per_radian * np.sqrt(2 * spec.slow_time_noise * level / conditions.pulses))
+        return conditions.fit_gain * _least_squares_sd_m(conditions, pulse_variance, step_variance)
+    # A fit of the windowed steps. A motion changes by 2 sin(pi f / f_prf) = 2 ``half_step`` of its amplitude in a step,
+    # so the noise of a step counts by its square.
+    phase_variance = pulse_variance + step_variance / (4 * conditions.half_step**2)
+    # The slow-time window w raises the noise by N sum w^2 / (sum w)^2, ``slow_time_noise``.
+    return float(conditions.metres_per_radian * np.sqrt(2 * spec.slow_time_noise * phase_variance / conditions.pulses))
 
 
-def _fitted_sd_m(conditions: Conditions, pulse: float, step: float) -> float:
+def _least_squares_sd_m(conditions: Conditions, pulse_variance: float, step_variance: float) -> float:
     """Return the standard deviation of a quadrature, m, fitted to the pulses with a constant by least squares.
 
-    ``pulse``, ``step``: phase variances (rad^2) of a pulse and of a step. The steps' noise adds up to a random walk,
-    which has most power at low frequency; without a window it leaks into both quadratures.
+    ``pulse_variance`` and ``step_variance`` (rad^2): as for ``_quadrature_sd_m``. The steps' noise adds up to a random
+    walk, which has most power at low frequency; without a window it leaks into both quadratures.
     """
-    if step == 0:
-        return float(conditions.metres_per_radian * np.sqrt(2 * pulse / conditions.pulses))
+    if step_variance == 0:
+        return float(conditions.metres_per_radian * np.sqrt(2 * pulse_variance / conditions.pulses))
+    # Weights (quadrature, pulse) of the pulses in the fitted sine and cosine.
     angle = 2 * np.pi * conditions.frequency_hz / conditions.pulse_rate_hz * np.arange(conditions.pulses)
-    rows = np.linalg.pinv(np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1))[:2]
-    # The weight of a step is the sum of the weights of all later pulses.
-    step_weights = np.cumsum(rows[:, :0:-1], axis=1)
-    level = pulse * np.sum(rows**2) / 2 + step * np.sum(step_weights**2) / 2
-    return float(conditions.metres_per_radian * np.sqrt(level))
+    weights = np.linalg.pinv(np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1))[:2]
+    # A step shifts all later pulses, so its weight is the sum of theirs: cumulative from the last pulse to the second.
+    step_weights = np.cumsum(weights[:, :0:-1], axis=1)
+    # Mean of the two quadratures.
+    phase_variance = pulse_variance * np.sum(weights**2) / 2 + step_variance * np.sum(step_weights**2) / 2
+    return float(conditions.metres_per_radian * np.sqrt(phase_variance))
 
 
 def _with_rice_statistics(
     conditions: Conditions, estimator: str, ratio: FloatArray, noise_m: float, relative_variances: tuple[float, ...]
 ) -> EstimatorErrors:
-    """Return bias and jitter of amplitude and phase for amplitudes ``ratio`` (draw,) with noise in both quadratures.
+    """Return bias and jitter of amplitude and phase over speckle and noise in both quadratures.
 
-    ``ratio``: tracked over peak displacement in each draw of speckle. ``noise_m``: standard deviation of a quadrature.
-    The amplitude of a phasor with such noise has a Rice distribution.
+    ``ratio`` (draw,): tracked over peak displacement in each draw of speckle. ``noise_m``: standard deviation of a
+    quadrature. The amplitude of a phasor with such noise has a Rice distribution.
     """
-    # Mean and variance of the amplitude over noise, for each draw of speckle. Double precision: the variance is a
-    # small difference.
+    # Mean and variance of the noisy amplitude in each draw of speckle. Double precision: the variance is a small
+    # difference.
     amplitude_m = np.abs(ratio, dtype=np.float64) * conditions.amplitude_m
     mean_m = _rice_mean(amplitude_m, noise_m)
     variance_m2 = np.maximum(amplitude_m**2 + 2 * noise_m**2 - mean_m**2, 0.0)
@@ -176,7 +190,7 @@ def _with_rice_statistics(
         noise_jitter_m=float(np.sqrt(variance_m2.mean())),
         speckle_jitter_m=float(mean_m.std()),
         phase_jitter_rad=float(np.sqrt(np.mean(phase_rad**2))),
-        tracked=float(ratio.mean()),
+        averaging_factor=float(ratio.mean()),
         relative_variances=relative_variances,
     )
 

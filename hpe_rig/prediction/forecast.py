@@ -99,12 +99,14 @@ def forecast_of(
     estimators: tuple[str, ...] = ESTIMATORS,
     simulated: bool = True,
 ) -> Prediction | None:
-    """Return bias, jitter and aliasing of every estimator at one wanted frequency (default: the first).
+    """Return predicted bias, jitter and aliasing of every estimator at one wanted frequency (default: the first).
 
     ``check``, report and design print this forecast. None without beams or SNR.
     """
-    per_estimator = [conditions_of(scene, shot, frequency_hz, name) for name in estimators]
-    by_estimator = [conditions for conditions in per_estimator if conditions is not None]
+    # Beams and SNR are the same for all estimators: conditions exist for all of them or for none.
+    by_estimator = [
+        conditions for name in estimators if (conditions := conditions_of(scene, shot, frequency_hz, name)) is not None
+    ]
     if not by_estimator:
         return None
     index = scene.wanted_frequencies_hz.index(by_estimator[0].frequency_hz)
@@ -126,39 +128,34 @@ def with_beam_averaging(
 ) -> EstimatorErrors:
     """Return ``errors`` with the bias and speckle jitter of ``averaging``, as in the error budget of a result.
 
-    ``averaging``: effect of averaging the motion over the tracking beam; None leaves ``errors`` unchanged. The values
-    replaced are those of the error model, which assumes a Gaussian motion and has a finite number of draws. The jitter
-    includes the variation of the echoes' mean frequency, for an estimator that divides by the carrier.
+    ``averaging``: effect of averaging the motion over the tracking beam; None leaves ``errors`` unchanged. It replaces
+    the effect in ``errors``, which is that of a Gaussian motion in a finite number of draws. The jitter includes the
+    variation of the echoes' mean frequency, for an estimator that divides by the carrier.
     """
     if averaging is None:
         return errors
     tracked_m = averaging.factor * conditions.amplitude_m
-    # The bias of noise remains; the bias of tracking is replaced.
+    # The bias by noise remains; the bias by averaging is replaced.
     return replace(
         errors,
-        bias_m=errors.bias_m + tracked_m - errors.tracked * conditions.amplitude_m,
+        bias_m=errors.bias_m + tracked_m - errors.averaging_factor * conditions.amplitude_m,
         speckle_jitter_m=tracked_m * math.hypot(averaging.speckle_relative, averaging.carrier_relative),
-        tracked=averaging.factor,
+        averaging_factor=averaging.factor,
     )
 
 
 def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, draws: int = 1000) -> Prediction:
-    """Return bias and jitter of every estimator; seeds are fixed, so equal conditions give equal numbers."""
-    return Prediction(conditions, tuple(_errors(conditions, name, draws) for name in estimators))
+    """Return bias and jitter of every estimator from ``draws`` random draws of speckle.
 
-
-def _errors(conditions: Conditions, estimator: str, draws: int) -> EstimatorErrors:
-    """Return bias and jitter of ``estimator`` under ``conditions``, predicted from ``draws`` random draws of speckle.
-
-    An estimator that reads the phase at a spectral peak gets more draws, by ``PEAK_DRAW_FACTOR``.
+    An estimator that reads the phase at a spectral peak gets more draws, by ``PEAK_DRAW_FACTOR``. Seeds are fixed, so
+    equal conditions give equal numbers.
     """
-    # Speckle does not depend on motion, noise or fit: fixed values of those fields (``fit_gain`` follows in the second
-    # ``replace``) give all estimators the same key in the cache of draws.
-    echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf, trigger_jitter_s=0.0)
-    speckle = seeded_speckle(
-        replace(echoes, fit_gain=1.0), PEAK_DRAW_FACTOR * draws if spec_of(estimator).reads_peak else draws
+    draws_by_estimator = [PEAK_DRAW_FACTOR * draws if spec_of(name).reads_peak else draws for name in estimators]
+    errors = (
+        estimator_errors(conditions, name, seeded_speckle(conditions, count), np.random.default_rng(1))
+        for name, count in zip(estimators, draws_by_estimator, strict=True)
     )
-    return estimator_errors(conditions, estimator, speckle, np.random.default_rng(1))
+    return Prediction(conditions, tuple(errors))
 
 
 def remedies(prediction: Prediction, target_m: float, estimator: str = "coherent") -> tuple[float, float, float]:

@@ -54,29 +54,29 @@ def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatA
     """
     spec = spec_of(estimator or scene.processing.estimator)
     if spec.fits_all_at_once:
-        return np.asarray(np.sqrt(np.mean(np.sum(fit_weights(scene, shot, spec)[0] ** 2, axis=-1), axis=-1)))
+        return np.asarray(np.sqrt(np.mean(np.sum(fit_weights(scene, shot, spec) ** 2, axis=-1), axis=-1)))
     # Raises if the pulses do not resolve the frequencies.
     shot_model(scene, shot, False)
     pulses = select(scene, shot)
     return np.full(pulses.wanted_hz.size, math.sqrt(2 * spec.slow_time_noise / pulses.used.sum()))
 
 
-def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
+def larger_quadrature(scene: Scene, shot: Shot) -> FloatArray:
     """Return the noise of the larger principal quadrature over the rms of both, (frequency,).
 
     It is 1 if all phases are equally certain, up to sqrt(2) if skipped pulses leave one of the two uncertain.
     """
-    spec = spec_of(estimator or scene.processing.estimator)
+    spec = spec_of(scene.processing.estimator)
     if not spec.fits_all_at_once:
         return np.ones(select(scene, shot).wanted_hz.size)
-    weights = fit_weights(scene, shot, spec)[0]
+    weights = fit_weights(scene, shot, spec)
     # Eigenvalues of the 2 x 2 covariance of the quadratures are the principal variances.
     variance = np.linalg.eigvalsh(weights @ np.swapaxes(weights, -1, -2))
     return np.asarray(np.sqrt(variance[:, 1] / variance.mean(axis=-1)))
 
 
-def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArray, FloatArray]:
-    """Return the weights (frequency, 2, pulse) of the pulses in the fitted quadratures, and their times (pulse,), s.
+def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> FloatArray:
+    """Return the weights (frequency, quadrature, pulse) of the used pulses in the fitted quadratures.
 
     They are those of the later fit, with the prior of media or by least squares, at the pulses that it will use.
     """
@@ -84,19 +84,19 @@ def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArr
     prior = shot_prior(scene, shot, spec.name, beam_widths(scene, spec.name))
     if prior is not None:
         weights = _prior_weights(scene, shot, spec, prior)
-        return weights.reshape(pulses.wanted_hz.size, 2, -1), pulses.time_s[pulses.used]
-    time_s, model = shot_model(scene, shot)
-    # Least squares: (H'H)^-1 H', with the inverse as root root'.
-    rows = (model.root @ model.root.T)[: 2 * pulses.wanted_hz.size] @ model.matrix.T
-    return rows.reshape(pulses.wanted_hz.size, 2, -1), time_s
+    else:
+        _, model = shot_model(scene, shot)
+        # Least squares: (H'H)^-1 H', with the inverse as root root'. The wanted harmonics are the first rows.
+        weights = (model.root @ model.root.T)[: 2 * pulses.wanted_hz.size] @ model.matrix.T
+    return weights.reshape(pulses.wanted_hz.size, 2, -1)
 
 
 def fit_noise_free(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatArray) -> ComplexArray:
     """Return the fitted A exp(j phase) (frequency,), m, of a noise-free displacement at every pulse of the window."""
     pulses = select(scene, shot)
     if spec.fits_all_at_once:
-        states = fit_weights(scene, shot, spec)[0] @ displacement_m[pulses.used]
-        return np.asarray(states @ np.array([1, 1j]))
+        quadratures_m = fit_weights(scene, shot, spec) @ displacement_m[pulses.used]
+        return np.asarray(quadratures_m @ np.array([1, 1j]))
     # The pulses' variance scales the uncertainty only; its value does not matter.
     motion = Motion(
         time_s=pulses.time_s,
@@ -111,18 +111,20 @@ def fit_noise_free(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m
 def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumPrior) -> FloatArray:
     """Return the weights (2 * frequency, pulse) of the pulses in the quadratures of a fit with the prior of media.
 
-    The scale of the motion and the noise, which the fit would estimate, are those that the scene expects.
+    The fit estimates the noise of a pulse and the amplitude of the motion; the weights are those for the values that
+    the scene expects.
     """
     pulses = select(scene, shot)
     projected = project_prior(prior, pulses.time_s, pulses.used, pulses.wanted_hz, scene.processing.background_order)
-    unit_m = math.sqrt(float(np.mean(np.sum(projected.member_states[:, :2] ** 2, axis=1))))
+    # Rms amplitude of the prior's media at the first wanted frequency, in the unit of the prior.
+    prior_amplitude = math.sqrt(float(np.mean(np.sum(projected.member_states[:, :2] ** 2, axis=1))))
     noise_m = math.hypot(echo_noise_m(scene, spec), trigger_noise_m(scene))
-    # The evidence does not distinguish scales below the noise of the fit.
+    # The fit does not distinguish amplitudes below its noise.
     min_amplitude_m = noise_m * math.sqrt(2 / len(projected.patterns))
     amplitude_m = max(expected_amplitude_m(scene, float(pulses.wanted_hz[0]), shot), min_amplitude_m)
-    scale2 = (PRIOR_WIDENING * amplitude_m / unit_m) ** 2
-    # Wiener gain of each pattern of displacement.
-    gain = scale2 * projected.pattern_sd / (noise_m**2 + scale2 * projected.pattern_sd**2)
+    prior_variance_m2 = (PRIOR_WIDENING * amplitude_m / prior_amplitude) ** 2
+    # Wiener gain of each pattern of displacement: its signal over signal plus noise variance.
+    gain = prior_variance_m2 * projected.pattern_sd / (noise_m**2 + prior_variance_m2 * projected.pattern_sd**2)
     return np.asarray((projected.wanted_per_pattern * gain) @ projected.patterns.T)
 
 

@@ -128,9 +128,9 @@ def focal_motion(
 
 
 def gaussian_motion_width_m(scene: Scene, frequency_hz: float) -> tuple[float, float, float]:
-    """Return the widths (sigmas) of the Gaussian motion that is averaged by the beam like that at ``frequency_hz``.
+    """Return the sigmas (x, y, z), m, of a Gaussian motion with the same beam averaging as the scene's motion.
 
-    Its ratio of tracked to peak displacement is that of the motion at ``frequency_hz``. The error model needs it,
+    Both have the same ratio of tracked to peak displacement at ``frequency_hz``. The error model needs the Gaussian,
     because it knows speckle for Gaussian motions only. In an unknown medium: the widths of the force.
     """
     assert scene.beams is not None  # noqa: S101 (callers check)

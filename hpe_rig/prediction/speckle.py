@@ -79,23 +79,28 @@ def draw_speckle(
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
 
 
-@functools.lru_cache(maxsize=4)
 def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacement | None = None) -> Speckle:
     """Return echo envelopes as ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene.
 
     Conditions with equal echoes share the same scatterers for any displacement, and a larger number of draws begins
     with the same ones. Draws are cached unless they are too many.
     """
-    # Only the fields that scatterers depend on remain in the key of the cached blocks.
-    echoes = replace(conditions, excitation_width_m=(0.0, 0.0, 0.0), pulses=1, frequency_hz=0.0, amplitude_m=0.0)
-    echoes = replace(echoes, snr=np.inf, trigger_jitter_s=0.0, fit_gain=1.0)
+    # Speckle does not depend on noise, fit, and the time course of the motion: fixed values give equal cache keys.
+    echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf)
+    return _cached_speckle(replace(echoes, trigger_jitter_s=0.0, fit_gain=1.0), draws, displacement)
+
+
+@functools.lru_cache(maxsize=4)
+def _cached_speckle(echoes: Conditions, draws: int, displacement: Displacement | None) -> Speckle:
+    """Return the result of ``seeded_speckle`` for ``echoes``, conditions without motion and noise."""
+    depth_m, _ = _cells(echoes)
     # Large draws would fill the memory: they are repeated instead.
-    depth_m = _cells(conditions)[0]
-    is_small = draws * _mean_scatterers(conditions, depth_m) < MAX_CACHED_SCATTERERS
+    is_small = draws * _mean_scatterers(echoes, depth_m) < MAX_CACHED_SCATTERERS
     draw = _seeded_block if is_small else _seeded_block.__wrapped__
-    blocks = (draw(echoes, number, size) for number, size in enumerate(_block_sizes(draws)))
-    scattering = _scattering(blocks, conditions, depth_m, displacement)
-    return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+    # Scatterers do not depend on the force either.
+    scatterers = replace(echoes, excitation_width_m=(0.0, 0.0, 0.0))
+    blocks = (draw(scatterers, number, size) for number, size in enumerate(_block_sizes(draws)))
+    return _scattering(blocks, echoes, depth_m, displacement).speckle(echoes.gate_length_m, echoes.pulse_length_m)
 
 
 def draw_scattering(
@@ -215,8 +220,8 @@ def instant_s(conditions: Conditions) -> float:
 def to_band(conditions: Conditions, bins: int, window: FloatArray | float = 1.0) -> ComplexArray:
     """Return the matrix (instant, bin) from envelopes to their spectrum in the transmitted band.
 
-    The envelopes are multiplied by ``window``; the whole spectrum would have ``bins``. The band has a sixth of them:
-    the product takes a third of the time of a full Fourier transform.
+    The envelopes are multiplied by ``window``. The spectrum is that of a Fourier transform with ``bins`` bins; only
+    those in the band are kept, a sixth, which takes a third of the time of the full transform.
     """
     frequency_hz = np.fft.fftfreq(bins, instant_s(conditions))
     band_hz = frequency_hz[np.abs(frequency_hz) <= conditions.carrier_hz * BAND_OVER_CARRIER / 2]

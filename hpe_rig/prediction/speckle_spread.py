@@ -29,20 +29,20 @@ def tracked_region_spread(scene: Scene, estimator: str) -> tuple[float, float, f
 def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
     """Return the standard deviations over speckle of the tracked region: relative area, lateral and axial centre, m.
 
-    The ratio of tracked to peak displacement is linear in the displacement. For the displacements (x^2 + y^2) / 2, x
-    and z it is the area and the centre that the echoes weight.
+    ``resting``: beams and gate. The tracked displacement is a mean of the displacement, weighted by the echoes. A
+    displacement equal to the position x therefore gives the region's centre along x, and (x^2 + y^2) / 2 its area.
     """
 
     def statistics(displacement: Displacement) -> tuple[float, float]:
-        """Return mean and standard deviation over speckle of the tracked ``displacement``."""
+        """Return mean and standard deviation over speckle of the tracked ``displacement``, a function of position."""
         ratio = tracked_over_peak(resting, estimator, seeded_speckle(resting, SPECKLE_DRAWS, displacement))
         return float(ratio.mean()), float(ratio.std())
 
     # In units of the beam width, single precision loses no digits.
     unit_m = resting.tracking_width_m[0]
-    mean_area, area = statistics(lambda position_m: np.square(position_m[:2] / unit_m).sum(axis=0) / 2)
-    lateral, axial = (statistics(functools.partial(_coordinate, axis, unit_m))[1] for axis in (0, 2))
-    return area / mean_area, unit_m * lateral, unit_m * axial
+    mean_area, area_sd = statistics(lambda position_m: np.square(position_m[:2] / unit_m).sum(axis=0) / 2)
+    lateral_sd, axial_sd = (statistics(functools.partial(_coordinate, axis, unit_m))[1] for axis in (0, 2))
+    return area_sd / mean_area, unit_m * lateral_sd, unit_m * axial_sd
 
 
 def _coordinate(axis: int, unit_m: float, position_m: SingleArray) -> SingleArray:
@@ -53,12 +53,12 @@ def _coordinate(axis: int, unit_m: float, position_m: SingleArray) -> SingleArra
 def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
     """Return relative standard deviations over speckle of the tracked displacement and of the echo's mean frequency.
 
-    The first, for a Gaussian motion with the widths of ``resting``, is from random draws: speckle's dark spots give it
-    a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). The second has a closed form and is 0 for an
-    estimator that does not divide by the carrier.
+    ``resting``: beams and gate. The first is from random draws for a Gaussian motion with the widths of the force:
+    speckle's dark spots give it a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). The second has a
+    closed form; it is 0 unless the estimator divides the phase by the carrier instead of the echo's own frequency.
     """
     spec = spec_of(estimator)
-    # Division by the carrier changes neither echo nor motion: draw as for division by the echo's own frequency.
+    # The first excludes the second: an estimator that divides by the carrier is drawn as one that does not.
     ratio_estimator = REFERENCE_ESTIMATOR if spec.by_carrier else estimator
     ratio = tracked_over_peak(resting, ratio_estimator, seeded_speckle(resting, SPECKLE_DRAWS))
     gate = TrackingGate(
@@ -67,5 +67,5 @@ def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
         pulse_length_m=resting.pulse_length_m,
         hann_window=spec.gate_window == "hann",
     )
-    carrier = gate.carrier_spread(1 / resting.metres_per_radian) if spec.by_carrier else 0.0
-    return float(ratio.std() / ratio.mean()), carrier
+    frequency_sd = gate.carrier_spread(1 / resting.metres_per_radian) if spec.by_carrier else 0.0
+    return float(ratio.std() / ratio.mean()), frequency_sd

@@ -67,7 +67,7 @@ def averaging_text(scene: Scene) -> Iterator[str]:
     medium = "in the declared medium"
     if scene.medium is None:
         uncertainty = max(averaging.factor_uncertainty for averaging in averagings)
-        medium = f"on average over soft media (±{uncertainty:.2g} between media)".replace("±", "+-")
+        medium = f"on average over soft media (+-{uncertainty:.2g} between media)"
     yield (
         f"beam averaging: {lowest} of the peak is tracked at the lowest frequency, {highest} at the highest, {medium}; "
         f"{gaussian:.3f} for the Gaussian motion of eq. (12)"

@@ -24,10 +24,9 @@ from hpe_rig.scene import Scene
 
 
 def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[float, float, FloatArray]:
-    """Return the clocks' accuracy, u of their rate error after the fit, and the u that it adds to the phases.
+    """Return the relative uncertainty of the clocks' rate before and after the fit, and its effect on the phases.
 
-    The first two are relative and are the prior and the posterior standard deviation of the rate error. The third, rad
-    (frequency,), is for the wanted frequencies and includes the rate error alone.
+    The effect, rad (frequency,), is the standard uncertainty of the phase of each wanted harmonic by the rate alone.
     """
     prior_u = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
     pulses = select(scene, shot)
@@ -36,10 +35,12 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
     noise_m = math.hypot(echo_noise_m(scene, spec_of("coherent")), trigger_noise_m(scene, bench.simulated))
     posterior_u = prior_u
     if prior_u and noise_m and time_s.size:
+        # A rate error e turns the phase of a harmonic by 2 pi f e t: its Fisher information is inverse to the noise.
         amplitude_m = np.array([expected_amplitude_m(scene, float(hz), shot) for hz in wanted_hz])
         slope_m_per_s = 2 * np.pi * wanted_hz * amplitude_m
         information = float(slope_m_per_s @ slope_m_per_s) * time_s.size * float(np.var(time_s)) / (2 * noise_m**2)
         posterior_u = 1 / math.sqrt(1 / prior_u**2 + information)
+    # The phase is stated at time zero, the rate acts about the mean time of the pulses.
     mean_s = float(time_s.mean()) if time_s.size else 0.0
     return prior_u, posterior_u, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * posterior_u)
 
