@@ -93,7 +93,8 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
     quantiles = np.array([amplitude_quantile(larger) for larger in larger_quadratures.tolist()])
     worst = int(np.argmax(noise_gains * quantiles))
     gain = float(noise_gains[worst])
-    noise_m, relative_variances = echo_noise_m(scene, spec) * gain, (1.0,)
+    noise_m = echo_noise_m(scene, spec) * gain
+    relative_variances: tuple[float, ...] = (1.0,)
     conditions = conditions_of(scene, shot, scene.wanted_frequencies_hz[worst] if scene.wanted_frequencies_hz else None)
     if conditions is not None:
         at_rest = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
