@@ -1,8 +1,10 @@
-"""History of a run over its shots: amplitudes of the complete ones, remaining time and warnings."""
+"""History of a run over its shots: amplitudes of the complete ones, means over repeats, remaining time, warnings."""
 
 from __future__ import annotations
 
+import math
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from typing import final
 
@@ -12,12 +14,13 @@ from hpe_rig.live.state import State, harmonic_state
 from hpe_rig.plan import Shot, off_axis_offsets_m, phase_reference_of, scene_of_shot
 from hpe_rig.prediction import beam_widths, predicted_averaging
 from hpe_rig.processing import HarmonicFit, error_sources_of, estimates_of, shot_averaging, shot_fit
-from hpe_rig.result import Estimate
+from hpe_rig.result import Estimate, ShotResult, repeat_means
 from hpe_rig.runs import Run
 
 MAX_SHOTS = 2_000
 """Shots with amplitudes in the state; a screen resolves no more."""
 MAX_HARMONICS = 6
+Setting = tuple[float | None, ...]
 UPDATE_TIME_S, FINAL_UPDATE_TIME_S = 0.25, 3.0
 """Time for estimates in one state, during and after the run; further complete shots wait for the next state."""
 
@@ -42,6 +45,7 @@ class ShotHistory:
     def __init__(self) -> None:
         self._next = 0
         self._states: list[State] = []
+        self._results = defaultdict[Setting, list[ShotResult]](list)
 
     def advance(self, run: Run) -> int:
         """Estimate newly completed shots for the time of one state; return the number that remain."""
@@ -63,16 +67,35 @@ class ShotHistory:
         except ValueError:
             # A shot without an estimate leaves a gap in the curve.
             return
-        harmonics = harmonic_state(estimates_with_sources(run, shot, fit, estimator))[:MAX_HARMONICS]
+        estimates = estimates_with_sources(run, shot, fit, estimator)
+        result = _shot_result(shot, estimates, run.stored.untrusted.get(shot.index, ""))
+        self._results[_setting(shot)].append(result)
+        harmonics = harmonic_state(estimates)[:MAX_HARMONICS]
         self._states.append(
             {"shot": shot.index + 1, **{key: [item[key] for item in harmonics] for key in ("hz", "nm", "u_nm")}}
         )
         self._states = self._states[-MAX_SHOTS:]
 
+    def means(self, shot: Shot) -> State:
+        """Return the means over the complete shots with the settings of ``shot``, as in a result; empty below two."""
+        means = repeat_means(self._results[_setting(shot)])
+        return {"means": harmonic_state(means), "mean_of": len(means[0].shots)} if means else {}
+
     @property
     def state(self) -> list[State]:
         """Shot number, frequencies, amplitudes in nm and their standard uncertainties, of the first harmonics."""
         return self._states
+
+
+def _setting(shot: Shot) -> Setting:
+    """Return the settings that the repeats of a shot have in common."""
+    offsets_m = shot.lateral_offset_m, shot.axial_offset_m
+    return shot.timeline.burst_length_s, shot.force_fraction, shot.tracking_train.rate_hz, *offsets_m
+
+
+def _shot_result(shot: Shot, estimates: tuple[Estimate, ...], untrusted: str) -> ShotResult:
+    """Return the fields of the shot's result that its mean over repeats depends on; pulses are not counted."""
+    return ShotResult(shot.index, shot.repeat, None, None, 0, 0, math.nan, estimates, warnings=(), untrusted=untrusted)
 
 
 @final

@@ -134,6 +134,7 @@ class RunSource:
             | measured
             | {
                 "over_shots": self._shots.state,
+                **self._shots.means(plan.shots[self._shot]),
                 "shots_pending": self._pending,
                 "warning": warnings[-1] if warnings else "",
             }

@@ -11,7 +11,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.report import EchoView, MotionView, grey_limit_v
-from hpe_rig.result import Estimate
+from hpe_rig.result import Estimate, RepeatMean
 
 State = dict[str, Any]
 
@@ -59,7 +59,7 @@ def motion_state(view: MotionView) -> State:
     }
 
 
-def harmonic_state(estimates: Sequence[Estimate]) -> list[State]:
+def harmonic_state(estimates: Sequence[Estimate | RepeatMean]) -> list[State]:
     """Return amplitude in nm and phase in degrees of every harmonic, with the standard uncertainties of a result."""
     return [
         {

@@ -28,6 +28,7 @@ from .repeats import (
     INDEPENDENT_SOURCES as INDEPENDENT_SOURCES,
     REPEAT_SETTINGS as REPEAT_SETTINGS,
     RepeatMean as RepeatMean,
+    repeat_means as repeat_means,
 )
 from .result import Result as Result
 from .result_data import json_values as json_values, shot_warnings as shot_warnings

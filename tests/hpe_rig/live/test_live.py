@@ -280,7 +280,7 @@ def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
     assert source.poll() is None
 
 
-def test_a_page_has_not_ended_before_every_complete_shot_is_estimated(
+def test_a_page_has_not_ended_before_every_complete_shot_is_estimated_and_leads_with_their_mean(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = load_scene("table-1").with_({"acquisition.repeats": 3, "tracking.pulse_count": 20})
@@ -300,6 +300,15 @@ def test_a_page_has_not_ended_before_every_complete_shot_is_estimated(
     assert pending[0] > 0
     assert pending[-1] == 0
     assert [len(state["over_shots"]) + state["shots_pending"] for state in states] == [3] * len(states)
+    # A mean needs two shots.
+    assert ["means" in state for state in states] == [len(state["over_shots"]) > 1 for state in states]
+    (mean,), (harmonic,) = process(path).means, states[-1]["means"]
+    assert (states[-1]["mean_of"], harmonic["hz"]) == (3, mean.frequency_hz)
+    assert harmonic["nm"] == pytest.approx(mean.headline.amplitude_m * 1e9, rel=1e-5)
+    # The page has no ends of the gate in u, 1e-4 of the amplitude.
+    assert harmonic["u_nm"] == pytest.approx(mean.headline.amplitude_uncertainty_m * 1e9, rel=1e-3)
+    assert harmonic["deg"] == pytest.approx(math.degrees(mean.headline.phase_rad), rel=1e-5)
+    assert states[-1]["harmonics"][0]["nm"] != harmonic["nm"]
 
 
 def post(address: str, path: str) -> int:
