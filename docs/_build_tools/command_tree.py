@@ -1,12 +1,9 @@
-"""Write docs/reference/command-tree.md: commands of the simulated generators, their arguments and tested examples.
-
-Usage: python docs/_build_tools/command_tree.py
+"""Page of the commands of the simulated generators, their arguments and tested examples.
 
 The commands come from the table of the twin. The examples come from tests/sim_backend/generator/command_examples.py;
 a test sends each of them to every model that has the command.
 """
 
-import argparse
 import runpy
 from pathlib import Path
 from typing import Any
@@ -14,13 +11,11 @@ from typing import Any
 from sim_backend.generator import MODELS, tree_of
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "reference" / "command-tree.md"
 EXAMPLES = ROOT / "tests" / "sim_backend" / "generator" / "command_examples.py"
 HEAD = """\
 # Commands of the simulated generators
 
 The commands of the simulated generators with their arguments and queries, for programs other than hpe_rig.
-`python docs/_build_tools/command_tree.py` writes this page from the command table of the twin; a test compares the two.
 
 * **Spelling.** A node in brackets may be omitted. Every node has a long form and a short one, its capitals; case does
   not matter. `<n>` is the number of a channel, 1 or 2, on the 33500B and the 33600A only.
@@ -67,9 +62,3 @@ def page() -> str:
         lines += [row(form, example) for form, example in group.items()]
         lines.append("")
     return "\n".join(lines).rstrip() + "\n"
-
-
-if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    PAGE.write_text(page(), encoding="utf-8")
-    print(f"{PAGE.relative_to(ROOT)} written")

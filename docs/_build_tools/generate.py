@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import command_tree
 import messages
 
 from hpe_rig.scene.description import DescribedKey
@@ -128,6 +129,7 @@ def pages() -> dict[str, str]:
         "api.md": api_page(),
         "packages.md": packages_page(),
         "messages.md": messages.markdown(),
+        "command-tree.md": command_tree.page(),
     }
 
 
@@ -218,26 +220,11 @@ def _flattened(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, 
 
 def commands_page() -> str:
     """Return the page with the help of every command."""
-    lines = ["# Commands", "", "`hpe-rig COMMAND --help` prints the same.", ""]
+    exit_codes = "[Exit codes](../../how-to/troubleshooting.md#exit-codes)"
+    lines = ["# Commands", "", f"`hpe-rig COMMAND --help` prints the same. {exit_codes}.", ""]
     for words in command_names():
         lines += [f"## hpe-rig {' '.join(words)}".rstrip(), "", "```text", _help(words), "```", ""]
-    lines += EXIT_CODES.splitlines()
     return "\n".join(lines) + "\n"
-
-
-EXIT_CODES = """## Exit codes
-
-| code | meaning |
-|---:|---|
-| 0 | success |
-| 1 | an instrument failed |
-| 2 | a mistake in a scene, a file or an option |
-| 3 | an output may still be on |
-| 4 | `verify`: the file is damaged |
-| 5 | `verify`: the file holds no checksums |
-| 70 | an error in the program |
-| 130 | interrupted by Ctrl-C; 128 plus the number for any other signal |
-"""
 
 
 def command_names() -> list[tuple[str, ...]]:

@@ -393,11 +393,11 @@ def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> Non
     assert grown < 4e6
 
 
-def test_the_page_of_commands_matches_the_table() -> None:
-    root = Path(__file__).parents[3]
-    page = runpy.run_path(str(root / "docs" / "_build_tools" / "command_tree.py"))["page"]()
-    written = (root / "docs" / "reference" / "command-tree.md").read_text(encoding="utf-8")
-    assert written == page, "run python docs/_build_tools/command_tree.py"
+def test_the_page_of_commands_has_a_row_for_every_command() -> None:
+    tool = Path(__file__).parents[3] / "docs" / "_build_tools" / "command_tree.py"
+    page = runpy.run_path(str(tool))["page"]()
+    rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert sorted(rows) == sorted(set().union(*map(tree_of, MODELS.values())))
 
 
 # Fuzzing: every header with every kind of argument
