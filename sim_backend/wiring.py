@@ -216,7 +216,7 @@ def accepted(trigger_ps: Int64Array, busy_ps: int, limit: int | None = None) -> 
 
 
 def cables_of(wiring: Sequence[Plug], sources: Sequence[str], targets: Sequence[str]) -> tuple[Cable, ...]:
-    """Return the cables of ``wiring``, a list of (source, target, delay).
+    """Return the cables of ``wiring``, a list of (source, target, delay) or (source, target, delay, inverted).
 
     Raises ``ValueError`` for an unknown end or a negative delay.
     """
@@ -229,6 +229,7 @@ def cables_of(wiring: Sequence[Plug], sources: Sequence[str], targets: Sequence[
             raise ValueError(
                 f"wiring: {source} -> {target} has a delay of {delay_s} s; a cable cannot be faster than instantaneous"
             )
+    # ``inverted`` is an empty list where it is not stated.
     return tuple(Cable(source, target, to_ps(delay_s), *inverted) for source, target, delay_s, *inverted in wiring)
 
 

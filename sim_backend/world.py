@@ -104,25 +104,26 @@ class GeneratorConnection:
 
 
 def _generator(
-    clock: SimulatedClock, instruments: Instruments, model: str, role: str, stated: str | None
+    clock: SimulatedClock, instruments: Instruments, model: str, role: str, identity: str | None
 ) -> Generator33250A:
-    """Return the twin's generator of ``role``, of ``model``.
+    """Return the simulated generator of ``role``, such as "toneburst", of ``model``.
 
-    With ``instruments.serial_numbers`` each generator is unique: by its serial number, or, as a 33250A reports none, by
-    the name of its stored state 4. ``stated`` is that number or name; default: the twin's.
+    With ``instruments.serial_numbers`` a program can tell equal generators apart: by the serial number, or on a 33250A,
+    which reports none, by the name that the user gave to stored state 4. ``identity`` is this number or name; default:
+    one made from the role.
     """
     number = 1 + GENERATORS.index(role)
-    serial = (stated or f"MY4400000{number}") if instruments.serial_numbers else "0"
+    serial = (identity or f"MY4400000{number}") if instruments.serial_numbers else "0"
     clock_error: float = getattr(instruments.clock_error, role)
     generator = Generator33250A(clock, instruments.generator_latency_s, with_serial(MODELS[model], serial), clock_error)
     # A clock without an error is locked to the reference of the bench.
     generator.status.has_external_reference = clock_error == 0
     if instruments.serial_numbers:
         generator.states.rename(("4", f"SIM_BOX_{number}"))
-        if stated is not None:
-            # A text that is no name of a state cannot be the label of a 33250A: the twin keeps its label.
+        if identity is not None:
+            # A serial number may be no valid name of a state; then the name above stays.
             with suppress(ScpiError):
-                generator.states.rename(("4", stated))
+                generator.states.rename(("4", identity))
     return generator
 
 
@@ -130,13 +131,13 @@ class Silence:
     """Acoustics of a bench with its amplifier off: no motion, no echo, no noise."""
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
-        """Return zeros (record, sample)."""
+        """Return the voltage of records without echoes and noise: zeros (record, sample)."""
         return np.zeros((capture.first_sample_ps.size, capture.samples))
 
     def focus_displacement_m(
         self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
     ) -> FloatArray:
-        """Return zeros (time,)."""
+        """Return the displacement of a specimen that nothing pushes: zeros (time,)."""
         return np.zeros(time_ps.shape)
 
 
@@ -205,9 +206,10 @@ class World:
         self._past: deque[CaptureSnapshot] = deque(maxlen=MAX_CAPTURES - 1)
 
     def connect(self, role: str, over_serial: bool = False) -> GeneratorConnection:
-        """Return a text connection to the generator of ``role``; raise ``ValueError`` for an unknown role."""
+        """Return a text connection to the generator at the address of ``role``; raise ``ValueError`` for others."""
         if role not in self._generators:
             raise ValueError(f"no generator {role!r} on the simulated bench; it has {', '.join(GENERATORS)}")
+        # Addresses may be swapped: then the generator that is wired for another role answers.
         generator = self._generators[self._boxes.get(role, role)]
         return GeneratorConnection(generator, self.clock, self._settings.instruments.message_time_s, over_serial)
 
@@ -241,9 +243,10 @@ class World:
         return complete_records >= self.board.armings[-1].settings.record_count
 
     def emissions(self) -> tuple[Bursts, Bursts, dict[str, int]]:
-        """Return tonebursts and tracking pulses at the transducer, and the ignored triggers by role.
+        """Return tonebursts and tracking pulses at the transducer, and the number of ignored triggers by role.
 
-        They start at the last arming with every output off, and include trains that are triggered and not over.
+        They include everything since the generators' outputs were last all off when a capture was armed, and the future
+        bursts of trains that have been triggered.
         """
         evaluation = self._evaluate(self.clock.now_ps)
         ignored = {role: emission.ignored for role, emission in evaluation.emissions.items()}

@@ -69,12 +69,13 @@ _MAX_STORED_PULSES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class _ScattererView:
-    """Scatterers as one pulse and beam detect them."""
+class _ScattererEchoes:
+    """Echo of every scatterer, at rest, for one pulse and beam."""
 
     pulse: Pulse
+    """Echo of a scatterer of weight 1 at the focus."""
     weight: FloatArray
-    """(scatterer,)"""
+    """(scatterer,), strength of its echo."""
     response: ComplexArray | None = None
     """(frequency, scatterer), relative response of the beam at each frequency; None: 1."""
     delay_ratio: FloatArray | None = None
@@ -104,10 +105,10 @@ class _EchoTrain:
     """(scatterer,)"""
     delays: EchoDelays
     """An echo for each burst."""
-    early_ps: int
-    """Earliest beginning of an echo after the onset of its burst."""
-    late_ps: int
-    """Latest end."""
+    start_ps: int
+    """Earliest start of an echo after the onset of its burst."""
+    end_ps: int
+    """Latest end of an echo after the onset of its burst."""
 
 
 class Acoustics:
@@ -133,16 +134,15 @@ class Acoustics:
         self._field = draw_field(scatterers, settings.beams, rng, lateral_offset_m, self._box_rng)
         self._noise = RecordNoise(settings.receiver, RecordStream(settings.seed, _NOISE_STREAM))
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
-        self._aperture_views: dict[Pulse, _ScattererView] = {}
+        self._aperture_echoes: dict[Pulse, _ScattererEchoes] = {}
         # For each pulse the echoes of the latest records, if they were few, with the numbers that define them.
         self._stored_echoes: dict[Pulse, tuple[tuple[FloatArray, FloatArray, Int64Array], FloatArray]] = {}
         # The gain gives the echoes of the reference pulse the signal-to-noise ratio that the settings state.
         reference_pulse = echo_pulse(settings, settings.receiver.reference_carrier_hz)
-        reference = self._view(reference_pulse, self._field.tracking_weight)
+        reference = self._scatterer_echoes(reference_pulse, self._field.tracking_weight)
         self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.response)
         self._focus_motion = _focus_motion(settings, push_travel_s)
         self._medium = _medium_motion(settings, self._field, push_travel_s, lateral_offset_m)
-        self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
         self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
@@ -187,8 +187,8 @@ class Acoustics:
         for carrier_hz in sorted(set(pulses.carrier_hz.tolist())):
             selected = pulses.carrier_hz == carrier_hz
             passage = self._passage(pulses.onset_ps[selected], capture)
-            view = self._view(echo_pulse(self._settings, carrier_hz), self._field.tracking_weight)
-            self._add_echoes(volts, capture, view, passage, strength_v[selected], tonebursts)
+            scatterers = self._scatterer_echoes(echo_pulse(self._settings, carrier_hz), self._field.tracking_weight)
+            self._add_echoes(volts, capture, scatterers, passage, strength_v[selected], tonebursts)
 
     def _add_toneburst_echoes(self, volts: NoiseSource, tonebursts: Bursts, capture: Capture) -> None:
         """Add the echoes of the tonebursts to the records that ``volts`` returns.
@@ -203,21 +203,22 @@ class Acoustics:
             pulse = attenuated_to_focus(self._settings, rectangular_burst(*carrier_and_length))
             # A separate pushing transducer changes only the time of the echoes.
             passage = self._passage(bursts.onset_ps[selected] + to_ps(self._push_delay_s), capture)
-            view = self._view(pulse, self._field.excitation_weight, of_push=True)
-            self._add_echoes(volts, capture, view, passage, strength_v[selected], tonebursts)
+            scatterers = self._scatterer_echoes(pulse, self._field.excitation_weight, of_push=True)
+            self._add_echoes(volts, capture, scatterers, passage, strength_v[selected], tonebursts)
 
-    def _view(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> _ScattererView:
-        """Return the weight of every scatterer's echo for ``pulse``, in a Gaussian beam or in the settings' aperture.
+    def _scatterer_echoes(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> _ScattererEchoes:
+        """Return the echo of every scatterer for ``pulse``, in the beam of the settings.
 
-        ``gaussian_weight`` (scatterer,): weights in the Gaussian beam. ``of_push``: the beam is that of the tonebursts.
+        A Gaussian beam only weakens it, by ``gaussian_weight`` (scatterer,). A computed or measured beam has a response
+        at each frequency of the pulse, which is cached. ``of_push``: the beam is that of the tonebursts.
         """
         if self._settings.beams.field == "gaussian":
-            return _ScattererView(pulse, gaussian_weight)
-        if pulse not in self._aperture_views:
+            return _ScattererEchoes(pulse, gaussian_weight)
+        if pulse not in self._aperture_echoes:
             beam = beam_response(self._settings, self._field.offset_m, pulse, of_push)
             weight = beam.weight * self._field.reflectivity
-            self._aperture_views[pulse] = _ScattererView(pulse, weight, beam.response, beam.delay_ratio)
-        return self._aperture_views[pulse]
+            self._aperture_echoes[pulse] = _ScattererEchoes(pulse, weight, beam.response, beam.delay_ratio)
+        return self._aperture_echoes[pulse]
 
     def _add_leak(self, volts: FloatArray, tonebursts: Bursts, capture: Capture) -> None:
         """Add the leak of the tonebursts to the records during which they are transmitted."""
@@ -240,15 +241,17 @@ class Acoustics:
         The result includes the delay of their echoes by the specimen's background motion.
         """
         time_ps = onset_ps + to_ps(self._travel_s)
-        if self._background_m is None:
+        background, sound_speed_m_per_s = self._settings.background, self._settings.sound_speed_m_per_s
+        if not background:
             return _FocusPassage(onset_ps, time_ps, None)
+        from sim_backend.motion import background_at
+
         # The background moves the specimen, so that a burst reaches the focus some us later or earlier. One correction
         # suffices: the background is slow, and in these us moves by far less than the sound does in a sample period.
-        moved_m = self._background_m(time_ps - capture.origin_ps)
-        later_s = moved_m / self._settings.sound_speed_m_per_s
+        later_s = background_at(background, time_ps - capture.origin_ps) / sound_speed_m_per_s
         time_ps = time_ps + np.rint(later_s * PS_PER_S).astype(np.int64)
-        moved_m = self._background_m(time_ps - capture.origin_ps)
-        return _FocusPassage(onset_ps, time_ps, moved_m * (2 / self._settings.sound_speed_m_per_s))
+        moved_m = background_at(background, time_ps - capture.origin_ps)
+        return _FocusPassage(onset_ps, time_ps, moved_m * (2 / sound_speed_m_per_s))
 
     def _motion_amplitudes_m(self, tonebursts: Bursts, passage_ps: Int64Array, capture: Capture) -> FloatArray:
         """Return the amplitude of each spatial shape of the motion when bursts pass the focus, m (burst, shape).
@@ -265,21 +268,21 @@ class Acoustics:
         self,
         volts: NoiseSource,
         capture: Capture,
-        view: _ScattererView,
+        scatterers: _ScattererEchoes,
         passage: _FocusPassage,
         strength_v: FloatArray,
         tonebursts: Bursts,
     ) -> None:
-        """Add the echoes of equal bursts to the records that ``volts`` returns.
+        """Add the echoes of a train of equal bursts to the records that ``volts`` returns.
 
-        ``view``: weights of the scatterers. ``passage`` and ``strength_v`` (burst,): times at the focus, and amplitudes
-        of the echoes. ``tonebursts`` move the specimen.
+        ``scatterers``: echo of every scatterer at rest. ``passage``: when the bursts pass the focus. ``strength_v``
+        (burst,): volts of a scatterer of weight 1. ``tonebursts`` move the specimen meanwhile.
         """
         motion_m = self._motion_amplitudes_m(tonebursts, passage.time_ps, capture)
-        relevant = noticeable(view.weight)
+        relevant = noticeable(scatterers.weight)
         if not (strength_v.any() and relevant.any()):
             return
-        train = self._echo_train(view, relevant, passage, strength_v, motion_m)
+        train = self._echo_train(scatterers, relevant, passage, strength_v, motion_m)
         if passage.background_delay_s is None:
             self._add_aligned_echoes(volts, capture, train)
         else:
@@ -287,35 +290,36 @@ class Acoustics:
 
     def _echo_train(
         self,
-        view: _ScattererView,
+        scatterers: _ScattererEchoes,
         relevant: BoolArray,
         passage: _FocusPassage,
         strength_v: FloatArray,
         motion_m: FloatArray,
     ) -> _EchoTrain:
-        """Return the echoes of equal bursts: weights and delays of the ``relevant`` scatterers, arrival interval.
+        """Return the echoes of a train of equal bursts from moving scatterers, and when they arrive.
 
-        ``motion_m`` (burst, shape): amplitudes of the motion's spatial shapes.
+        ``relevant`` (scatterer,): whether it echoes at all. ``motion_m`` (burst, shape): amplitude of each spatial
+        shape of the motion, at each burst.
         """
         # Spatial shapes of the motion, (shape, scatterer).
         shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, relevant]
-        if view.delay_ratio is not None:
-            shapes = shapes * view.delay_ratio[relevant]
-        response = None if view.response is None else view.response[:, relevant]
+        if scatterers.delay_ratio is not None:
+            shapes = shapes * scatterers.delay_ratio[relevant]
+        response = None if scatterers.response is None else scatterers.response[:, relevant]
         delay_s, sound_speed_m_per_s = self._delay_s[relevant], self._settings.sound_speed_m_per_s
-        # The largest displacement extends the interval on both sides.
+        # The largest displacement extends the interval of arrival on both sides.
         reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
-        margin_s, arrival_s = 2 * reach_m / sound_speed_m_per_s, 2 * self._travel_s
-        early_s = arrival_s + delay_s.min() + view.pulse.start_s - margin_s
-        late_s = arrival_s + delay_s.max() + view.pulse.end_s + margin_s
+        margin_s, focus_s = 2 * reach_m / sound_speed_m_per_s, 2 * self._travel_s
+        start_s = focus_s + delay_s.min() + scatterers.pulse.start_s - margin_s
+        end_s = focus_s + delay_s.max() + scatterers.pulse.end_s + margin_s
         return _EchoTrain(
-            pulse=view.pulse,
+            pulse=scatterers.pulse,
             passage=passage,
             strength_v=strength_v,
-            weight=view.weight[relevant],
+            weight=scatterers.weight[relevant],
             delays=EchoDelays.of_motion(delay_s, shapes, motion_m, sound_speed_m_per_s, response),
-            early_ps=math.floor(early_s * PS_PER_S),
-            late_ps=math.ceil(late_s * PS_PER_S),
+            start_ps=math.floor(start_s * PS_PER_S),
+            end_ps=math.ceil(end_s * PS_PER_S),
         )
 
     def _add_aligned_echoes(self, volts: NoiseSource, capture: Capture, train: _EchoTrain) -> None:
@@ -323,13 +327,14 @@ class Acoustics:
 
         Those times differ by some ns at most, so all echoes are computed on one grid of sample times.
         """
-        onset_ps, early_ps, late_ps = train.passage.onset_ps, train.early_ps, train.late_ps
-        burst, record = burst_record_pairs(onset_ps + early_ps, onset_ps + late_ps, capture)
+        onset_ps = train.passage.onset_ps
+        burst, record = burst_record_pairs(onset_ps + train.start_ps, onset_ps + train.end_ps, capture)
         if len(burst) == 0:
             return
-        # The grid is that of the first pair of burst and record; the other pairs are shifted from it.
+        # Age: time of a record's first sample after the onset. The grid is that of the first pair of burst and record;
+        # the other pairs are shifted from it.
         age_ps = capture.first_sample_ps[record] - onset_ps[burst]
-        span = sample_span(early_ps - int(age_ps.max()), late_ps - int(age_ps.min()), capture)
+        span = sample_span(train.start_ps - int(age_ps.max()), train.end_ps - int(age_ps.min()), capture)
         sample_ps = int(age_ps[0]) + np.arange(span.start, span.stop) * capture.sample_period_ps
         shift_s = (age_ps - age_ps[0]) / PS_PER_S
         block, group = self._grouped_echoes(train, burst, shift_s, sample_ps)
@@ -378,26 +383,29 @@ class Acoustics:
     ) -> None:
         """Add echoes to the records, for a background motion that delays them by any number of samples.
 
-        Each echo is computed on a grid of samples that moves with the specimen, and added to its record so many samples
-        later. The remainder of the delay, less than half a sample, shifts the sample times.
+        All echoes are computed at the same sample times after the onset of their burst, delayed with the specimen
+        (``background_delay_s``, (burst,)). Each is then added to its record at the samples nearest to these times. The
+        difference, less than half a sample, shifts the delays of its scatterers.
         """
         onset_ps, period_ps = train.passage.onset_ps, capture.sample_period_ps
         delay_ps = background_delay_s * PS_PER_S
         delayed_onset_ps = np.rint(delay_ps).astype(np.int64) + onset_ps
-        burst, record = burst_record_pairs(delayed_onset_ps + train.early_ps, delayed_onset_ps + train.late_ps, capture)
+        burst, record = burst_record_pairs(delayed_onset_ps + train.start_ps, delayed_onset_ps + train.end_ps, capture)
         if len(burst) == 0:
             return
-        # The grid has whole periods after the onset of a pulse; a record may start at any time after it.
+        # Time of a record's first sample after the delayed onset: whole sample periods, and the shift that remains.
         age_ps = capture.first_sample_ps[record] - onset_ps[burst] - delay_ps[burst]
-        periods = np.rint(age_ps / period_ps).astype(np.int64)
-        grid = np.arange(train.early_ps // period_ps, train.late_ps // period_ps + 2)
-        delays = replace(train.delays, amplitude_s=train.delays.amplitude_s[burst])
-        delays = delays.shifted((age_ps - periods * period_ps) / PS_PER_S)
-        sample_s = _after_arrival_s(grid * period_ps, 2 * self._travel_s)
+        age_periods = np.rint(age_ps / period_ps).astype(np.int64)
+        shift_s = (age_ps - age_periods * period_ps) / PS_PER_S
+        # Sample times of the echoes in periods after the delayed onset.
+        periods = np.arange(train.start_ps // period_ps, train.end_ps // period_ps + 2)
+        delays = replace(train.delays, amplitude_s=train.delays.amplitude_s[burst]).shifted(shift_s)
+        sample_s = _after_arrival_s(periods * period_ps, 2 * self._travel_s)
         block = echoes(delays, train.weight, train.pulse, sample_s, _FIELD_ECHO_TOLERANCE)
         block *= train.strength_v[burst, None]
-        for echo, target, first in zip(block, record.tolist(), (grid[0] - periods).tolist(), strict=True):
-            # The echo begins at sample ``first`` of the record, and may extend beyond the record.
+        first_samples = (periods[0] - age_periods).tolist()
+        for echo, target, first in zip(block, record.tolist(), first_samples, strict=True):
+            # The echo starts at sample ``first`` of the record, which may be before the record; it may end after it.
             start, end = max(0, first), min(capture.samples, first + len(echo))
             if start < end:
                 volts[target, start:end] += echo[start - first : end - first]
@@ -483,18 +491,6 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
     return None
 
 
-def _background_motion(settings: SimulationSettings) -> Callable[[Int64Array], FloatArray] | None:
-    """Return a function from times after the master trigger, ps, to the displacement of the whole specimen, m.
-
-    None without background motion, such as breathing.
-    """
-    if not settings.background:
-        return None
-    from sim_backend.motion import background_at
-
-    return lambda time_ps: background_at(settings.background, time_ps)
-
-
 def _medium_motion(
     settings: SimulationSettings, scatterers: ScattererField, travel_s: float, lateral_offset_m: float
 ) -> MediumMotion | None:
@@ -507,6 +503,7 @@ def _medium_motion(
     from sim_backend.motion import medium_motion
 
     motion = medium_motion(settings, scatterers.offset_m, travel_s, lateral_offset_m)
+    # Reflectors at rest do not move with the medium: their share is 0, that of all other scatterers 1.
     return replace(motion, shape=motion.shape * scatterers.motion_share)
 
 

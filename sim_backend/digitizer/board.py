@@ -282,7 +282,8 @@ def _with_timeout(
 ) -> tuple[Int64Array, Int64Array]:
     """Return the times of accepted triggers and their causes, for a board that triggers itself after a time-out.
 
-    ``ready_ps``: when it is first ready. ``busy_ps``: how long a record keeps it busy. ``last_ps``: end of the arming.
+    ``tick_ps`` (trigger,): clock ticks that register the triggers. ``ready_ps``: when the board is first ready.
+    ``busy_ps``: how long a record keeps it busy. ``last_ps``: end of the arming.
     """
     accepted_ps: list[int] = []
     cause: list[int] = []

@@ -14,26 +14,28 @@ from sim_backend.generator.timing import set_function
 
 SHAPES: Mapping[str, Mapping[str, float]] = {"SQU": {"duty_percent": 50.0}, "RAMP": {"symmetry_percent": 100.0}}
 """Settings of the command in addition to its arguments."""
-UNUSED = {"DC": 2, "NOIS": 1}
-"""How many of frequency, amplitude and offset are ignored."""
+IGNORED_ARGUMENTS = {"DC": 2, "NOIS": 1}
+"""How many of frequency, amplitude and offset, in this order, are ignored."""
 
 
 def _apply(function: str) -> Write:
     """Return the function that executes APPLy for a waveform: it sets frequency, amplitude, offset, and output on."""
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        """Return the registers after the command, and the errors of values that were changed."""
+        """Return the registers after APPLy with ``arguments`` (frequency, amplitude, offset), and errors to queue."""
         if len(arguments) > 3:
             raise ScpiError(-108, "Parameter not allowed")
         frequency, amplitude, offset = (*arguments, "", "", "")[:3]
-        # Internal trigger, no burst. A given frequency replaces the previous one before the function is set.
+        # Internal trigger, no burst. A given frequency is set below; until then 1 kHz is within every limit.
         shape = SHAPES.get(function, {})
         start = replace(state, trigger_source="IMM", burst=False, range_auto="1", **shape)  # type: ignore[arg-type]
         start = replace(start, frequency_hz=1e3 if frequency else state.frequency_hz)
         coerced = set_function(start, function)
-        first = ((OFFSET, "0"),) if amplitude and offset else ()
-        values = ((FREQUENCY, frequency), (AMPLITUDE, amplitude), (OFFSET, offset))
-        for setting, text in (*first, *values[UNUSED.get(function, 0) :]):
+        # The present offset must not limit a new amplitude that comes with a new offset.
+        values = [(OFFSET, "0")] if amplitude and offset else []
+        given = [(FREQUENCY, frequency), (AMPLITUDE, amplitude), (OFFSET, offset)]
+        values += given[IGNORED_ARGUMENTS.get(function, 0) :]
+        for setting, text in values:
             if text:
                 coerced = coerced.then(partial(setting.execute, arguments=(text,)))
         return coerced.changed(output=True)

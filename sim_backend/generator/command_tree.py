@@ -48,13 +48,12 @@ class Action:
     query_accepts: str = ""
 
     def execute(self, instrument: Machine, query: bool, arguments: tuple[str, ...]) -> str | None:
-        """Execute the command and return None, or return the reply to the query.
+        """Execute the command and return None, or with ``query`` return the reply to the query.
 
-        Raises ``ScpiError`` -108 for arguments of a form that takes none, and -113 if there is no such form.
+        Raises ``ScpiError`` -108 for arguments if it takes none, and -113 if the header has no command, or no query.
         """
-        # Descriptions of the arguments of each form, empty if it takes none.
-        description = self.query_accepts if query else self.accepts
-        if not description:
+        takes_arguments = self.query_accepts if query else self.accepts
+        if not takes_arguments:
             refuse_arguments(arguments)
         if query and self.query is not None:
             return self.query(instrument, arguments)
@@ -224,7 +223,7 @@ WAVEFORMS: Mapping[str, Action] = {
 }
 """Commands for waveforms on the 33250A and the 33220A."""
 
-SERIES: Mapping[str, Action] = {
+OF_SERIES: Mapping[str, Action] = {
     "*OPT": Action(query=_fixed("0")),
     "[SOURce<n>:]PHASe:SYNChronize": Action(lambda instrument, arguments: None),
     "INITiate<n>:CONTinuous": Action(_always_on, _fixed("1"), "ON"),
@@ -256,10 +255,11 @@ REMOTE = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())
 
 
 def tree_of(model: Model) -> Mapping[str, Entry]:
-    """Return all commands of ``model``, by the form of their header."""
-    waveforms = SERIES if model.channels else WAVEFORMS
-    lan = {} if model.name == "33250A" else ON_LAN
-    return {**COMMON, **apply_forms(model.functions), **settings_of(model), **SYSTEM, **waveforms, **lan}
+    """Return all commands of ``model``, by the form of their header such as ``[SOURce<n>:]FREQuency[:CW]``."""
+    # Models with numbered channels are those of the 33500 and 33600 series; the 33250A alone has no network.
+    waveforms = OF_SERIES if model.channels else WAVEFORMS
+    network = {} if model.name == "33250A" else ON_LAN
+    return {**COMMON, **apply_forms(model.functions), **settings_of(model), **SYSTEM, **waveforms, **network}
 
 
 @cache

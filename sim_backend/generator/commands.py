@@ -8,7 +8,7 @@ from dataclasses import replace
 from operator import attrgetter
 
 from sim_backend.generator import levels, registers, timing
-from sim_backend.generator.inactive import INACTIVE, SERIES as INACTIVE_SERIES, off
+from sim_backend.generator.inactive import INACTIVE, INACTIVE_OF_SERIES, off
 from sim_backend.generator.kinds import (
     LimitsOf,
     SettingCommand,
@@ -87,11 +87,13 @@ def _gap_v(state: Registers) -> float:
 
 
 def _period_limits_s(state: Registers) -> tuple[float, float]:
-    """Return the limits of the pulse period, s, for the pulse and for the present function."""
-    # The period is shared with the present function, so its limits apply too.
-    low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
-    min_hz, max_hz = timing.frequency_limits_hz(state)
-    return 1 / min(high_hz, max_hz), 1 / max(low_hz, min_hz)
+    """Return the limits of the pulse period, s, also while another function is selected.
+
+    The period is that of the present function too, so it must be within the frequency limits of both.
+    """
+    pulse_low_hz, pulse_high_hz = state.model.frequency_limits_hz["PULS"]
+    present_low_hz, present_high_hz = timing.frequency_limits_hz(state)
+    return 1 / min(pulse_high_hz, present_high_hz), 1 / max(pulse_low_hz, present_low_hz)
 
 
 def _put_period(state: Registers, period_s: float) -> Coerced:
@@ -125,14 +127,17 @@ def _put_pulse_duty(state: Registers, percent: float) -> Coerced:
 
 
 def _phase(field: str, quantity: str) -> SettingCommand:
-    """Return an angle setting stored in degrees, and commanded and displayed in the set angle unit."""
+    """Return the setting of an angle, stored in degrees in ``field`` of the registers; ``quantity`` names it in errors.
+
+    It is commanded and displayed in the set angle unit.
+    """
 
     def limits(state: Registers) -> tuple[float, float]:
         """Return plus and minus one turn in the set angle unit."""
         return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
 
     def put(state: Registers, angle: float) -> Coerced:
-        """Store an angle given in the set angle unit."""
+        """Return the registers with this angle, given in the set angle unit, clipped to its limits and in degrees."""
         angle, errors = registers.clipped(angle, *limits(state), quantity)
         degrees = angle if state.angle_unit == "DEG" else math.degrees(angle)
         return Coerced(replace(state, **{field: degrees}), errors)  # type: ignore[arg-type]
@@ -273,15 +278,15 @@ OF_33220A: Mapping[str, SettingCommand] = {
     "[SOURce:]FUNCtion:PULSe:TRANsition": EDGES,
     "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
 }
-SERIES: Mapping[str, SettingCommand] = {
+OF_SERIES: Mapping[str, SettingCommand] = {
     **PULSE,
     "[SOURce<n>:]FUNCtion:PULSe:PERiod": PERIOD,
     "[SOURce<n>:]FUNCtion:PULSe:TRANsition[:BOTH]": EDGES,
     "TRIGger<n>:TIMer": clipping("S", attrgetter("model.burst_period_limits_s"), "timer_s", "trigger timer"),
-    **INACTIVE_SERIES,
+    **INACTIVE_OF_SERIES,
 }
 
 
 def settings_of(model: Model) -> Mapping[str, SettingCommand]:
     """Return the settings of ``model`` by header; the models differ in the headers of the pulse."""
-    return {**SETTINGS, **{"33250A": OF_33250A, "33220A": OF_33220A}.get(model.name, SERIES)}
+    return {**SETTINGS, **{"33250A": OF_33250A, "33220A": OF_33220A}.get(model.name, OF_SERIES)}

@@ -120,23 +120,26 @@ class HeaderTable(Generic[Entry]):
 
         The channel is 1 for a header without a number.
         """
-        # Split each node into mnemonic and digits, and reduce the mnemonic to its short form; "?" is in no entry.
-        plain, numbered = [], []
+        # Split each node into mnemonic and digits, and reduce the mnemonic to its short form. An unknown mnemonic
+        # becomes "?", which is in no entry.
+        short_nodes, numbered = [], []
         for node in nodes:
             digits = _digits(node)
-            plain.append(self._short.get(node[: len(node) - len(digits)].upper(), "?"))
-            numbered += [(plain[-1], digits)] if digits else []
+            short_nodes.append(self._short.get(node[: len(node) - len(digits)].upper(), "?"))
+            if digits:
+                numbered.append((short_nodes[-1], digits))
         # An entry is stored with those of its nodes that a channel number may follow. Digits elsewhere, or at an
         # instrument without channels, make the header undefined.
-        match = self._entries.get(tuple(plain))
-        if match is None or not all(self._channels and node in match[1] for node, _ in numbered):
+        found = self._entries.get(tuple(short_nodes))
+        if found is None or not all(self._channels and node in found[1] for node, _ in numbered):
             raise ScpiError(-113, "Undefined header")
-        # All numbers in a header must name the same channel. Three digits suffice to tell that a number is too large.
-        numbers = {int(digits[:3]) for _, digits in numbered} or {1}
-        # Without channels the only number is the default 1, which must be valid.
-        if len(numbers) > 1 or not 1 <= min(numbers) <= self._channels + (not self._channels):
+        entry, _ = found
+        # All numbers in a header must name the same channel; without a number it is 1. Three digits are enough for a
+        # comparison with the number of channels.
+        channels = {int(digits[:3]) for _, digits in numbered} or {1}
+        if len(channels) > 1 or not 1 <= min(channels) <= max(1, self._channels):
             raise ScpiError(-114, "Header suffix out of range")
-        return match[0], numbers.pop()
+        return entry, channels.pop()
 
 
 def _digits(node: str) -> str:

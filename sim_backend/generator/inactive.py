@@ -59,7 +59,8 @@ def off(function: str) -> SettingCommand:
     return switch(lambda state: False, put)
 
 
-def _ends_hz(state: Registers) -> tuple[float, float]:
+def _sweep_ends_hz(state: Registers) -> tuple[float, float]:
+    """Return start and stop frequency of the sweep."""
     return float(state.inactive.get("start_frequency", 100.0)), float(state.inactive.get("stop_frequency", 1e3))
 
 
@@ -69,7 +70,7 @@ def _centre_limits_hz(state: Registers) -> tuple[float, float]:
     Within them, start and stop stay within the frequency limits of the selected waveform.
     """
     low_hz, high_hz = frequency_limits_hz(state)
-    start_hz, stop_hz = _ends_hz(state)
+    start_hz, stop_hz = _sweep_ends_hz(state)
     half_span_hz = abs(stop_hz - start_hz) / 2
     return low_hz + half_span_hz, high_hz - half_span_hz
 
@@ -80,7 +81,7 @@ def _span_limits_hz(state: Registers) -> tuple[float, float]:
     Within them, start and stop stay within the frequency limits of the selected waveform.
     """
     low_hz, high_hz = frequency_limits_hz(state)
-    start_hz, stop_hz = _ends_hz(state)
+    start_hz, stop_hz = _sweep_ends_hz(state)
     centre_hz = (start_hz + stop_hz) / 2
     return 0.0, 2 * min(high_hz - centre_hz, centre_hz - low_hz)
 
@@ -88,21 +89,22 @@ def _span_limits_hz(state: Registers) -> tuple[float, float]:
 def _sweep_setting(
     quantity: str,
     limits: LimitsOf,
-    of_ends: Callable[[float, float], float],
-    ends: Callable[[float, float, float], tuple[float, float]],
+    value_of_ends: Callable[[float, float], float],
+    ends_of_value: Callable[[float, float, float], tuple[float, float]],
 ) -> SettingCommand:
     """Return the setting of ``quantity``, the centre or span of the sweep; only start and stop are stored.
 
-    ``of_ends`` computes it from start and stop frequency, ``ends`` the new start and stop from its new value.
+    ``value_of_ends`` computes it from start and stop frequency, ``ends_of_value`` the new start and stop from its new
+    value and the present ones.
     """
 
     def put(state: Registers, value: float) -> Coerced:
-        """Store the start and stop frequencies that follow from the value."""
+        """Return the registers with start and stop of the sweep for this centre or span, clipped to its limits."""
         value, errors = clipped(value, *limits(state), quantity)
-        start_hz, stop_hz = ends(value, *_ends_hz(state))
+        start_hz, stop_hz = ends_of_value(value, *_sweep_ends_hz(state))
         return Coerced(with_inactive(state, start_frequency=start_hz, stop_frequency=stop_hz), errors)
 
-    return numeric("HZ", limits, lambda state: of_ends(*_ends_hz(state)), put)
+    return numeric("HZ", limits, lambda state: value_of_ends(*_sweep_ends_hz(state)), put)
 
 
 def _modulation(name: str, function: str, rate_hz: float) -> dict[str, SettingCommand]:
@@ -153,7 +155,7 @@ INACTIVE: Mapping[str, SettingCommand] = {
 }
 """Settings of modulation, sweep and marker by header (manual; assumed for the siblings, which have more)."""
 
-SERIES: Mapping[str, SettingCommand] = {
+INACTIVE_OF_SERIES: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]FUNCtion:ARBitrary:SRATe": _number("sample_rate", 40e3, _fixed_limits(1e-6, 250e6)),
     "[SOURce<n>:]FUNCtion:ARBitrary:FILTer": _word("arbitrary_filter", "NORM", "NORMal STEP OFF"),
     "[SOURce<n>:]FUNCtion:ARBitrary:ADVance": _word("arbitrary_advance", "SRAT", "TRIGger SRATe"),

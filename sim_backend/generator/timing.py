@@ -105,17 +105,17 @@ def settle_pulse(state: Coerced, number: int = -221) -> Coerced:
     registers = state.registers
     _, edge_s = edge_limits_s(registers)
     if registers.edge_s > edge_s * (1 + ROUNDING):
-        state = _short_period(state, number, "pulse edge time decreased due to period", edge_s=edge_s)
+        state = _changed_with_error(state, number, "pulse edge time decreased due to period", edge_s=edge_s)
     lowest, width_s = width_limits_s(state.registers)
     if registers.width_s > width_s * (1 + ROUNDING):
-        state = _short_period(state, number, "pulse width decreased due to period", width_s=max(width_s, lowest))
+        state = _changed_with_error(state, number, "pulse width decreased due to period", width_s=max(width_s, lowest))
     elif registers.width_s < lowest:
         state = state.changed("pulse width increased due to period", width_s=lowest)
     return state
 
 
-def _short_period(state: Coerced, number: int, what: str, **settings: float) -> Coerced:
-    """Return ``state`` with changed ``settings``, and an error that states ``what`` was changed."""
+def _changed_with_error(state: Coerced, number: int, what: str, **settings: float) -> Coerced:
+    """Return ``state`` with other ``settings``, and the error ``number`` with a text that states ``what`` changed."""
     kind = "Settings conflict" if number == -221 else "Data out of range"
     registers = replace(state.registers, **settings)  # type: ignore[arg-type]
     return Coerced(registers, (*state.errors, (number, f"{kind}; {what}")))

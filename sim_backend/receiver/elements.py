@@ -47,11 +47,13 @@ def sampled(response: ComplexArray, at_infinity: float) -> ComplexArray:
 
 
 def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
-    """Return how long a cascade of band-passes or notches ``bands`` rings above ``tolerance``."""
+    """Return how long a cascade of band-passes or notches ``bands`` rings above ``tolerance``, s."""
     slowest_s = 0.0
     for band in bands:
-        roots = np.concatenate([np.roots([1.0, -band.bandwidth * pole, 1.0]) for pole in _poles(band.order)])
-        slowest_s = max(slowest_s, float(-1 / (2 * np.pi * band.centre_hz * roots.real.max())))
+        # A pole p of the low-pass becomes two poles x = s / w0 of the band-pass, with (x + 1 / x) / B = p.
+        poles = np.concatenate([np.roots([1.0, -band.bandwidth * pole, 1.0]) for pole in _poles(band.order)])
+        # The pole nearest to the imaginary axis decays most slowly.
+        slowest_s = max(slowest_s, float(-1 / (2 * np.pi * band.centre_hz * poles.real.max())))
     # Equal filters in cascade ring longer than one, by powers of t / slowest: a factor of 100 covers four of them.
     return slowest_s * math.log(100 / tolerance)
 

@@ -67,15 +67,15 @@ def with_preset(settings: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
 
 
 def with_preset_depth(settings: Any) -> Any:
-    """Return the twin's settings with ``specimen.depth_m`` set where other settings contradict the preset's depth.
+    """Return the settings [simulation] with another ``specimen.depth_m`` where they contradict the preset's depth.
 
-    The first of these cases decides:
+    The depth is the length of the path to the focus inside the specimen. The first of these cases decides it:
 
-    * ``scatterers`` has an attenuation, which replaces the specimen's: no depth.
+    * ``specimen`` names no preset with a depth, or states a depth itself: unchanged.
+    * ``scatterers`` has an attenuation, which replaces the specimen's: None, no depth.
     * ``propagation`` has a depth of the specimen: that depth.
     * The focus is nearer than the preset's depth: the depth of the focus, since the whole path is in the specimen.
-
-    Otherwise, with a depth in ``specimen``, or for settings of another form, the settings are returned unchanged.
+    * Otherwise unchanged, also for settings that are no table.
     """
     sections = settings if isinstance(settings, Mapping) else {}
     specimen, scatterers, propagation, beams = (

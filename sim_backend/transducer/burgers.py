@@ -26,7 +26,7 @@ DB_PER_CM_TO_NP_PER_M = 100 * math.log(10) / 20
 # Fraction of the harmonics without damping, and damping of the last one over its rate of steepening.
 _UNDAMPED_FRACTION, _DAMPING = 0.4, 1.0
 # n w beta p h / (rho c³) of the last harmonic in one Runge-Kutta step of length h; stable up to 2.8.
-_STEP = 1.0
+_MAX_PHASE_PER_STEP = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,28 +79,29 @@ def advance(
     """
     harmonics = pressure_pa.shape[1]
     n = np.arange(1, harmonics + 1)
+    # Harmonic n grows along z by j n / 2 times this rate times harmonic n of the squared wave; 1 / (m Pa).
     rate = layer.nonlinearity * 2 * np.pi * frequency_hz / (layer.density_kg_per_m3 * layer.sound_speed_m_per_s**3)
-    size = np.sqrt((np.abs(pressure_pa) ** 2).sum(axis=1))
-    # Harmonic n changes in proportion to n times harmonic n of the squared wave. The Runge-Kutta steps are short enough
-    # for the last harmonic.
-    steps = max(1, math.ceil(1.5 * rate * size.max() * harmonics * abs(step_m) / _STEP))
-    h = step_m / steps
     factor = 0.5j * rate * n
+    # Runge-Kutta steps of length h, short enough for the last harmonic of the strongest wave.
+    amplitude_pa = np.sqrt((np.abs(pressure_pa) ** 2).sum(axis=1))
+    steps = max(1, math.ceil(1.5 * rate * amplitude_pa.max() * harmonics * abs(step_m) / _MAX_PHASE_PER_STEP))
+    h = step_m / steps
+    # Damping of a harmonic in a step, for an amplitude of 1 Pa: 0 up to a fraction of the harmonics, then quadratic.
     position = np.clip((n / harmonics - _UNDAMPED_FRACTION) / (1 - _UNDAMPED_FRACTION), 0, None)
-    damping = position**2 * (_DAMPING * rate * h * harmonics)
-    value, loss = pressure_pa, np.zeros(len(pressure_pa))
+    damping_per_pa = position**2 * (_DAMPING * rate * h * harmonics)
+    value_pa, loss_pa2 = pressure_pa, np.zeros(len(pressure_pa))
     for _ in range(steps):
-        k1 = factor * _squared(value)
-        k2 = factor * _squared(value + h / 2 * k1)
-        k3 = factor * _squared(value + h / 2 * k2)
-        k4 = factor * _squared(value + h * k3)
-        value = value + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        # Damping of the last harmonics, in proportion to the amplitude of the wave.
-        power = np.abs(value) ** 2
-        remainder = np.exp(-np.sqrt(power.sum(axis=1))[:, None] * damping)
-        loss += (power * (1 - remainder**2)).sum(axis=1)
-        value = value * remainder
-    return value, loss / (2 * layer.impedance)
+        k1 = factor * _squared(value_pa)
+        k2 = factor * _squared(value_pa + h / 2 * k1)
+        k3 = factor * _squared(value_pa + h / 2 * k2)
+        k4 = factor * _squared(value_pa + h * k3)
+        value_pa = value_pa + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        # The last harmonics lose energy in proportion to the amplitude of the wave, as in a shock.
+        power_pa2 = np.abs(value_pa) ** 2
+        transmission = np.exp(-np.sqrt(power_pa2.sum(axis=1))[:, None] * damping_per_pa)
+        loss_pa2 += (power_pa2 * (1 - transmission**2)).sum(axis=1)
+        value_pa = value_pa * transmission
+    return value_pa, loss_pa2 / (2 * layer.impedance)
 
 
 def _squared(pressure: ComplexArray) -> ComplexArray:

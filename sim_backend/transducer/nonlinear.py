@@ -33,8 +33,11 @@ from sim_backend.transducer.radiation import apodisation
 _FADE_START_RAD, _FADE_END_RAD = math.radians(45), math.radians(80)
 # Largest q of harmonic n over n k and the half aperture; products of waves from the rim stay below 1.
 _SPECTRUM_MARGIN = 1.25
-# Gauss-Legendre nodes over the number that just resolves the fastest wave.
+# Gauss-Legendre nodes over the number that just resolves the fastest wave, and additional ones of each quadrature.
 _NODE_DENSITY = 1.3
+_BOWL_MARGIN_NODES, _WINDOW_MARGIN_NODES, _PANEL_MARGIN_NODES = 60, 40, 16
+# The radius up to which the nodes of a panel resolve the higher harmonics, over the radius of the bowl.
+_PANEL_RADIUS_RATIO = 1.15
 # Smallest window around the beam, and its margin beyond the geometric edge.
 _MIN_WINDOW_M, _WINDOW_MARGIN_M = 2.5e-3, 2.0e-3
 _DEPTH_BEHIND_FOCUS_M = 12e-3
@@ -109,16 +112,24 @@ def largest_table(transducer: Transducer, wavelength_m: float, harmonics: int) -
     Memory is proportional to it, and run time to it times ``harmonics``. With 24 harmonics the default bowl has half a
     million values, with 128 it has 13 million.
     """
-    k, half_m = 2 * math.pi / wavelength_m, transducer.diameter_m / 2
+    k, bowl_radius_m = 2 * math.pi / wavelength_m, transducer.diameter_m / 2
     panel = _SPECTRUM_MARGIN * transducer.half_aperture * k
-    at_bowl = (_nodes(_reach_m(transducer) * k) + 60) * (_nodes(half_m * k) + 60)
-    lateral_nodes, spectral_nodes = _nodes(_MIN_WINDOW_M * harmonics * panel) + 40, _nodes(1.15 * half_m * panel) + 16
-    return max(at_bowl, lateral_nodes * spectral_nodes * harmonics)
+    # At the bowl the table is wave numbers of the fundamental by rings of the bowl; at the focus it is nodes across the
+    # smallest window by wave numbers of all harmonics.
+    wave_numbers, rings = _nodes(_reach_m(transducer) * k), _nodes(bowl_radius_m * k)
+    at_bowl = (wave_numbers + _BOWL_MARGIN_NODES) * (rings + _BOWL_MARGIN_NODES)
+    lateral_nodes = _nodes(_MIN_WINDOW_M * harmonics * panel) + _WINDOW_MARGIN_NODES
+    return max(at_bowl, lateral_nodes * _nodes_per_panel(transducer, panel) * harmonics)
 
 
 def _reach_m(bowl: Transducer) -> float:
     """Return the largest distance that a plane wave of the spectrum must represent."""
     return bowl.diameter_m / 2 + 1.2 * bowl.focal_length_m
+
+
+def _nodes_per_panel(bowl: Transducer, panel_per_m: float) -> int:
+    """Return the number of nodes in a panel of this width, 1/m, of the wave numbers of the higher harmonics."""
+    return _nodes(_PANEL_RADIUS_RATIO * bowl.diameter_m / 2 * panel_per_m) + _PANEL_MARGIN_NODES
 
 
 class _March:
@@ -129,9 +140,11 @@ class _March:
     ) -> None:
         """Start the march at the bowl: choose nodes over lateral wave numbers, and compute the fundamental's spectrum.
 
-        ``fundamental`` and ``higher`` are the spectra. ``higher[n]`` is harmonic n + 1, with the first ``length[n]`` of
-        the common wave numbers. ``q``: wave numbers across the beam, ``w``: their quadrature weights, ``kz``: wave
-        numbers along the beam. The fundamental has its own, with the suffix ``_fundamental``.
+        A spectrum is the amplitude of plane waves over the wave number q across the beam; along it the waves have
+        kz = sqrt(k² - q²). The fundamental and the higher harmonics have different nodes q:
+
+        * ``fundamental``, at ``q_fundamental`` with the quadrature weights ``weight_fundamental``.
+        * ``higher[n]``: harmonic n + 1, at the first ``node_count[n]`` of the ``q`` with the weights ``q_weight``.
         """
         self.transducer, self.layer, self.frequency_hz = transducer, layer, frequency_hz
         self.surface_pa, self.accuracy = surface_pa, accuracy
@@ -141,45 +154,51 @@ class _March:
         self.force_results: list[FloatArray] = []
         self._window: tuple[float, int] | None = None
         k, bowl = 2 * np.pi * self.frequency_hz / self.layer.sound_speed_m_per_s, self.transducer
-        # Fundamental: nodes and weights over the angle of the plane waves.
-        angle, weight = _gauss(0, _FADE_END_RAD, _nodes(_reach_m(bowl) * k) + 60)
+        # Fundamental: nodes over the angle of the plane waves. Wide angles fade out by an infinitely smooth step from 1
+        # to 0, which avoids ringing.
+        angle, weight = _gauss(0, _FADE_END_RAD, _nodes(_reach_m(bowl) * k) + _BOWL_MARGIN_NODES)
         position = np.clip((angle - _FADE_START_RAD) / (_FADE_END_RAD - _FADE_START_RAD), 2e-3, 1 - 2e-3)
-        # An infinitely smooth step from 1 to 0 avoids ringing.
         weight = weight / (1 + np.exp(1 / (1 - position) - 1 / position))
+        # With q = k sin(angle) the integral over q dq is one over k² sin(angle) cos(angle) d(angle).
         self.q_fundamental = k * np.sin(angle)
-        self.w_fundamental = k**2 * np.sin(angle) * np.cos(angle) * weight
-        # Higher harmonics: common nodes q and weights w in panels; harmonic n uses the first n panels.
-        self.panel = _SPECTRUM_MARGIN * bowl.half_aperture * k
-        nodes_per_panel = _nodes(1.15 * bowl.diameter_m / 2 * self.panel) + 16
-        node, weight = _gauss(0, self.panel, nodes_per_panel)
-        starts = self.panel * np.arange(self.accuracy.harmonics)[:, None]
-        self.q = (starts + node).ravel()
-        self.w = self.q * np.tile(weight, self.accuracy.harmonics)
-        self.length = nodes_per_panel * np.arange(1, self.accuracy.harmonics + 1)
-        self.higher = [np.zeros(size, dtype=np.complex128) for size in self.length]
+        self.weight_fundamental = k**2 * np.sin(angle) * np.cos(angle) * weight
+        # Higher harmonics: the nodes q are in panels of equal width, and harmonic n uses the first n panels.
+        self.panel_per_m = _SPECTRUM_MARGIN * bowl.half_aperture * k
+        nodes_per_panel = _nodes_per_panel(bowl, self.panel_per_m)
+        node, weight = _gauss(0, self.panel_per_m, nodes_per_panel)
+        panel_starts = self.panel_per_m * np.arange(self.accuracy.harmonics)[:, None]
+        self.q = (panel_starts + node).ravel()
+        self.q_weight = self.q * np.tile(weight, self.accuracy.harmonics)
+        self.node_count = nodes_per_panel * np.arange(1, self.accuracy.harmonics + 1)
+        self.higher = [np.zeros(size, dtype=np.complex128) for size in self.node_count]
         self._set_wave_numbers()
         self.fundamental = self._bowl_spectrum()
 
     def _set_wave_numbers(self) -> None:
-        """Set the wave numbers, and their components along the axis, of all harmonics in the present layer."""
+        """Set the wave numbers ``k`` of all harmonics in the present layer, and ``kz`` of their plane waves along it.
+
+        A plane wave with the wave number q across the beam has kz = sqrt(k² - q²) along it. The fundamental has its own
+        nodes q, and each higher harmonic uses the first ones of the common nodes.
+        """
         n = np.arange(1, self.accuracy.harmonics + 1)
         self.k = self.layer.wave_number(np.asarray(n * self.frequency_hz, dtype=np.float64), self.frequency_hz)
-        # A plane wave with the lateral wave number q has sqrt(k² - q²) along the axis; harmonic n uses its first nodes.
         self.kz_fundamental = np.sqrt(self.k[0] ** 2 - self.q_fundamental**2)
-        self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.length, strict=True)]
+        self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.node_count, strict=True)]
 
     def _bowl_spectrum(self) -> ComplexArray:
-        """Return the spectrum of the fundamental at depth 0, from the waves of every ring of the bowl."""
+        """Return the spectrum of the fundamental at depth 0: the sum of the plane waves of every ring of the bowl."""
         from scipy.special import j0
 
         bowl = self.transducer
-        count = _nodes(bowl.diameter_m / 2 * abs(self.k[0])) + 60
+        count = _nodes(bowl.diameter_m / 2 * abs(self.k[0])) + _BOWL_MARGIN_NODES
         angle, weight = _gauss(0, math.asin(bowl.half_aperture), count)
-        # Radius and depth of every ring, and its source strength.
+        # Radius and depth of every ring, and its area (over 2 pi) times its relative velocity.
         ring_m, ring_depth_m = bowl.focal_length_m * np.sin(angle), bowl.focal_length_m * 2 * np.sin(angle / 2) ** 2
         strength = weight * bowl.focal_length_m * ring_m * apodisation(bowl, np.sin(angle) / bowl.half_aperture)
-        # Each ring is a J0 over lateral wave numbers, moved back to depth 0 by its phase.
+        # The spectrum of a ring is J0(q radius), (wave number, ring). The ring lies at its depth in front of depth 0;
+        # the phase kz depth refers its waves to depth 0.
         rings = j0(np.outer(self.q_fundamental, ring_m)) * np.exp(1j * np.outer(self.kz_fundamental, ring_depth_m))
+        # The pressure of a source of normal velocity u has the spectrum rho c u k / kz.
         return np.asarray(self.surface_pa * self.k[0].real * (rings @ strength) / self.kz_fundamental)
 
     def enter(self, layer: Layer) -> None:
@@ -207,14 +226,14 @@ class _March:
         before_pa = self._pressure()
         # Only points in front of the surface of the bowl steepen.
         focal_length_m = self.transducer.focal_length_m
-        surface_m = focal_length_m - np.sqrt(np.maximum(focal_length_m**2 - self.r**2, 0.0))
+        surface_m = focal_length_m - np.sqrt(np.maximum(focal_length_m**2 - self.radius_m**2, 0.0))
         in_front = self.depth_m >= surface_m
         # Shocks take ``shock_loss`` (node,), W/m², from the intensity.
-        after_pa, shock_loss = before_pa.copy(), np.zeros(len(self.r))
+        after_pa, shock_loss = before_pa.copy(), np.zeros(len(self.radius_m))
         after_pa[in_front], shock_loss[in_front] = advance(before_pa[in_front], step_m, self.frequency_hz, self.layer)
         # Transformed to spectra by quadrature over the radius. The taper ends the change smoothly at the window's edge.
-        self._add_steepening((after_pa - before_pa) * (self.taper * self.weight)[:, None])
-        self._record(before_pa, shock_heat_w_per_m3=shock_loss / step_m, step_m=step_m)
+        self._add_steepening((after_pa - before_pa) * (self.taper * self.radius_weight_m2)[:, None])
+        self._store_results(before_pa, shock_heat_w_per_m3=shock_loss / step_m, step_m=step_m)
         self._diffract(step_m / 2)
         # More harmonics once the highest active one, relative to the fundamental, exceeds the threshold.
         if np.abs(after_pa[:, -1]).max() > self.accuracy.threshold * np.abs(after_pa[:, 0]).max():
@@ -223,8 +242,9 @@ class _March:
             )
 
     def _diffract(self, step_m: float) -> None:
-        """Propagate the spectra by ``step_m`` with diffraction and attenuation."""
+        """Propagate the spectra by ``step_m`` with diffraction and attenuation: exp(-j kz step), kz complex."""
         self.fundamental *= np.exp(-1j * self.kz_fundamental * step_m)
+        # ``higher[n]`` is harmonic n + 1; entry 0 is not used, as the fundamental has its own spectrum.
         for n in range(1, self.active_harmonics):
             self.higher[n] *= np.exp(-1j * self.kz[n] * step_m)
         self.depth_m += step_m
@@ -232,9 +252,10 @@ class _March:
     def _set_nodes_across_beam(self) -> None:
         """Set the nodes across the beam at the present depth, and the tables of J0 from spectra to pressures there.
 
-        The nodes fill a window around the beam: radii ``r`` with quadrature weights ``weight`` (of r dr) and ``taper``,
-        1 inside and falling to 0 at the window's edge. ``j0_fundamental`` and ``j0_higher`` (node, wave number) are the
-        tables of the fundamental and of the higher harmonics. Nothing changes while the window stays the same.
+        The nodes fill a window around the beam: ``radius_m`` with quadrature weights ``radius_weight_m2`` (of r dr) and
+        ``taper``, 1 inside and falling to 0 at the window's edge. ``j0_fundamental`` and ``j0_higher`` (node, wave
+        number) are the tables of the fundamental and of the higher harmonics. Nothing changes while the window stays
+        the same.
         """
         from scipy.special import j0
 
@@ -243,30 +264,31 @@ class _March:
         reach_m = max(edge_m + _WINDOW_MARGIN_M, _MIN_WINDOW_M)
         # Rounded up, so that few windows are computed.
         grid_m = 0.75e-3 if reach_m < 6e-3 else 3e-3
-        radius_m = grid_m * math.ceil(reach_m / grid_m)
-        if self._window == (radius_m, self.active_harmonics):
+        window_m = grid_m * math.ceil(reach_m / grid_m)
+        if self._window == (window_m, self.active_harmonics):
             return
-        self._window = (radius_m, self.active_harmonics)
-        largest_wave_number = max(self.active_harmonics * self.panel, abs(self.k[0]))
-        self.r, weight = _gauss(0, radius_m, _nodes(radius_m * largest_wave_number) + 40)
-        self.weight = weight * self.r
+        self._window = (window_m, self.active_harmonics)
+        largest_wave_number = max(self.active_harmonics * self.panel_per_m, abs(self.k[0]))
+        count = _nodes(window_m * largest_wave_number) + _WINDOW_MARGIN_NODES
+        self.radius_m, weight = _gauss(0, window_m, count)
+        self.radius_weight_m2 = weight * self.radius_m
         # The outer fifth of the window: 0 at its inner and 1 at its outer edge.
-        position = np.clip((self.r / radius_m - 0.8) / 0.2, 0, 1)
+        position = np.clip((self.radius_m / window_m - 0.8) / 0.2, 0, 1)
         self.taper = np.cos(np.pi / 2 * position) ** 2
-        self.j0_fundamental = j0(np.outer(self.r, self.q_fundamental))
+        self.j0_fundamental = j0(np.outer(self.radius_m, self.q_fundamental))
         # Single precision halves the time of the march, with an error of 1e-6 of the harmonics.
-        self.j0_higher = np.empty((len(self.r), self.length[self.active_harmonics - 1]), dtype=np.float32)
-        for node_table, r_m in zip(self.j0_higher, self.r, strict=True):
-            node_table[:] = j0(r_m * self.q[: len(node_table)])
+        self.j0_higher = np.empty((count, self.node_count[self.active_harmonics - 1]), dtype=np.float32)
+        for node_table, radius_m in zip(self.j0_higher, self.radius_m, strict=True):
+            node_table[:] = j0(radius_m * self.q[: len(node_table)])
 
     def _pressure(self) -> ComplexArray:
         """Return the pressure of the harmonics at the nodes across the beam, (node, harmonic), from their spectra."""
-        fundamental_pa = self.j0_fundamental @ (self.fundamental * self.w_fundamental)
+        fundamental_pa = self.j0_fundamental @ (self.fundamental * self.weight_fundamental)
         # The real table times complex spectra, as a product of real matrices: half the operations of a complex table.
-        size = self.length[self.active_harmonics - 1]
+        size = self.node_count[self.active_harmonics - 1]
         spectra = np.zeros((size, self.active_harmonics - 1), dtype=np.complex64)
         for n in range(1, self.active_harmonics):
-            spectra[: self.length[n], n - 1] = self.higher[n] * self.w[: self.length[n]]
+            spectra[: self.node_count[n], n - 1] = self.higher[n] * self.q_weight[: self.node_count[n]]
         higher_pa = (self.j0_higher @ spectra.view(np.float32)).view(np.complex64)
         return np.column_stack([fundamental_pa, higher_pa.astype(np.complex128)])
 
@@ -283,18 +305,23 @@ class _March:
         higher_pa = np.ascontiguousarray(weighted_change_pa[:, 1:], dtype=np.complex64).view(np.float32)
         spectra = (self.j0_higher.T @ higher_pa).view(np.complex64)
         for n in range(1, self.active_harmonics):
-            self.higher[n] += spectra[: self.length[n], n - 1] * (self.k[n] / self.kz[n])
+            self.higher[n] += spectra[: self.node_count[n], n - 1] * (self.k[n] / self.kz[n])
 
-    def _record(self, pressure: ComplexArray, shock_heat_w_per_m3: FloatArray, step_m: float) -> None:
-        """Store pressure and heat on the axis, and the force at the nodes across the beam, at the present depth."""
+    def _store_results(self, pressure_pa: ComplexArray, shock_heat_w_per_m3: FloatArray, step_m: float) -> None:
+        """Store pressure and heat on the axis, and the force at the nodes across the beam, at the present depth.
+
+        ``pressure_pa`` (node, harmonic), ``shock_heat_w_per_m3`` (node,): power density that shocks absorb.
+        """
         frequency_hz = np.asarray(np.arange(1, self.active_harmonics + 1) * self.frequency_hz, dtype=np.float64)
-        loss = self.layer.attenuation_np_per_m(frequency_hz)
-        heat = np.abs(pressure) ** 2 @ loss / self.layer.impedance + shock_heat_w_per_m3
-        self.axis_results.append((self.depth_m, pressure[0], float(heat[0]), self.layer.impedance))
-        # Of the ring of each node; the force is the absorbed power over the sound speed.
-        volume = 2 * np.pi * self.weight * step_m
+        loss_np_per_m = self.layer.attenuation_np_per_m(frequency_hz)
+        # Absorbed power density: 2 alpha times the intensity |p|² / 2 rho c, summed over harmonics.
+        heat = np.abs(pressure_pa) ** 2 @ loss_np_per_m / self.layer.impedance + shock_heat_w_per_m3
+        self.axis_results.append((self.depth_m, pressure_pa[0], float(heat[0]), self.layer.impedance))
+        # A node represents a ring around the axis, as thick as the step. The force is absorbed power over sound speed.
+        ring_m3 = 2 * np.pi * self.radius_weight_m2 * step_m
         force = heat / self.layer.sound_speed_m_per_s
-        self.force_results.append(np.stack([np.full(len(self.r), self.depth_m), self.r, volume, force]))
+        depth_m = np.full(len(self.radius_m), self.depth_m)
+        self.force_results.append(np.stack([depth_m, self.radius_m, ring_m3, force]))
 
     def beam(self) -> Beam:
         """Return the results at all depths so far."""

@@ -50,25 +50,11 @@ class Push:
     def at(self, surface_pa: FloatArray) -> Push:
         """Return force, pressures and heat of the push at ``surface_pa`` (level,), interpolated from the table.
 
-        Monotone cubics of logarithms; power laws outside the table.
+        Interpolated are the logarithms, so that the values continue as power laws outside the table.
         """
-        from scipy.interpolate import PchipInterpolator
-
         log_table, log_surface = np.log(self.surface_pa), np.log(surface_pa)
-        inside = np.clip(log_surface, log_table[0], log_table[-1])
-        first_step, last_step = log_table[1] - log_table[0], log_table[-1] - log_table[-2]
-
-        def interpolated(name: str) -> FloatArray:
-            """Return the field ``name`` at the surface pressures."""
-            log_value = np.log(getattr(self, name))
-            low_slope, high_slope = (
-                (log_value[1] - log_value[0]) / first_step,
-                (log_value[-1] - log_value[-2]) / last_step,
-            )
-            extrapolation = np.where(log_surface < inside, low_slope, high_slope) * (log_surface - inside)
-            return np.asarray(np.exp(PchipInterpolator(log_table, log_value)(inside) + extrapolation))
-
-        return Push(*(interpolated(field.name) for field in fields(self)))
+        log_values = (np.log(getattr(self, field.name)) for field in fields(self))
+        return Push(*(np.exp(_interpolated(log_table, log_value, log_surface)) for log_value in log_values))
 
     def relative_force(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
         """Return the force at relative pressures, as a multiple of ``force_density_n_per_m3``.
@@ -100,7 +86,8 @@ class Push:
         """Return the power of the force as a function of drive², at this force; 1 for linear propagation."""
         log_surface, step = math.log(self.surface_for(force_density_n_per_m3)), 0.05
         low, high = (float(self._log_force(np.array(log_surface + side * step))) for side in (-1, 1))
-        return (high - low) / (4 * step)
+        power_of_drive = (high - low) / (2 * step)
+        return power_of_drive / 2
 
     def _log_force(self, log_surface: FloatArray) -> FloatArray:
         """Return the logarithm of the force at logarithms of the surface pressure."""
@@ -112,6 +99,20 @@ class Push:
         inside = PchipInterpolator(log_table, gain)(np.clip(log_surface, log_table[0], log_table[-1]))
         slope = (gain[-1] - gain[-2]) / (log_table[-1] - log_table[-2])
         return np.asarray(inside + slope * np.maximum(log_surface - log_table[-1], 0) + 2 * log_surface)
+
+
+def _interpolated(table: FloatArray, value: FloatArray, at: FloatArray) -> FloatArray:
+    """Return the monotone cubic through ``value`` at the ascending points ``table``, evaluated at ``at``, any shape.
+
+    Outside the table it continues as a line, with the slope between the two outermost points.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    inside = np.clip(at, table[0], table[-1])
+    first_slope = (value[1] - value[0]) / (table[1] - table[0])
+    last_slope = (value[-1] - value[-2]) / (table[-1] - table[-2])
+    extrapolation = np.where(at < inside, first_slope, last_slope) * (at - inside)
+    return np.asarray(PchipInterpolator(table, value)(inside) + extrapolation)
 
 
 def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | None:

@@ -81,17 +81,18 @@ def apodisation(transducer: Transducer, relative_radius: FloatArray) -> FloatArr
 
 
 def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: FloatArray) -> ComplexArray:
-    """Return the bowl's field as plane waves: their amplitudes (direction,) at these cosines to the axis.
+    """Return the amplitudes (direction,) of the plane waves that make up a bowl's field, at these cosines to its axis.
 
-    They follow from ``orders`` spherical waves. ``k``: complex wave number.
+    They follow from spherical waves about the focus, of the orders 0 to ``orders`` - 1. ``k``: complex wave number.
     """
-    # Amplitude of each spherical wave n: Hankel function at the bowl times moment times (2n + 1) (-j)^n. In plane waves
-    # it is a Legendre polynomial of the cosine.
-    weighted = _hankel(k * transducer.focal_length_m, orders) * _moments(transducer, orders)
+    # Amplitude of the spherical wave of order n: Hankel function at the bowl, times moment of the apodisation, times
+    # (2n + 1) (-j)^n.
+    amplitude = _hankel(k * transducer.focal_length_m, orders) * _moments(transducer, orders)
     n = np.arange(orders)
-    weighted *= (2 * n + 1) * np.array([1, -1j, -1, 1j])[n % 4]
+    amplitude *= (2 * n + 1) * np.array([1, -1j, -1, 1j])[n % 4]
+    # Each is a sum of plane waves, with a Legendre polynomial of the cosine as amplitude, (order, direction).
     legendre = np.stack(list(_legendre(cosine, orders)))
-    return np.asarray((k * transducer.focal_length_m) ** 2 / 2 * (weighted @ legendre))
+    return np.asarray((k * transducer.focal_length_m) ** 2 / 2 * (amplitude @ legendre))
 
 
 def _moments(transducer: Transducer, orders: int) -> FloatArray:
