@@ -4,7 +4,8 @@
 
 e is the rate error of the motion by the clock of the pulses, a the accuracy of the clocks, A the amplitude, s the noise
 of a pulse. u(e) changes the phase at time zero by 2 pi f mean(t) u(e). The trigger times, which measure the rate of the
-pulses, are left out: they reduce a if the digitizer's clock is more accurate than that of the pulses.
+pulses, are left out: they reduce a if the digitizer's clock is more accurate than that of the pulses. Tonebursts at the
+second input replace u(e) by a far smaller one.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from hpe_rig.bench import BenchFile, clock_covariance
 from hpe_rig.plan import Shot, select
 from hpe_rig.prediction.conditions import expected_amplitude_m
 from hpe_rig.prediction.linear_fit import echo_noise_m, trigger_noise_m
-from hpe_rig.processing import prior_rate_error, spec_of
+from hpe_rig.processing import predicted_uncertainty, prior_rate_error, spec_of
 from hpe_rig.scene import Scene
 
 
@@ -40,6 +41,7 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
         slope_m_per_s = 2 * np.pi * wanted_hz * amplitude_m
         information = float(slope_m_per_s @ slope_m_per_s) * time_s.size * float(np.var(time_s)) / (2 * noise_m**2)
         posterior_u = 1 / math.sqrt(1 / prior_u**2 + information)
+    posterior_u = predicted_uncertainty(shot, posterior_u) or posterior_u
     # The phase is stated at time zero, the rate acts about the mean time of the pulses.
     mean_s = float(time_s.mean()) if time_s.size else 0.0
     return prior_u, posterior_u, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * posterior_u)

@@ -10,6 +10,7 @@
     error_influences.py  errors of a shot's complex values, source by source
     first_pulse.py     the tracking pulse of each record
     tracking_rate.py   rate of the pulses by the digitizer's clock
+    toneburst_phases.py  rate of the tonebursts by the clock of the pulses, from the second input
     shot_tracking.py   echoes and displacement of a stored shot
     control.py         motion without tonebursts, and the uncertainty of its subtraction
     shot_controls.py   motion in the controls of a stored run

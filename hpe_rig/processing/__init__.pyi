@@ -74,3 +74,4 @@ from .stated_motion import (
     map_stated_motion as map_stated_motion,
 )
 from .time_base import prior_rate_error as prior_rate_error, shot_fit as shot_fit
+from .toneburst_phases import predicted_uncertainty as predicted_uncertainty

@@ -25,6 +25,7 @@ from hpe_rig.processing.first_pulse import PulseAssignment, assign_pulses
 from hpe_rig.processing.motion.displacement import Motion, relative_to
 from hpe_rig.processing.motion.gate_tracking import add_gate_motion, track_gate
 from hpe_rig.processing.motion.phase_shift import coherent
+from hpe_rig.processing.toneburst_phases import ToneburstPhases, toneburst_phases
 from hpe_rig.processing.tracking_rate import TrackingRate, measured_rate
 from hpe_rig.scene import Scene
 
@@ -40,7 +41,8 @@ DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-r
 class ShotRecords:
     """Records of one shot: in the gate, with ``statistics`` of their codes, and in the reference gate, if any.
 
-    ``tracking_rate``: the train's rate from the trigger times, None if it was not measured.
+    ``tracking_rate``: the train's rate from the trigger times, None if it was not measured. ``tonebursts``: their
+    phases at the second input, None if it was not recorded.
     """
 
     gate: GatedRecords
@@ -48,6 +50,7 @@ class ShotRecords:
     reference: GatedRecords | None
     assignment: PulseAssignment
     tracking_rate: TrackingRate | None = None
+    tonebursts: ToneburstPhases | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +118,7 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
             shot.tracking_train.rate_hz,
             shot.capture.sample_rate_hz,
         ),
+        tonebursts=None if max(assignment.shifts) else toneburst_phases(shot, stored, placement),
     )
 
 

@@ -15,6 +15,7 @@ from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_tracking import DAMAGED
 from hpe_rig.processing.time_base import TimeBase
+from hpe_rig.processing.toneburst_phases import MIN_RECORDS, ToneburstPhases
 from hpe_rig.result import DETECTED, Estimate, probability_text, with_u
 from hpe_rig.scene import Scene
 
@@ -154,6 +155,26 @@ def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: floa
         )
 
 
+def toneburst_warnings(tonebursts: ToneburstPhases | None, time_base: TimeBase) -> Iterator[str]:
+    """Yield a warning if records of the second input lie within tonebursts but do not measure their rate.
+
+    ``tonebursts``: their phases, None if the second input was not recorded.
+    """
+    is_needed = time_base.by_clocks.uncertainty > 0 and time_base.by_tonebursts is None
+    if tonebursts is None or not is_needed or tonebursts.expected < MIN_RECORDS:
+        return
+    count, expected = tonebursts.pulse.size, tonebursts.expected
+    observation = (
+        f"the second input shows a toneburst in {count} records, where {expected} are expected"
+        if count < MIN_RECORDS
+        else f"the phases of {count} records within tonebursts at the second input fit no rate, or several"
+    )
+    yield (
+        f"{observation}: the rate of the tonebursts is not measured there; check the T piece at the output of the "
+        "toneburst generator and digitizer.monitor_range_v"
+    )
+
+
 def clock_warnings(
     time_base: TimeBase, estimates: Sequence[Estimate], pulse_time_s: FloatArray, has_bursts: bool
 ) -> Iterator[str]:
@@ -183,7 +204,9 @@ def clock_warnings(
         subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
         beyond = ""
         if time_base.exceeds_accuracy:
-            beyond = ", more than clock_accuracy explains, unless its delay grows as in tissue that warms"
+            beyond = ", more than clock_accuracy explains"
+            if time_base.by_tonebursts is None:
+                beyond += ", unless its delay grows as in tissue that warms"
         change = f"{np.degrees(shift_rad):.2g} deg (u {np.degrees(u_rad):.2g} deg)"
         yield (
             f"{subject} is {_ppm_text(error.value, error.uncertainty)} of the tracking train's{also}{beyond}: the "

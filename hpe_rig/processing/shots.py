@@ -46,6 +46,7 @@ from hpe_rig.processing.shot_warnings import (
     missing_record_warnings,
     record_warnings,
     setting_warnings,
+    toneburst_warnings,
 )
 from hpe_rig.processing.time_base import TimeBase, clocks_of, phasor_influence_m, timed_motion
 from hpe_rig.processing.tracking_rate import TrackingRate
@@ -232,10 +233,12 @@ def _estimate_window(
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
             *drift_warnings(drift, estimates, settings.false_alarm, is_removed=removed_drift is not None),
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),
+            *toneburst_warnings(records.tonebursts, time_base),
             *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s, scene.excitation is not None),
         ),
         frequency_error=time_base.by_pulses.value if time_base.is_uncertain else None,
         frequency_error_uncertainty=time_base.by_pulses.uncertainty if time_base.is_uncertain else None,
+        frequency_error_from_tonebursts=time_base.by_tonebursts is not None,
         complete=complete,
         influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),

@@ -6,7 +6,8 @@ covariance C follows from the accuracies in the bench file. The fit needs e = m 
     e ~ N(0, w'C w),  w = (1, -1, 0)      without trigger times
     e given p - q                         with them (normal distribution, conditional)
 
-The displacement then narrows e (harmonics/rate_error.py). Pulse times are multiplied by 1 + e.
+The displacement then narrows e (harmonics/rate_error.py). Tonebursts at the second input, if it recorded them, measure
+e far better than both (toneburst_phases.py). Pulse times are multiplied by 1 + e.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, esti
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_fitting import HarmonicFitter, available_prior, options_of, shot_drift, shot_prior
 from hpe_rig.processing.shot_tracking import MotionFunction, ShotRecords, WindowMotion, read_shot, window_motion
+from hpe_rig.processing.toneburst_phases import ToneburstPhases
 from hpe_rig.processing.tracking_rate import TrackingRate
 from hpe_rig.scene import UNSTATED_FREQUENCY_ACCURACY, Scene
 
@@ -50,17 +52,19 @@ class TimeBase:
 
     ``by_pulses``: all that is known of it. ``by_clocks``: what is known before the displacement is analysed.
     ``tracking_rate``: rate of the pulses measured with the digitizer's clock, None if it was not measured.
-    ``differs_from_bench``: that rate is off by more than the clocks' accuracies explain.
+    ``differs_from_bench``: that rate is off by more than the clocks' accuracies explain. ``by_tonebursts``: the rate
+    error that the second input measured, None if it did not.
     """
 
     by_pulses: RateError
     by_clocks: RateError
     tracking_rate: TrackingRate | None
     differs_from_bench: bool = False
+    by_tonebursts: RateError | None = None
 
     @property
     def exceeds_accuracy(self) -> bool:
-        """Whether the displacement shows a rate error that the accuracies of the clocks do not explain."""
+        """Whether the rate error is larger than the accuracies of the clocks explain."""
         return abs(self.by_pulses.value - self.by_clocks.value) > SIGNIFICANT * self.by_clocks.uncertainty
 
     @property
@@ -143,7 +147,7 @@ def timed_motion(
     window = window_motion(scene, shot, records, selection, motion)
     if control is not None:
         window = window.without(control.displacement_m(window.tracked.time_s))
-    by_clocks = prior_rate_error(scene, clocks, records.tracking_rate)
+    by_clocks = expected = prior_rate_error(scene, clocks, records.tracking_rate)
     if scene.processing.drift == "linear":
         # A growing delay is the same motion as a rate error; the drift is far less limited and contains it.
         by_clocks = replace(by_clocks, uncertainty=0.0)
@@ -152,12 +156,27 @@ def timed_motion(
     if window.coherent is not None and by_clocks.uncertainty:
         prior = available_prior(scene, shot, beams)
         error = _narrowed(by_clocks, window.coherent, selection, scene.processing.background_order, prior)
+    by_tonebursts = None if records.tonebursts is None else measured_error(records.tonebursts, expected, error)
+    error = by_tonebursts or error
     if error.value:
         coherent = None if window.coherent is None else with_rate_error(window.coherent, error.value)
         window = replace(window, tracked=with_rate_error(window.tracked, error.value), coherent=coherent)
     rate = records.tracking_rate
     differs = rate is not None and clocks is not None and differs_from_bench(clocks, rate)
-    return window, TimeBase(error, by_clocks, rate, differs)
+    return window, TimeBase(error, by_clocks, rate, differs, by_tonebursts)
+
+
+def measured_error(tonebursts: ToneburstPhases, by_clocks: RateError, by_displacement: RateError) -> RateError | None:
+    """Return the rate error that ``tonebursts`` at the second input measure; None if they leave several.
+
+    Their phases alone do not determine the whole carrier periods between tonebursts. If the clocks' accuracies and the
+    displacement select different ones, neither is certain: accuracies may be wrong, and tissue that warms looks like a
+    rate error.
+    """
+    selected = [error for prior in (by_clocks, by_displacement) if (error := tonebursts.rate_error(prior)) is not None]
+    if not selected or abs(selected[0].value - selected[-1].value) > SIGNIFICANT * selected[0].uncertainty:
+        return None
+    return selected[0]
 
 
 def _narrowed(

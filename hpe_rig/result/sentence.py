@@ -76,7 +76,8 @@ def frequency_error_text(shot: ShotResult) -> str:
     if shot.frequency_error is None or shot.frequency_error_uncertainty is None:
         return ""
     error, u = shot.frequency_error * 1e6, shot.frequency_error_uncertainty * 1e6
-    return f"motion's frequencies {with_u(error, u)} ppm from nominal by the clock of the pulses, corrected"
+    source = " (tonebursts at the second input)" if shot.frequency_error_from_tonebursts else ""
+    return f"motion's frequencies {with_u(error, u)} ppm from nominal by the clock of the pulses{source}, corrected"
 
 
 def probability_text(probability: float) -> str:

@@ -269,7 +269,8 @@ class ShotResult:
     not stored. ``pulse_rate_error``: relative error of the pulse rate by the digitizer's clock, with its standard
     uncertainty; None without trigger times. ``frequency_error``: relative error of the motion's frequencies (of the
     burst rate) by the clock of the pulses, which the estimates are corrected for, with its standard uncertainty; None
-    for one common clock. ``control``: tracked motion in the control of the shot, which has been subtracted, at each
+    for one common clock. ``frequency_error_from_tonebursts``: whether tonebursts recorded at the second input measured
+    it, and not the motion. ``control``: tracked motion in the control of the shot, which has been subtracted, at each
     frequency; empty without a control. ``influences``: errors of the estimates by source.
     """
 
@@ -295,6 +296,7 @@ class ShotResult:
     control: tuple[Estimate, ...] = ()
     frequency_error: float | None = None
     frequency_error_uncertainty: float | None = None
+    frequency_error_from_tonebursts: bool = False
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
     influences: tuple[Influence, ...] = field(default=(), repr=False, compare=False)
 

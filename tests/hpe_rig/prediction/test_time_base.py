@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -40,3 +42,22 @@ def test_one_clock_adds_nothing() -> None:
     scene = hpe.load_scene("bovine-muscle")
     bench = read_bench().bench
     assert not list(time_base_text(scene, bench, make_plan(scene, bench).shots[0]))
+
+
+@pytest.mark.parametrize("pulse_rate_hz", [3990.0, 4000.0])
+def test_tonebursts_at_the_second_input_leave_far_less_if_pulses_fall_into_them(
+    tmp_path: Path, pulse_rate_hz: float
+) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(read_bench().text.replace("[digitizer]", "[digitizer]\nmonitor_range_v = 4.0"), encoding="utf-8")
+    scene = hpe.load_scene("free-running-clocks").with_({"tracking.pulse_rate_hz": pulse_rate_hz})
+    without, monitored = (
+        time_base_uncertainty(scene, bench, make_plan(scene, bench).shots[0])[1]
+        for bench in (read_bench().bench, read_bench(file).bench)
+    )
+    if pulse_rate_hz == 4000.0:
+        assert monitored == without
+    else:
+        # 40 records, uniform over 1 s, rounded to 10 ns.
+        assert monitored == pytest.approx(10e-9 / np.sqrt(12) * np.sqrt(12) / np.sqrt(40), rel=0.03)
+        assert monitored < without / 100
