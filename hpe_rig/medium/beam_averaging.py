@@ -31,7 +31,7 @@ WIDTH_SCALES = (0.05, 1e3)
 
 @dataclass(frozen=True, slots=True)
 class BeamWidths:
-    """Sigmas (x, y, z) of the Gaussian body force and of the tracking beam, m; both are round, so x counts.
+    """Sigmas (x, y, z) of the Gaussian body force and of the tracking beam's amplitude, m; both are round, so x counts.
 
     ``depth_sd_m``: standard deviation of echo depth in the gate. ``width_log_sd``: standard deviation of the logarithm
     of the force's widths, which are not measured in the medium. ``lateral_offset_m``: offset of the tracking beam
@@ -68,13 +68,14 @@ class BeamWidths:
         return list(zip(echo_sigmas_m, self.force_width_m, strict=True))
 
     def gaussian_steepness(self) -> float:
-        """Return the relative change of ``gaussian_averaging`` with the logarithm of the tracking beam's area.
+        """Return the derivative of ln(``gaussian_averaging``) by the logarithm of the tracking beam's area.
 
-        It scales the effect of speckle, which changes the effective area.
+        It gives the effect of speckle, which weights the beam unevenly and so changes its effective area.
         """
+        # Derivative of ln prod 1 / sqrt(1 + S^2 / E^2) by ln S^2, with S^2 = T^2 / 2 along x and y.
         pairs = zip(self.tracking_width_m[:2], self.force_width_m[:2], strict=True)
-        squares = [width**2 / 2 / motion**2 for width, motion in pairs]
-        return -sum(square / (1 + square) for square in squares) / 2
+        variance_ratios = [tracking_m**2 / 2 / force_m**2 for tracking_m, force_m in pairs]
+        return -sum(ratio / (1 + ratio) for ratio in variance_ratios) / 2
 
     def width_scale(self, averaging: float) -> float:
         """Return the factor on the force's widths, within ``WIDTH_SCALES``, that gives this ``gaussian_averaging``."""
@@ -93,13 +94,15 @@ TrackedMotion = tuple[ComplexArray, ComplexArray, ComplexArray]
 
 All are up to one real factor, with the time factor exp(+jwt). The steepness has the derivatives of the tracked
 displacement by the quantities that speckle changes: the logarithm of the tracking beam's area and, off the axis of the
-force, the beam's offset relative to its radius."""
+force, the beam's offset over its radius T / sqrt(2). Speckle changes both independently with one standard deviation:
+that of N equal echoes is 1 / sqrt(N) for both."""
 
 
 def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
-    """Return tracked motion, peak motion, complex (frequency,), and steepness (effect, frequency) in ``medium``.
+    """Return tracked and peak displacement (frequency,) in ``medium``, and the effects of speckle on the former.
 
-    The force is Gaussian, and the beam is at the lateral offset of ``beams``. Averaging over a Gaussian of variance
+    The effects (effect, frequency) are derivatives by the area of the tracking beam and, at a lateral offset of
+    ``beams``, by its position: ``TrackedMotion``. The force is Gaussian. Averaging over a Gaussian beam of variance
     T^2 / 2 equals tracking at a point under a wider force: T^2 / 2 is added to the force's variance, and its spectrum
     over wave numbers keeps its height.
     """
@@ -108,36 +111,25 @@ def tracked_motion(medium: HarmonicMedium, beams: BeamWidths) -> TrackedMotion:
         return tracked[:, 0], peak[:, 0], steepness[..., 0]
     variance_m2 = beams.tracking_variance_m2
     across_m2, along_m2 = beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2
-    values, slopes = _tracked_and_peak(
-        medium.shear_k2.astype(np.complex128).tobytes(),
-        (across_m2 + variance_m2, across_m2),
-        (along_m2 + beams.depth_sd_m**2, along_m2),
+    # Rows: the force widened by the tracking beam, for the tracked displacement, and the force itself, for the peak.
+    (tracked, peak), (by_variance, _) = focal_displacement(
+        np.stack([medium.shear_k2, medium.shear_k2]),
+        np.array([across_m2 + variance_m2, across_m2]),
+        np.array([along_m2 + beams.depth_sd_m**2, along_m2]),
+        FINE_DIRECTIONS,
     )
-    tracked, peak, steepness = np.stack([*values, variance_m2 * slopes[0]]) / medium.modulus_pa
-    return tracked, peak, steepness[None]
-
-
-@functools.lru_cache(maxsize=4)
-def _tracked_and_peak(
-    shear_k2: bytes, across_m2: tuple[float, float], along_m2: tuple[float, float]
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return tracked and peak motion times the modulus, and their derivatives by ``across_m2``, each (2, frequency).
-
-    ``shear_k2``: squared wave number of shear waves (frequency,), as the bytes of a complex array, because arrays are
-    not hashable. ``across_m2`` and ``along_m2``: squared widths of the force for the tracked and for the peak motion.
-    Cached: the prediction of a scene needs the motion of all harmonics several times.
-    """
-    k2 = np.frombuffer(shear_k2, np.complex128)
-    return focal_displacement(np.stack([k2, k2]), np.array(across_m2), np.array(along_m2), FINE_DIRECTIONS)
+    # The area is proportional to the variance: d / d ln(area) = variance d / d(variance).
+    by_area = variance_m2 * by_variance
+    # The closed form is the displacement times the modulus.
+    return tracked / medium.modulus_pa, peak / medium.modulus_pa, by_area[None] / medium.modulus_pa
 
 
 def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatArray) -> TrackedMotion:
-    """Return tracked and peak displacement (frequency, offset), and steepness (effect, frequency, offset).
+    """Return tracked and peak displacement (frequency, offset), and the effects of speckle on the former.
 
     The beam is at the distances ``lateral_m`` (offset,) from the force's axis; the peak is the displacement at that
-    point. All are per unit of body force. The steepness has the derivatives of the tracked displacement by the
-    logarithm of the beam's area, then by its offset over its radius T / sqrt(2). Speckle changes both independently
-    with one standard deviation: that of N equal echoes is 1 / sqrt(N) for both.
+    point. All are per unit of body force. The effects (effect, frequency, offset) are derivatives by the logarithm of
+    the beam's area, then by its offset over its radius: ``TrackedMotion``.
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from hpe_rig.medium.shear_field import focal_plane_motion
@@ -147,9 +139,10 @@ def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatA
     tracked, by_variance, by_distance = focal_plane_motion(
         medium, (x_m, z_m), x_m**2 + variance_m2, z_m**2 + beams.depth_sd_m**2, lateral_m
     )
-    peak = focal_plane_motion(medium, (x_m, z_m), x_m**2, z_m**2, lateral_m)[0]
+    peak, *_ = focal_plane_motion(medium, (x_m, z_m), x_m**2, z_m**2, lateral_m)
     # The area is proportional to the variance: d / d ln(area) = variance d / d(variance).
-    return tracked, peak, np.stack([variance_m2 * by_variance, np.sqrt(variance_m2) * by_distance])
+    by_area, by_offset = variance_m2 * by_variance, np.sqrt(variance_m2) * by_distance
+    return tracked, peak, np.stack([by_area, by_offset])
 
 
 def tracked_ratio(medium: HarmonicMedium, force: PushForce, beams: BeamWidths) -> ComplexArray:
@@ -190,28 +183,31 @@ def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_
     corrections of leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their
     density is finite.
     """
-    # Echo envelopes (instant of the gate, depth).
+    # Echo envelopes (instant of the gate, depth), and the energy from each depth.
     depth_m, echo = gate.echoes()
-    # Number of independent speckles: squared trace of the energy matrix over the trace of its square.
-    overlap = (echo.T @ echo) ** 2
     energy = np.sum(echo**2, axis=0)
-    speckles = energy.sum() ** 2 / overlap.sum()
-    # The correction of a ratio of sums halves for one speckle and is complete for many.
-    completeness = 1 - 1 / (2 * speckles)
-    # Mean motion over all scatterers, weighted by echo energy; I is the tracking beam's intensity across.
+    total_energy = energy.sum()
+    # Mean motion over many scatterers, weighted by echo energy.
     axial_motion = np.asarray(np.exp(-(depth_m**2) / (2 * force_width_m[2] ** 2)))
     squared_ratios = [(t / e) ** 2 for e, t in zip(force_width_m[:2], gate.tracking_width_m[:2], strict=True)]
     lateral_mean = _lateral_mean(squared_ratios, 2)
-    mean = lateral_mean * (energy @ axial_motion) / energy.sum()
-    # Few scatterers: -sum w^2 (u - mean) / (sum w)^2 with the weights w = energy(z) I^2.
-    squared = _lateral_mean(squared_ratios, 4) * (energy**2 @ axial_motion) / np.sum(energy**2)
+    mean = lateral_mean * (energy @ axial_motion) / total_energy
+    # Number of independent speckles: squared trace of the energy matrix over the trace of its square.
+    overlap = (echo.T @ echo) ** 2
+    speckles = total_energy**2 / overlap.sum()
+    # Few scatterers, -sum w^2 (u - mean) / (sum w)^2 with the weights w = energy I^2, I the tracking beam's intensity
+    # across. The mean under the squared weights, and the effective number of scatterers (sum w)^2 / sum w^2:
+    mean_of_squares = _lateral_mean(squared_ratios, 4) * (energy**2 @ axial_motion) / np.sum(energy**2)
     area_m2 = 4 * np.pi * gate.tracking_width_m[0] * gate.tracking_width_m[1] / 2
-    effective_number = scatterers_per_m3 * area_m2 * energy.sum() ** 2 / np.sum(energy**2) * (depth_m[1] - depth_m[0])
-    of_scatterers = float(mean - completeness * (squared - mean) / effective_number)
+    depth_step_m = depth_m[1] - depth_m[0]
+    scatterers = scatterers_per_m3 * area_m2 * total_energy**2 / np.sum(energy**2) * depth_step_m
+    # The correction of a ratio of sums halves for one speckle and is complete for many.
+    completeness = 1 - 1 / (2 * speckles)
+    of_scatterers = float(mean - completeness * (mean_of_squares - mean) / scatterers)
     # Few speckles: the same form with the overlap of neighbouring depths.
     motion = lateral_mean * axial_motion
-    deviation = motion - energy @ motion / energy.sum()
-    return float(of_scatterers - (overlap.sum(axis=0) @ deviation) / energy.sum() ** 2)
+    deviation = motion - energy @ motion / total_energy
+    return float(of_scatterers - (overlap.sum(axis=0) @ deviation) / total_energy**2)
 
 
 def _lateral_mean(squared_ratios: list[float], power: int) -> float:

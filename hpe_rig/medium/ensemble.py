@@ -85,9 +85,9 @@ class Ensemble:
     """Displacement per unit force of every member, complex (member, node), at ``node_hz`` (node,); read-only.
 
     ``tracked`` is the mean over tracking beam and gate, ``peak`` the displacement on the beam's axis at the focus, both
-    up to one real factor a member. ``steepness`` (effect, member, node) has the derivatives of ``tracked`` by the
-    logarithm of the tracking beam's area and, off the axis, by the beam's offset over its radius; speckle changes both.
-    ``voigt`` (member,) marks Voigt media. The first ``exact_nodes`` nodes are harmonics and are not interpolated.
+    up to one real factor a member. ``steepness`` (effect, member, node) has the effects of speckle: the derivatives of
+    ``tracked`` by the logarithm of the tracking beam's area and, off the axis, by the beam's offset over its radius.
+    ``voigt`` (member,) marks Voigt media. The first ``harmonic_nodes`` nodes are harmonics and are not interpolated.
     """
 
     node_hz: FloatArray
@@ -95,21 +95,21 @@ class Ensemble:
     peak: ComplexArray
     steepness: ComplexArray
     voigt: BoolArray
-    exact_nodes: int = 0
+    harmonic_nodes: int = 0
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
         """Return the matrix (frequency, node) from responses at the ensemble's nodes to those at ``frequency_hz``.
 
         The first nodes are harmonics and are used as they are; between the others it interpolates.
         """
-        exact = np.isclose(frequency_hz[:, None], self.node_hz[: self.exact_nodes])
-        smooth_nodes_hz = self.node_hz[self.exact_nodes :]
+        is_harmonic_node = np.isclose(frequency_hz[:, None], self.node_hz[: self.harmonic_nodes])
+        smooth_nodes_hz = self.node_hz[self.harmonic_nodes :]
         if not smooth_nodes_hz.size:
-            return exact.astype(np.float64)
+            return is_harmonic_node.astype(np.float64)
         matrix = np.zeros((frequency_hz.size, self.node_hz.size))
-        matrix[:, : self.exact_nodes] = exact
-        between = ~exact.any(axis=1)
-        matrix[between, self.exact_nodes :] = _interpolation(frequency_hz[between], smooth_nodes_hz)
+        matrix[:, : self.harmonic_nodes] = is_harmonic_node
+        between = ~is_harmonic_node.any(axis=1)
+        matrix[between, self.harmonic_nodes :] = _interpolation(frequency_hz[between], smooth_nodes_hz)
         return matrix
 
     def driven_spectrum(self, harmonics: int, burst_rate_hz: float, burst_length_s: float) -> ComplexArray:
@@ -223,9 +223,9 @@ def _sphere_ensemble(sphere: RigidSphere, spec: _EnsembleSpec) -> Ensemble:
 def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
     """Return the responses of the media of ``spec``, tracked on the axis of the force, from a closed form."""
     node_hz = spec.nodes(NODES_PER_E_FOLD)
-    s = np.asarray(2j * np.pi * node_hz, np.complex128)
-    modulus_pa = spec.modulus(s)
-    shear_k2 = -spec.density_kg_per_m3 * s**2 / modulus_pa
+    modulus_pa = spec.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))
+    shear_k2 = HarmonicMedium(node_hz, modulus_pa, spec.density_kg_per_m3).shear_k2
+    # Squared widths of each member's force, (member,).
     width_factor, length_factor = spec.width_factors(beams.width_log_sd)
     across_m2 = (beams.force_width_m[0] * width_factor) ** 2
     along_m2 = (beams.force_width_m[2] * length_factor) ** 2
@@ -233,13 +233,15 @@ def _on_axis_ensemble(beams: BeamWidths, spec: _EnsembleSpec) -> Ensemble:
     variance_m2 = beams.tracking_variance_m2
     tracked, by_variance = focal_displacement(shear_k2, across_m2 + variance_m2, along_m2 + beams.depth_sd_m**2)
     peak, _ = focal_displacement(shear_k2, across_m2, along_m2)
+    # The area of the tracking beam is proportional to the variance, so this is the derivative by ln(area).
+    by_area = variance_m2 * by_variance
     # The factor of a force that is not Gaussian applies to tracked and peak motion: their ratio is the Gaussian's.
     shape_ratio = 1.0 if beams.force is None else _shape_ratio(beams.force, beams, shear_k2, width_factor)
     # The closed form is the displacement times the modulus.
-    tracked, peak, steepness = np.stack([tracked, peak, variance_m2 * by_variance]) * (shape_ratio / modulus_pa)
-    ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=steepness[None], voigt=spec.are_voigt())
+    tracked, peak, by_area = np.stack([tracked, peak, by_area]) * (shape_ratio / modulus_pa)
+    ensemble = Ensemble(node_hz=node_hz, tracked=tracked, peak=peak, steepness=by_area[None], voigt=spec.are_voigt())
     # Cached and shared by all callers, hence read-only.
-    for array in (node_hz, tracked, peak, steepness, ensemble.voigt):
+    for array in (node_hz, tracked, peak, by_area, ensemble.voigt):
         array.flags.writeable = False
     return ensemble
 
@@ -255,17 +257,19 @@ def _shape_ratio(force: PushForce, beams: BeamWidths, shear_k2: ComplexArray, wi
     """
     wave_number, loss_rad = np.sqrt(np.abs(shear_k2)), np.clip(-np.angle(shear_k2), 0.0, np.pi / 2)
     lowest = float(wave_number.min())
+    # Above the highest node the ratio is constant.
     highest = min(float(wave_number.max()), MAX_RELATIVE_WAVE_NUMBER / beams.force_width_m[0])
     wave_nodes = _nodes(lowest, highest, SHAPE_NODES)
     loss_nodes = np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
     ratio = _shape_ratio_at_nodes(force, beams, tuple(wave_nodes.tolist()), tuple(loss_nodes.tolist()))
-    # Chebyshev coefficients (wave, loss) of the ratio, from its values at the nodes.
+    # Coefficients (wave, loss) of the Chebyshev polynomials, from the values at the nodes. Both variables are scaled to
+    # -1 at the lowest and 1 at the highest node.
     wave_basis = chebvander(_log_position(wave_nodes, lowest, highest), SHAPE_NODES - 1)
     loss_basis = chebvander(4 * loss_nodes / np.pi - 1, LOSS_NODES - 1)
     coefficients = np.linalg.solve(loss_basis, np.linalg.solve(wave_basis, ratio).T).T
-    # The two series at each member's relative wave number and loss angle.
-    position = _log_position(np.clip(wave_number * width_factor[:, None], lowest, highest), lowest, highest)
-    wave_series = chebvander(position, SHAPE_NODES - 1)
+    # The polynomials at the wave number that corresponds to each member's width, and at its loss angle.
+    equivalent_wave_number = np.clip(wave_number * width_factor[:, None], lowest, highest)
+    wave_series = chebvander(_log_position(equivalent_wave_number, lowest, highest), SHAPE_NODES - 1)
     loss_series = chebvander(4 * loss_rad / np.pi - 1, LOSS_NODES - 1)
     return np.asarray(np.sum(wave_series @ coefficients * loss_series, axis=-1))
 
@@ -297,20 +301,22 @@ def _shape_ratio_at_nodes(
 @functools.lru_cache(maxsize=8)
 def _off_axis_ensembles(beams: BeamWidths, spec: _EnsembleSpec) -> tuple[Ensemble, ...]:
     """Return one ensemble, the responses of all media of the prior, for each of ``beams.offsets_of_joint_fit_m``."""
-    node_hz, exact_nodes = _off_axis_nodes(spec.lowest_hz, spec.highest_hz)
+    node_hz, harmonic_nodes = _off_axis_nodes(spec.lowest_hz, spec.highest_hz)
     offsets_m = np.array(beams.offsets_of_joint_fit_m)
     modulus_pa = spec.modulus(np.asarray(2j * np.pi * node_hz, np.complex128))
     width_factor, length_factor = spec.width_factors(beams.width_log_sd)
-    # Axes (offset, quantity, member, node): tracked and peak motion, then the two effects of the steepness.
+    # Axes (offset, quantity, member, node). Quantities: tracked motion, peak motion, then the two effects of speckle on
+    # the tracked motion, by the tracking beam's area and by its offset.
     motions = np.empty((offsets_m.size, 4, spec.members, node_hz.size), np.complex128)
     # The force is round, so that one width holds across both axes.
     width_m, _, length_m = beams.force_width_m
     member_widths = zip(width_m * width_factor, length_m * length_factor, strict=True)
     for member, (across_m, along_m) in enumerate(member_widths):
         medium = HarmonicMedium(node_hz, modulus_pa[member], spec.density_kg_per_m3)
-        widths_m = (across_m, across_m, along_m)
-        tracked, peak, steepness = off_axis_motion(medium, replace(beams, force_width_m=widths_m), offsets_m)
+        member_beams = replace(beams, force_width_m=(across_m, across_m, along_m))
+        tracked, peak, steepness = off_axis_motion(medium, member_beams, offsets_m)
         motions[:, :, member] = np.moveaxis(np.stack([tracked, peak, *steepness]), -1, 0)
+    # Cached and shared by all callers, hence read-only.
     motions.flags.writeable = False
     return tuple(
         Ensemble(
@@ -319,7 +325,7 @@ def _off_axis_ensembles(beams: BeamWidths, spec: _EnsembleSpec) -> tuple[Ensembl
             peak=motion[1],
             steepness=motion[2:],
             voigt=spec.are_voigt(),
-            exact_nodes=exact_nodes,
+            harmonic_nodes=harmonic_nodes,
         )
         for motion in motions
     )

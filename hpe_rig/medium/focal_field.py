@@ -29,9 +29,10 @@ def focal_displacement(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return displacement times modulus at the focus of a Gaussian force, up to a real factor, and its derivative.
 
-    Both are (member, frequency); the derivative is by ``across_m2``. ``shear_k2`` (member, frequency): squared wave
-    number q^2 of shear waves. ``across_m2`` and ``along_m2`` (member,): squared sigmas of the force. The result is an
-    integral over m, the cosine between a wave and the beam, by quadrature with ``directions`` nodes.
+    Both are (member, frequency), a member being one medium and force; the derivative is by ``across_m2``. ``shear_k2``
+    (member, frequency): squared wave number q^2 of shear waves. ``across_m2`` and ``along_m2`` (member,): squared
+    sigmas of the force. The result is an integral over m, the cosine between a wave and the beam, by quadrature with
+    ``directions`` nodes.
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from scipy.special import wofz
@@ -42,14 +43,16 @@ def focal_displacement(
     angle = np.arctan(slope) * (node + 1) / 2
     m = np.tan(angle) / slope
     weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
+    # The part of the force across the direction of the wave, 1 - m^2, drives shear waves.
     weight = weight * 2 * (1 - m**2)
+    # sqrt(a) with a half the squared width of the force along the direction of the wave.
     root_a = np.sqrt((across_m2[:, None] * (1 - m**2) + along_m2[:, None] * m**2) / 2)[:, None]
     # Im q >= 0 selects the wave that decays away from the force.
     q = np.sqrt(shear_k2)
     q = np.where(q.imag < 0, -q, q)[:, :, None]
-    # The two terms of the bracket, (member, frequency, direction).
+    # Integrand sqrt(pi/a) / 2 + j pi q w(q sqrt(a)) / 2: a static and a dynamic part, (member, frequency, direction).
     static, dynamic = np.sqrt(np.pi) / 2 / root_a, 0.5j * np.pi * q * wofz(q * root_a)
-    # Derivative by a, with w'(z) = 2j / sqrt(pi) - 2 z w(z). The chain rule gives da / d(sx^2) = (1 - m^2) / 2.
+    # Its derivative by a, with w'(z) = 2j / sqrt(pi) - 2 z w(z). By the chain rule da / d(across_m2) = (1 - m^2) / 2.
     by_a = -static * (0.5 / root_a**2 + q**2) - q**2 * dynamic
     value = _sum_over_directions(static + dynamic, weight)
     return value, _sum_over_directions(by_a, weight * (1 - m**2) / 2)

@@ -67,15 +67,17 @@ class TrackingGate:
         quotient is int_0^inf t tr(B M B M) / det(1 + t A) dt with M = (1 + t A)^-1, from the mean of exp(-t g^H A g).
         """
         depth_m = self._depths(INSTANTS)
-        echo, slope = (self._envelopes(depth_m, pulse) for pulse in (_pulse, _pulse_slope))
+        # A = E'E and B = (E'S - S'E) / 2, for the echo amplitudes E (instant, depth) and their slopes S by depth.
+        echo, echo_slope = (self._envelopes(depth_m, pulse) for pulse in (_pulse, _pulse_slope))
         # In the eigenbasis of A, normalised by its largest eigenvalue.
         eigenvalues, basis = np.linalg.eigh(echo.T @ echo)
-        b_squared = np.square(basis.T @ (echo.T @ slope - slope.T @ echo) @ basis / 2) / eigenvalues[-1] ** 2
-        # Trapezoidal rule over ln t, from where 1 + t A is 1 to where it damps everything.
+        derivative = basis.T @ (echo.T @ echo_slope - echo_slope.T @ echo) @ basis / 2
+        squared_derivative = np.square(derivative) / eigenvalues[-1] ** 2
+        # Trapezoidal rule over ln t, from where 1 + t A is 1 to where it damps everything. M and A are diagonal.
         log_step = 0.125
         t = np.exp(np.arange(-12.0, 40.0, log_step))[:, None]
         m = 1 / (1 + t * eigenvalues.clip(min=0) / eigenvalues[-1])
-        integrand = np.prod(m, axis=1) * np.einsum("ti,ij,tj->t", m, b_squared, m)
+        integrand = np.prod(m, axis=1) * np.einsum("ti,ij,tj->t", m, squared_derivative, m)
         return float(np.sqrt(np.sum(integrand * t[:, 0] ** 2) * log_step) / wave_number_per_m)
 
     def _depths(self, count: int) -> FloatArray:

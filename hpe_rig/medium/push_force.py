@@ -156,9 +156,10 @@ def scanned_force(
 
 
 def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], FloatArray]) -> float:
-    """Return the first of the rising ``distance_m`` where ``profile``, intensity over distance, is below half its peak.
+    """Return the first of the rising ``distance_m`` with an intensity below half of that at the first distance.
 
-    Evaluates from near to far in blocks and stops early: far points of a bowl's field are the slowest.
+    ``profile`` gives the intensity at distances. It is evaluated from near to far in blocks and stops early: far points
+    of a bowl's field are the slowest.
     """
     peak = profile(distance_m[:1])[0]
     for block_m in np.array_split(distance_m, 20):
@@ -171,14 +172,14 @@ def _half_intensity_m(distance_m: FloatArray, profile: Callable[[FloatArray], Fl
 def _fitted_force(
     intensity: Intensity, spot_m: float, f_number: float, sigma_m: float, loss_uncertainty_np_per_m: float
 ) -> PushForce:
-    """Return the sum of Gaussians fitted to ``intensity``; its end and its attenuation are uncertain properties.
+    """Return the force with the shape of ``intensity``, as a sum of Gaussians with several widths along the axis.
 
-    ``spot_m`` is lambda F / D, ``sigma_m`` the sigma of the beam along its axis. The Gaussians are at stations along
-    the axis, with several widths each.
+    ``spot_m`` is lambda F / D, ``sigma_m`` the sigma of the beam along its axis. The force has two uncertain
+    properties: the distance from the focus where specimen and absorption end it, and the attenuation.
     """
     from scipy.special import ndtr
 
-    # Ends of the force along the axis, and radius of the geometric beam there.
+    # Ends of the fitted region along the axis, and radius of the geometric beam there.
     reach_m = MAX_REACH * sigma_m
     rim_m = max(reach_m / (2 * f_number), 3 * spot_m)
     across_m = np.geomspace(NARROWEST * spot_m, WIDEST * rim_m, WIDTHS)
@@ -198,7 +199,7 @@ def _fitted_force(
     weights = _fitted_weights(relative, lateral_m, axial_m, across_m, centre_m)
 
     def ending_at(reach: float) -> FloatArray:
-        """Return the weights with the force faded out at ``reach`` sigmas."""
+        """Return the weights (station, width) of the force that fades out at ``reach`` sigmas from the focus."""
         return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADE_LENGTH)[:, None] * weights)
 
     # Changes of the weights by one standard uncertainty of the end and of the attenuation alpha. The intensity is

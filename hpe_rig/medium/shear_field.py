@@ -89,25 +89,20 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
     # All Gaussians of the force share one integration path over wave numbers across: that of the narrowest.
     narrowest_m2, along_m2 = min(force.across_m) ** 2, force.along_m**2 + region.along_m2
     path = _Waves.of(medium, narrowest_m2 + region.across_m2, along_m2, region.lateral_m, QUICK if quick else FULL)
-    prefactor = force.along_m / path.denominator
-    sums = _sum_over_stations(path, force, narrowest_m2, along_m2, region.axial_m)
-    kernels = [prefactor[:, None] * total for total in sums]
-    value, by_kappa2, by_axial, by_length, by_width, *by_weight_change = kernels
+    axial = _sum_over_stations(path, force, narrowest_m2, along_m2, region.axial_m)
     k2 = path.k[:, None] ** 2
-    # Each product with the waves is the integral over k. By the modulus: kappa^2 = k^2 - q^2 and q^2 = rho w^2 / G.
-    # By the squared width across, A: the waves contain exp(-A k^2 / 2).
+    # Each product of factors along the axis (frequency, k) with the waves (k, point) is the integral over k. Derivative
+    # by the modulus: kappa^2 = k^2 - q^2 and q^2 = rho w^2 / G. By the squared width A: waves contain exp(-A k^2 / 2).
     return ShearMotion(
-        value=value @ path.waves,
-        by_modulus=(path.q2 / medium.modulus_pa)[:, None] * by_kappa2 @ path.waves,
-        by_across=value @ (-k2 / 2 * path.waves),
-        by_across_twice=value @ (k2**2 / 4 * path.waves),
-        by_lateral=value @ path.lateral_slopes,
-        by_axial=by_axial @ path.waves,
-        by_width=by_width @ path.waves,
-        by_length=by_length @ path.waves,
-        by_weight_change={
-            name: kernel @ path.waves for (name, _), kernel in zip(force.weight_changes, by_weight_change, strict=True)
-        },
+        value=axial.value @ path.waves,
+        by_modulus=(path.q2 / medium.modulus_pa)[:, None] * axial.by_kappa2 @ path.waves,
+        by_across=axial.value @ (-k2 / 2 * path.waves),
+        by_across_twice=axial.value @ (k2**2 / 4 * path.waves),
+        by_lateral=axial.value @ path.lateral_slopes,
+        by_axial=axial.by_axial @ path.waves,
+        by_width=axial.by_width @ path.waves,
+        by_length=axial.by_length @ path.waves,
+        by_weight_change={name: factor @ path.waves for name, factor in axial.by_weight_change.items()},
     )
 
 
@@ -126,19 +121,23 @@ def focal_plane_motion(
     """
     path = _Waves.of(medium, across_m2, along_m2, lateral_m, QUICK)
     prefactor = force_width_m[0] ** 2 * force_width_m[1] / path.denominator
+    # The integral V over wave numbers along the axis has two equal terms at z = 0: V(kappa) = pi / kappa
+    # erfcx(kappa sqrt(a)) with erfcx(x) = w(jx). V(kappa) is the dynamic part, V(k) the static one.
     root_a = np.sqrt(along_m2 / 2)
-    # V, the integral along the axis, has two equal terms at z = 0: V = pi / kappa erfcx(kappa sqrt(a)), with
-    # erfcx(x) = w(jx). The static part is that of k instead of kappa.
-    dynamic, static = (np.pi / kappa * wofz(1j * root_a * kappa) for kappa in (path.kappa, path.k[None]))
-    kernel = prefactor[:, None] * (dynamic - static)
-    return kernel @ path.waves, kernel @ (-(path.k**2)[:, None] / 2 * path.waves), kernel @ path.lateral_slopes
+    dynamic, static = (np.pi / decay * wofz(1j * root_a * decay) for decay in (path.kappa, path.k[None]))
+    axial = prefactor[:, None] * (dynamic - static)
+    # Products of the factors along the axis (frequency, k) with waves (k, point) are integrals over wave numbers k.
+    by_across = axial @ (-(path.k**2)[:, None] / 2 * path.waves)
+    return axial @ path.waves, by_across, axial @ path.lateral_slopes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Waves:
-    """Integrand of u without V: wave numbers (k,), weighted waves and their slopes by r (k, point), q^2 (frequency,).
+    """Factors of the integrand of u that depend on the lateral distance r, on a path of complex wave numbers k (k,).
 
-    ``denominator`` (frequency,): sqrt(2 pi) rho w^2.
+    ``waves`` (k, point): k^3 J0(k r) exp(-A k^2 / 2) times the weights of the quadrature over k; ``lateral_slopes``:
+    their derivatives by r. ``q2`` (frequency,): squared shear wave number. ``denominator`` (frequency,): sqrt(2 pi) rho
+    w^2.
     """
 
     k: ComplexArray
@@ -156,16 +155,15 @@ class _Waves:
         lateral_m: FloatArray,
         quality: tuple[int, float],
     ) -> _Waves:
-        """Return the integrand over wave numbers k across the axis, at ``lateral_m`` (point,).
+        """Return the waves of a Gaussian force on a path of wave numbers k across the axis, at ``lateral_m`` (point,).
 
-        The integral along the axis is left out. It is k^3 J0(k r) exp(-A k^2 / 2) with A = ``across_m2``, and its slope
-        by r, times quadrature weights. ``quality``: nodes per panel and exponent of the spectrum at the end of the
-        path.
+        ``across_m2`` and ``along_m2``: squared widths of the force, averaged over the tracking beam. ``quality``: nodes
+        in a panel of the path, and the exponent of the force's spectrum exp(-A k^2 / 2) at its end.
         """
         q2 = medium.shear_k2
         max_distance_m = float(np.max(np.abs(lateral_m), initial=0.0))
         k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, max_distance_m, quality)
-        # J0(k r) and its derivative by r, -k J1(k r), times the Gaussian's spectrum.
+        # J0(k r) and its derivative by r, -k J1(k r), times k^3, the Gaussian's spectrum and the quadrature's weights.
         kr = k[:, None] * np.abs(lateral_m)
         spectrum = (weight * k**3)[:, None] * np.exp(-(k**2)[:, None] * across_m2 / 2)
         slopes = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
@@ -179,16 +177,29 @@ class _Waves:
         return np.asarray(np.sqrt(self.k**2 - self.q2[:, None]))
 
 
+class _AxialFactors(NamedTuple):
+    """Factor of the integrand of u by the force along the axis, and its derivatives, each (frequency, k).
+
+    By kappa^2, the distance from the focal plane, the logarithms of the force's length and width, and one standard
+    uncertainty of each property in ``PushForce.weight_changes``.
+    """
+
+    value: ComplexArray
+    by_kappa2: ComplexArray
+    by_axial: ComplexArray
+    by_length: ComplexArray
+    by_width: ComplexArray
+    by_weight_change: dict[str, ComplexArray]
+
+
 def _sum_over_stations(
     path: _Waves, force: PushForce, narrowest_m2: float, averaged_along_m2: float, axial_m: float
-) -> ComplexArray:
-    """Return the axial integrals V of all Gaussians of ``force``, times their spectra across, (kind, frequency, k).
+) -> _AxialFactors:
+    """Return the sum over the Gaussians of ``force`` of V(kappa) - V(k), times their weights and spectra across.
 
-    The displacement is an integral over wave numbers k across the axis, of V(kappa) - V(k) among other factors. V is
-    the integral over wave numbers along the axis, in closed form; kappa^2 = k^2 - q^2, with q the shear wave number.
-    Kinds: the sum itself; its derivatives by kappa^2, by ``axial_m`` (distance from the focal plane), by the logarithms
-    of the force's length and width; its changes by ``force.weight_changes``. ``narrowest_m2``: squared width of the
-    narrowest Gaussian. ``averaged_along_m2``: squared length of a Gaussian plus the variance of beam averaging.
+    V is the integral over wave numbers along the axis, in closed form; kappa^2 = k^2 - q^2, with k the wave number
+    across and q the shear wave number. ``axial_m``: distance from the focal plane. ``narrowest_m2``: squared width of
+    the narrowest Gaussian. ``averaged_along_m2``: squared length of a Gaussian plus the variance of beam averaging.
     """
     # Squared widths across (width, 1), and stations: the centres of the Gaussians along the axis (station,).
     k2, width_m2, centre_m = path.k**2, np.square(force.across_m)[:, None], np.array(force.centre_m)
@@ -207,59 +218,71 @@ def _sum_over_stations(
     # Spectra summed over the stations at each distance (distance, k), with their signs for the slope of V.
     summed, summed_by_width = is_at @ spectra, is_at @ spectra_by_width
     signed, signed_centres = sign_at @ spectra, sign_at @ (centre_m[:, None] * spectra)
-    summed_changes = [is_at @ (np.array(weight_change) @ across) for _, weight_change in force.weight_changes]
+    summed_changes = {name: is_at @ (np.array(change) @ across) for name, change in force.weight_changes}
     kappa, half_m2 = path.kappa, averaged_along_m2 / 2
-    sums = np.zeros((5 + len(summed_changes), *kappa.shape), np.complex128)
+    value, by_kappa2, by_axial, by_length, by_width = np.zeros((5, *kappa.shape), np.complex128)
+    by_weight_change = {name: np.zeros(kappa.shape, np.complex128) for name in summed_changes}
     for i, distance in enumerate(distance_m):
-        # V(kappa) is the dynamic part, V(k) the static one.
+        # V(kappa) is the dynamic part, V(k) the static one, which does not depend on kappa.
         dynamic, static = (_axial_integral(decay, half_m2, distance) for decay in (kappa, path.k[None]))
-        difference, by_axial = dynamic.value - static.value, dynamic.by_axial - static.by_axial
-        sums[0] += difference * summed[i]
-        # The static part does not depend on kappa.
-        sums[1] += dynamic.by_kappa2 * summed[i]
-        sums[2] += by_axial * signed[i]
-        # By the logarithm of length: the caller multiplies by the length, which gives ``difference``. A longer force
-        # also has longer Gaussians, and stations that are farther from the focus.
-        by_log_length = force.along_m**2 * (dynamic.by_half - static.by_half)
-        sums[3] += (difference + by_log_length) * summed[i] - by_axial * signed_centres[i]
-        sums[4] += difference * summed_by_width[i]
-        for kind, summed_change in enumerate(summed_changes, start=5):
-            sums[kind] += difference * summed_change[i]
-    return sums
+        difference, slope = dynamic.value - static.value, dynamic.by_axial - static.by_axial
+        value += difference * summed[i]
+        by_kappa2 += dynamic.by_kappa2 * summed[i]
+        by_axial += slope * signed[i]
+        # By the logarithm of the length, which is a factor of the field: this gives ``difference``. A longer force also
+        # has longer Gaussians, and stations that are farther from the focus.
+        by_gaussian_length = force.along_m**2 * (dynamic.by_half_m2 - static.by_half_m2)
+        by_length += (difference + by_gaussian_length) * summed[i] - slope * signed_centres[i]
+        by_width += difference * summed_by_width[i]
+        for name, summed_change in summed_changes.items():
+            by_weight_change[name] += difference * summed_change[i]
+    prefactor = (force.along_m / path.denominator)[:, None]
+    return _AxialFactors(
+        value=prefactor * value,
+        by_kappa2=prefactor * by_kappa2,
+        by_axial=prefactor * by_axial,
+        by_length=prefactor * by_length,
+        by_width=prefactor * by_width,
+        by_weight_change={name: prefactor * change for name, change in by_weight_change.items()},
+    )
 
 
 class _AxialIntegral(NamedTuple):
-    """V and its derivatives by kappa^2, by a = B / 2 and by z, each (..., k)."""
+    """V and its derivatives by kappa^2, by half the squared width along the axis and by z, each (..., k)."""
 
     value: ComplexArray
     by_kappa2: ComplexArray
-    by_half: ComplexArray
+    by_half_m2: ComplexArray
     by_axial: ComplexArray
 
 
-def _axial_integral(kappa: ComplexArray, half_m2: float, axial_m: float) -> _AxialIntegral:
-    """Return the integral V over wave numbers along the axis, at the distance ``axial_m`` >= 0, with its derivatives.
+def _axial_integral(decay: ComplexArray, half_m2: float, axial_m: float) -> _AxialIntegral:
+    """Return the integral over wave numbers k_z along the axis of a Gaussian force, with its derivatives.
 
-    V = pi / (2 kappa) exp(-b^2) [erfcx(kappa sqrt(a) + b) + erfcx(kappa sqrt(a) - b)], with ``kappa`` (..., k) the
-    decay rate along the axis, a = ``half_m2`` half the squared width along it, b = z / 2 sqrt(a).
+    V = int exp(-a k_z^2 + j k_z z) / (k_z^2 + kappa^2) dk_z over all k_z has, with b = z / 2 sqrt(a), the closed form
+
+        V = pi / (2 kappa) exp(-b^2) [erfcx(kappa sqrt(a) + b) + erfcx(kappa sqrt(a) - b)].
+
+    ``decay`` (..., k) is kappa, the decay rate along the axis. ``half_m2`` is a, half the squared width along the axis.
+    ``axial_m`` is z >= 0, the distance from the centre of the force.
     """
-    root = np.sqrt(half_m2)
-    b = axial_m / (2 * root)
-    plus, minus = kappa * root + b, kappa * root - b
+    root_a = np.sqrt(half_m2)
+    b = axial_m / (2 * root_a)
+    x_plus, x_minus = decay * root_a + b, decay * root_a - b
     gaussian = np.exp(-(b**2))
-    # exp(-b^2) erfcx(kappa sqrt(a) +- b)
-    term_plus = gaussian * wofz(1j * plus)
-    term_minus = _damped_erfcx(minus, b) if b else term_plus
-    total, prefactor = term_plus + term_minus, np.pi / (2 * kappa)
-    value = prefactor * total
-    # erfcx'(x) = 2 x erfcx(x) - 2 / sqrt(pi)
-    edge = 2 * gaussian / np.sqrt(np.pi)
-    by_plus, by_minus = 2 * plus * term_plus - edge, 2 * minus * term_minus - edge
-    by_kappa = -value / kappa + prefactor * root * (by_plus + by_minus)
-    # kz^2 / (kz^2 + kappa^2) = 1 - kappa^2 / (kz^2 + kappa^2)
-    by_half = kappa**2 * value - np.sqrt(np.pi / half_m2) * gaussian
-    by_axial = (np.pi / 2) * (term_plus - term_minus)
-    return _AxialIntegral(value=value, by_kappa2=by_kappa / (2 * kappa), by_half=by_half, by_axial=by_axial)
+    # The two terms exp(-b^2) erfcx(x), equal at z = 0.
+    plus = gaussian * wofz(1j * x_plus)
+    minus = _damped_erfcx(x_minus, b) if b else plus
+    prefactor = np.pi / (2 * decay)
+    value = prefactor * (plus + minus)
+    # Their derivatives by x: erfcx'(x) = 2 x erfcx(x) - 2 / sqrt(pi).
+    constant = 2 * gaussian / np.sqrt(np.pi)
+    plus_slope, minus_slope = 2 * x_plus * plus - constant, 2 * x_minus * minus - constant
+    by_kappa = -value / decay + prefactor * root_a * (plus_slope + minus_slope)
+    # By a: the integrand times -k_z^2, where k_z^2 / (k_z^2 + kappa^2) = 1 - kappa^2 / (k_z^2 + kappa^2).
+    by_half_m2 = decay**2 * value - np.sqrt(np.pi / half_m2) * gaussian
+    by_axial = (np.pi / 2) * (plus - minus)
+    return _AxialIntegral(value=value, by_kappa2=by_kappa / (2 * decay), by_half_m2=by_half_m2, by_axial=by_axial)
 
 
 def _damped_erfcx(x: ComplexArray, b: float) -> ComplexArray:
@@ -296,18 +319,20 @@ def _cached_path(
     """
     panel_nodes, end_exponent = quality
     end = np.sqrt(2 * end_exponent / across_m2)
-    clearance = min(MAX_BESSEL_EXPONENT / max_distance_m, CLEARANCE / np.sqrt(across_m2))
+    # Height of the path above the real axis.
+    height = min(MAX_BESSEL_EXPONENT / max_distance_m, CLEARANCE / np.sqrt(across_m2))
     edges = [0.0, min(lowest / 2, end)]
     while edges[-1] < end:
-        # A panel is as wide as its distance from 0; near the poles, as its distance from them.
-        near_pole = PANEL_WIDTH * clearance if edges[-1] < 1.5 * highest else end / 4
-        step = min(edges[-1], near_pole, PANEL_PHASE_RAD / max_distance_m)
-        edges.append(min(edges[-1] + step, end))
+        # A panel is at most as wide as its distance from 0, as ``PANEL_WIDTH`` distances from the poles if these are
+        # near, and as ``PANEL_PHASE_RAD`` of the waves' phase.
+        pole_limit = PANEL_WIDTH * height if edges[-1] < 1.5 * highest else end / 4
+        width = min(edges[-1], pole_limit, PANEL_PHASE_RAD / max_distance_m)
+        edges.append(min(edges[-1] + width, end))
     low, high = np.array(edges[:-1])[:, None], np.array(edges[1:])[:, None]
     node, weight = legendre_nodes(panel_nodes)
-    real = ((high + low) / 2 + (high - low) / 2 * node).ravel()
+    real_k = ((high + low) / 2 + (high - low) / 2 * node).ravel()
     weights = ((high - low) / 2 * weight).ravel()
-    # The path rises to the height ``clearance`` as a tanh; its derivative is part of the weights.
-    rise = START_SLOPE * real / clearance
-    k = real + 1j * clearance * np.tanh(rise)
-    return k, weights * (1 + 1j * START_SLOPE / np.cosh(np.minimum(rise, 300)) ** 2)
+    # The path rises as a tanh; its derivative is part of the weights.
+    relative_k = START_SLOPE * real_k / height
+    k = real_k + 1j * height * np.tanh(relative_k)
+    return k, weights * (1 + 1j * START_SLOPE / np.cosh(np.minimum(relative_k, 300)) ** 2)

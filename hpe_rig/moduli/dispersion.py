@@ -177,36 +177,39 @@ def _too_few_offsets(vibrations: Sequence[Vibration]) -> str:
 class _LateralGrid:
     """Measured, exact and perturbed fields on a grid of offsets beside the push and frequencies.
 
-    ``fields`` (field, offset, frequency): the measured one, the exact one of the fitted medium, then the measured one
-    plus, and minus, each of its one-sigma errors. ``present`` (offset, frequency). ``has_free_gains``: amplitudes at
-    different offsets do not compare.
+    ``phasors_m`` (field, offset, frequency): those of the measured field, of the exact field in the fitted medium, then
+    of the measured field plus, and minus, each of its one-sigma errors. ``present`` (offset, frequency): whether it was
+    measured. ``has_free_gains``: amplitudes at different offsets do not compare.
     """
 
     offset_m: FloatArray
     frequency_hz: FloatArray
-    fields: ComplexArray
+    phasors_m: ComplexArray
     present: BoolArray
     has_free_gains: bool
 
     @classmethod
     def from_vibrations(cls, vibrations: Sequence[Vibration], fit: WavenumberFit) -> _LateralGrid:
         """Return the fields of the gate nearest to the focus at every lateral offset but 0, by ascending distance."""
+        # Index of the nearest gate's vibration, by position and offset; then by distance from the push.
         nearest: dict[tuple[str, float], int] = {}
         for index, vibration in sorted(enumerate(vibrations), key=lambda item: abs(item[1].axial_m)):
             if vibration.lateral_m:
                 nearest.setdefault((vibration.position, vibration.lateral_m), index)
-        rows = sorted(nearest.values(), key=lambda index: (abs(vibrations[index].lateral_m), index))
+        selected = sorted(nearest.values(), key=lambda index: (abs(vibrations[index].lateral_m), index))
         frequency_hz, error_count = fit.curve.frequency_hz, fit.error_m[0].shape[1]
-        fields = np.zeros((2 + 2 * error_count, len(rows), frequency_hz.size), np.complex128)
-        present = np.zeros(fields.shape[1:], np.bool_)
-        for row, index in enumerate(rows):
-            columns = np.searchsorted(frequency_hz, vibrations[index].frequency_hz)
+        phasors_m = np.zeros((2 + 2 * error_count, len(selected), frequency_hz.size), np.complex128)
+        present = np.zeros(phasors_m.shape[1:], np.bool_)
+        for offset, index in enumerate(selected):
+            frequencies = np.searchsorted(frequency_hz, vibrations[index].frequency_hz)
+            # Measured phasors (frequency,), and their one-sigma errors (error source, frequency).
             measured_m, error_m = vibrations[index].phasor_m, fit.error_m[index].T
-            present[row, columns] = True
-            fields[:, row, columns] = [measured_m, fit.nominal_m[index], *measured_m + error_m, *measured_m - error_m]
-        offset_m = np.array([round(abs(vibrations[index].lateral_m), 9) for index in rows])
-        has_free_gains = any(vibrations[index].has_free_gain for index in rows)
-        return cls(offset_m, frequency_hz, fields, present, has_free_gains)
+            fields_m = [measured_m, fit.nominal_m[index], *measured_m + error_m, *measured_m - error_m]
+            phasors_m[:, offset, frequencies] = fields_m
+            present[offset, frequencies] = True
+        offset_m = np.array([round(abs(vibrations[index].lateral_m), 9) for index in selected])
+        has_free_gains = any(vibrations[index].has_free_gain for index in selected)
+        return cls(offset_m, frequency_hz, phasors_m, present, has_free_gains)
 
     def gap_m(self, frequency: int) -> float:
         """Return the largest distance of neighbouring offsets, infinite for fewer than ``MIN_OFFSETS``."""
@@ -215,23 +218,30 @@ class _LateralGrid:
 
 
 def _method_curve(method: WaveMethod, grid: _LateralGrid, curve: DispersionCurve) -> tuple[MethodCurve, list[str]]:
-    """Return the results of ``method`` with uncertainties and predicted bias, and its missing values in words."""
+    """Return the results of ``method`` with uncertainties and predicted bias, and its missing values in words.
+
+    ``curve``: phase velocity and attenuation fitted with the exact field.
+    """
     if method.is_attenuation and grid.has_free_gains:
         nothing = np.full(curve.frequency_hz.size, np.nan)
         result = MethodCurve(method.name, method.is_attenuation, nothing, nothing, nothing, nothing)
         return result, [f"{method.name}: the amplitude at every offset is free, so that its decay is unknown"]
+    # Frequencies (frequency,) with offsets that are near enough for the method.
     half_wave_m = curve.phase_velocity_m_per_s / curve.frequency_hz / 2
     gap_m = np.array([grid.gap_m(index) for index in range(curve.frequency_hz.size)])
     sampled = gap_m <= half_wave_m if method.needs_sampling else np.isfinite(gap_m)
-    values = np.full((len(grid.fields), curve.frequency_hz.size), np.nan)
+    # Results (field, frequency) for the measured field, the exact one, and the measured one plus and minus each error.
+    values = np.full((len(grid.phasors_m), curve.frequency_hz.size), np.nan)
     if sampled.any():
-        arguments = grid.frequency_hz[sampled], grid.fields[..., sampled], grid.present[:, sampled]
-        values[:, sampled] = method.estimate(LateralField(grid.offset_m, *arguments))
-    value, predicted, plus, minus = values[0], values[1], *np.split(values[2:], 2)
+        phasors_m, present = grid.phasors_m[..., sampled], grid.present[:, sampled]
+        values[:, sampled] = method.estimate(
+            LateralField(grid.offset_m, grid.frequency_hz[sampled], phasors_m, present)
+        )
+    measured, predicted, plus, minus = values[0], values[1], *np.split(values[2:], 2)
     # Half the difference of the results at plus and minus one sigma: GUM (JCGM 100:2008), 5.1.3, note 2.
     uncertainty = np.sqrt(np.sum(((plus - minus) / 2) ** 2, axis=0))
     near_field = curve.attenuation_np_per_m if method.is_attenuation else curve.phase_velocity_m_per_s
-    result = MethodCurve(method.name, method.is_attenuation, value, uncertainty, predicted, predicted - near_field)
+    result = MethodCurve(method.name, method.is_attenuation, measured, uncertainty, predicted, predicted - near_field)
     return result, list(_missing_values(result, curve.frequency_hz, sampled, gap_m))
 
 
@@ -258,21 +268,24 @@ def _missing_values(
 
 
 def _rows(result: DispersionResult) -> Iterator[dict[str, Any]]:
-    """Yield one row for each method and frequency."""
-    near, empty = result.near_field, np.full(result.near_field.frequency_hz.size, np.nan)
-    near_field = (
-        (near.phase_velocity_m_per_s, near.phase_velocity_uncertainty_m_per_s, empty),
-        (near.attenuation_np_per_m, near.attenuation_uncertainty_np_per_m, empty),
-    )
-    curves = [(NEAR_FIELD, *near_field)]
+    """Yield one row for each method and frequency: value, uncertainty and bias of phase velocity and attenuation.
+
+    A method has one of the two; the fit of the near field has both and no bias.
+    """
+    near = result.near_field
+    nothing = np.full(near.frequency_hz.size, np.nan)
+    speed = near.phase_velocity_m_per_s, near.phase_velocity_uncertainty_m_per_s, nothing
+    attenuation = near.attenuation_np_per_m, near.attenuation_uncertainty_np_per_m, nothing
+    curves = [(NEAR_FIELD, speed, attenuation)]
     for method in result.methods:
-        columns, no_values = (method.value, method.uncertainty, method.bias), (empty, empty, empty)
-        curves.append((method.name, *((no_values, columns) if method.is_attenuation else (columns, no_values))))
+        values, empty = (method.value, method.uncertainty, method.bias), (nothing, nothing, nothing)
+        curves.append((method.name, empty, values) if method.is_attenuation else (method.name, values, empty))
     for name, speed, attenuation in curves:
-        for index, hz in enumerate(near.frequency_hz.tolist()):
-            in_db_per_cm = tuple(column * DB_PER_CM_PER_NP_PER_M for column in attenuation[:2])
-            values = [float(column[index]) for column in (*speed, *attenuation, *in_db_per_cm)]
-            cells = (value if math.isfinite(value) else None for value in values)
+        db_per_cm = (column * DB_PER_CM_PER_NP_PER_M for column in attenuation[:2])
+        # In the order of ``COLUMNS``, (column, frequency).
+        table = np.stack([*speed, *attenuation, *db_per_cm])
+        for hz, values_at_hz in zip(near.frequency_hz.tolist(), table.T.tolist(), strict=True):
+            cells = (value if math.isfinite(value) else None for value in values_at_hz)
             yield {"method": name, "frequency_hz": hz, **dict(zip(COLUMNS, cells, strict=True))}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -124,7 +125,8 @@ def bound(vibrations: Sequence[Vibration], push: Push, law: MediumLaw, values: S
     The phasors of ``vibrations`` set the common amplitude only.
     """
     problem = Problem.of(vibrations, push, law_of(law))
-    return problem.covariance(problem.start(problem.law.coordinates(np.asarray(values, np.float64)))[0])
+    unknown, _ = problem.start(problem.law.coordinates(np.asarray(values, np.float64)))
+    return problem.in_values(unknown, problem.coordinate_covariance(problem.jacobian(unknown)))
 
 
 def _starts(problem: Problem) -> list[FloatArray]:
@@ -215,14 +217,16 @@ def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], fl
     coordinate_covariance = problem.coordinate_covariance(jacobian)
     covariance = problem.in_values(best.unknown, coordinate_covariance)
     freedom = problem.data_count - problem.free_count
-    # Each datum belongs to one vibration and one frequency.
-    vibration_of_datum = np.repeat(
+    # Each phasor belongs to one vibration and one frequency: their indices.
+    vibration_of_phasor = np.repeat(
         np.arange(len(vibrations)), [vibration.frequency_hz.size for vibration in vibrations]
     )
-    frequencies, frequency_of_datum = np.unique(
+    frequencies, frequency_of_phasor = np.unique(
         np.concatenate([vibration.frequency_hz for vibration in vibrations]), return_inverse=True
     )
-    variances = np.diag(coordinate_covariance)
+    contributions = partial(
+        _contributions, problem=problem, jacobian=jacobian, variances=np.diag(coordinate_covariance)
+    )
     at_limit = np.any(np.abs(coordinates[:, None] - law.bounds()) < 1e-3, axis=1).tolist()
     return Moduli(
         law=law.name,
@@ -240,12 +244,8 @@ def _moduli(problem: Problem, best: _Minimum, second: tuple[dict[str, float], fl
         },
         second=second,
         at_limit=tuple(parameter.name for parameter, at in zip(law.parameters, at_limit, strict=True) if at),
-        by_place=_contributions(
-            [vibration.label for vibration in vibrations], vibration_of_datum, problem, jacobian, variances
-        ),
-        by_frequency=_contributions(
-            [f"{hz:g} Hz" for hz in frequencies], frequency_of_datum, problem, jacobian, variances
-        ),
+        by_place=contributions([vibration.label for vibration in vibrations], vibration_of_phasor),
+        by_frequency=contributions([f"{hz:g} Hz" for hz in frequencies], frequency_of_phasor),
     )
 
 
@@ -272,17 +272,17 @@ def _nuisance_name(nuisance: Nuisance, vibrations: Sequence[Vibration]) -> str:
 
 
 def _contributions(
-    labels: Sequence[str], label_of_datum: IndexArray, problem: Problem, jacobian: FloatArray, variances: FloatArray
+    labels: Sequence[str], label_of_phasor: IndexArray, problem: Problem, jacobian: FloatArray, variances: FloatArray
 ) -> tuple[Contribution, ...]:
     """Return, for each gate or frequency, the factor on the parameters' uncertainties if its data are left out.
 
-    ``labels``: names of the gates, or of the frequencies. ``label_of_datum`` (datum,): index of the label that each
-    datum, a phasor, belongs to. ``variances`` (parameter,): of the fit to all data. Empty for fewer than two labels.
+    ``labels``: names of the gates, or of the frequencies. ``label_of_phasor``: index of the label of each measured
+    phasor. ``variances`` (parameter,): of the fit to all data. Empty for fewer than two labels.
     """
     if len(labels) < 2:
         return ()
     # The Jacobian at the minimum gives the variances without another fit.
-    without = (problem.variances_without(label_of_datum == index, jacobian) for index in range(len(labels)))
+    without = (problem.variances_without(label_of_phasor == index, jacobian) for index in range(len(labels)))
     growth = [np.sqrt(values / variances).tolist() for values in without]
     return tuple(Contribution(label, tuple(factors)) for label, factors in zip(labels, growth, strict=True))
 

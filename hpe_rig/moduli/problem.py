@@ -46,8 +46,9 @@ class Nuisance(NamedTuple):
 class Problem:
     """Explain ``vibrations`` under ``push`` by the material law ``law``.
 
-    ``whitening``: inverse Cholesky factors of the covariances, one a vibration. ``unit_m``: amplitude with the
-    unknown ln amplitude 0. ``quick``: use the quick field, which is accurate to ``QUICK_ERROR``.
+    ``whitening``: inverse Cholesky factors of the covariances, one a vibration. ``nuisances``: unknowns that are not
+    wanted, of known uncertainty. ``unit_m``: amplitude with the unknown ln amplitude 0. ``quick``: use the quick field,
+    which is accurate to ``QUICK_ERROR``.
     """
 
     vibrations: tuple[Vibration, ...]
@@ -134,24 +135,23 @@ class Problem:
 
     def jacobian(self, unknown: FloatArray) -> FloatArray:
         """Return the derivatives (datum, unknown) of ``residual`` by the unknowns."""
-        # Real and imaginary parts of each frequency are neighbouring rows, like the states of a vibration.
-        blocks = [
-            root @ np.stack([slopes.real, slopes.imag], axis=1).reshape(-1, unknown.size)
-            for root, (_, slopes) in zip(self.whitening, self._model(unknown.tobytes()), strict=True)
+        # The residual is data minus model: minus the whitened derivatives of the modelled phasors. Real and imaginary
+        # parts of a frequency are neighbouring rows.
+        data_rows = [
+            whitening @ np.stack([slopes.real, slopes.imag], axis=1).reshape(-1, unknown.size)
+            for whitening, (_, slopes) in zip(self.whitening, self._model(unknown.tobytes()), strict=True)
         ]
+        # Then the residual is minus each nuisance, the last unknowns.
         count = len(self.nuisances)
-        return -np.vstack([*blocks, np.hstack([np.zeros((count, self.free_count)), np.eye(count)])])
-
-    def covariance(self, unknown: FloatArray) -> FloatArray:
-        """Return the covariance of the law's parameter values, (parameter, parameter)."""
-        return self.in_values(unknown, self.coordinate_covariance(self.jacobian(unknown)))
+        nuisance_rows = np.hstack([np.zeros((count, self.free_count)), np.eye(count)])
+        return -np.vstack([*data_rows, nuisance_rows])
 
     def coordinate_covariance(self, jacobian: FloatArray) -> FloatArray:
         """Return the covariance (parameter, parameter) of the law's coordinates; ``jacobian`` (datum, unknown)."""
         count = self.coordinate_count
         # Columns of unit length: parameters of very different sensitivity lose no digits.
         scale = np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(np.float64).tiny)
-        # Of (J'J)^-1 only the block of the law: the nuisances are marginalised.
+        # The covariance of all unknowns is (J'J)^-1 = root root'. Its block of the law includes the nuisances' effect.
         root = np.linalg.pinv(jacobian / scale)
         return np.asarray((root @ root.T / np.outer(scale, scale))[:count, :count])
 
@@ -161,8 +161,8 @@ class Problem:
         return np.asarray(covariance * np.outer(slope, slope))
 
     def variances_without(self, dropped: BoolArray, jacobian: FloatArray) -> FloatArray:
-        """Return the coordinates' variances (parameter,) without the ``dropped`` (vibration and frequency,) data."""
-        # The data of the nuisances remain.
+        """Return the coordinates' variances (parameter,) without the ``dropped`` phasors (vibration and frequency,)."""
+        # Two real data a phasor; the data of the nuisances remain.
         rows = np.concatenate([~np.repeat(dropped, 2), np.ones(len(self.nuisances), bool)])
         return np.asarray(np.diag(self.coordinate_covariance(jacobian[rows])))
 
@@ -183,90 +183,96 @@ class Problem:
             (kind, vibration): uncertainty * unknown[self.free_count + i]
             for i, (kind, vibration, uncertainty) in enumerate(self.nuisances)
         }
-        # One field for each group; its columns are vibrations.
+        # The vibrations of a group differ in lateral offset only: they are columns of one field.
         results: dict[int, tuple[ComplexArray, ComplexArray]] = {}
         for group in self.groups_sharing_field:
-            slopes = self._slopes_by_kind(unknown, deviations, group)
+            phasors_m, slopes = self._group_model(unknown, deviations, group)
             for column, vibration in enumerate(group):
-                by_kind = {kind: values[:, column] for kind, values in slopes.items()}
-                results[vibration] = by_kind["gain"], self._slopes_by_unknown(by_kind, unknown.size, vibration)
+                slopes_by_kind = {kind: values[:, column] for kind, values in slopes.items()}
+                results[vibration] = phasors_m[:, column], self._slopes_by_unknown(slopes_by_kind, vibration)
         return [results[vibration] for vibration in range(len(self.vibrations))]
 
-    def _slopes_by_kind(
+    def _group_model(
         self, unknown: FloatArray, deviations: dict[tuple[str, int], float], group: tuple[int, ...]
-    ) -> dict[str, ComplexArray]:
-        """Return the derivatives (frequency, vibration) of the modelled phasors by every kind of unknown.
+    ) -> tuple[ComplexArray, dict[str, ComplexArray]]:
+        """Return modelled phasors (frequency, vibration), m, and their derivatives by every kind of unknown.
 
-        ``group``: indices of vibrations that share one field. ``deviations``: nuisances by kind and vibration. The
-        derivative by the logarithm "gain" is the phasors themselves.
+        ``group``: indices of vibrations that share one field; they differ in lateral offset and in their nuisances.
+        ``deviations``: nuisances by kind and vibration.
         """
-        push, count, vibrations = self.push, self.coordinate_count, [self.vibrations[i] for i in group]
-        # Vibrations of a group share frequencies, depth, averaging along the beam and travel time.
-        first, frequency_hz = vibrations[0], vibrations[0].frequency_hz
+        push, first = self.push, self.vibrations[group[0]]
 
-        def of_group(kind: str) -> list[float]:
+        def of_group(kind: str) -> FloatArray:
             """Return the nuisances of one kind for the vibrations of the group."""
-            return [deviations.get((kind, i), 0.0) for i in group]
+            return np.array([deviations.get((kind, i), 0.0) for i in group])
 
-        # Force and tracked region with their deviations. A logarithmic deviation keeps the area positive.
-        factors = (float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along"))
-        force = push.force.changed({kind: value for (kind, _), value in deviations.items()}).scaled(*factors)
-        mean_area_m2 = np.array([vibration.tracking_m2[0] for vibration in vibrations])
+        # Medium at the law's parameters, and derivatives of its modulus by the law's coordinates.
+        omega = 2 * np.pi * first.frequency_hz
+        values = self.law.values(unknown[: self.coordinate_count])
+        modulus_pa, modulus_by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
+        modulus_by_coordinates = modulus_by_values * self.law.slopes(values)
+        medium = HarmonicMedium(first.frequency_hz, modulus_pa, push.density_kg_per_m3)
+        # Force and tracked region with their deviations. A logarithmic deviation keeps widths and area positive.
+        width_factors = (float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along"))
+        force = push.force.changed({kind: value for (kind, _), value in deviations.items()}).scaled(*width_factors)
+        mean_area_m2 = np.array([self.vibrations[i].tracking_m2[0] for i in group])
         area_m2 = mean_area_m2 * np.exp(of_group("area"))
-        stage_m = (deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group)
-        shift_m = [speckle + stage for speckle, stage in zip(of_group("lateral"), stage_m, strict=True)]
-        lateral_m = np.array([vibration.lateral_m for vibration in vibrations]) + shift_m
-        # The field of the medium.
-        omega, values = 2 * np.pi * frequency_hz, self.law.values(unknown[:count])
-        modulus_pa, by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
-        field = shear_motion(
-            HarmonicMedium(frequency_hz, modulus_pa, push.density_kg_per_m3),
-            force,
-            TrackedRegion(lateral_m, first.axial_m, across_m2=area_m2, along_m2=first.tracking_m2[1]),
-            self.quick,
+        stage_m = np.array([deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group])
+        lateral_m = np.array([self.vibrations[i].lateral_m for i in group]) + (of_group("lateral") + stage_m)
+        region = TrackedRegion(lateral_m, first.axial_m, across_m2=area_m2, along_m2=first.tracking_m2[1])
+        field = shear_motion(medium, force, region, self.quick)
+        # Amplitude of the force (vibration,) with its gains and phases. With ln amplitude 0 the motion is ``unit_m`` in
+        # a medium of 10 kPa, where a static unit force moves the focus by half its squared width over the modulus.
+        static_m = 0.5 * push.force.across_m[0] ** 2 / 10e3
+        amplitude = (
+            self.unit_m
+            / static_m
+            * np.exp(unknown[self.coordinate_count] + (of_group("gain") + 1j * of_group("phase")))
         )
-        # Spectrum and onset of the bursts; amplitude over the field of a static force in 10 kPa; gains and phases.
-        gain = np.array([g + 1j * phase for g, phase in zip(of_group("gain"), of_group("phase"), strict=True)])
-        scale = self.unit_m / (0.5 * push.force.across_m[0] ** 2 / 10e3) * np.exp(unknown[count] + gain)
+        # Spectrum of the bursts and their onset. Phases count from the sound's arrival at the gate; the force starts
+        # there before that arrival.
         onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
-        # Phases count from the sound's arrival at the gate; the force starts there before that arrival.
         lead_s = first.travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
-        prefactor = (push.spectrum(frequency_hz) * onset * np.exp(1j * omega * lead_s))[:, None] * scale
-        # Speckle changes the tracked region: its area, and its shape by weight that moves to the centre and the edge.
-        by_shape = prefactor * field.by_across_twice * mean_area_m2**2 / 2
-        by_depth = np.array(of_group("axial")) * field.by_axial
-        value = prefactor * (field.value + by_depth) + np.array(of_group("shape")) * by_shape
-        by_coordinates = by_values * self.law.slopes(values)
-        return {
-            "gain": value,
-            "phase": 1j * value,
-            "onset": -1j * omega[:, None] * value,
-            "across": prefactor * field.by_width,
-            "along": prefactor * field.by_length,
-            **{kind: prefactor * slopes for kind, slopes in field.by_weight_change.items()},
-            "travel": -1j * omega[:, None] * first.travel_s * value,
-            "axial": prefactor * field.by_axial,
-            "lateral": prefactor * field.by_lateral,
-            "stage": prefactor * field.by_lateral,
-            "area": prefactor * field.by_across * area_m2,
+        spectrum = push.spectrum(first.frequency_hz) * onset * np.exp(1j * omega * lead_s)
+        drive = spectrum[:, None] * amplitude
+        # Speckle changes the tracked region: its area and depth, and its shape by weight that moves to centre and edge.
+        by_shape = drive * field.by_across_twice * mean_area_m2**2 / 2
+        phasors_m = drive * (field.value + of_group("axial") * field.by_axial) + of_group("shape") * by_shape
+        return phasors_m, {
+            "gain": phasors_m,
+            "phase": 1j * phasors_m,
+            "onset": -1j * omega[:, None] * phasors_m,
+            "across": drive * field.by_width,
+            "along": drive * field.by_length,
+            **{kind: drive * slopes for kind, slopes in field.by_weight_change.items()},
+            "travel": -1j * omega[:, None] * first.travel_s * phasors_m,
+            "axial": drive * field.by_axial,
+            "lateral": drive * field.by_lateral,
+            "stage": drive * field.by_lateral,
+            "area": drive * field.by_across * area_m2,
             "shape": by_shape,
-            **{f"law {i}": prefactor * field.by_modulus * by_coordinates[:, i, None] for i in range(count)},
+            **{
+                f"law {i}": drive * field.by_modulus * slopes[:, None]
+                for i, slopes in enumerate(modulus_by_coordinates.T)
+            },
         }
 
-    def _slopes_by_unknown(self, by_kind: dict[str, ComplexArray], unknowns: int, vibration: int) -> ComplexArray:
+    def _slopes_by_unknown(self, slopes_by_kind: dict[str, ComplexArray], vibration: int) -> ComplexArray:
         """Return the derivatives (frequency, unknown) of the phasors of the vibration with index ``vibration``.
 
-        ``by_kind``: derivatives (frequency,) by every kind of unknown.
+        ``slopes_by_kind``: derivatives (frequency,) by every kind of unknown.
         """
-        columns = np.zeros((by_kind["gain"].size, unknowns), np.complex128)
+        unknown_count = self.free_count + len(self.nuisances)
+        columns = np.zeros((slopes_by_kind["gain"].size, unknown_count), np.complex128)
         for i in range(self.coordinate_count):
-            columns[:, i] = by_kind[f"law {i}"]
-        columns[:, self.coordinate_count] = by_kind["gain"]
+            columns[:, i] = slopes_by_kind[f"law {i}"]
+        # The logarithm of the common amplitude changes the phasors as a gain does.
+        columns[:, self.coordinate_count] = slopes_by_kind["gain"]
         for i, (kind, index, uncertainty) in enumerate(self.nuisances):
             # All gates at one position move with the stage.
             shared_stage = kind == "stage" and index == self.first_at_position[vibration]
             if index in (COMMON, vibration) or shared_stage:
-                columns[:, self.free_count + i] = uncertainty * by_kind[kind]
+                columns[:, self.free_count + i] = uncertainty * slopes_by_kind[kind]
         return columns
 
     @cached_property
@@ -314,8 +320,10 @@ def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, .
 
 
 def _data_covariance_m2(vibration: Vibration, push: Push) -> FloatArray:
-    """Return the covariance of noise and of the model error of the force's shape."""
-    # The error of the force's shape is proportional to the amplitude and counts as independent between frequencies.
+    """Return the covariance of a vibration's phasors, real and imaginary parts: noise, and error of the force's shape.
+
+    The error of the shape is proportional to the amplitude and counts as independent between frequencies.
+    """
     model_error_m = push.shape_relative * np.repeat(np.abs(vibration.phasor_m), 2)
     return np.asarray(vibration.covariance_m2 + np.diag(model_error_m**2))
 

@@ -98,10 +98,10 @@ def slant_spectral_maximum(field: LateralField) -> FloatArray:
 
         S(t, f) = sum_n U(f_n) exp(-2 (pi s (f_n - f) / f)^2 + 2 pi j (f_n - f) t).
 
-    It is taken at t = t_0 + r / v. The start t_0 and the group velocity v are those of the highest spectral maximum.
-    The window excludes waves that pass at other times.
+    It is taken at t = t_0 + r / v, r the offset. The start t_0 and the group velocity v are those of the highest
+    spectral maximum. The window excludes waves that pass at other times.
     """
-    frequency_hz, offset_m = field.frequency_hz, field.offset_m
+    frequency_hz = field.frequency_hz
     steps_hz = np.diff(frequency_hz, prepend=0.0)
     start_s = np.arange(TIMES) / TIMES / steps_hz[steps_hz > 0].min()
     # From a third to three times the phase velocity of the plain spectrum, on a logarithmic scale.
@@ -112,16 +112,21 @@ def slant_spectral_maximum(field: LateralField) -> FloatArray:
         present = field.present[:, index]
         if not np.isfinite(speed):
             continue
+        offset_m = field.offset_m[present]
+        # Harmonics (..., offset, harmonic) in the window of the transform about this frequency.
         window = np.exp(-2 * (np.pi * STOCKWELL_WIDTH * (frequency_hz / hz - 1)) ** 2)
-        harmonics, detuning_hz = (field.phasor * window)[..., present, :], frequency_hz - hz
-        first = harmonics.reshape(-1, *harmonics.shape[-2:])[0]
-        # Times (start and group velocity, offset), and the first field at all of them.
-        delay_s = (offset_m[present] / (speed * relative_speed[:, None]))[None] + start_s[:, None, None]
-        time_s = delay_s.reshape(-1, present.sum())
-        slanted = np.sum(first * np.exp(2j * np.pi * detuning_hz * time_s[..., None]), axis=-1)
-        power = np.abs(slanted @ _waves(offset_m[present])[1]).max(axis=-1)
-        turn = np.exp(2j * np.pi * detuning_hz * time_s[power.argmax(), :, None])
-        wavenumber[..., index] = peak_wavenumber(offset_m[present], np.sum(harmonics * turn, axis=-1))
+        harmonics = (field.phasor * window)[..., present, :]
+        # Times t_0 + r / v for all starts and group velocities, (candidate, offset).
+        travel_s = offset_m / (speed * relative_speed[:, None])
+        time_s = (travel_s[None] + start_s[:, None, None]).reshape(-1, offset_m.size)
+        # The transform of the first field at all of them, and the candidate with the highest spectral maximum.
+        shift_hz = frequency_hz - hz
+        first_field = harmonics.reshape(-1, *harmonics.shape[-2:])[0]
+        transform = np.sum(first_field * np.exp(2j * np.pi * shift_hz * time_s[..., None]), axis=-1)
+        best = np.abs(transform @ _waves(offset_m)[1]).max(axis=-1).argmax()
+        # The transforms (..., offset) of all fields there.
+        phase_factor = np.exp(2j * np.pi * shift_hz * time_s[best, :, None])
+        wavenumber[..., index] = peak_wavenumber(offset_m, np.sum(harmonics * phase_factor, axis=-1))
     return _outward_speed(field, wavenumber)
 
 
@@ -129,16 +134,21 @@ def local_spectral_maximum(field: LateralField) -> FloatArray:
     """Return the mean local phase velocity (..., frequency): spatial spectra in windows of a few offsets."""
 
     def mean_wavenumber(offset_m: FloatArray, phasor: ComplexArray) -> FloatArray:
-        """Return the wave number (...) of the mean speed in all windows, NaN if a window has no outward wave."""
+        """Return the wave number (...) of the mean speed in all windows of ``phasor`` (..., offset).
+
+        NaN if a window has no outward wave.
+        """
         taper = np.hanning(WINDOW_OFFSETS + 2)[1:-1]
         # Several runs may have the same offset: a window contains all their phasors.
-        distinct_m, number = np.unique(offset_m, return_inverse=True)
+        distinct_m, index = np.unique(offset_m, return_inverse=True)
         wavenumbers = []
         for first in range(distinct_m.size - WINDOW_OFFSETS + 1):
-            window = (number >= first) & (number < first + WINDOW_OFFSETS)
-            wavenumbers.append(peak_wavenumber(offset_m[window], taper[number[window] - first] * phasor[..., window]))
-        positive = np.where(np.array(wavenumbers) > 0, wavenumbers, np.nan)
-        return np.asarray(1 / np.mean(1 / positive, axis=0))
+            in_window = (index >= first) & (index < first + WINDOW_OFFSETS)
+            tapered = taper[index[in_window] - first] * phasor[..., in_window]
+            wavenumbers.append(peak_wavenumber(offset_m[in_window], tapered))
+        outward = np.where(np.array(wavenumbers) > 0, wavenumbers, np.nan)
+        # The speed is inversely proportional to the wave number.
+        return np.asarray(1 / np.mean(1 / outward, axis=0))
 
     return _outward_speed(field, _by_frequency(field, mean_wavenumber))
 

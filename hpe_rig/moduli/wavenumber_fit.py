@@ -85,14 +85,14 @@ def fit_wavenumbers(vibrations: Sequence[Vibration], push: Push, start: Dispersi
     # Coordinates of the law are c and alpha themselves, frequency by frequency.
     coordinates = np.stack([start.phase_velocity_m_per_s, start.attenuation_np_per_m], axis=1).ravel()
     best = solve(problem, problem.start(coordinates)[0], FINE)
-    count, jacobian = problem.coordinate_count, problem.jacobian(best.unknown)
-    speed, attenuation = best.unknown[:count].reshape(-1, 2).T
-    variance = np.diag(problem.coordinate_covariance(jacobian)).reshape(-1, 2)
-    u_speed, u_attenuation = np.sqrt(variance).T
+    jacobian = problem.jacobian(best.unknown)
+    speed, attenuation = best.unknown[: problem.coordinate_count].reshape(-1, 2).T
+    u_speed, u_attenuation = np.sqrt(np.diag(problem.coordinate_covariance(jacobian)).reshape(-1, 2)).T
     freedom = problem.data_count - problem.free_count
-    # An unknown gain is no error: the fitted one weights the offsets of the exact field as it does the measured ones.
-    unknown_gains = [True] * problem.free_count + [_is_unknown_gain(nuisance) for nuisance in problem.nuisances]
-    nominal = np.where(unknown_gains, best.unknown, 0.0)
+    # The nominal field has no errors of positions and widths: their nuisances are 0. A gain without a known value is no
+    # error, so it has its fitted value and weights the offsets as in the measured field.
+    is_fitted = [True] * problem.free_count + [_is_unknown_gain(nuisance) for nuisance in problem.nuisances]
+    nominal = np.where(is_fitted, best.unknown, 0.0)
     return WavenumberFit(
         curve=DispersionCurve(frequency_hz, speed, u_speed, attenuation, u_attenuation),
         chi_square=best.chi_square,
@@ -108,7 +108,10 @@ def _law_without_relation(frequency_hz: FloatArray, density_kg_per_m3: float) ->
     count = frequency_hz.size
 
     def modulus(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return G = rho w^2 / q^2 (frequency,) at s = jw, and its derivatives (frequency, parameter)."""
+        """Return the modulus G = rho w^2 / q^2 (frequency,) at s = jw, and its derivatives (frequency, parameter).
+
+        ``values``: phase velocity and attenuation of each frequency of the fit in turn.
+        """
         omega = s.imag
         # A vibration may lack some of the frequencies.
         index = np.abs(omega[:, None] / (2 * np.pi) - frequency_hz).argmin(axis=1)
@@ -136,16 +139,21 @@ def _is_unknown_gain(nuisance: Nuisance) -> bool:
 
 
 def _one_sigma_errors_m(problem: Problem, jacobian: FloatArray) -> tuple[ComplexArray, ...]:
-    """Return one-sigma errors of each vibration's phasors by noise and positions, (frequency, error source)."""
-    data = problem.data_count
-    # Errors of the push are common to all offsets: they change the field, and not how well it is measured.
-    sources = [
+    """Return the errors of each vibration's phasors by one standard deviation of every source, (frequency, source), m.
+
+    The independent sources are noise, as many as data, and the nuisances of the vibrations: positions and known gains.
+    ``jacobian`` (datum, unknown): derivatives of the whitened residual.
+    """
+    # Errors of the push are left out: common to all offsets, they change the field and not how well it is measured.
+    nuisance_columns = [
         problem.free_count + i
         for i, nuisance in enumerate(problem.nuisances)
         if nuisance.vibration != COMMON and not _is_unknown_gain(nuisance)
     ]
-    whitened = np.hstack([np.eye(data), -jacobian[:data, sources]])
-    errors_m = block_diag(*(np.linalg.inv(root) for root in problem.whitening)) @ whitened
+    # Whitened data have independent noise of standard deviation 1; nuisances are in units of their uncertainty.
+    data = problem.data_count
+    whitened_errors = np.hstack([np.eye(data), -jacobian[:data, nuisance_columns]])
+    errors_m = block_diag(*(np.linalg.inv(whitening) for whitening in problem.whitening)) @ whitened_errors
     # Real and imaginary parts of a phasor are neighbouring rows.
     phasors_m = errors_m[0::2] + 1j * errors_m[1::2]
     sizes = [vibration.frequency_hz.size for vibration in problem.vibrations]

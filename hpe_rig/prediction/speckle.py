@@ -9,6 +9,7 @@ Arrays are in single precision, which halves the time: a finite number of draws 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -31,8 +32,6 @@ MAX_SCATTERERS = 5000
 The excess of their fourth moment is inversely proportional to the number in a cell."""
 BLOCK_DRAWS = 50
 """Draws summed at a time: a block fits into the processor's cache, which halves the time."""
-MAX_CACHED_SCATTERERS = 1e6
-"""Scatterers up to which draws are cached for the next motion: 28 MB."""
 BOX_HALF_WIDTH_SIGMAS = 3.5
 """Half width of the box in sigmas of the tracking beam: scatterers outside echo with 2e-3 of the peak."""
 
@@ -82,8 +81,8 @@ def draw_speckle(
 def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacement | None = None) -> Speckle:
     """Return echo envelopes as ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene.
 
-    Conditions with equal echoes share the same scatterers for any displacement, and a larger number of draws begins
-    with the same ones. Draws are cached unless they are too many.
+    Conditions with equal echoes have the same scatterers for any displacement, and a larger number of draws begins with
+    the same ones.
     """
     # Speckle does not depend on noise, fit, and the time course of the motion: fixed values give equal cache keys.
     echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf)
@@ -93,14 +92,9 @@ def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacemen
 @functools.lru_cache(maxsize=4)
 def _cached_speckle(echoes: Conditions, draws: int, displacement: Displacement | None) -> Speckle:
     """Return the result of ``seeded_speckle`` for ``echoes``, conditions without motion and noise."""
-    depth_m, _ = _cells(echoes)
-    # Large draws would fill the memory: they are repeated instead.
-    is_small = draws * _mean_scatterers(echoes, depth_m) < MAX_CACHED_SCATTERERS
-    draw = _seeded_block if is_small else _seeded_block.__wrapped__
-    # Scatterers do not depend on the force either.
-    scatterers = replace(echoes, excitation_width_m=(0.0, 0.0, 0.0))
-    blocks = (draw(scatterers, number, size) for number, size in enumerate(_block_sizes(draws)))
-    return _scattering(blocks, echoes, depth_m, displacement).speckle(echoes.gate_length_m, echoes.pulse_length_m)
+    seeded_generators = (np.random.default_rng([0, block]) for block in itertools.count())
+    scattering = _scattering(echoes, seeded_generators, draws, *_cells(echoes), displacement)
+    return scattering.speckle(echoes.gate_length_m, echoes.pulse_length_m)
 
 
 def draw_scattering(
@@ -117,62 +111,57 @@ def draw_scattering(
     default ``displacement`` is the Gaussian of the paper, eq. (12). The mean number of scatterers of a draw is at most
     ``MAX_SCATTERERS``: more would change only the echo's strength, which predictions do not depend on.
     """
-    blocks = (_draw_block(conditions, generator, size, depth_m, cells) for size in _block_sizes(draws))
-    return _scattering(blocks, conditions, depth_m, displacement)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Block:
-    """Scatterers of some draws: position (3, scatterer), m, real and imaginary echo, and cell number over all draws.
-
-    ``echo``: the echoes summed into the cells, (draw, cell).
-    """
-
-    position_m: SingleArray
-    components: tuple[SingleArray, SingleArray]
-    cell: Int64Array
-    echo: ComplexArray
-
-    def displaced(self, displacement: Displacement) -> ComplexArray:
-        """Return the echoes times the displacement, summed into the cells, (draw, cell)."""
-        weight = displacement(self.position_m)
-        return _sum_into_cells(self.cell, (self.components[0] * weight, self.components[1] * weight), self.echo.shape)
-
-
-@functools.lru_cache(maxsize=100)
-def _seeded_block(echoes: Conditions, number: int, draws: int) -> _Block:
-    """Draw the block with the index ``number``, which is also its seed."""
-    return _draw_block(echoes, np.random.default_rng([0, number]), draws, *_cells(echoes))
-
-
-def _draw_block(
-    conditions: Conditions, generator: np.random.Generator, draws: int, depth_m: float, cells: int
-) -> _Block:
-    """Return random scatterers for ``draws`` echoes in a box ``depth_m`` deep, summed into ``cells`` over its depth."""
-    count = generator.poisson(_mean_scatterers(conditions, depth_m), draws)
-    # Positions are uniform in the box and phases uniform over a turn: fully random interference.
-    unit_position, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
-    position_m = (unit_position - np.float32(0.5)) * _box_m(conditions, depth_m)[:, None]
-    angle = np.float32(2 * np.pi) * phase[0]
-    strength = _gaussian(conditions.tracking_width_m, position_m)
-    cell = np.minimum((unit_position[2] * np.float32(cells)).astype(np.int64), cells - 1)
-    # Cells are numbered over all draws of the block.
-    cell += cells * np.repeat(np.arange(draws), count)
-    components = strength * np.cos(angle), strength * np.sin(angle)
-    return _Block(
-        position_m=position_m, components=components, cell=cell, echo=_sum_into_cells(cell, components, (draws, cells))
-    )
+    return _scattering(conditions, itertools.repeat(generator), draws, depth_m, cells, displacement)
 
 
 def _scattering(
-    blocks: Iterable[_Block], conditions: Conditions, depth_m: float, displacement: Displacement | None
+    conditions: Conditions,
+    generators: Iterable[np.random.Generator],
+    draws: int,
+    depth_m: float,
+    cells: int,
+    displacement: Displacement | None,
 ) -> Scattering:
-    """Return the draws of all ``blocks`` together, with echoes weighted by ``displacement`` (default: Gaussian)."""
+    """Return the result of ``draw_scattering`` with one of ``generators`` for each block of ``BLOCK_DRAWS`` draws."""
     displacement = displacement or functools.partial(_gaussian, conditions.excitation_width_m)
-    echo, displaced = zip(*((block.echo, block.displaced(displacement)) for block in blocks), strict=True)
-    cells = echo[0].shape[1]
+    sizes = (min(BLOCK_DRAWS, draws - first) for first in range(0, draws, BLOCK_DRAWS))
+    blocks = [
+        _draw_block(conditions, generator, size, depth_m, cells, displacement)
+        for size, generator in zip(sizes, generators, strict=False)
+    ]
+    echo, displaced = (np.concatenate(block) for block in zip(*blocks, strict=True))
     cell_depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * depth_m
-    return Scattering(np.concatenate(echo), np.concatenate(displaced), cell_depth_m)
+    return Scattering(echo, displaced, cell_depth_m)
+
+
+def _draw_block(
+    conditions: Conditions,
+    generator: np.random.Generator,
+    draws: int,
+    depth_m: float,
+    cells: int,
+    displacement: Displacement,
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return the echoes (draw, cell) of random scatterers in a box, at rest and weighted by their ``displacement``.
+
+    The box is ``depth_m`` deep and divided into ``cells`` over its depth.
+    """
+    sides_m = [2 * BOX_HALF_WIDTH_SIGMAS * width for width in conditions.tracking_width_m[:2]]
+    box_m = np.array([*sides_m, depth_m], dtype=np.float32)
+    mean_count = min(conditions.scatterers_per_m3 * float(np.prod(box_m)), MAX_SCATTERERS)
+    count = generator.poisson(mean_count, draws)
+    # Positions are uniform in the box and phases uniform over a turn: fully random interference.
+    unit_position, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
+    position_m = (unit_position - np.float32(0.5)) * box_m[:, None]
+    angle = np.float32(2 * np.pi) * phase[0]
+    strength = _gaussian(conditions.tracking_width_m, position_m)
+    real, imaginary = strength * np.cos(angle), strength * np.sin(angle)
+    # Cells are numbered over all draws of the block.
+    cell = np.minimum((unit_position[2] * np.float32(cells)).astype(np.int64), cells - 1)
+    cell += cells * np.repeat(np.arange(draws), count)
+    weight = displacement(position_m)
+    echo = _sum_into_cells(cell, (real, imaginary), (draws, cells))
+    return echo, _sum_into_cells(cell, (real * weight, imaginary * weight), (draws, cells))
 
 
 def _sum_into_cells(cell: Int64Array, components: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
@@ -182,24 +171,10 @@ def _sum_into_cells(cell: Int64Array, components: Iterable[SingleArray], shape: 
     return (real + 1j * imaginary).reshape(shape).astype(np.complex64)
 
 
-def _block_sizes(draws: int) -> list[int]:
-    return [min(BLOCK_DRAWS, draws - first) for first in range(0, draws, BLOCK_DRAWS)]
-
-
 def _cells(conditions: Conditions) -> tuple[float, int]:
     """Return the depth range of a gate's scatterers, m, and the number of its cells."""
     depth_m = conditions.gate_length_m + conditions.pulse_length_m
     return depth_m, int(np.clip(4 * np.ceil(depth_m / conditions.pulse_length_m), 48, 192))
-
-
-def _box_m(conditions: Conditions, depth_m: float) -> SingleArray:
-    """Return the sides of the box with scatterers, m."""
-    lateral_m = (2 * BOX_HALF_WIDTH_SIGMAS * width for width in conditions.tracking_width_m[:2])
-    return np.array([*lateral_m, depth_m], dtype=np.float32)
-
-
-def _mean_scatterers(conditions: Conditions, depth_m: float) -> float:
-    return min(conditions.scatterers_per_m3 * float(np.prod(_box_m(conditions, depth_m))), MAX_SCATTERERS)
 
 
 def _gaussian(width_m: Triple, position_m: SingleArray) -> SingleArray:

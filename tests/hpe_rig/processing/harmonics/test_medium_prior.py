@@ -679,7 +679,7 @@ def test_off_axis_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
     member = int(np.flatnonzero(ensemble.voigt)[1])
     # the same nodes alone, each harmonic for itself
     other = medium_ensemble(beams, RATE_HZ * 81, RATE_HZ * 81 * 2)
-    assert other.exact_nodes == other.node_hz.size == 2
+    assert other.harmonic_nodes == other.node_hz.size == 2
     between = (ensemble.tracked @ ensemble.interpolation(other.node_hz).T)[member]
     rms = np.sqrt(np.sum(np.abs(ensemble.tracked @ ensemble.interpolation(RATE_HZ * harmonic).T) ** 2, axis=1))[member]
     assert np.abs(between - other.tracked[member]).max() < 1e-3 * rms
