@@ -78,8 +78,8 @@ def print_bias() -> None:
         push = push_of(sigma_m)
         field = exact_field(medium, push, offsets_m)
         measured = vibrations(field * FIRST_M / abs(field[0, 0]), covariance_m2, offsets_m)
-        geometry = f"{sigma_m[0] * 1e3:g}, {sigma_m[1] * 1e3:g} mm; {offsets_m[0] * 1e3:g} to {offsets_m[-1] * 1e3:g} mm"
-        name = f"{medium[0] / 1e3:g} kPa, {medium[1]:g} Pa s | {geometry}"
+        widths = f"{sigma_m[0] * 1e3:g}, {sigma_m[1] * 1e3:g} mm; {offsets_m[0] * 1e3:g} to {offsets_m[-1] * 1e3:g} mm"
+        name = f"{medium[0] / 1e3:g} kPa, {medium[1]:g} Pa s | {widths}"
         for method in dispersion_of_vibrations(measured, push).methods:
             true = true_wave(medium)[method.is_attenuation]
             errors = 100 * (method.value / true - 1)
