@@ -144,11 +144,11 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     """
     amplitude_m = float(fit.amplitude_m[index])
     peak_m = amplitude_m / averaging.factor
-    # All arrays of two hold (amplitude, phase); ``polar`` converts relative amplitudes to amplitudes.
+    # All arrays of two hold (amplitude, phase); times ``polar`` a relative amplitude becomes an amplitude.
     polar = np.array([amplitude_m, 1.0])
     aliasing = np.zeros(2) if fit.aliasing is None else np.diagonal(fit.aliasing[index])
     averaging_u = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad]) * polar
-    shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * polar**2
+    covariance = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * polar**2
     rounding_m = sources.quantisation_m[index] if sources.quantisation_m else (0.0, 0.0)
     # The error across the phasor over the amplitude is the phase error, at most that of an unknown phase.
     rounding = np.array(rounding_m) / (1.0, max(amplitude_m, np.finfo(np.float64).tiny))
@@ -156,7 +156,7 @@ def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: A
     drift = np.zeros(2) if fit.drift_m2 is None else np.diagonal(polar_covariance(fit.drift_m2, fit)[index])
     noise = _noise_components(fit, index, sources, averaging, aliasing + drift)
     # Aliasing and beam averaging both depend on the medium, so that their errors are correlated.
-    aliasing, averaging_variance = _share_covariance(aliasing, averaging_u**2, shared)
+    aliasing, averaging_variance = _with_covariance(aliasing, averaging_u**2, covariance)
     optional = (("carrier", carrier_relative), ("beam shape", averaging.shape_relative))
     return (
         *noise,
@@ -207,10 +207,10 @@ def _time_base_components(
 def with_first_pulse(
     estimates: Sequence[Estimate], alternatives: Sequence[Sequence[Estimate]], late_part_s: float
 ) -> tuple[Estimate, ...]:
-    """Return ``estimates`` with the uncertainty of an unknown first pulse.
+    """Return ``estimates`` with the uncertainty of the times of all pulses, if it is unknown which pulse came first.
 
     ``alternatives``: the estimates for every other possible first pulse; all are equally likely. ``late_part_s``:
-    largest delay, beyond the assumed times, of a later part of the pulses alone.
+    largest additional delay if triggers were lost within the shot, which delays only the later pulses.
     """
     return tuple(
         replace(estimate, components=(*estimate.budget, _first_pulse(estimate, of_frequency, late_part_s)))
@@ -239,21 +239,22 @@ def _first_pulse(estimate: Estimate, alternatives: Sequence[Estimate], late_part
 def _noise_components(
     fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging, model_error: FloatArray
 ) -> tuple[Component, ...]:
-    """Return the uncertainties that the scatter of the pulses contains: noise, trigger jitter and the bias of noise.
+    """Return the uncertainties that the scatter of the pulses contains: noise, trigger jitter and Rician bias.
 
     ``model_error`` (2,): variances of amplitude and phase in the covariance of ``fit`` that are not noise. The Rician
-    bias is the amplitude that noise alone would have.
+    bias is the amplitude that noise alone would have. Jitter and noise share the remaining variance in proportion to
+    their variances for one pulse.
     """
     random = np.maximum(np.diagonal(fit.covariance[index]) - model_error, 0.0)
     residual_m2 = float(fit.quality.residual_rms_m) ** 2
-    jitter_share = min(sources.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
+    jitter_fraction = min(sources.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
     # Jitter is known from elsewhere (type B); noise is the remaining variance of the residual. With these degrees of
     # freedom of noise, both together have those of the residual (Welch-Satterthwaite).
     nu = float(fit.quality.degrees_of_freedom)
-    noise_nu, jitter_nu = (nu * (1 - jitter_share) ** 2, math.inf) if jitter_share < 1 else (nu, nu)
+    noise_nu, jitter_nu = (nu * (1 - jitter_fraction) ** 2, math.inf) if jitter_fraction < 1 else (nu, nu)
     return (
-        _tracked("noise", random * (1 - jitter_share), averaging, noise_nu),
-        _tracked("trigger jitter", random * jitter_share, averaging, jitter_nu),
+        _tracked("noise", random * (1 - jitter_fraction), averaging, noise_nu),
+        _tracked("trigger jitter", random * jitter_fraction, averaging, jitter_nu),
         Component(
             source=RECTIFIED,
             amplitude_m=math.sqrt(fit.rician_bias_m2[index]) / averaging.factor,
@@ -287,7 +288,7 @@ def with_second_order_speckle(averaging: Averaging) -> Averaging:
     return replace(averaging, speckle_relative=math.hypot(averaging.speckle_relative, second_order))
 
 
-def _share_covariance(
+def _with_covariance(
     aliasing: FloatArray, averaging: FloatArray, covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the variances of aliasing and beam averaging, adjusted so that their sum includes twice their covariance.

@@ -48,7 +48,10 @@ class ControlMotion:
 
 
 def control_motions(fits: Mapping[int, HarmonicFit]) -> dict[int, ControlMotion]:
-    """Return the motion of every control, with the variance between them; keys are those of ``fits``, at least one."""
+    """Return the motion of every control (a shot without tonebursts), with the scatter between controls.
+
+    ``fits``: harmonics of each control, at least one. The scatter is the variance between them less their noise.
+    """
     states_m = np.array([fit.state[: 2 * fit.frequency_hz.size] for fit in fits.values()])
     phasors_m = states_m[:, 0::2] + 1j * states_m[:, 1::2]
     count = len(phasors_m)

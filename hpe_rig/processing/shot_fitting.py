@@ -142,10 +142,11 @@ def shot_averaging(
 
 
 def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averaging) -> Averaging:
-    """Return the beam averaging of frequency ``index`` in the media that the measured motion leaves probable.
+    """Return the beam averaging (tracked over peak displacement) of frequency ``index``, given the measured motion.
 
-    ``predicted``: the averaging before the measurement. Speckle changes the area of the tracking beam: its effect is
-    the standard deviation of log area times the rms derivative of the motion by log area over those media.
+    ``medium``: posterior of the medium, with means over the media that the motion leaves probable. ``predicted``: the
+    averaging before the measurement. Speckle changes the area of the tracking beam: its effect is the standard
+    deviation of log area times the rms change of the motion with log area (``steepness``).
     """
     # Tracked over peak displacement in those media, with the standard uncertainty of its magnitude and phase.
     rule, ratio = predicted.rule, 1 / complex(medium.peak_over_tracked[index])

@@ -333,10 +333,11 @@ def _record_warnings(
 def _drift(
     scene: Scene, motion: WindowMotion, selection: Selection, options: Options, max_probability: float
 ) -> Drift | None:
-    """Return the change of the motion over the window; None if it is only tested and that is not possible.
+    """Return the change of the motion over the window, for its removal or for a test of whether there is one.
 
-    The echoes of the window may be too noisy for a test, or its pulses too few. Raises ``ValueError`` if ``scene`` asks
-    for the removal of a drift that cannot be estimated.
+    A change is estimated in full if ``scene`` removes it or if it is significant: a steady motion has it with less than
+    ``max_probability``. None if a test is not possible: noisy echoes or few pulses. Raises ``ValueError`` if ``scene``
+    asks for the removal of a drift that cannot be estimated.
     """
     if scene.processing.drift == "linear":
         return shot_drift(motion, selection, options)

@@ -40,9 +40,9 @@ def fit_stated_motion(
 ) -> tuple[HarmonicFit, FloatArray, FloatArray]:
     """Return amplitude and phase of a ``motion`` (..., pulse), and its mean velocity (...) with standard uncertainty.
 
-    ``motion``: displacement, m, or velocity, m/s, at ``time_s`` (pulse,), used where ``valid`` (pulse,). The residual
-    of a velocity is stated as that of the displacement at the lowest frequency. Raises ``ValueError`` if the pulses do
-    not resolve the frequencies.
+    The motion is given as a ``quantity``, displacement (m) or velocity (m/s), at ``time_s`` (pulse,), used where
+    ``valid`` (pulse,). Amplitudes are those of the displacement. The residual of a velocity is stated as that of the
+    displacement at the lowest frequency. Raises ``ValueError`` if the pulses do not resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, np.float64)
     is_velocity, harmonic_states = quantity == "velocity", slice(2 * frequency_hz.size)
@@ -54,9 +54,9 @@ def fit_stated_motion(
     # Noise variance of one value, from the residual and its degrees of freedom.
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     unit_covariance = model.root @ model.root.T
-    # The velocity of a phasor x is j w x, with the in-phase and quadrature states -w Im x and w Re x.
+    # From the states of the motion to those of the displacement. The velocity of a phasor x is j w x, with the in-phase
+    # and quadrature states -w Im x and w Re x.
     omega = 2 * np.pi * frequency_hz
-    # Matrix from the states of the motion to those of the displacement.
     velocity_to_displacement = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]])
     to_displacement = velocity_to_displacement if is_velocity else np.eye(2 * frequency_hz.size)
     per_variance = to_displacement @ unit_covariance[harmonic_states, harmonic_states] @ to_displacement.T

@@ -74,7 +74,7 @@ class TimeBase:
 
     @property
     def by_digitizer(self) -> RateError | None:
-        """Rate error of the motion's frequencies as measured with the digitizer's clock; None without trigger times."""
+        """Relative error of the motion's frequencies by the digitizer's clock; None without trigger times."""
         if self.tracking_rate is None:
             return None
         return RateError(
@@ -95,11 +95,12 @@ def _parsed(name: str, text: str) -> BenchFile:
 
 
 def prior_rate_error(scene: Scene, clocks: FloatArray | None, rate: TrackingRate | None) -> RateError:
-    """Return the relative error of the motion's frequency as measured with the pulses' clock: mean and sd.
+    """Return the expected rate error before the displacement is analysed, with its standard deviation.
 
-    It is what is known before the displacement is analysed. ``clocks`` (3, 3): covariance of the relative rate errors
-    of the clocks of motion, pulses and digitizer, None if nothing is known of them. ``rate``: rate of the pulses
-    measured with the digitizer's clock, None if it was not. A stated ``processing.frequency_accuracy`` replaces both.
+    It is the relative error of the motion's frequencies as timed by the pulses' clock. ``clocks`` (3, 3): covariance of
+    the relative rate errors of the clocks of motion, pulses and digitizer, None if nothing is known of them. ``rate``:
+    rate of the pulses measured with the digitizer's clock, None if it was not. A stated
+    ``processing.frequency_accuracy`` replaces both.
     """
     stated = scene.processing.frequency_accuracy
     if stated is not None or clocks is None:
@@ -137,11 +138,12 @@ def timed_motion(
     beams: BeamWidths | None,
     control: ControlMotion | None = None,
 ) -> tuple[WindowMotion, TimeBase]:
-    """Return the displacement of the selected pulses, by the clock of the motion's frequencies, and their time base.
+    """Return the displacement of the selected pulses at corrected times, and the error of their time base.
 
-    ``motion``: displacement from echoes. ``clocks`` (3, 3): covariance of the rate errors of motion, pulses and
-    digitizer; None if nothing is known of them. ``control``: motion without tonebursts, which is subtracted. Raises
-    ``ValueError`` if the echoes have no displacement.
+    The times are those by the clock of the motion's frequencies: a rate error of the pulses' clock against it is
+    estimated from the clocks and from the displacement, and removed. ``motion``: displacement from echoes. ``clocks``
+    (3, 3): covariance of the rate errors of motion, pulses and digitizer; None if nothing is known of them.
+    ``control``: motion without tonebursts, subtracted. Raises ``ValueError`` if the echoes have no displacement.
     """
     selection = select(scene, shot)
     window = window_motion(scene, shot, records, selection, motion)

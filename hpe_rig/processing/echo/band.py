@@ -101,10 +101,11 @@ def band_of(echoes: EchoGate) -> Band:
 
 @functools.lru_cache(maxsize=32)
 def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz: float) -> Band:
-    """Return the band of ``gate`` samples with margins of ``before`` and ``after`` samples.
+    """Return the band of ``gate`` samples with margins of ``before`` and ``after`` samples, for echoes at a carrier.
 
-    Its spectra are those of records tapered in the margins. With E[t, f] = exp(2 pi j f t) / sqrt(bins), inner
-    products over the gate alone are S^H G S with G = 1 - B B^H, where B B^H is the part of E^H E in the margins.
+    A spectrum S is that of gate and margins, tapered in the margins: the signal is E S with E[t, f] = exp(2 pi j f t) /
+    sqrt(bins). The inner product of two spectra is a sum over gate and margins. Over the gate alone it is
+    S^H (1 - B B^H) S, where B B^H is the part of E^H E from the samples of the margins.
     """
     from scipy.fft import next_fast_len
 
@@ -116,7 +117,8 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
     taper = _tapered(samples, max(before, min_taper), max(after, min_taper))
     frequency_hz = _grid(sample_rate_hz, carrier_hz, bins)
 
-    # ``signal`` is E, with phases relative to the gate's centre; ``analysis`` its inverse with taper, minus the mean.
+    # E, with phases relative to the gate's centre; from records to spectra: its inverse with taper, minus the mean of
+    # the record; and the covariance of white noise in such spectra.
     phase = 2 * np.pi * np.outer(np.arange(bins) - centre, frequency_hz / sample_rate_hz)
     signal = np.exp(1j * phase) / np.sqrt(bins)
     analysis = signal[:samples].conj() * taper[:, None]
@@ -124,7 +126,7 @@ def _band(before: int, gate: int, after: int, sample_rate_hz: float, carrier_hz:
     analysis -= constant_spectrum / samples
     noise = analysis.T @ analysis.conj()
 
-    # ``margin_root`` is B, from the margins' part of E^H E. Relative to the centre that matrix is real, over the gate
+    # B from the eigenvectors of the margins' part of E^H E. Relative to the centre that matrix is real, over the gate
     # and hence over the remaining samples.
     margins = np.concatenate([signal[:before], signal[before + gate :]])
     energy, directions = np.linalg.eigh((margins.conj().T @ margins).real)

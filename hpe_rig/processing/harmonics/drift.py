@@ -55,32 +55,36 @@ class Harmonics:
     """Harmonics of a motion, fitted to a train, as a function of the unknowns of its drift.
 
     ``frequency_hz`` and ``phasor_m``, complex: (harmonic,), the wanted ones first. ``sensitivity``, complex (harmonic,
-    unknown): derivative of g_n by the unknowns, which are a, tau, and for each wanted harmonic the deviations of growth
-    and delay, all over their prior standard deviations.
+    unknown): change of each phasor's logarithm from the middle to the last pulse, g_n, for each unknown. The unknowns
+    are growth a and delay tau in common, and for each wanted harmonic the deviations from these, all over their prior
+    standard deviations. A ``position`` (pulse,) in the train is -1 at the first pulse and 1 at the last.
     """
 
     frequency_hz: FloatArray
     phasor_m: ComplexArray
     sensitivity: ComplexArray
 
-    def displacement_m(self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray) -> FloatArray:
-        """Return the displacement (pulse,) at ``time_s`` of a motion that has changed to ``s`` (pulse,)."""
-        return np.concatenate([phasors.imag.sum(axis=1) for phasors, _ in self._phasors(time_s, s, unknowns)])
+    def displacement_m(self, time_s: FloatArray, position: FloatArray, unknowns: FloatArray) -> FloatArray:
+        """Return the displacement (pulse,) at ``time_s``, with the phasors that the motion has at ``position``."""
+        return np.concatenate([phasors.imag.sum(axis=1) for phasors, _ in self._phasors(time_s, position, unknowns)])
 
-    def columns_m(self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray) -> FloatArray:
+    def derivatives_m(self, time_s: FloatArray, position: FloatArray, unknowns: FloatArray) -> FloatArray:
         """Return the derivatives (unknown, pulse) of the displacement by the unknowns."""
-        blocks = [at * (phasors @ self.sensitivity).imag.T for phasors, at in self._phasors(time_s, s, unknowns)]
-        return np.concatenate(blocks, axis=1)
+        blocks = self._phasors(time_s, position, unknowns)
+        return np.concatenate([at * (phasors @ self.sensitivity).imag.T for phasors, at in blocks], axis=1)
 
     def _phasors(
-        self, time_s: FloatArray, s: FloatArray, unknowns: FloatArray
+        self, time_s: FloatArray, position: FloatArray, unknowns: FloatArray
     ) -> Iterator[tuple[ComplexArray, FloatArray]]:
-        """Yield x_n exp(g_n s) exp(j w_n t) (pulse, harmonic) and s (pulse,) of many pulses at a time."""
+        """Yield every harmonic as a complex value at each pulse (pulse, harmonic), and the positions of these pulses.
+
+        The displacement is the sum of the imaginary parts. Each item covers up to ``PULSES_AT_ONCE`` pulses.
+        """
         log_change = self.sensitivity @ unknowns
         for first in range(0, time_s.size, PULSES_AT_ONCE):
-            at, pulses = s[first : first + PULSES_AT_ONCE], time_s[first : first + PULSES_AT_ONCE]
-            exponent = np.outer(at, log_change) + 2j * np.pi * np.outer(pulses, self.frequency_hz)
-            yield self.phasor_m * np.exp(exponent), at
+            pulses = slice(first, first + PULSES_AT_ONCE)
+            exponent = np.outer(position[pulses], log_change) + 2j * np.pi * np.outer(time_s[pulses], self.frequency_hz)
+            yield self.phasor_m * np.exp(exponent), position[pulses]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +114,9 @@ class Drift:
     unknowns: FloatArray
 
     def change_m(self, time_s: FloatArray) -> FloatArray:
-        """Return the displacement (pulse,) at ``time_s`` minus that of a steady motion with the first phasors, m."""
+        """Return the displacement (pulse,) at ``time_s`` minus that of a motion that stays as at the first pulse, m."""
         positions = _positions(time_s), np.full_like(time_s, -1.0)
-        changed_m, steady_m = (self.harmonics.displacement_m(time_s, s, self.unknowns) for s in positions)
+        changed_m, steady_m = (self.harmonics.displacement_m(time_s, at, self.unknowns) for at in positions)
         return np.asarray(changed_m - steady_m)
 
 
@@ -132,6 +136,7 @@ def drift_of(
     for too few pulses.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    # ``steady`` is the motion minus the present estimate of its change, which the ``unknowns`` describe.
     time_s, unknowns, steady = motion.time_s, np.zeros(2 + 2 * frequency_hz.size), motion
     for iteration in range(max_iterations):
         harmonics, basis = _fitted(steady, frequency_hz, also_hz, background_order, prior)
@@ -145,8 +150,9 @@ def drift_of(
         if converged or iteration == max_iterations - 1:
             break
         positions = _positions(time_s), np.zeros_like(time_s)
-        changed_m, middle_m = (harmonics.displacement_m(time_s, s, unknowns) for s in positions)
+        changed_m, middle_m = (harmonics.displacement_m(time_s, at, unknowns) for at in positions)
         steady = replace(motion, displacement_m=motion.displacement_m - (changed_m - middle_m))
+    # From the unknowns to the changes of the wanted phasors' logarithms: complex, and as real and imaginary parts.
     sensitivity = harmonics.sensitivity[: frequency_hz.size]
     real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)
     log_change, common_u = sensitivity @ unknowns, np.hypot(np.sqrt(np.diag(covariance)), RELATIVE_U * unknowns)
@@ -167,7 +173,7 @@ def drift_of(
 
 
 def _positions(time_s: FloatArray) -> FloatArray:
-    """Return s (pulse,), from -1 at the first pulse to 1 at the last."""
+    """Return the position (pulse,) of each pulse in the train, from -1 at the first to 1 at the last."""
     return np.asarray(2 * (time_s - time_s[0]) / (time_s[-1] - time_s[0]) - 1)
 
 
@@ -194,7 +200,7 @@ def _fitted(
     background_order: int,
     prior: MediumPrior | None,
 ) -> tuple[Harmonics, FloatArray]:
-    """Return the harmonics of a ``motion``, and Q (valid pulse, column), orthonormal columns of their fit.
+    """Return the harmonics of a steady ``motion``, and orthonormal columns (valid pulse, column) of their fit.
 
     The arguments are those of ``drift_of``.
     """
@@ -213,7 +219,8 @@ def _fitted(
         strong[list(prior.harmonic_indices(frequency_hz))] = False
         all_hz = np.concatenate([frequency_hz, others_hz[strong]])
         phasor_m = np.concatenate([fit.fit.amplitude_m * np.exp(1j * fit.fit.phase_rad), others_m[strong]])
-    # dg/da and dg/d tau; the deviations have the same derivatives, of one harmonic each.
+    # Change of every harmonic's logarithm for one standard deviation of growth and of delay; a deviation changes one
+    # harmonic only.
     common = np.stack([np.full(all_hz.size, GROWTH_SD / 2), -1j * np.pi * all_hz * DELAY_SD_S], axis=1)
     sensitivity = np.zeros((all_hz.size, 2 + 2 * wanted), dtype=np.complex128)
     sensitivity[:, :2] = common
@@ -225,19 +232,21 @@ def _fitted(
 def _normal_equations(
     harmonics: Harmonics, basis: FloatArray, steady: Motion, unknowns: FloatArray
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Return the linear model of the unknowns in units of the noise, and the degrees of freedom of the noise.
+    """Return the normal equations of least squares for the unknowns of a drift, and the noise's degrees of freedom.
 
-    It is linear about ``unknowns``; ``steady`` is the motion without the change that they describe, ``basis`` Q of its
-    fit. The first value (unknown, unknown) holds the products of the derivatives, the second (unknown,) those of
-    derivatives and data. Raises ``ValueError`` if no degree of freedom is left.
+    These are the products of the displacement's derivatives by the unknowns, (unknown, unknown), and their products
+    with the data, (unknown,), both over the noise variance. The derivatives are those at ``unknowns``. ``steady``:
+    motion without the change that these describe; ``basis`` (valid pulse, column): orthonormal columns of its harmonic
+    fit. Raises ``ValueError`` if no degree of freedom is left.
     """
-    columns = harmonics.columns_m(steady.time_s, _positions(steady.time_s), unknowns)[:, steady.valid]
+    derivatives = harmonics.derivatives_m(steady.time_s, _positions(steady.time_s), unknowns)[:, steady.valid]
     data = steady.displacement_m[steady.valid]
     # Project the columns of the fit out of data and derivatives, in place: no second copy of a long train.
-    for row in (data, *columns):
+    for row in (data, *derivatives):
         row -= (row @ basis) @ basis.T
-    data += unknowns @ columns
-    products, moments = columns @ columns.T, columns @ data
+    # Data for the whole change, not only for the step from ``unknowns``.
+    data += unknowns @ derivatives
+    products, moments = derivatives @ derivatives.T, derivatives @ data
     explained_m2, rank = _explained(products, moments)
     degrees = data.size - basis.shape[1] - rank
     if degrees < 1:
@@ -247,9 +256,9 @@ def _normal_equations(
 
 
 def _explained(products: FloatArray, moments: FloatArray) -> tuple[float, int]:
-    """Return the energy of the data that columns explain, and the number of independent columns.
+    """Return the energy of data that least squares with some columns explains, and how many columns are independent.
 
-    ``products`` (column, column): of the columns. ``moments`` (column,): of the columns and the data.
+    ``products`` (column, column): inner products of the columns; ``moments`` (column,): those of columns and data.
     """
     value, vector = np.linalg.eigh(products)
     observed = value > RANK_TOLERANCE * value[-1]
@@ -257,13 +266,15 @@ def _explained(products: FloatArray, moments: FloatArray) -> tuple[float, int]:
 
 
 def _significance(products: FloatArray, moments: FloatArray, degrees: int) -> tuple[float, FloatArray]:
-    """Return the bound of the probability of such changes in steady motion: of any change, and of each harmonic's.
+    """Return bounds of the probability that a steady motion seems to change as much: in any test, by harmonic.
 
-    ``products`` (unknown, unknown) and ``moments`` (unknown,): of columns and data in units of the noise. Half of the
-    false alarms go to the test of the common change, the other half to the tests of the harmonics (Bonferroni).
+    ``products`` (unknown, unknown) and ``moments`` (unknown,): normal equations over the noise variance, which has
+    ``degrees`` of freedom. Half of the false alarms go to the test of the common change, the other half to the tests of
+    the harmonics (Bonferroni).
     """
     from scipy.special import fdtrc
 
+    # F tests of pairs of unknowns, growth and delay: in common, then of each harmonic.
     probability = []
     for first in range(0, moments.size, 2):
         columns = slice(first, first + 2)

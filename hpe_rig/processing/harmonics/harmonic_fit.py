@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from hpe_rig.processing.harmonics.model import MAX_CONDITION, linear_model
+from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.result import PHASE_VARIANCE_LIMIT, phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
@@ -126,7 +126,6 @@ def least_squares(
     *,
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
-    largest_condition: float = MAX_CONDITION,
 ) -> HarmonicFit:
     """Return all amplitudes and phases of a displacement from one least-squares fit, with covariance from the residual.
 
@@ -136,14 +135,8 @@ def least_squares(
     ``ValueError`` if the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
-    model = linear_model(
-        motion.time_s,
-        motion.valid,
-        frequency_hz,
-        largest_condition,
-        background_order=background_order,
-        also_hz=also_hz,
-    )
+    times = motion.time_s, motion.valid
+    model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
     wanted_states = model.wanted_states
     pulses, states = model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
@@ -172,19 +165,20 @@ def difference_noise_moments(
     They are needed to estimate the noise of a displacement that is a sum of noisy steps: white noise plus a random
     walk, with ``step_noise_ratio`` (...) times the white variance in every step. The energy is relative to the white
     variance of one pulse. The residual is that of a fit which has removed the fraction ``shrinkage`` (..., column) of
-    the component along each of the orthonormal ``columns`` (pulse, column); 1 for least squares.
+    each of the orthonormal ``columns`` (pulse, column) in the displacement; 1 for least squares.
 
     With D the difference of neighbours, L the running sum (D L = 1), Q the columns and h the shrinkage, the covariance
     of the differences is A = D (1 - Q g Q') D', g = h (2 - h), for white noise. Degrees of freedom of a sum of squares:
     (tr A)² / tr A² (Satterthwaite, 1946), times a factor for the random walk, 1 without a walk.
     """
-    differences = np.diff(columns, axis=0)  # D Q
-    sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]  # L'Q
+    # D Q, L'Q, |D q|² of each column, g, and Q'D'D Q.
+    differences = np.diff(columns, axis=0)
+    sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]
+    energy = np.einsum("ij,ij->j", differences, differences)
+    removed = shrinkage * (2 - shrinkage)
+    inner = differences.T @ differences
+    # tr A, the energy for white noise: two noise terms in each difference, minus what the fit has removed.
     count = len(differences)
-    energy = np.einsum("ij,ij->j", differences, differences)  # |D q|² of each column
-    removed = shrinkage * (2 - shrinkage)  # g
-    inner = differences.T @ differences  # Q'D'D Q
-    # tr A: two noise terms in each difference, minus the energy that the fit has removed.
     white = 2 * count - removed @ energy
     # Expected energy of the walk: |D (1 - Q h Q') L|², expanded with D L = 1.
     overlap = np.einsum("ij,ij->j", sums_after, differences)
@@ -238,6 +232,7 @@ def fit_from_state(
     in_phase, quadrature = state[..., 0:states:2], state[..., 1:states:2]
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
+    # Covariances (..., frequency, 2, 2) of the errors along and across each phasor.
     total = _along_phasor(state_covariance, phase)
     aliasing = np.zeros_like(total) if aliasing_m2 is None else _along_phasor(aliasing_m2, phase)
     # An amplitude may be noise alone, but not aliasing alone, which grows with the motion: the Rician bias and the
@@ -273,12 +268,12 @@ def corrected_by(fit: HarmonicFit, correction_m: FloatArray) -> HarmonicFit:
 def with_aliasing(
     fit: HarmonicFit, causes: AliasingCauses, prior_fit: HarmonicFit, medium: MediumPosterior
 ) -> HarmonicFit:
-    """Return ``fit`` with the covariance of its aliasing error added; ``causes``: that error.
+    """Return ``fit`` with the covariance of its aliasing error, ``causes``, added.
 
     Aliasing error: harmonics above half the pulse rate that ``fit`` attributes to the wanted ones. It can be as large
-    as the amplitudes of ``fit``, so the phase variance is computed with the amplitudes of ``prior_fit`` instead. That
-    fit of the same motion has a prior of media for all harmonics; it is in error only where the prior is.
-    ``medium``: posterior of the medium, attached to the result.
+    as the amplitudes of ``fit``, so the phase uncertainty is computed for the amplitudes of ``prior_fit`` instead: a
+    fit of the same motion with a prior of media for all harmonics. ``medium``: posterior of the medium, attached to the
+    result.
     """
     wanted_states, aliasing_m2 = slice(2 * fit.frequency_hz.size), causes.total_m2
     total_m2 = fit.state_covariance.copy()
@@ -292,7 +287,6 @@ def with_aliasing(
         observed_m=fit.amplitude_m,
         covariance_m2=total,
     )
-    # From errors along and across the phasor to errors of amplitude and phase.
     to_polar = _polar_factors(total, phase_variance)
     return replace(
         fit,
@@ -352,10 +346,10 @@ def _conditional_variance(covariance: FloatArray) -> FloatArray:
 
 
 def _polar_factors(along_phasor: FloatArray, phase_variance_rad2: FloatArray) -> FloatArray:
-    """Return factors (..., frequency, 2, 2) from covariance along and across a phasor to that of amplitude and phase.
+    """Return the factors that turn a covariance of errors along and across a phasor into one of amplitude and phase.
 
-    ``along_phasor`` (..., frequency, 2, 2) is multiplied by them. The error along the phasor is the amplitude error.
-    That across it, of variance s22, becomes the phase error: diag(1, k) with k² = phase variance / s22.
+    All (..., frequency, 2, 2), multiplied element by element. The error along the phasor is the amplitude error. The
+    error across it is multiplied by k rad/m, so that its variance becomes ``phase_variance_rad2`` (..., frequency).
     """
     across, tiny = along_phasor[..., 1, 1], np.finfo(np.float64).tiny
     radians_per_metre = np.sqrt(np.where(across > tiny, phase_variance_rad2, 0.0) / np.maximum(across, tiny))

@@ -33,7 +33,7 @@ CHUNK = 10_000
 """Pulses processed at once."""
 
 Information = tuple[FloatArray, FloatArray]
-"""Information before a block: triangular F with F'F = sum of h h', and F^-T times the sum of h y."""
+"""Estimate from all pulses so far: triangular F, with F'F the inverse covariance of the states x, and F x."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +105,10 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
 
     The model is data = ``matrix`` (pulse, state) @ states + noise of unit variance; ``prior`` is the initial variance
     of every state. ``innovations``: whether they are computed too. Information form: the triangular factor F of the
-    information, F'F, grows by QR, many pulses at a time, and always stays positive definite.
+    inverse covariance F'F grows by QR, many pulses at a time; F'F always stays positive definite.
     """
     states = matrix.shape[1]
     values = data.reshape(-1, data.shape[-1]).T  # (pulse, realisation)
-    # F and F^-T times the sum of h y, with h a row of the matrix and y its value.
     information: Information = np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1]))
     innovation_blocks, start, well_conditioned = [], 0, not innovations
     while start < len(matrix):
@@ -124,12 +123,12 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
         if first:
             innovation_blocks.append(_first_innovations(block, measured, prior))
         elif innovations:
-            innovation_blocks.append(
-                (_innovations if well_conditioned else _block_innovations)(information, block, measured)
-            )
+            innovations_of = _innovations if well_conditioned else _block_innovations
+            innovation_blocks.append(innovations_of(information, block, measured))
         information = _updated(information, block, measured, by_products=well_conditioned and innovations)
-    root: FloatArray = np.asarray(np.linalg.inv(information[0]))
-    state = root @ information[1]
+    factor, scaled_state = information
+    root: FloatArray = np.asarray(np.linalg.inv(factor))
+    state = root @ scaled_state
     residual = values - matrix @ state
     # The sum of squared normalised innovations equals that of the residual plus that of the states over the prior.
     squares = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
@@ -144,20 +143,20 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
 
 
 def _updated(information: Information, block: FloatArray, measured: FloatArray, *, by_products: bool) -> Information:
-    """Return the information (triangular factor F, F^-T H'y) after the pulses of ``block``.
+    """Return the estimate after further pulses: factor F of the inverse covariance F'F of the states x, and F x.
 
-    ``block`` (pulse, state) holds rows of the model, ``measured`` (pulse, realisation) their values. ``by_products``:
-    from F'F, which is faster but needs a well conditioned F.
+    ``information``: the same before them. ``block`` H (pulse, state): rows of the model, ``measured`` y (pulse,
+    realisation): their values. ``by_products``: from F'F, which is faster but needs a well conditioned F.
     """
-    factor, transformed = information
+    factor, scaled_state = information
     if by_products:
-        # Well conditioned: F'F and its Cholesky factor are accurate, at a fraction of the time of QR.
-        moment = factor.T @ transformed + block.T @ measured
+        # F'F grows by H'H and F'F x by H'y. The Cholesky factor takes a fraction of the time of QR.
+        moment = factor.T @ scaled_state + block.T @ measured
         lower: FloatArray = np.asarray(np.linalg.cholesky(factor.T @ factor + block.T @ block))
         return lower.T, np.asarray(np.linalg.solve(lower, moment), dtype=np.float64)
-    # F'F is the sum of h h' over all rows h: the R of a QR decomposition of F stacked on the new rows is the new F.
+    # Least squares of the rows F x and y: the R of a QR decomposition of F stacked on H is the new F.
     q, triangle = np.linalg.qr(np.vstack([factor, block]))
-    return np.asarray(triangle), np.asarray(q.T @ np.vstack([transformed, measured]))
+    return np.asarray(triangle), np.asarray(q.T @ np.vstack([scaled_state, measured]))
 
 
 def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, prior: float) -> Filtered:
@@ -196,11 +195,11 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: FloatArray, pri
 def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> FloatArray:
     """Return the normalised innovations (pulse, realisation) of the first pulses of a Kalman filter.
 
-    ``matrix`` H (pulse, state) and ``values`` (pulse, realisation): model and data of these pulses. With ``prior`` the
-    initial variance of each state, the joint covariance of the values is prior H H' + 1 = R'R.
+    ``matrix`` H (pulse, state) and ``values`` (pulse, realisation): model and data of these pulses. ``prior``: initial
+    variance of each state, in units of the noise. With R the root of the values' covariance prior H H' + 1 = R'R,
+    innovations are R'^-1 times the values.
     """
-    # R by QR with the largest rows first: the product H H' would lose the noise, 1, which is far smaller than the
-    # prior.
+    # By QR with the largest rows first: the product H H' would lose the noise, 1, beside the far larger prior.
     stacked = np.vstack([np.sqrt(prior) * matrix.T, np.eye(len(matrix))])
     root: FloatArray = np.asarray(np.linalg.qr(stacked, mode="r"))
     # QR leaves the signs of the rows of R open: a positive diagonal makes the innovations unique.
@@ -210,47 +209,45 @@ def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> 
 def _block_innovations(information: Information, block: FloatArray, measured: FloatArray) -> FloatArray:
     """Return the normalised innovations (pulse, realisation) of one block of pulses of a Kalman filter.
 
-    ``information``: F and F^-T H'y of all pulses before. ``block`` H (pulse, state), ``measured`` y (pulse,
-    realisation). With B = H F^-1 the values minus predictions have the joint covariance 1 + B B' = L L'. The rows of
-    L^-1 (y - prediction) are the innovations of one pulse after the other.
+    ``information``: factor F of the states' inverse covariance F'F, and F x, from all pulses before. ``block`` H
+    (pulse, state), ``measured`` y (pulse, realisation). Values minus predictions, y - H x, have the covariance
+    1 + B B' with B = H F^-1. Its Cholesky factor L makes L^-1 (y - H x) the innovations of one pulse after the other.
     """
     # numpy's general solver is several times faster than scipy's triangular one for few states.
-    factor, transformed = information
-    predicted = np.linalg.solve(factor.T, block.T).T  # B
-    joint = np.linalg.cholesky(np.eye(len(block)) + predicted @ predicted.T)
-    return np.asarray(np.linalg.solve(joint, measured - predicted @ transformed))
+    factor, scaled_state = information
+    from_scaled = np.linalg.solve(factor.T, block.T).T  # B, with H x = B (F x)
+    lower = np.linalg.cholesky(np.eye(len(block)) + from_scaled @ from_scaled.T)
+    return np.asarray(np.linalg.solve(lower, measured - from_scaled @ scaled_state))
 
 
 def _innovations(information: Information, matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of many pulses of a Kalman filter, as a batch of blocks.
+    """Return the normalised innovations (pulse, realisation) of many pulses of a Kalman filter.
 
-    ``information``: triangular factor F and F^-T H'y of all pulses before. ``matrix`` H (pulse, state), ``values`` y
-    (pulse, realisation). Every block starts from the information F'F of all blocks before it, a cumulative sum of H'H.
-    With B = H F^-1 its values minus predictions have the covariance 1 + B B' = L L'; its innovations are
-    L^-1 (y - prediction).
+    Arguments and formulas are those of ``_block_innovations``, applied to blocks of pulses all at once: the inverse
+    covariance F'F and F'F x before each block are cumulative sums of H'H and H'y.
     """
     pulses, states = matrix.shape
     size = max(BLOCK, states)
     if pulses <= size:
         return _block_innovations(information, matrix, values)
-    factor, transformed = information
+    factor, scaled_state = information
     covered = pulses // size * size
     blocks, measured = matrix[:covered].reshape(-1, size, states), values[:covered].reshape(-1, size, values.shape[1])
     transposed = np.swapaxes(blocks, -1, -2)
-    # Information and moment of each block, and their sums before each block.
-    block_information, block_moment = transposed @ blocks, transposed @ measured
-    before = factor.T @ factor + np.cumsum(block_information, axis=0) - block_information
-    moment = factor.T @ transformed + np.cumsum(block_moment, axis=0) - block_moment
-    # F^-T times H' and times the moment, for each block: B', and the states in coordinates of F.
-    solved = np.linalg.solve(np.linalg.cholesky(before), np.concatenate([transposed, moment], axis=-1))
-    predicted = np.swapaxes(solved[..., :size], -1, -2)
-    joint = np.linalg.cholesky(np.eye(size) + predicted @ solved[..., :size])
-    innovations = np.linalg.solve(joint, measured - predicted @ solved[..., size:]).reshape(covered, -1)
+    # H'H and H'y of each block, and their sums before each block: F'F and F'F x.
+    products, moments = transposed @ blocks, transposed @ measured
+    products_before = factor.T @ factor + np.cumsum(products, axis=0) - products
+    moments_before = factor.T @ scaled_state + np.cumsum(moments, axis=0) - moments
+    # F'^-1 times H' and times F'F x, for each block: B' and F x.
+    solved = np.linalg.solve(np.linalg.cholesky(products_before), np.concatenate([transposed, moments_before], axis=-1))
+    from_scaled = np.swapaxes(solved[..., :size], -1, -2)
+    lower = np.linalg.cholesky(np.eye(size) + from_scaled @ solved[..., :size])
+    innovations = np.linalg.solve(lower, measured - from_scaled @ solved[..., size:]).reshape(covered, -1)
     if covered == pulses:
         return np.asarray(innovations)
     # The last, shorter block.
-    root = np.linalg.cholesky(before[-1] + block_information[-1])
-    last = np.asarray(root.T), np.linalg.solve(root, moment[-1] + block_moment[-1])
+    root = np.linalg.cholesky(products_before[-1] + products[-1])
+    last = np.asarray(root.T), np.linalg.solve(root, moments_before[-1] + moments[-1])
     return np.concatenate([innovations, _block_innovations(last, matrix[covered:], values[covered:])])
 
 

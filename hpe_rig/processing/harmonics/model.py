@@ -115,7 +115,6 @@ def linear_model(
     time_s: FloatArray,
     valid: BoolArray,
     frequency_hz: FloatArray,
-    largest_condition: float = MAX_CONDITION,
     *,
     background_order: int = 0,
     also_hz: FloatArray | Sequence[float] = (),
@@ -127,7 +126,7 @@ def linear_model(
     for frequencies that are missing, repeated, not positive or at least half the pulse rate, for too few pulses, and
     for frequencies too close to resolve in the length of the train.
     """
-    choice = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order, largest_condition
+    choice = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order
     if time_s.size > MAX_CACHED_PULSES:
         return _model(time_s, valid, *choice)
     return _cached_model(PulseTimes.of(time_s, valid), *choice)
@@ -144,12 +143,11 @@ def _model(
     frequencies_hz: tuple[float, ...],
     also_hz: tuple[float, ...],
     background_order: int,
-    largest_condition: float,
 ) -> LinearModel:
-    """Return the model H (pulse, state) of sinusoids and background, with the factor R^-1 of its covariance.
+    """Return the matrix H (pulse, state) of sinusoids and background polynomials at the pulses, and its inverse root.
 
-    Raises ``ValueError`` if the valid pulses cannot resolve the frequencies. Columns: sin and cos of each wanted
-    frequency, background polynomials, then the further frequencies that the pulses resolve.
+    Columns: sin and cos of each of ``frequencies_hz``, polynomials up to ``background_order``, then sin and cos of
+    those of ``also_hz`` that the valid pulses resolve. Raises ``ValueError`` if they do not resolve the first two.
     """
     frequency_hz = np.array(frequencies_hz)
     _check_frequencies(time_s, frequency_hz)
@@ -168,25 +166,25 @@ def _model(
     sizes = [2] * frequency_hz.size + [1] * (background_order + 1)
     column_hz = np.repeat(np.append(frequency_hz, np.zeros(background_order + 1)), sizes)
     condition = _condition(matrix, products, _lengths(products, sizes))
-    if not condition <= largest_condition:
-        raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition, largest_condition))
+    if not condition <= MAX_CONDITION:
+        raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition))
     if also_hz:
-        # At most half of the remaining degrees of freedom go to further frequencies; noise is estimated from the
-        # others.
+        # As many further columns as the pulses resolve, at most half of the remaining degrees of freedom: noise is
+        # estimated from the others.
         further_hz, groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
         further_sizes = [group.shape[1] for group in groups]
         column_hz = np.append(column_hz, np.repeat(np.array(further_hz), np.array(further_sizes, dtype=np.intp)))
         sizes += further_sizes
         every_pulse = np.hstack([every_pulse, *groups])
         products = every_pulse[valid].T @ every_pulse[valid]
-        numbers = np.cumsum(sizes)
-        numbers = numbers[(numbers >= states) & (numbers <= states + (pulses - states) // 2)]
+        counts = np.cumsum(sizes)
+        counts = counts[(counts >= states) & (counts <= states + (pulses - states) // 2)]
         lengths = _lengths(products, sizes)
-        count = _resolved_columns(products / np.outer(lengths, lengths), numbers, largest_condition)
+        count = _resolved_columns(products / np.outer(lengths, lengths), counts)
         every_pulse = every_pulse[:, :count]
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
-    root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
+    root = triangular_root(matrix, products, max(condition, MAX_CONDITION if also_hz else 1.0))
     column_hz = column_hz[: matrix.shape[1]]
     for array in (matrix, every_pulse, root, column_hz):
         array.flags.writeable = False
@@ -211,10 +209,11 @@ def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) 
 
 
 def _lengths(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
-    """Return a length for each column of H from ``products``, H'H: its own, or the rms length of its group.
+    """Return the length by which each column of a matrix H is divided before its condition number is computed.
 
-    ``sizes``: numbers of columns of the groups, 2 for sin and cos of a frequency. A shift of time zero rotates sin into
-    cos; over a common length it leaves singular values unchanged, so that no choice of columns depends on time zero.
+    It is the rms length of the columns of a group. ``sizes``: number of columns of each group, 2 for sin and cos of a
+    frequency. A shift of time zero rotates sin into cos; with a common length the condition then stays the same.
+    ``products``: H'H.
     """
     ends = np.cumsum(np.array(sizes, dtype=np.intp))
     starts = ends - np.array(sizes, dtype=np.intp)
@@ -223,9 +222,9 @@ def _lengths(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
 
 
 def _condition(matrix: FloatArray, products: FloatArray, lengths: FloatArray) -> float:
-    """Return the condition number of ``matrix`` (pulse, state) with columns over ``lengths``; ``products`` is H'H.
+    """Return the condition number of ``matrix`` H (pulse, state) with columns divided by ``lengths``.
 
-    1 is best; it grows as the pulses resolve the frequencies less.
+    1 is best; it grows as the pulses resolve the frequencies less. ``products``: H'H.
     """
     # The eigenvalues of H'H are the squared singular values: accurate enough up to a condition of 1e4.
     smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(lengths, lengths)).tolist()
@@ -235,24 +234,24 @@ def _condition(matrix: FloatArray, products: FloatArray, lengths: FloatArray) ->
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
-def _resolved_columns(products: FloatArray, numbers: IndexArray, largest_condition: float) -> int:
-    """Return the largest of ``numbers``, ascending, such that so many first columns of a matrix H are resolved.
+def _resolved_columns(products: FloatArray, counts: IndexArray) -> int:
+    """Return how many columns of a matrix H the pulses resolve, counted from the first: the largest of ``counts``.
 
-    Resolved are columns with a condition number of at most ``largest_condition``; the first number always counts.
-    ``products``: H'H of the scaled columns.
+    Columns are resolved up to a condition number of ``MAX_CONDITION``. ``counts``: possible results, ascending; the
+    first one is always accepted. ``products``: H'H of columns of equal length.
     """
     # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
-    low, high = 0, len(numbers) - 1
+    low, high = 0, len(counts) - 1
     # All columns are tried first: they are often resolved.
     middle = high
     while low < high:
-        smallest, *_, largest = np.linalg.eigvalsh(products[: numbers[middle], : numbers[middle]])
-        if largest <= largest_condition**2 * smallest:
+        smallest, *_, largest = np.linalg.eigvalsh(products[: counts[middle], : counts[middle]])
+        if largest <= MAX_CONDITION**2 * smallest:
             low = middle
         else:
             high = middle - 1
         middle = (low + high + 1) // 2
-    return int(numbers[low])
+    return int(counts[low])
 
 
 def _further_columns(
@@ -314,12 +313,12 @@ def _check_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
         )
 
 
-def _unresolved_message(time_s: FloatArray, frequency_hz: FloatArray, condition: float, limit: float) -> str:
+def _unresolved_message(time_s: FloatArray, frequency_hz: FloatArray, condition: float) -> str:
     """Return the error message for frequencies that a train with pulses at ``time_s`` cannot resolve."""
     span_s = float(time_s[-1] - time_s[0])
     closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
     return (
-        f"frequencies {numbers_text(frequency_hz)} Hz cannot be resolved (condition {condition:.3g}, limit {limit:g}): "
-        f"the closest two, zero included, are {closest_hz:g} Hz apart in a window of {span_s:g} s, or the valid "
-        f"pulses are spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
+        f"frequencies {numbers_text(frequency_hz)} Hz cannot be resolved (condition {condition:.3g}, "
+        f"limit {MAX_CONDITION:g}): the closest two, zero included, are {closest_hz:g} Hz apart in a window of "
+        f"{span_s:g} s, or the valid pulses are spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
     )

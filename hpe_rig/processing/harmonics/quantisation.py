@@ -56,27 +56,30 @@ def quantisation_m(
     if noise dithers the codes, so that the residual of the fit contains the error.
     """
     used = motion.valid
-    per_m = 4 * np.pi * echoes.carrier_hz / echoes.sound_speed_m_per_s
-    slope_energy = per_m**2 * float(np.mean(echoes.energy[used]))
-    # The noise estimated from the echoes includes that of rounding, code_v² / 12 if it is random.
+    radians_per_m = 4 * np.pi * echoes.carrier_hz / echoes.sound_speed_m_per_s
+    # Variance of the voltage about its mean, from the displacement noise and the energy of dv/du. It includes that of
+    # rounding, code_v² / 12 if it is random.
+    slope_energy = radians_per_m**2 * float(np.mean(echoes.energy[used]))
     scatter_v2 = float(np.mean(motion.variance_m2[used])) * slope_energy
     if not code_v > 0 or scatter_v2 - code_v**2 / 12 > (DITHER_CODES * code_v) ** 2:
         return ()
+    # Quantiles of the samples' slopes dv/du, and number of samples that each of them stands for.
     slope = _slopes(echoes)
     samples = echoes.gate_samples / slope.size
-    hidden_m = max(code_v / (samples * float(np.sum(slope))), PHASE_RESOLUTION_RAD / per_m)
+    # Largest motion that may change no code, or that is below the resolution of the volts.
+    hidden_m = max(code_v / (samples * float(np.sum(slope))), PHASE_RESOLUTION_RAD / radians_per_m)
     if np.ptp(motion.displacement_m[used]) < hidden_m:
         return ((hidden_m / math.sqrt(2),) * 2,) * fit.frequency_hz.size
-    # The mean rounding error is a sawtooth of the voltage: harmonic n of it at each slope of the echo and each pulse.
+    # The mean rounding error is a sawtooth of the voltage. Waves: its harmonics n, (slope, pulse), of amplitude 1.
     angle = 2 * np.pi / code_v * np.outer(slope, motion.displacement_m[used])
-    weights, basis = _phasor_weights(motion, fit)
     waves = [np.exp(1j * n * angle) for n in range(1, HARMONICS + 1)]
     constant_fraction = np.array([np.mean(np.abs(wave.mean(axis=1)) ** 2) for wave in waves])
     harmonics_v2 = _harmonics_v2(code_v, _noise_v2(scatter_v2, code_v, constant_fraction))
+    # Each wave's error of the fitted values, (slope, value), beyond that of white noise as strong as its residual.
+    weights, basis = _phasor_weights(motion, fit)
     white, (pulses, states) = np.sum(weights**2, axis=1), basis.shape
     variance = np.zeros((fit.frequency_hz.size, 2))
     for wave, harmonic_v2 in zip(waves, harmonics_v2, strict=True):
-        # The part of the wave that the fit does not absorb is in the residual, hence in the noise: subtracted here.
         in_residual = (pulses - np.sum(np.abs(wave @ basis) ** 2, axis=1)) / max(pulses - states, 1)
         beyond_noise = np.abs(wave @ weights.T) ** 2 - in_residual[:, None] * white
         # harmonic_v2 is the mean over all voltages that a sample may have.
@@ -130,10 +133,10 @@ def _slopes(echoes: EchoGate) -> FloatArray:
 
 
 def _phasor_weights(motion: Motion, fit: HarmonicFit) -> tuple[FloatArray, FloatArray]:
-    """Return the weights (2 * frequency, pulse) of a displacement in its components along and across each phasor.
+    """Return the weights (2 * frequency, pulse) of each pulse's displacement in the fitted harmonics.
 
-    They turn the rounding error of every pulse into errors of the fitted harmonics. The second value is an orthonormal
-    basis (pulse, state) of the fitted columns.
+    Times the errors of the pulses they are the errors of each harmonic, along and across its phasor. The second value
+    is an orthonormal basis (pulse, state) of the fitted columns.
     """
     used, count = motion.valid, 2 * fit.frequency_hz.size
     columns = [harmonic_columns(motion.time_s, fit.frequency_hz), background_columns(motion.time_s, 0)]

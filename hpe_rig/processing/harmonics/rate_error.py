@@ -1,4 +1,4 @@
-"""Rate error e of the motion's clock by the clock of the pulses, as one more unknown of a harmonic fit.
+"""Rate error e: relative error of the motion's frequencies as timed by the pulses' clock, fitted to a displacement.
 
     d_k = D(t_k (1 + e)) + noise        D: motion at the nominal frequencies
     e ~ N(mean, std^2)                  from the accuracies of the clocks
@@ -64,10 +64,11 @@ class RateError:
 
 @dataclass(frozen=True, slots=True)
 class Linearisation:
-    """Fit of the motion at the present times, and its derivative by time.
+    """Harmonic fit of a motion, and how the fitted displacement depends on time: a model linear in the rate error.
 
-    ``basis`` Q (pulse, column), ``shrinkage`` h (column,), ``residual_m`` (pulse,), ``velocity_m_per_s`` dD/dt
-    (pulse,), all at the valid pulses. ``noise_m2``: variance of a pulse, with ``degrees_of_freedom``.
+    ``basis`` Q (pulse, column): orthonormal columns of the fit. ``shrinkage`` h (column,): fraction of each that the
+    fit removes. ``residual_m`` (pulse,), ``velocity_m_per_s`` dD/dt (pulse,): of the fit, all at the valid pulses.
+    ``noise_m2``: variance of a pulse, with ``degrees_of_freedom``.
     """
 
     basis: FloatArray
@@ -92,27 +93,29 @@ def estimate_rate_error(
     background_order: int = 0,
     prior: MediumPrior | None = None,
 ) -> RateError:
-    """Return the rate error of the motion's frequencies from the displacement (pulse,) of one train.
+    """Return the rate error from the displacement (pulse,) of one train, with its uncertainty.
 
-    ``prior_error``: its value and uncertainty without the displacement; an uncertainty of zero is final. The model is
-    that of a fit with the ``prior`` of media, or least squares with the further frequencies ``also_hz``. Raises
-    ``ValueError`` as the fit does.
+    It is the relative error of the motion's frequencies as timed by the pulses' clock. ``prior_error``: its value and
+    uncertainty without the displacement; an uncertainty of zero is final. The displacement is fitted with the ``prior``
+    of media, or by least squares with the further frequencies ``also_hz``. Raises ``ValueError`` as the fit does.
     """
     if not prior_error.uncertainty:
         return prior_error
 
+    def least_squares(timed: Motion) -> Linearisation:
+        """Return the least-squares fit at other times; with a prior, of the wanted harmonics alone."""
+        return _least_squares(timed, frequencies_hz, also_hz if prior is None else np.zeros(0), background_order)
+
     def linearise(timed: Motion) -> Linearisation:
+        """Return the fit at other times, with the prior of media if there is one."""
         if prior is None:
-            return _least_squares(timed, frequencies_hz, also_hz, background_order)
+            return least_squares(timed)
         return _with_medium_prior(timed, frequencies_hz, prior, background_order)
 
     start = _initial_error(motion, frequencies_hz, prior_error, background_order)
     if prior is not None:
-        # Least squares of the wanted harmonics is far faster, and close enough to save iterations with the prior.
-        def wanted_only(timed: Motion) -> Linearisation:
-            return _least_squares(timed, frequencies_hz, np.zeros(0), background_order)
-
-        start = _gauss_newton(motion, wanted_only, prior_error, start).value
+        # Least squares is far faster, and close enough to save iterations with the prior.
+        start = _gauss_newton(motion, least_squares, prior_error, start).value
     error = _gauss_newton(motion, linearise, prior_error, start)
     excess = abs(error.value - prior_error.value)
     if excess > SIGNIFICANT * prior_error.uncertainty:
@@ -124,12 +127,15 @@ def estimate_rate_error(
 def _gauss_newton(
     motion: Motion, linearise: Callable[[Motion], Linearisation], prior_error: RateError, start: float
 ) -> RateError:
-    """Return the most probable rate error, iterated from ``start``, with its standard uncertainty."""
+    """Return the most probable rate error, iterated from ``start``, with its standard uncertainty.
+
+    ``linearise``: harmonic fit of a motion. ``prior_error``: normal prior of the rate error, from the clocks.
+    """
     error, weight = start, prior_error.uncertainty**-2
     for _ in range(MAX_STEPS):
         model = linearise(with_rate_error(motion, error))
+        # Derivative of the displacement by the rate error, and its part that the harmonics of the fit cannot imitate.
         slope_m = motion.time_s[motion.valid] * model.velocity_m_per_s
-        # The part of the slope that the model does not absorb.
         unabsorbed_m = slope_m - model.basis @ (model.shrinkage * (slope_m @ model.basis))
         noise_m2 = max(model.noise_m2, np.finfo(np.float64).tiny)
         information = max(float(unabsorbed_m @ slope_m), 0.0) / noise_m2
@@ -141,7 +147,7 @@ def _gauss_newton(
         if abs(gradient * uncertainty) < CONVERGED:
             break
         error += gradient * uncertainty**2
-    # Of the variance, the prior leaves ``clock_fraction``; the other part has the residual's degrees of freedom.
+    # Part of the variance that comes from the prior; the other part has the residual's degrees of freedom.
     clock_fraction = weight * uncertainty**2
     degrees = model.degrees_of_freedom / max(1 - clock_fraction, 1e-6) ** 2
     return RateError(error, uncertainty, degrees, clock_fraction)
@@ -150,7 +156,7 @@ def _gauss_newton(
 def _least_squares(
     motion: Motion, frequency_hz: FloatArray, also_hz: FloatArray, background_order: int
 ) -> Linearisation:
-    """Return the least-squares fit of ``motion`` and its derivative."""
+    """Return the least-squares fit of ``motion`` and its velocity."""
     model = linear_model(motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz)
     state, residual_m = model.solve(motion.displacement_m[motion.valid])
     degrees = len(model.matrix) - state.size
@@ -198,9 +204,9 @@ def _initial_error(motion: Motion, frequency_hz: FloatArray, prior_error: RateEr
     basis = np.linalg.qr(background_columns(time_s, background_order))[0]
     data_m = data_m - basis @ (basis.T @ data_m)
     scanned_errors = mean + np.arange(-SCANNED_STDS * std, SCANNED_STDS * std, SCAN_STEP_TURNS / turns)
-    power_m2 = _power_by_error(time_s, data_m, frequency_hz, scanned_errors)
+    explained_m2 = _explained_energy_m2(time_s, data_m, frequency_hz, scanned_errors)
     # Likelihood with the best noise variance for each scanned error, times the prior.
-    unexplained_m2 = np.maximum(data_m @ data_m - power_m2, np.finfo(np.float64).tiny)
+    unexplained_m2 = np.maximum(data_m @ data_m - explained_m2, np.finfo(np.float64).tiny)
     log_posterior = -data_m.size / 2 * np.log(unexplained_m2) - ((scanned_errors - mean) / std) ** 2 / 2
     best, at_mean = int(np.argmax(log_posterior)), int(np.argmin(np.abs(scanned_errors - mean)))
     # The more values are scanned, the higher is the largest by chance: their number raises the threshold.
@@ -209,18 +215,23 @@ def _initial_error(motion: Motion, frequency_hz: FloatArray, prior_error: RateEr
     return float(scanned_errors[best]) if is_significant else mean
 
 
-def _power_by_error(time_s: FloatArray, data_m: FloatArray, frequency_hz: FloatArray, errors: FloatArray) -> FloatArray:
-    """Return the energy (error,) of the data that sinusoids at the frequencies times 1 + ``errors`` explain, m^2.
+def _explained_energy_m2(
+    time_s: FloatArray, data_m: FloatArray, frequency_hz: FloatArray, errors: FloatArray
+) -> FloatArray:
+    """Return the energy (error,) of ``data_m`` (pulse,) that sinusoids explain, for each rate error of ``errors``, m².
 
-    The train is divided into segments so short that the error hardly changes the phasor of a segment.
+    The sinusoids have the frequencies ``frequency_hz`` times 1 + error. The train is divided into segments so short
+    that the error hardly changes a phasor within one: phasors of segments are computed once, and added for each error.
     """
     segment_s = SEGMENT_TURNS / (float(frequency_hz.max()) * float(np.abs(errors).max()))
     segment = np.floor((time_s - time_s[0]) / segment_s).astype(np.int64)
     count = np.bincount(segment)
     centre_s = np.bincount(segment, time_s)[count > 0] / count[count > 0]
+    # Sum of d exp(-jwt) over each segment, (frequency, segment), from the sums of d sin(wt) and d cos(wt).
     columns = harmonic_columns(time_s, frequency_hz) * data_m[:, None]
     sums_m = np.stack([np.bincount(segment, column)[count > 0] for column in columns.T])
-    phasors_m = sums_m[1::2] - 1j * sums_m[::2]  # sum of d exp(-jwt), (frequency, segment)
+    phasors_m = sums_m[1::2] - 1j * sums_m[::2]
+    # Phase at each segment's centre; a rate error changes it by that factor.
     angle_rad = 2 * np.pi * frequency_hz[:, None] * centre_s
     energy = [np.sum(np.abs(np.sum(phasors_m * np.exp(-1j * error * angle_rad), axis=1)) ** 2) for error in errors]
     return 2 / data_m.size * np.array(energy)

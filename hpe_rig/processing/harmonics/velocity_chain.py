@@ -73,7 +73,7 @@ def velocity_to_harmonics(
     fill = _fill_columns(model, velocity.valid, background)
     filled = _filled(velocity, model, fill)
     window = hann(velocity.valid.size) if with_hann else np.ones(velocity.valid.size)
-    # State of each frequency, and the weight of every velocity in it.
+    # In-phase and quadrature of each frequency, and the weight of every velocity in them.
     results = []
     for f in frequency_hz:
         half_width_hz = _half_width_hz(every_hz, f) if with_band_pass else np.inf
@@ -81,10 +81,10 @@ def velocity_to_harmonics(
     states, weights = zip(*results, strict=True)
     pulse_m2, interval_m2_per_s2, degrees = velocity_noise(velocity, model, every_hz, interval_s)
     # Covariance: the noise of each pulse's displacement and that of each interval's velocity, through these weights.
-    over_intervals = np.concatenate(weights)
-    over_pulses = per_pulse(over_intervals, interval_s)
-    covariance = pulse_m2[..., None, None] * (over_pulses @ over_pulses.T)
-    covariance = covariance + interval_m2_per_s2[..., None, None] * (over_intervals @ over_intervals.T)
+    velocity_weights = np.concatenate(weights)
+    pulse_weights = displacement_weights(velocity_weights, interval_s)
+    covariance = pulse_m2[..., None, None] * (pulse_weights @ pulse_weights.T)
+    covariance = covariance + interval_m2_per_s2[..., None, None] * (velocity_weights @ velocity_weights.T)
     pulses = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
     quality = FitQuality(
         residual_rms_m=np.sqrt(pulse_m2), degrees_of_freedom=degrees, pulses=pulses, condition=model.condition
@@ -113,11 +113,11 @@ def _one_frequency(
     model: LinearModel,
     fill: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return in-phase and quadrature (..., 2) of the displacement at ``f`` (Hz), and the weights (2, interval) in them.
+    """Return in-phase and quadrature (..., 2) of the displacement at ``f`` (Hz), and each velocity's weight in them.
 
-    Chain: band-pass, ``window`` over slow time, Kalman filter. The weights are those of the velocities. ``filled``
-    (..., interval): velocities without gaps, and ``fill`` the matrix that filled them. ``half_width_hz``: half width of
-    the band-pass, infinite without one.
+    Chain: band-pass, ``window`` over slow time, Kalman filter. ``filled`` (..., interval): velocities without gaps;
+    ``fill`` (interval, state): what was added to them for each state of ``model``. ``half_width_hz``: half width of the
+    band-pass, infinite without one. The weights are (2, interval).
     """
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
 
@@ -141,11 +141,12 @@ def _one_frequency(
     correction = to_displacement @ np.linalg.inv(response) / (2 * np.pi * f)
     windowed = (band_passed(filled) * window)[..., valid]
     state = filter_constant(columns[valid], windowed, PRIOR).state @ correction.T
-    # The same chain transposed, from the state back to the velocities; the band-pass is its own transpose.
-    rows = np.zeros((2, valid.size))
-    rows[:, valid] = correction @ solver * window[valid]
-    weights = band_passed(rows)
-    # Filled velocities are linear in the valid ones.
+    # Weights of the filled velocities: solver, window and band-pass in reverse order. The band-pass is a symmetric
+    # matrix.
+    weights = np.zeros((2, valid.size))
+    weights[:, valid] = correction @ solver * window[valid]
+    weights = band_passed(weights)
+    # The values added to fill gaps are linear in the valid velocities: fill times their least-squares states.
     weights[:, valid] += weights @ fill @ model.root @ model.root.T @ model.matrix.T
     weights[:, ~valid] = 0.0
     return state, weights
@@ -158,10 +159,10 @@ def _half_width_hz(every_hz: FloatArray, f: float) -> float:
 
 
 def _fill_columns(model: LinearModel, valid: BoolArray, background: slice) -> FloatArray:
-    """Return the matrix (interval, state) that fills gaps: from fitted states to values added to the velocities.
+    """Return the matrix (interval, state) that fills gaps in velocities and removes their background.
 
-    At missing velocities this is the fitted model without ``background`` (its columns); at valid ones minus the
-    background.
+    Times the fitted states of ``model`` it gives the values to be added to the velocities: at missing ones the fitted
+    motion without ``background`` (slice of its columns), at ``valid`` ones (interval,) minus the fitted background.
     """
     columns = np.where(valid[:, None], 0.0, model.every_pulse)
     columns[:, background] = np.where(valid[:, None], -model.every_pulse[:, background], 0.0)
@@ -172,7 +173,7 @@ def _filled(velocity: Velocity, model: LinearModel, fill: FloatArray) -> FloatAr
     """Return the velocities (..., interval) without background, with missing ones replaced by the fit to the others.
 
     The band-pass needs a value at every interval; one that follows the motion does not disturb its neighbours.
-    ``fill``: matrix from fitted states to the added velocities.
+    ``fill`` (interval, state): values to be added, for each fitted state of ``model``.
     """
     if not fill.any():
         return velocity.velocity_m_per_s
@@ -194,56 +195,58 @@ def velocity_noise(
     Both come from the residual of ``model``, the second from its spectrum outside ``frequency_hz`` (Whittle
     likelihood). Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite, 1946).
     """
-    # Pulse noise only: white noise, differenced, minus the part that the fit absorbs. The expected energy is the trace
-    # over the complement of the orthonormal columns q of the model.
-    q = model.matrix @ model.root
     residual = np.zeros(velocity.velocity_m_per_s.shape)
     residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
-    rows = np.zeros((q.shape[1], velocity.valid.size))
-    rows[:, velocity.valid] = q.T
-    over_pulses = per_pulse(rows, interval_s)
-    expected = 2 * len(q) / interval_s**2 - np.sum(over_pulses**2)
-    degrees = float(expected**2 / _square_trace(q, over_pulses, velocity.valid, interval_s))
+    # Orthonormal columns of the model as weights of the velocities, and of the pulses' displacements.
+    columns = model.matrix @ model.root
+    velocity_weights = np.zeros((columns.shape[1], velocity.valid.size))
+    velocity_weights[:, velocity.valid] = columns.T
+    pulse_weights = displacement_weights(velocity_weights, interval_s)
+    # Expected energy of the residual for pulse noise of unit variance: two pulses in each velocity, minus the part that
+    # the columns absorb.
+    expected = 2 * len(columns) / interval_s**2 - np.sum(pulse_weights**2)
+    degrees = float(expected**2 / _square_trace(columns, pulse_weights, velocity.valid, interval_s))
     pulse_only_m2 = np.sum(residual**2, axis=-1) / expected
-    power, shape = _residual_spectrum(residual * interval_s, velocity, frequency_hz, interval_s)
-    if shape.size < MIN_BINS:
+    power, expected_power = _residual_spectrum(residual * interval_s, velocity, frequency_hz, interval_s)
+    if expected_power.size < MIN_BINS:
         return pulse_only_m2, np.zeros_like(pulse_only_m2), degrees
-    pulse_m2, ratio = _most_likely(power, shape)
+    pulse_m2, ratio = _most_likely(power, expected_power)
     return np.where(ratio > 0, pulse_m2, pulse_only_m2), ratio * pulse_m2 / interval_s**2, degrees
 
 
-def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, interval_s: float) -> float:
-    """Return tr (A A) of the residual's covariance A = M K for unit pulse noise, needed for degrees of freedom.
+def _square_trace(columns: FloatArray, pulse_weights: FloatArray, valid: BoolArray, interval_s: float) -> float:
+    """Return tr (A A) of the covariance A of the velocities' residual for unit pulse noise, for degrees of freedom.
 
-    K is the covariance of velocities (differences of pulses over ``interval_s``), M = 1 - q q' the residual of a fit
-    with orthonormal columns q (valid interval, state). ``over_pulses`` (state, pulse): q as weights of the pulses.
+    A = M K M, with K the covariance of velocities (differences of pulses over ``interval_s``) and M = 1 - Q Q' the
+    residual of a fit with the orthonormal ``columns`` Q (valid interval, state). ``pulse_weights`` (state, pulse): Q as
+    weights of the pulses' displacements.
     """
-    # With unit pulse noise a velocity has the variance 2 / T², and -1 / T² in common with its neighbour (T: interval).
-    kq = np.diff(over_pulses)[:, valid] / interval_s  # (K q)'
-    # tr A A = tr K K - 2 tr q'K K q + tr (q'K q)².
-    noise_trace = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
-    trace = noise_trace - 2 * np.sum(kq**2) + np.sum((kq @ q) ** 2)
+    # A velocity has the variance 2 / T², and -1 / T² in common with each neighbour (T: interval): tr K K.
+    noise_trace = (4 * len(columns) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
+    # tr A A = tr K K - 2 tr Q'K K Q + tr (Q'K Q)², with (K Q)' from differences of the pulses' weights.
+    k_columns = np.diff(pulse_weights)[:, valid] / interval_s
+    trace = noise_trace - 2 * np.sum(k_columns**2) + np.sum((k_columns @ columns) ** 2)
     return max(float(trace), np.finfo(np.float64).tiny)
 
 
-def per_pulse(weights: FloatArray, interval_s: float) -> FloatArray:
-    """Return weights (row, pulse) of pulse displacements that equal ``weights`` (row, interval) of velocities.
+def displacement_weights(velocity_weights: FloatArray, interval_s: float) -> FloatArray:
+    """Return the weights (row, pulse) of displacements in a sum of velocities with weights (row, interval).
 
-    A velocity is the difference of two displacements over the interval.
+    Each velocity is the difference of two consecutive displacements over the interval.
     """
-    rows = np.zeros((weights.shape[0], weights.shape[1] + 1))
-    rows[:, 1:] += weights / interval_s
-    rows[:, :-1] -= weights / interval_s
-    return rows
+    weights = np.zeros((velocity_weights.shape[0], velocity_weights.shape[1] + 1))
+    weights[:, 1:] += velocity_weights / interval_s
+    weights[:, :-1] -= velocity_weights / interval_s
+    return weights
 
 
 def _residual_spectrum(
     step: FloatArray, velocity: Velocity, frequency_hz: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the periodogram (..., bin) of the residual ``step`` of each interval, and its expectation (bin,).
+    """Return the periodogram (..., bin) of a fit's residual, and its expectation for pulse noise of unit variance.
 
-    The expectation is that of pulse noise of unit variance. Bins near ``frequency_hz`` are left out: the fit has
-    emptied them.
+    ``step`` (..., interval): residual of the displacement's change over each interval; 0 at invalid ones. Bins near
+    ``frequency_hz`` are left out: the fit has emptied them.
     """
     count, used = step.shape[-1], int(velocity.valid.sum())
     grid_hz = np.fft.rfftfreq(count, interval_s)
@@ -254,21 +257,22 @@ def _residual_spectrum(
     # A pulse at the edge of a gap or of the train is in one interval only: its noise is not differenced.
     differenced = int(np.count_nonzero(velocity.valid[:-1] & velocity.valid[1:]))
     undifferenced = 2 * (used - differenced)
-    shape = (differenced * (2 * np.sin(np.pi * grid_hz[free] * interval_s)) ** 2 + undifferenced) / used
-    return power, shape
+    expected_power = (differenced * (2 * np.sin(np.pi * grid_hz[free] * interval_s)) ** 2 + undifferenced) / used
+    return power, expected_power
 
 
-def _most_likely(power: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pulse-noise variance (...) of a periodogram, and the ratio (...) of interval noise to it.
+def _most_likely(power: FloatArray, expected_power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the variance (...) of the pulse noise, and the ratio (...) of interval noise to it, from a periodogram.
 
-    ``power`` (..., bin): periodogram. ``shape`` (bin,): its expectation for pulse noise of unit variance; interval
-    noise of ratio r adds r to every bin. The ratio of largest likelihood in ``RATIOS`` is returned, 0 unless it is
-    significant. For a given ratio the best variance is the mean of power over expectation.
+    ``power`` (..., bin): periodogram of the displacement steps. ``expected_power`` (bin,): its expectation for pulse
+    noise of unit variance. Noise of the intervals, white in the steps, adds its ratio to every bin. The result is the
+    ratio of largest likelihood in ``RATIOS``, or 0 if it is not significant.
     """
-    shapes = shape + RATIOS[:, None]
-    level = np.maximum((power @ (1 / shapes).T) / shape.size, np.finfo(np.float64).tiny)
-    likelihood = -np.log(shapes).sum(axis=1) - shape.size * np.log(level)
-    best = np.argmax(likelihood, axis=-1)
-    gain = np.take_along_axis(likelihood, best[..., None], axis=-1)[..., 0] - likelihood[..., 0]
+    # For each ratio the expectation (ratio, bin), and the most likely variance: the mean of power over expectation.
+    expectations = expected_power + RATIOS[:, None]
+    variance = np.maximum((power @ (1 / expectations).T) / expected_power.size, np.finfo(np.float64).tiny)
+    log_likelihood = -np.log(expectations).sum(axis=1) - expected_power.size * np.log(variance)
+    best = np.argmax(log_likelihood, axis=-1)
+    gain = np.take_along_axis(log_likelihood, best[..., None], axis=-1)[..., 0] - log_likelihood[..., 0]
     best = np.where(gain > LIKELIHOOD_GAIN, best, 0)
-    return np.take_along_axis(level, best[..., None], axis=-1)[..., 0], RATIOS[best]
+    return np.take_along_axis(variance, best[..., None], axis=-1)[..., 0], RATIOS[best]

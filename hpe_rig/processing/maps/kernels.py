@@ -79,10 +79,11 @@ def write_amplitude_and_phase(
     np.sqrt(squared, out=amplitude)
     np.arctan2(quadrature, in_phase, out=phase)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
+        # The covariance rotated to the phasor: variance mean + anisotropy along it, mean - anisotropy across it.
         anisotropy = (half_difference * (in_phase**2 - quadrature**2) + 2 * cross * in_phase * quadrature) / squared
         along, across = (np.asarray(mean + sign * anisotropy, np.float64) for sign in (1, -1))
         amplitude_m = amplitude.astype(np.float64)
+        # Noise alone also has an amplitude (Rician bias); the conversion from radians has a relative error.
         variance = along + rectified_variance_m2(amplitude_m, along, across) + relative_variance[:, None] * squared
         np.sqrt(variance, out=amplitude_u)
         np.sqrt(phase_variance_rad2(amplitude_m, across, along), out=phase_u)

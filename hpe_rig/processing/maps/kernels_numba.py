@@ -162,9 +162,10 @@ def write_amplitude_and_phase(
             mean, half_difference, cross = covariance[i, 0, j], covariance[i, 1, j], covariance[i, 2, j]
             x, y = state[i, 2 * j], state[i, 2 * j + 1]
             amplitude_squared = x * x + y * y
-            # The variance along the phasor is mean + anisotropy, across it mean - anisotropy.
+            # The covariance rotated to the phasor: variance mean + anisotropy along it, mean - anisotropy across it.
             anisotropy = (half_difference * (x * x - y * y) + TWO * cross * x * y) / amplitude_squared
             along, across = mean + anisotropy, mean - anisotropy
+            # An amplitude that may be noise alone has a Rician bias and, to that extent, an unknown phase.
             no_motion = _no_motion_probability(amplitude_squared / max(along, TINY))
             rician_bias = RECTIFIED * max(no_motion - AT_DETECTION, np.float32(0)) / (ONE - AT_DETECTION) * across
             variance = along + rician_bias + relative_variance[i] * amplitude_squared

@@ -273,9 +273,9 @@ class _Pixels:
     def _mean_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> ComplexSingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
-        sum conj(z) dz/dt / (2 pi j sum |z|²) over the gate and one pulse in ``ECHO_PULSE_STEP``, with the derivative
-        taken along the whole line. The imaginary part is the change of the logarithm of the amplitude with depth, over
-        -2 pi. ``power`` (line, gate): mean power of those pulses.
+        It is complex, sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate and one pulse in ``ECHO_PULSE_STEP``;
+        ``z`` (line, gate, sample, pulse): baseband. The imaginary part, times -2 pi, is the relative change of the
+        amplitude per second of fast time. ``power`` (line, gate): mean power of those pulses.
         """
         from scipy.fft import fft, ifft
 
@@ -288,7 +288,7 @@ class _Pixels:
         derivative = ifft(spectrum, axis=-1, overwrite_x=True)
         shape = (lines, -1, gates, length)
         echo, derivative = echo.reshape(shape), derivative.reshape(shape)
-        # Sums over pulses p and samples s of each gate g of line l.
+        # Sum over pulses and samples of each gate.
         moment = (echo.conj() * derivative).sum(axis=(1, 3))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
@@ -305,12 +305,13 @@ class _Pixels:
 
         ``phase`` (line, gate, pulse), rad, is fitted by vibrations of known frequency, a constant and a slope, the mean
         velocity. ``log_amplitude`` (line, gate, pulse) and ``power`` (line, gate): of the echo. ``offset_hz`` (line,
-        gate): complex mean frequency. ``not_finite`` (line, gate): gates with samples that are not finite.
+        gate): complex mean frequency of ``_mean_offset_hz``. ``not_finite`` (line, gate): gates with samples that are
+        not finite.
         """
         pixel_shape = phase.shape[:-1]
         pulses, states = self.model.matrix.shape
-        # Least-squares states (amplitudes, constant, slope) are phases @ solver. ``root`` is R^-1 of the triangular R
-        # with H'H = R'R, H the model's ``matrix`` (pulse, state).
+        # Least-squares states (in-phase and quadrature of each frequency, constant, slope) are phases @ solver, with
+        # (H'H)^-1 = root @ root.T, H the model's ``matrix`` (pulse, state).
         columns = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         solver = (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
         data = phase.reshape(-1, pulses)
@@ -320,7 +321,8 @@ class _Pixels:
         frequency_hz = (np.float32(self.mixing_hz) + offset_hz.real).reshape(-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz
-            # Motion changes the amplitude as well, by its slope over depth; decorrelation causes the remaining change.
+            # The same fit to the logarithm of the amplitude. Motion changes the amplitude too, by its slope over depth;
+            # without that part, the change is decorrelation.
             amplitude_state = _serial_matmul(log_amplitude.reshape(-1, pulses), solver)
             amplitude_state += state * (offset_hz.imag.reshape(-1) / frequency_hz)[:, None]
         # Negated comparisons are also true for NaN. ``metres_per_radian`` is negative for every positive frequency.
@@ -344,11 +346,12 @@ class _Pixels:
         return [values.reshape(*pixel_shape, *values.shape[1:]) for values in results], bad.reshape(pixel_shape)
 
     def _relative_variance(self, noise: SingleArray) -> SingleArray:
-        """Return the relative variance of the metres per radian (pixel,): of echo frequency and sound speed.
+        """Return the relative variance (pixel,) of the metres per radian, from echo frequency and sound speed.
 
-        The frequency follows from the phase step between samples, which has twice the variance of a phase, ``noise``
-        (pixel, 3), and is averaged over one pulse in ``ECHO_PULSE_STEP``. The frequency is nearly the carrier.
+        The frequency follows from the phase step between two samples, which has twice the noise variance of a phase,
+        the first column of ``noise`` (pixel, 3). One pulse in ``ECHO_PULSE_STEP`` contributes to its mean.
         """
+        # The phase step of a sample at the carrier, which is nearly the echo's frequency.
         phase_per_sample = 2 * np.pi * self.settings.carrier_hz / self.settings.sample_rate_hz * self.decimation
         of_frequency = noise[:, 0] * (2 * ECHO_PULSE_STEP / self.time_s.size / phase_per_sample**2)
         return np.asarray(of_frequency + self.settings.sound_speed_uncertainty**2, np.float32)
@@ -356,13 +359,15 @@ class _Pixels:
     def _state_covariance(
         self, noise: SingleArray, amplitude_state: SingleArray, power: SingleArray, has_echo: BoolArray
     ) -> tuple[SingleArray, SingleArray]:
-        """Return the covariance of each frequency's states (pixel, 3, frequency) and the slope's variance (pixel,).
+        """Return the covariance of in-phase and quadrature of each frequency, and the slope's variance (pixel,), rad².
 
-        In rad². The covariance is the mean of both variances, half their difference, and their covariance. ``noise``
-        (pixel, 3): variances of `NoiseModel`. ``amplitude_state`` (pixel, state); ``power``, ``has_echo`` (line, gate).
+        The covariance (pixel, 3, frequency) is given as mean of both variances, half their difference, and covariance.
+        ``noise`` (pixel, 3): variances of white noise, walk and smooth walk. ``amplitude_state`` (pixel, state): fit of
+        the logarithm of the echo's amplitude, for the noise that the residual hides. ``power``, ``has_echo`` (line,
+        gate).
         """
+        # (kind of noise, state, state) for unit variance; in-phase and quadrature of each frequency, constant, slope.
         unit = self.noise.state_covariance
-        # The states are in-phase and quadrature of each frequency, then constant and slope.
         slope = unit.shape[-1] - 1
         in_phase = np.arange(0, slope - 1, 2)
         quadrature = in_phase + 1
@@ -372,6 +377,7 @@ class _Pixels:
         kinds = np.stack([mean, half_difference, unit[:, in_phase, quadrature]], axis=1).reshape(3, -1)
         covariance = _serial_matmul(noise, kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
         slope_variance = noise @ unit[:, slope, slope].astype(np.float32)
+        # The mean variances and that of the slope grow by what the residual does not contain.
         visible = np.concatenate([covariance[:, 0].T, slope_variance[None]]).reshape(-1, *power.shape)
         hidden = hidden_variance(amplitude_state, visible, power, has_echo).reshape(len(visible), -1)
         covariance[:, 0] += hidden[:-1].T

@@ -38,8 +38,8 @@ MEDIAN_OF_MEAN_SQUARE: Final = 0.6931
 class NoiseModel:
     """Effect of white noise, a random walk and a smooth random walk, each of unit variance, on a pixel's fit.
 
-    ``state_covariance`` (3, state, state): of the fitted states. ``energies`` (3, 2): mean energy of the residual, and
-    of its steps from pulse to pulse.
+    ``state_covariance`` (3, state, state): of the fitted states. ``energies`` (3, 2): expected sum of squares of the
+    residual, and of its steps from pulse to pulse.
     """
 
     state_covariance: FloatArray
@@ -47,40 +47,47 @@ class NoiseModel:
 
     @classmethod
     def of(cls, model: LinearModel) -> NoiseModel:
-        """Return the noise model of a least-squares fit."""
-        # Orthonormal columns Q of the fit, whose residual is (1 - QQ') phase. Noise is C e with e white: C is the
-        # identity, the cumulative sum, and the cumulative sum of that; A = C'Q and CA are (pulse, state).
-        basis = model.matrix @ model.root
-        n = len(basis)
+        """Return the noise model of a least-squares fit.
+
+        Each noise is C e, with e white and C summing its values ``order`` times: 0 white, 1 walk, 2 smooth walk. With
+        the orthonormal columns Q of the fit the residual is (1 - QQ') C e, and its steps are D times that, D the
+        differences between pulses.
+        """
+        columns = model.matrix @ model.root
+        steps = np.diff(columns, axis=0)
+        n = len(columns)
         numbers = np.arange(1.0, n + 1)
-        # Squared norms of C and of its differences between rows.
-        norms = (
+        # Energies of the noise C e and of its steps, before the fit, for each order.
+        noise_energies = (
             (n, 2 * (n - 1)),
             (n * (n + 1) / 2, n - 1),
             (float(numbers**2 @ numbers[::-1]), n * (n + 1) / 2 - 1),
         )
-        step = np.diff(basis, axis=0)
         covariances, energies = [], []
-        for order, (norm, step_norm) in enumerate(norms):
-            projected = basis
+        for order, (noise_energy, step_energy) in enumerate(noise_energies):
+            # A = C'Q and C A, (pulse, state): sums backwards, then forwards.
+            backward = columns
             for _ in range(order):
-                projected = np.cumsum(projected[::-1], axis=0)[::-1]
-            noise = projected
+                backward = np.cumsum(backward[::-1], axis=0)[::-1]
+            forward = backward
             for _ in range(order):
-                noise = np.cumsum(noise, axis=0)
-            inner = projected.T @ projected
-            of_steps = step_norm - 2 * np.sum(np.diff(noise, axis=0) * step) + np.sum((step.T @ step) * inner)
-            energies.append((norm - np.trace(inner), of_steps))
-            covariances.append(model.root @ inner @ model.root.T)
+                forward = np.cumsum(forward, axis=0)
+            # Covariance A'A of the fitted coefficients of Q; |(1 - QQ') C|² = |C|² - tr A'A; and the same of D C.
+            fitted = backward.T @ backward
+            fitted_steps = 2 * np.sum(np.diff(forward, axis=0) * steps) - np.sum((steps.T @ steps) * fitted)
+            energies.append((noise_energy - np.trace(fitted), step_energy - fitted_steps))
+            covariances.append(model.root @ fitted @ model.root.T)
         return cls(np.array(covariances), np.array(energies))
 
     def variances(self, energies: SingleArray, has_echo: BoolArray) -> SingleArray:
-        """Return the variances (pixel, 3) of white noise, walk and smooth walk from ``energies`` (pixel, 2), rad².
+        """Return the variances (pixel, 3) of white noise, random walk and smooth random walk in the phase, rad².
 
-        White noise and walk explain steps that are large for the residual, walk and smooth walk those that are small.
-        Steps alone are white noise in a block of gates where not most echoes show a walk. ``has_echo`` (line, gate).
+        They follow from the ``energies`` (pixel, 2) of the residual and of its steps. If the steps are large for the
+        residual, these are those of white noise and a walk, else of a walk and a smooth walk. In a block of gates where
+        most pixels show no walk, all noise is white. ``has_echo`` (line, gate).
         """
         residual, steps = np.ascontiguousarray(energies.T)
+        # Two unknown variances from two energies, for white noise and walk.
         inverse = np.linalg.inv(self.energies[:2]).astype(np.float32)
         white, walk = (inverse[0, kind] * residual + inverse[1, kind] * steps for kind in range(2))
         walk[_block_quantile(walk.reshape(has_echo.shape), has_echo, NO_WALK).reshape(-1) <= 0] = 0
@@ -88,7 +95,7 @@ class NoiseModel:
         result = np.zeros((len(energies), 3), np.float32)
         result[:, 0] = np.where(walk > 0, np.maximum(white, 0), residual / white_energy)
         result[:, 1] = np.maximum(walk, 0)
-        # The walk alone explains more than the steps: its steps are correlated.
+        # A walk alone would have larger steps: the steps are correlated. Two variances for walk and smooth walk.
         is_smooth = (walk > 0) & (white < 0)
         independent, correlated = np.maximum(energies[is_smooth] @ np.linalg.inv(self.energies[1:]), 0).T
         result[is_smooth, 1] = independent
@@ -100,21 +107,24 @@ class NoiseModel:
 def hidden_variance(
     amplitude_state: SingleArray, visible: SingleArray, power: SingleArray, has_echo: BoolArray
 ) -> SingleArray:
-    """Return the variance of the states that the residual does not show (frequency + 1, line, gate), rad².
+    """Return the variance of the fitted states that slow decorrelation causes and the residual does not contain, rad².
 
-    ``amplitude_state`` (pixel, state): fit of the logarithm of the echo amplitude without the part that motion causes.
-    ``visible`` (frequency + 1, line, gate): variance of each quadrature and of the slope by the residual. ``power`` and
-    ``has_echo`` (line, gate). Neighbouring echoes change by similar absolute amounts: weak ones change by more.
+    Result and ``visible``, the variance by the residual, are (frequency + 1, line, gate): of each frequency's
+    quadratures, and of the slope. Decorrelation changes the logarithm of the echo's amplitude as much as its phase, so
+    the hidden variance is measured there: ``amplitude_state`` (pixel, state) is the fit of that logarithm without the
+    part that motion causes. ``power`` and ``has_echo`` (line, gate).
     """
+    # Squares of in-phase and quadrature of each frequency (mean of two), and of the slope; over the median that they
+    # have at unit variance. The states are two of each frequency, constant, slope.
     state_square = np.square(amplitude_state.T, order="C")
-    # States are in-phase and quadrature of each frequency, constant and slope.
     pairs = (state_square[:-2:2] + state_square[1:-2:2]) * np.float32(0.5 / MEDIAN_OF_MEAN_SQUARE)
     slope = state_square[-1:] / np.float32(MEDIAN_OF_SQUARE)
     square: SingleArray = np.concatenate([pairs, slope]).reshape(visible.shape)
+    # Neighbouring echoes change by similar absolute amounts: relative changes times power have a common median.
     square *= power
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        pooled = _block_quantile(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
-        return np.where(has_echo & (pooled > EXCESS * visible), pooled - visible, np.float32(0))
+        variance = _block_quantile(square, has_echo) * (np.float32(FEW_DEGREES_OF_FREEDOM) / power)
+        return np.where(has_echo & (variance > EXCESS * visible), variance - visible, np.float32(0))
 
 
 def _block_quantile(values: SingleArray, valid: BoolArray, quantile: float = 0.5) -> SingleArray:

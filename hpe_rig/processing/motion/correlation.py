@@ -79,23 +79,22 @@ def _correlation(cross: ComplexArray, cycles: FloatArray, reach: int) -> FloatAr
 def _peak_lag(correlation: FloatArray, half_period: int) -> FloatArray:
     """Return the lag (..., pulse), in samples, of the peak of ``correlation`` (..., pulse, lag), refined by a spline.
 
-    Lags run from -reach to reach samples; the peak is searched within ``half_period``. On the interval next to the
-    largest sample, with x from -1 to 1 and the second derivatives m_0, m_1 at its ends, the slope of a natural cubic
-    spline is slope + m_0 x + (m_1 - m_0) x² / 2; the peak is where it is zero.
+    Lags run from -reach to reach samples; the peak is searched within ``half_period``. At a distance x from the largest
+    sample, a natural cubic spline has the slope s + m x + d x² / 2: s and m are slope and second derivative at that
+    sample, d the change of m to the neighbour on the side of the peak. The peak is where the slope is zero.
     """
     reach = correlation.shape[-1] // 2
     inner = correlation[..., reach - half_period : reach + half_period + 1]
     largest = np.argmax(inner, axis=-1) + reach - half_period
-    curvature = correlation @ _second_derivatives(correlation.shape[-1]).T
-    # Correlation and second derivative before, at and after the largest sample.
-    value, bend = ([_at(array, largest + shift) for shift in (-1, 0, 1)] for array in (correlation, curvature))
-    # The slope at the largest sample, from the interval after it, decides on which side of it the peak lies.
-    slope = value[2] - value[1] - (2 * bend[1] + bend[2]) / 6
-    change = np.where(slope > 0, bend[2] - bend[1], bend[1] - bend[0])
+    second_derivative = correlation @ _second_derivatives(correlation.shape[-1]).T
+    # Second derivatives before, at and after the largest sample.
+    m_before, m, m_after = (_at(second_derivative, largest + shift) for shift in (-1, 0, 1))
+    # The sign of the slope, from the interval after the sample, decides on which side of it the peak lies.
+    slope = _at(correlation, largest + 1) - _at(correlation, largest) - (2 * m + m_after) / 6
+    change = np.where(slope > 0, m_after - m, m - m_before)
     # Root of the slope, in the form that stays exact for a small change of the second derivative.
-    root = np.sqrt(np.maximum(bend[1] ** 2 - 2 * change * slope, 0.0))
-    curved = root - bend[1]
-    offset = np.clip(2 * slope / np.where(curved > 0, curved, np.inf), -1, 1)
+    denominator = np.sqrt(np.maximum(m**2 - 2 * change * slope, 0.0)) - m
+    offset = np.clip(2 * slope / np.where(denominator > 0, denominator, np.inf), -1, 1)
     return np.asarray(largest + offset - reach)
 
 

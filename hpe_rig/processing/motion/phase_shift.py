@@ -203,13 +203,13 @@ class PulseSteps:
 def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     """Return the inner products of consecutive echoes over the gate, with their phases, energies and mean frequency.
 
-    ``spectrum`` (..., pulse, bin). Sums are over all samples minus the part in the margins of the gate. Raises
-    ``ValueError`` if no train has an echo.
+    ``spectrum`` (..., pulse, bin) is that of gate and margins; the part of the margins is subtracted from each product.
+    Raises ``ValueError`` if no train has an echo.
     """
     trains, pulses = spectrum.shape[:-2], spectrum.shape[-2]
-    # Row 0 sums over bins, row 1 sums weighted by frequency; the rows of the margins follow the same order.
+    # Every product is summed over bins twice: plain, and weighted by frequency (moment) for the mean frequency.
     weights = np.stack([np.ones(band.frequency_hz.size), band.frequency_hz])
-    margin_rows = np.vstack([band.margin_root.T, band.margin_root.T * band.frequency_hz])
+    to_margins = np.vstack([band.margin_root.T, band.margin_root.T * band.frequency_hz])
     cross, cross_moment = (np.empty((*trains, pulses - 1), dtype=np.complex128) for _ in range(2))
     energy, energy_with_margins = (np.empty((*trains, pulses)) for _ in range(2))
     moment = np.zeros(trains)
@@ -219,7 +219,7 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
         # The last pulse of the chunk before is included, for the step to the first pulse of this one.
         start = max(first - 1, 0)
         echo = np.ascontiguousarray(by_bin[..., start : chunk.stop], dtype=np.complex128)
-        margin, weighted_margin = np.split(real_matmul(margin_rows, echo), 2, axis=-2)
+        margin, weighted_margin = np.split(real_matmul(to_margins, echo), 2, axis=-2)
         product = _products_with_next(echo, weights, margin, weighted_margin)
         intervals = slice(start, chunk.stop - 1)
         cross[..., intervals], cross_moment[..., intervals] = product[..., 0, :], product[..., 1, :]
@@ -285,13 +285,13 @@ def min_correlation(pairs: int, independent_samples: float) -> float:
 def _products_with_next(
     echo: ComplexArray, weights: FloatArray, margin: ComplexArray, weighted_margin: ComplexArray
 ) -> ComplexArray:
-    """Return the inner products over the gate of each echo with the next, plain and weighted by frequency.
+    """Return the inner product over the gate of each echo with the next: sum over bins, and sum weighted by frequency.
 
-    ``echo`` (..., bin, pulse), ``weights`` (2, bin): ones and frequencies. Result (..., 2, pulse - 1). ``margin``
-    (..., column, pulse): components of the echo in the margins of the gate, one for each column of the band's
-    ``margin_root``. ``weighted_margin``: components of the echo times frequency.
+    ``echo`` (..., bin, pulse): spectra of gate and margins. ``margin`` (..., column, pulse): their parts in the
+    margins, as coefficients of the columns of ``Band.margin_root``; ``weighted_margin``: those of the spectra times
+    frequency. ``weights`` (2, bin): ones and frequencies. Result (..., 2, pulse - 1).
     """
-    # Products over all samples, with the margins; their part in the margins is then subtracted.
+    # Products over gate and margins; the part of the margins is then subtracted.
     product = real_matmul(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
     product[..., 0, :] -= _product_with_next(margin, margin)
     # Frequency may weight the first or the second echo. The margins mix frequencies, so that the two differ: their mean
@@ -304,11 +304,11 @@ def _products_with_next(
 def _energies(
     echo: ComplexArray, weights: FloatArray, margin: ComplexArray, weighted_margin: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return energy and frequency-weighted energy of echoes (..., bin, pulse), with the margins and in the gate alone.
+    """Return the energy of each echo over gate and margins, and over the gate alone, both (..., 2, pulse).
 
-    Both results (..., 2, pulse). ``weights`` (2, bin): ones and frequencies. ``margin`` (..., column, pulse): part of
-    the echo in the margins, ``weighted_margin`` the same weighted by frequency.
+    Each is a sum over bins, and a sum weighted by frequency. The arguments are those of ``_products_with_next``.
     """
+    # Real and imaginary parts alternate along the last axis.
     squares = weights @ np.square(echo.view(np.float64))
     with_margins = squares[..., ::2] + squares[..., 1::2]
     in_margins = np.stack([_real_product(margin, margin), _real_product(margin, weighted_margin)], axis=-2)
@@ -348,7 +348,8 @@ def compare_with_others(
     """Return the inner product of each echo with the sum of all others, after alignment, and the variance of its phase.
 
     ``spectrum`` (..., pulse, bin). Echoes are aligned by advancing them by ``delay_s`` (..., pulse). ``steps``:
-    products of consecutive echoes. ``energy`` (..., pulse): of each aligned echo in the gate; computed if absent.
+    products and energies of consecutive echoes before alignment. ``energy`` (..., pulse): of each aligned echo in the
+    gate; computed if absent.
     """
     # Echoes are aligned at the mean of their motion: there the gate cuts off the least of their common part.
     delay_s = delay_s - delay_s.mean(axis=-1, keepdims=True)
@@ -360,6 +361,7 @@ def compare_with_others(
         release_pages(spectrum)
         return advanced(spectrum[..., chunks[index], :], delay_s[..., chunks[index]], band.frequency_hz)
 
+    # Sum of all aligned echoes, that sum cut to the gate, and its energy there.
     total = np.sum([aligned(index).sum(axis=-2) for index in range(len(chunks))], axis=0)
     gated_sum = band.gated(total)
     total_energy = real_inner_product(gated_sum, total)
@@ -376,7 +378,7 @@ def compare_with_others(
             echo_energy = steps.energy_with_margins[..., chunk] - real_inner_product(margins, margins)
         else:
             echo_energy = energy[..., chunk]
-        # A pulse's own noise in its reference would bias its phase to zero: the reference is the sum of the others.
+        # The reference is the sum of the others: the noise of the pulse itself would bias its phase to zero.
         product[..., chunk] = with_others = with_total - echo_energy
         reference_energy = np.maximum(total_energy[..., None] - 2 * with_total.real + echo_energy, tiny)
         misfit = np.maximum(echo_energy - np.abs(with_others) ** 2 / reference_energy, 0.0)
@@ -397,18 +399,18 @@ def _depth_correlation(spectrum: ComplexArray, band: Band, phase_per_sample: Flo
     """Return the autocorrelation over one sample in depth, in the gate, of each echo: (..., pulse).
 
     It is the mean of two sums over the samples t of the gate: conj(z_t) z_t+1 and conj(z_t-1) z_t. Both ends of the
-    gate then have the same weight. ``spectrum`` (..., pulse, bin); ``phase_per_sample`` (bin,): phase of each bin's
-    frequency over one sample, rad.
+    gate then have the same weight. ``spectrum`` (..., pulse, bin): analytic signal z of gate and margins.
+    ``phase_per_sample`` (bin,): phase of each bin's frequency over one sample, rad.
     """
-    phasor = np.exp(1j * phase_per_sample)
+    one_sample = np.exp(1j * phase_per_sample)
     spectrum = spectrum.astype(np.complex128, copy=False)
-    # Parts in the margins of the echo, and of the echo advanced and delayed by one sample.
+    # The same two sums over the margins, from the echo and the echo advanced and delayed by one sample.
     margin, advanced_margin, delayed_margin = (
-        band.in_margins(spectrum * shift) for shift in (1.0, phasor, np.conj(phasor))
+        band.in_margins(spectrum * shift) for shift in (1.0, one_sample, np.conj(one_sample))
     )
     margins = np.conj(margin) * advanced_margin + np.conj(delayed_margin) * margin
-    # The power spectrum gives the correlation over margins and gate; the part of the margins is subtracted.
-    return np.asarray((spectrum.real**2 + spectrum.imag**2) @ phasor - margins.sum(axis=-1) / 2)
+    # The power spectrum gives the autocorrelation over gate and margins.
+    return np.asarray((spectrum.real**2 + spectrum.imag**2) @ one_sample - margins.sum(axis=-1) / 2)
 
 
 def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatArray:
@@ -430,19 +432,21 @@ def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatA
 
 
 def noise_of_steps(cross: FloatArray, energy: FloatArray, independent_samples: float) -> tuple[FloatArray, FloatArray]:
-    """Return the phase variance of a pulse (..., pulse), and its ratio that a step adds to all later pulses (...).
+    """Return the noise of accumulated phase steps: variance (..., pulse) of each pulse, and step noise ratio (...).
+
+    The noise of a pulse has opposite signs in the steps before and after it and cancels in their sum. The product of
+    the noises of two pulses remains in all later phases; the ratio is its variance over that of a pulse.
 
     ``cross`` (..., pulse - 1): magnitude of the products of consecutive echoes, ``energy`` (..., pulse). Two echoes
     with correlation rho over M ``independent_samples`` differ in phase by a variance of (1/rho² - 1) / (2 M); half of
-    it belongs to each pulse, which takes the smaller value of its two neighbours. The noise of a pulse changes sign
-    between the steps before and after it and cancels. The product of the noises of two pulses does not: relative to the
-    noise of a pulse its variance is noise over signal power, 1/rho - 1.
+    it belongs to each pulse. The ratio is noise over signal power, 1/rho - 1.
     """
     tiny = np.finfo(np.float64).tiny
     energy_product = energy[..., :-1] * energy[..., 1:]
-    step = np.maximum(np.maximum(energy_product, tiny) / np.maximum(cross**2, tiny) - 1, 0.0) / (
-        4 * independent_samples
-    )
-    variance = np.minimum(np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1))
+    # Variance (1/rho² - 1) / (4 M) by each step; a pulse has the smaller value of its two steps.
+    excess = np.maximum(np.maximum(energy_product, tiny) / np.maximum(cross**2, tiny) - 1, 0.0)
+    by_step = excess / (4 * independent_samples)
+    before, after = np.concatenate([by_step[..., :1], by_step], -1), np.concatenate([by_step, by_step[..., -1:]], -1)
+    variance = np.minimum(before, after)
     step_noise_ratio = np.sqrt(energy_product).sum(axis=-1) / np.maximum(cross.sum(axis=-1), tiny) - 1
     return np.asarray(variance), np.asarray(np.maximum(step_noise_ratio, 0.0))

@@ -51,11 +51,11 @@ def _mean_hz(moment: float, energy: float, hz: FloatArray) -> float:
 def _pulse_steps(
     echoes: ComplexArray, gated: ComplexArray, hz: FloatArray, threshold: float, phase: FloatArray, energy: FloatArray
 ) -> tuple[float, float]:
-    """Write the accumulated ``phase`` between consecutive echoes and the ``energy`` of each (pulse,).
+    """Write the accumulated ``phase`` steps between consecutive echoes and the ``energy`` of each echo, (pulse,).
 
-    ``echoes`` (pulse, bin), and the same cut to the gate in ``gated``. Returned: mean frequency of the part that
-    neighbours have in common, NaN if their mean correlation is below ``threshold``, and the energy-weighted sum of
-    frequencies. Compiled form of `phase_shift.pulse_steps`.
+    ``echoes`` (pulse, bin): spectra of gate and margins; ``gated``: the same cut to the gate. Returned: mean frequency
+    of the part that neighbours have in common, NaN if their mean correlation is below ``threshold``, and the sum of
+    energy times frequency over all echoes. Compiled form of `phase_shift.pulse_steps`.
     """
     # Sums over pairs of consecutive echoes: magnitude of their product, the same times mean frequency, correlation.
     magnitude, common_moment, correlation = 0.0, 0.0, 0.0

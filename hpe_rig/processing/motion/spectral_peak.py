@@ -75,14 +75,14 @@ def cross_spectrum(echoes: EchoGate) -> Motion:
     frequency_hz = band_frequencies_hz(echoes, bins)
     window = hann(samples)
     steps = _steps(echoes, frequency_hz, window, bins)
-    # Padding adds no information, and the Hann window leaves two thirds of the unpadded bins independent.
-    independent = frequency_hz.size * samples / bins / 1.5
-    cross = np.abs(steps.product)
-    # A correlation has as many independent samples as the squared window is long.
-    correlated_samples = frequency_hz.size / bins * np.sum(window**2) ** 2 / np.sum(window**4)
+    # A train without echo has no steps. Effective number of samples in a correlation: length of the squared window.
+    cross, band_fraction = np.abs(steps.product), frequency_hz.size / bins
+    correlated_samples = band_fraction * np.sum(window**2) ** 2 / np.sum(window**4)
     steps.step[~are_correlated(cross, steps.energy, float(correlated_samples))] = np.nan
-    noise = noise_of_steps(cross, steps.energy, independent)
-    return motion_of_steps(echoes, steps.step, frequency_hz[steps.peak], *noise)
+    # Noise: padding adds no information, and the Hann window leaves two thirds of the unpadded bins independent.
+    independent = frequency_hz.size * samples / bins / 1.5
+    variance, step_noise_ratio = noise_of_steps(cross, steps.energy, independent)
+    return motion_of_steps(echoes, steps.step, frequency_hz[steps.peak], variance, step_noise_ratio)
 
 
 def padded_bins(samples: int) -> int:
@@ -204,19 +204,20 @@ def _transform(
             return spectra, _energy(_band_fft(volts, rate_hz, plain_hz, samples))
 
         return by_fft
-    basis, to_real, to_imag = _basis(samples, rate_hz, *(tuple(x.tolist()) for x in (frequency_hz, window, plain_hz)))
-    even, odd = to_real.shape[0], to_imag.shape[0]
+    arguments = (tuple(values.tolist()) for values in (frequency_hz, window, plain_hz))
+    to_coefficients, to_real, to_imag = _short_gate_transform(samples, rate_hz, *arguments)
+    even, odd, count = to_real.shape[0], to_imag.shape[0], frequency_hz.size
 
-    def by_basis(volts: Volts) -> tuple[FloatArray, FloatArray]:
-        """Return spectra and energy by products with real bases, which for short gates are faster than an FFT."""
-        # Coefficients: of the even basis, of the odd basis, and the spectrum at ``plain_hz``.
-        coefficients = volts.astype(np.float64, copy=False) @ basis
-        spectra = np.empty((*coefficients.shape[:-1], 2 * frequency_hz.size))
-        np.matmul(coefficients[..., :even], to_real, out=spectra[..., : frequency_hz.size])
-        np.matmul(coefficients[..., even : even + odd], to_imag, out=spectra[..., frequency_hz.size :])
+    def by_matrices(volts: Volts) -> tuple[FloatArray, FloatArray]:
+        """Return spectra and energy by two matrix products, which for short gates are faster than an FFT."""
+        # Coefficients for the real parts, for the imaginary parts, and the spectrum at ``plain_hz``.
+        coefficients = volts.astype(np.float64, copy=False) @ to_coefficients
+        spectra = np.empty((*coefficients.shape[:-1], 2 * count))
+        np.matmul(coefficients[..., :even], to_real, out=spectra[..., :count])
+        np.matmul(coefficients[..., even : even + odd], to_imag, out=spectra[..., count:])
         return spectra, _energy(coefficients[..., even + odd :])
 
-    return by_basis
+    return by_matrices
 
 
 def _energy(spectra: FloatArray) -> FloatArray:
@@ -234,20 +235,20 @@ def _band_fft(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray, bin
 
 
 @functools.lru_cache(maxsize=8)
-def _basis(
+def _short_gate_transform(
     samples: int,
     sample_rate_hz: float,
     frequency_hz: tuple[float, ...],
     window: tuple[float, ...],
     plain_hz: tuple[float, ...],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return three real matrices that replace the FFT of a short gate: samples to coefficients, coefficients to bins.
+    """Return three real matrices that replace the FFT of a short gate under ``window`` (sample,), of low rank.
 
-    The first (sample, coefficient) gives coefficients of the even half of the samples, of the odd half, and the
-    spectrum at ``plain_hz`` without a window. The others (coefficient, bin) lead from the even half to real parts, and
-    from the odd half to imaginary parts. Phases are relative to the gate's centre, which cancels in cross-spectra.
+    The first (sample, coefficient) gives a few coefficients for the real parts, then for the imaginary parts, and the
+    spectrum at ``plain_hz`` without a window. The others (coefficient, bin) give real and imaginary parts at
+    ``frequency_hz``. Phases are relative to the gate's centre, which cancels in cross-spectra.
     """
-    # Relative to the centre the cosines are even and the sines odd: two bases, each half as large.
+    # Relative to the centre the cosines are even and the sines odd: each spans half of the samples' space.
     centre = (samples - 1) / 2
     windowed = fourier_columns(samples, sample_rate_hz, np.array(frequency_hz), centre) * np.array(window)[:, None]
     real, imag = (np.ascontiguousarray(half) for half in np.hsplit(windowed, 2))
@@ -269,14 +270,14 @@ def fourier_columns(
 
 
 def orthonormal_rows(columns: FloatArray) -> FloatArray:
-    """Return orthonormal rows (coefficient, sample) that span the columns of ``columns`` (sample, column).
+    """Return an orthonormal basis, as rows (coefficient, sample), of the space of ``columns`` (sample, column).
 
-    They are reproducible: random coefficients multiply them, so they must not depend on rounding, as singular vectors
-    of nearly equal singular values do. The order of pivots must not either: a slope over the columns separates equally
-    large ones.
+    The design of experiments multiplies it by random coefficients, so it must not depend on rounding. Singular vectors
+    of nearly equal singular values do; QR with pivoting does not if the columns differ in size, which a slope ensures.
     """
     from scipy.linalg import qr
 
+    # Columns of equal size would be pivoted in an order that depends on rounding.
     slope = np.linspace(1.0, 0.7, columns.shape[1])
     orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
     pivot = np.diagonal(triangle)
