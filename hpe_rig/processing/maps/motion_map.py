@@ -273,9 +273,9 @@ class _Pixels:
     def _mean_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> ComplexSingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
-        It is complex, sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate and one pulse in ``ECHO_PULSE_STEP``;
-        ``z`` (line, gate, sample, pulse): baseband. The imaginary part, times -2 pi, is the relative change of the
-        amplitude per second of fast time. ``power`` (line, gate): mean power of those pulses.
+        It is complex, sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate and one pulse in
+        ``ECHO_PULSE_STEP``; ``z`` (line, gate, sample, pulse): baseband. The imaginary part, times -2 pi, is the
+        relative change of the amplitude per second of fast time. ``power`` (line, gate): mean power of those pulses.
         """
         from scipy.fft import fft, ifft
 
