@@ -125,7 +125,7 @@ def warnings_of(run: Run, shot: Shot, clipped: bool) -> Iterator[str]:
     yield from (str(check) for check in run.findings if check.level == "warning")
     yield from (f"shot {index + 1} is not to be trusted: {reason}" for index, reason in run.stored.untrusted.items())
     yield from (f"shot {index + 1} {why}" for index, why in run.stored.marks.items())
-    missing = [int(np.count_nonzero(~run.stored.records.recorded(index))) for index in range(shot.index)][-1:]
+    missing = [int(np.count_nonzero(~run.stored.records.arrival(index).recorded)) for index in range(shot.index)][-1:]
     if any(missing):
         yield f"{missing[0]} records of shot {shot.index} are missing"
     if clipped:

@@ -184,7 +184,7 @@ def _place_mm(run_file: Path, run_id: str = "") -> float | None:
 
 
 def _arrived(stored: StoredRun, shot: int) -> int:
-    return int(np.count_nonzero(stored.records.recorded(shot)))
+    return int(np.count_nonzero(stored.records.arrival(shot).recorded))
 
 
 def _damage_state(records: ShotRecords) -> State:

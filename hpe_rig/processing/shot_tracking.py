@@ -113,7 +113,7 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
         else stored.records.shot_blocks(shot.index, gate, margin=margin, placement=placement),
         assignment=assignment,
         tracking_rate=measured_rate(
-            stored.records.trigger_time_s(shot.index),
+            stored.records.arrival(shot.index).trigger_time_s,
             placement,
             shot.tracking_train.rate_hz,
             shot.capture.sample_rate_hz,

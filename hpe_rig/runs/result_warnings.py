@@ -18,7 +18,7 @@ def run_warnings(
 ) -> Iterator[str]:
     """Yield the warnings that concern the whole run."""
     yield from (str(finding) for finding in findings if finding.level != "passed")
-    yield from stored.damage
+    yield from map(str, stored.damage)
     yield from _scan_warnings(scene, stored)
     # The board reports that a record was clipped, not which one. If disturbed records are skipped, the codes in the
     # gate decide.

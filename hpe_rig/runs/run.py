@@ -279,7 +279,7 @@ def _with_stored_forces(plan: Plan, stored: StoredRun) -> Plan:
 def _with_stored_times(plan: Plan, stored: StoredRun) -> Plan:
     """Return ``plan`` with the pulse times of an imported recording, if it states them."""
     # All shots of a recording have the times of the first one.
-    onset_s = stored.rows(0).tables["records/pulse_onset_s"]
+    onset_s = stored.rows(0)["records/pulse_onset_s"]
     if not np.isfinite(onset_s).all():
         return plan
     shots = (replace(shot, timeline=replace(shot.timeline, pulse_onset_s=onset_s)) for shot in plan.shots)

@@ -8,6 +8,7 @@ from .atomic import (
     unwritable as unwritable,
     write_file as write_file,
 )
+from .damage import Damage as Damage
 from .foreign_hdf5 import (
     InvalidContentError as InvalidContentError,
     bytes_in_memory as bytes_in_memory,
@@ -52,7 +53,6 @@ from .result_file import read_covariance as read_covariance, write_result as wri
 from .source import open_checked as open_checked
 from .stored_records import StoredRecords as StoredRecords
 from .verification import (
-    Damage as Damage,
     Verification as Verification,
     verification_schema as verification_schema,
     verify as verify,

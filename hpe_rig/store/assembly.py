@@ -21,14 +21,15 @@ from typing import IO, Any, BinaryIO, Final, final
 
 import h5py
 import numpy as np
-from h5py import h5d, h5f, h5fd, h5p, h5s
+from h5py import h5d, h5f, h5p, h5s
 from numpy.typing import NDArray
 
 from hpe_rig.arrays import Int16Array
 from hpe_rig.store.atomic import atomic_file
-from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, blank, crc
+from hpe_rig.store.checksum import blank, crc
+from hpe_rig.store.datasets import AT_ONCE, BY_SHOT
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
-from hpe_rig.store.format import STATUS_BYTES, STATUSES, StoreError
+from hpe_rig.store.format import LIBVER, STATUS_BYTES, STATUSES, StoreError
 from hpe_rig.store.log import (
     CODES,
     STATUS,
@@ -43,7 +44,7 @@ from hpe_rig.store.log import (
 )
 from hpe_rig.store.records import MISSING
 from hpe_rig.store.task import make_or_undo
-from hpe_rig.store.validation import CheckedFile
+from hpe_rig.store.validation import CheckedFile, checked_run
 
 KILLED: Final = "killed"
 """Status of a run whose program was killed: its log has none."""
@@ -65,21 +66,25 @@ class DamagedLogError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LogContent:
-    """Frames of a log by dataset and shot: the last one of each row, and all those of each chunk of records."""
+    """Frames of a log by dataset and shot: the last one of each row, and all those of each chunk of records.
+
+    ``chunk_records``: number of records in a chunk.
+    """
 
     rows: Rows
     chunks: Chunks
+    chunk_records: int
 
     @classmethod
-    def of(cls, frames: Sequence[Frame], chunk_rows: int) -> LogContent:
-        """Sort the ``frames`` of a log; ``chunk_rows``: records in a chunk of echoes."""
+    def of(cls, frames: Sequence[Frame], chunk_records: int) -> LogContent:
+        """Sort the ``frames`` of a log."""
         rows, chunks = Rows(), Chunks()
         for frame in frames:
             if frame.name in (*CODES, TRIGGER_TIMES):
-                chunks.setdefault((frame.name, frame.shot, frame.first // chunk_rows), []).append(frame)
+                chunks.setdefault((frame.name, frame.shot, frame.first // chunk_records), []).append(frame)
             else:
                 rows.setdefault(frame.name, {})[frame.shot] = frame
-        return cls(rows, chunks)
+        return cls(rows, chunks, chunk_records)
 
     def codes(
         self, stream: IO[bytes], name: str, shot: int, number: int, shape: tuple[int, int], first: int
@@ -90,7 +95,7 @@ class LogContent:
         """
         codes, checksum = np.full((0, shape[1]), MISSING), 0
         for frame in self.chunks.get((name, shot, number), ()):
-            content, is_intact = payload(stream, frame, (shot, number))
+            content, is_intact = payload(stream, frame, self.chunk_records)
             start, records = frame.first - first, len(content) // (2 * shape[1])
             if not is_intact or len(content) != 2 * shape[1] * records or start + records > shape[0]:
                 return None
@@ -125,8 +130,8 @@ def view_of(path: Path, stream: IO[bytes]) -> LogView:
         log = read_log(stream)
         if log is None:
             raise InvalidContentError("the start of the log is damaged")
-        file = _open_image(log.image)
-        view = LogView(file, _fill(CheckedFile(file), log.frames, stream, STATUSES[0]), log)
+        checked = checked_run(CheckedFile(_open_image(log.image)))
+        view = LogView(checked.file, _fill(checked, log.frames, stream, STATUSES[0]), log)
         while len(_views) >= MAX_VIEWS:
             # Another thread may still read it: it is closed with its last reference.
             _views.pop(next(iter(_views)), None)
@@ -151,9 +156,8 @@ def assemble(
         log = read_log(stream)
         if log is None or not log.is_torn:
             raise DamagedLogError
-        frames = _without_torn_frames(log, stream)
         with atomic_file(path) as draft:
-            _write_draft(draft, log.image, frames, stream, proceed, cancelled or threading.Event())
+            _write_draft(draft, log, stream, proceed, cancelled or threading.Event())
             stream.close()
             release()
 
@@ -180,15 +184,10 @@ def recover(path: Path) -> None:
 
 
 def _write_draft(
-    draft: BinaryIO,
-    image: bytes,
-    frames: Sequence[Frame],
-    stream: IO[bytes],
-    proceed: Callable[[], None],
-    cancelled: threading.Event,
+    draft: BinaryIO, log: Log, stream: IO[bytes], proceed: Callable[[], None], cancelled: threading.Event
 ) -> None:
-    """Write the run file with ``frames`` of the log ``stream`` to ``draft``."""
-    draft.write(image)
+    """Write the run file with the frames of ``log``, open as ``stream``, to ``draft``."""
+    draft.write(log.image)
     draft.flush()
     output = _Output(draft.fileno(), cancelled)
 
@@ -196,10 +195,10 @@ def _write_draft(
         output.refuse_failure()
         proceed()
 
-    with _open_on(output) as file:
-        checked = CheckedFile(file)
-        content = _fill(checked, frames, stream, KILLED)
-        _write_codes(checked, content, stream, step)
+    with h5py.File("draft", "r+", libver=LIBVER, driver="fileobj", fileobj=output) as file:
+        checked = checked_run(CheckedFile(file))
+        frames = _without_torn_frames(log, stream, checked.chunk_records)
+        _write_codes(checked, _fill(checked, frames, stream, KILLED), stream, step)
     output.finish()
 
 
@@ -302,45 +301,27 @@ class _Output:
             raise self._failure
 
 
-def _open_on(output: _Output) -> h5py.File:
-    """Return the draft behind ``output``, opened with the HDF5 library."""
-    access = _access_properties()
-    access.set_fileobj_driver(h5fd.fileobj_driver, output)
-    try:
-        return h5py.File(h5f.open(b"draft", h5f.ACC_RDWR, access))
-    finally:
-        # Closed when the program ends, it would call into Python after Python has ended.
-        access.close()
-
-
 def _open_image(image: bytes) -> h5py.File:
     """Return the HDF5 file with the bytes ``image``, opened in memory for reading and writing.
 
     The library's own driver is safe if the file is still open when the program ends, one with a Python object is not.
     """
-    access = _access_properties()
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     access.set_fapl_core(backing_store=False)
     access.set_file_image(image)
     # The library takes two files in memory with one name for the same file.
     return h5py.File(h5f.open(secrets.token_hex().encode(), h5f.ACC_RDWR, access))
 
 
-def _access_properties() -> h5p.PropFAID:
-    """Return file access properties with the version of HDF5 of every run file, ``layout.LIBVER``."""
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
-    return access
-
-
-def _without_torn_frames(log: Log, stream: IO[bytes]) -> Sequence[Frame]:
+def _without_torn_frames(log: Log, stream: IO[bytes], chunk_records: int) -> Sequence[Frame]:
     """Return the frames of ``log`` before the first damaged one after the last sync; all if none there is damaged.
 
     A power loss can leave frames after the last sync incomplete. Earlier ones are not examined.
     """
     synced = max((number + 1 for number, frame in enumerate(log.frames) if frame.name in SYNCED), default=0)
-    chunk_rows = _chunk_rows(log.image)
     for number in range(synced, len(log.frames)):
-        if not payload(stream, log.frames[number], _index(log.frames[number], chunk_rows))[1]:
+        if not payload(stream, log.frames[number], chunk_records)[1]:
             return log.frames[:number]
     return log.frames
 
@@ -350,16 +331,13 @@ def _fill(checked: CheckedFile, frames: Sequence[Frame], stream: IO[bytes], stat
 
     ``status``: of the run, unless the frames state it.
     """
-    echo = checked.dataset("records/echo", "<i2", (None, None, None))
-    if echo.chunks is None or echo.chunks[0] != 1 or echo.chunks[2] != echo.shape[2]:
-        raise InvalidContentError(f"/records/echo has chunks of {echo.chunks}")
-    content = LogContent.of(frames, echo.chunks[1])
+    content = LogContent.of(frames, checked.chunk_records)
     for name in (*BY_SHOT, *AT_ONCE):
         if checked.has(name):
             _fill_rows(checked, name, content.rows.get(name, {}), stream)
-    _fill_arrivals(checked, echo, content.chunks, stream)
+    _fill_arrivals(checked, content.chunks, stream)
     if ended := content.rows.get(STATUS, {}).get(-1):
-        text, is_intact = payload(stream, ended, ())
+        text, is_intact = payload(stream, ended)
         status = text.decode("ascii", "replace") if is_intact else status
     checked.file.attrs.modify("status", np.array(status.encode(), f"S{STATUS_BYTES}"))
     checked.file.flush()
@@ -368,63 +346,60 @@ def _fill(checked: CheckedFile, frames: Sequence[Frame], stream: IO[bytes], stat
 
 def _fill_rows(checked: CheckedFile, name: str, frames: Mapping[int, Frame], stream: IO[bytes]) -> None:
     """Write the rows of dataset ``name`` and the checksums of all of its rows; ``frames``: by shot, -1 for all."""
-    dataset = checked.stored_here(name)
-    shape = dataset.shape if name in AT_ONCE else dataset.shape[1:]
+    dataset, stored_sums = checked.dataset(name), checked.checksums(name)
+    sums = np.zeros(stored_sums.shape, "<u8")
+    shape = dataset.shape[sums.ndim :]
     empty = blank(dataset.dtype, shape).tobytes()
-    rows = [-1] if name in AT_ONCE else list(range(dataset.shape[0]))
-    sums = np.zeros(len(rows), "<u8")
-    for number, row in enumerate(rows):
-        index = () if name in AT_ONCE else (row,)
-        if (frame := frames.get(row)) is None:
-            sums[number] = crc(name, index, empty)
+    for index in np.ndindex(sums.shape):
+        frame = frames.get(index[0] if index else -1)
+        if frame is None:
+            sums[index] = crc(name, index, empty)
             continue
         # A damaged row is written too: readers compare it with the checksum of its frame.
-        content, _ = payload(stream, frame, index)
+        content, _ = payload(stream, frame)
         if len(content) != len(empty):
             raise InvalidContentError(f"a row of /{name} has {len(content)} bytes, not {len(empty)}")
         _write(dataset, index, np.frombuffer(content, dataset.dtype).reshape(shape))
-        sums[number] = frame.checksum
-    stored_sums = checked.stored_here(f"{GROUP}/{name}")
-    _write(stored_sums, (), sums.reshape(stored_sums.shape))
+        sums[index] = frame.checksum
+    _write(stored_sums, (), sums)
 
 
-def _fill_arrivals(checked: CheckedFile, echo: h5py.Dataset, chunks: Chunks, stream: IO[bytes]) -> None:
+def _fill_arrivals(checked: CheckedFile, chunks: Chunks, stream: IO[bytes]) -> None:
     """Write the marks and trigger times of all records, and their checksums by chunk."""
-    shots, records, chunk_rows = echo.shape[0], echo.shape[1], echo.chunks[1]
-    recorded, trigger_time = checked.stored_here("records/recorded"), checked.stored_here(TRIGGER_TIMES)
-    sums = np.zeros((shots, -(-records // chunk_rows)), "<u8")
+    (shots, records, _), chunk_records = checked.shape, checked.chunk_records
+    stored_sums = checked.checksums("records/recorded")
+    sums = np.zeros(stored_sums.shape, "<u8")
     for shot in range(shots):
         marks, time_s = np.zeros(records, "u1"), np.full(records, np.nan)
-        is_damaged, has_records = np.zeros(sums.shape[1], bool), False
         for number in range(sums.shape[1]):
+            chunk, is_damaged = slice(number * chunk_records, (number + 1) * chunk_records), False
             for frame in chunks.get((TRIGGER_TIMES, shot, number), ()):
-                content, is_intact = payload(stream, frame, (shot, number))
+                content, is_intact = payload(stream, frame, chunk_records)
                 rows = slice(frame.first, frame.first + len(content) // 8)
-                if len(content) % 8 or rows.stop > min(records, (number + 1) * chunk_rows):
+                if len(content) % 8 or rows.stop > min(records, chunk.stop):
                     raise InvalidContentError(f"the log has trigger times of records {rows.start} to {rows.stop}")
                 marks[rows], time_s[rows] = 1, np.frombuffer(content, "<f8")
-                has_records, is_damaged[number] = True, is_damaged[number] or not is_intact
-        for number in range(sums.shape[1]):
-            rows = slice(number * chunk_rows, (number + 1) * chunk_rows)
-            checksum = crc("records/recorded", (shot, number), marks[rows].data, time_s[rows].data)
+                is_damaged = is_damaged or not is_intact
+            checksum = crc("records/recorded", (shot, number), marks[chunk].data, time_s[chunk].data)
             # Marks of damaged trigger times get a checksum that they do not match.
-            sums[shot, number] = checksum + 1 if is_damaged[number] else checksum
-        if has_records:
-            _write(recorded, (shot,), marks)
-            _write(trigger_time, (shot,), time_s)
-    _write(checked.stored_here(f"{GROUP}/records/recorded"), (), sums)
+            sums[shot, number] = checksum + is_damaged
+        if marks.any():
+            _write(checked.dataset("records/recorded"), (shot,), marks)
+            _write(checked.dataset(TRIGGER_TIMES), (shot,), time_s)
+    _write(stored_sums, (), sums)
 
 
 def _write_codes(checked: CheckedFile, content: LogContent, stream: IO[bytes], proceed: Callable[[], None]) -> None:
     """Write the echoes, chunk by chunk, and their checksums; raise ``DamagedLogError`` if one is damaged."""
+    (_, records, samples), chunk_records = checked.shape, checked.chunk_records
     names = [name for name in CODES if checked.has(name)]
-    echoes = {name: _uncached(checked, name) for name in names}
-    sums = {name: checked.stored_here(f"{GROUP}/{name}")[()] for name in names}
+    echoes = {name: _uncached(checked.dataset(name)) for name in names}
+    sums = {name: np.zeros(checked.checksums(name).shape, "<u8") for name in names}
 
     def read(key: ChunkKey) -> tuple[Int16Array, int] | None:
-        name, shot, number = key
-        rows, (_, records, samples) = echoes[name].chunks[1], echoes[name].shape
-        return content.codes(stream, name, shot, number, (min(rows, records - number * rows), samples), number * rows)
+        """Return the codes of a chunk, (record, sample), and their checksum; None if damaged."""
+        first = key[2] * chunk_records
+        return content.codes(stream, *key, (min(chunk_records, records - first), samples), first)
 
     # By shot, then chunk, then input.
     keys = sorted((key for key in content.chunks if key[0] in echoes), key=lambda key: (*key[1:], key[0]))
@@ -439,17 +414,16 @@ def _write_codes(checked: CheckedFile, content: LogContent, stream: IO[bytes], p
             if following is not None:
                 chunks.append(reader.submit(read, following))
             codes, sums[name][shot, number] = chunk
-            _write(echoes[name], (shot, number * echoes[name].chunks[1]), codes)
+            _write(echoes[name], (shot, number * chunk_records), codes)
     for name in names:
-        _write(checked.stored_here(f"{GROUP}/{name}"), (), sums[name])
+        _write(checked.checksums(name), (), sums[name])
 
 
-def _uncached(checked: CheckedFile, name: str) -> h5py.Dataset:
-    """Return dataset ``name`` opened without the library's cache of chunks: each chunk is written once, whole."""
-    checked.stored_here(name)
+def _uncached(dataset: h5py.Dataset) -> h5py.Dataset:
+    """Return ``dataset`` opened without the library's cache of chunks: each chunk is written once, whole."""
     access = h5p.create(h5p.DATASET_ACCESS)
     access.set_chunk_cache(0, 0, 1.0)
-    return h5py.Dataset(h5d.open(checked.file.id, name.encode(), access))
+    return h5py.Dataset(h5d.open(dataset.file.id, dataset.name.encode(), access))
 
 
 def _write(dataset: h5py.Dataset, start: tuple[int, ...], values: NDArray[Any]) -> None:
@@ -463,16 +437,3 @@ def _write(dataset: h5py.Dataset, start: tuple[int, ...], values: NDArray[Any]) 
         memory = h5s.create_simple(count)
         selection.select_hyperslab(start + (0,) * (len(count) - len(start)), count)
     dataset.id.write(memory, selection, np.ascontiguousarray(values.reshape(count)))
-
-
-def _chunk_rows(image: bytes) -> int:
-    """Return the number of records in a chunk of echoes of the empty run file ``image``."""
-    with _open_image(image) as file:
-        return int(CheckedFile(file).dataset("records/echo", "<i2", (None, None, None)).chunks[1])
-
-
-def _index(frame: Frame, chunk_rows: int) -> tuple[int, ...]:
-    """Return the row or chunk of ``frame``, which its checksum includes."""
-    if frame.name in (*CODES, TRIGGER_TIMES):
-        return frame.shot, frame.first // chunk_rows
-    return () if frame.shot < 0 else (frame.shot,)

@@ -13,9 +13,9 @@ variable length and the references from datasets to their axes. Three kinds of c
 
 from __future__ import annotations
 
-import io
 import re
-from collections.abc import Iterator
+import secrets
+from collections.abc import Callable, Iterator
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -25,32 +25,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.store.datasets import AT_ONCE, BY_CHUNK, BY_SHOT, DATASETS
 from hpe_rig.store.foreign_hdf5 import objects
+from hpe_rig.store.format import LIBVER
 
 GROUP: Final = "checksum"
 ATTRIBUTE: Final = "checksum"
 HEAP: Final = "heap_checksum"
 MAX_HEAP_PART_BYTES: Final = 1 << 24
 """Maximum length of a part of the heap; those of run and result files with thousands of texts are shorter."""
-BY_SHOT: Final = (
-    "snapshot",
-    "untrusted",
-    "changed_settings",
-    "conditions/before",
-    "conditions/after",
-    "records/pulse_onset_s",
-    "records/shot_complete",
-    "records/clipped",
-    "records/force_set",
-    "truth/displacement_m",
-    "true_harmonics/in_phase_m",
-    "true_harmonics/quadrature_m",
-)
-"""Datasets with a checksum for each shot."""
-BY_CHUNK: Final = ("records/echo", "records/monitor", "records/recorded")
-"""Datasets with a checksum for each shot and chunk of echoes; the one of ``recorded`` covers the trigger times too."""
-AT_ONCE: Final = ("run_time/run_time_s", "provenance/ended")
-"""Datasets that are always written completely."""
 
 
 def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
@@ -82,46 +65,40 @@ def blank(dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def add_checksums(file: h5py.File) -> None:
-    """Create the checksum datasets of a new run file, and write the checksums of all datasets that never change.
+    """Create the checksum datasets of a new run file, for the data that are written during the run.
 
-    Data that are written during the run have one checksum for each shot, for each chunk, or for the whole dataset.
+    These have one checksum for each shot, for each chunk (the piece that HDF5 stores at once), or for a whole dataset.
     """
-    # Number of shots, and of chunks (pieces that HDF5 stores at once) in each.
-    shots = file["records/echo"].shape[0]
-    chunks = -(-file["records/echo"].shape[1] // file["records/echo"].chunks[1])
-    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(BY_SHOT, (shots,))
-    shapes |= dict.fromkeys(BY_CHUNK, (shots, chunks)) | dict.fromkeys(AT_ONCE, ())
+    shots, records, _ = file["records/echo"].shape
+    chunks = -(-records // file["records/echo"].chunks[1])
     # Groups that HDF5 creates implicitly store the time of creation; then no two files would be equal.
     root = file.create_group(GROUP)
-    for name in [name for name in shapes if name in file]:
-        folder, _, last = name.rpartition("/")
-        group = root if not folder else root[folder] if folder in root else root.create_group(folder)
-        group[last] = np.zeros(shapes[name], "<u8")
-    # The checksums of records/recorded cover the trigger times.
-    seal(file, {*shapes, "records/trigger_time_s", *(f"{GROUP}/{name}" for name in shapes)})
+    for name in (*BY_SHOT, *BY_CHUNK, *AT_ONCE):
+        if name in file:
+            shape = () if name in AT_ONCE else (shots, chunks) if name in BY_CHUNK else (shots,)
+            folder, _, last = name.rpartition("/")
+            (root.require_group(folder) if folder else root)[last] = np.zeros(shape, "<u8")
 
 
-def seal(file: h5py.File, changing: set[str] | None = None) -> None:
-    """Write the checksum of every dataset of ``file`` as its attribute, except of those in ``changing``."""
-    for name, dataset in datasets(file):
-        if name not in (changing or ()):
-            dataset.attrs[ATTRIBUTE] = np.uint64(digest(name, (), stored_bytes(dataset[()], dataset.dtype)))
+def sealed_file(write: Callable[[h5py.File], object]) -> bytes:
+    """Return the bytes of a new HDF5 file with the content that ``write`` gives it, and with its checksums.
 
-
-def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
-    """Write the checksums of the heap, where HDF5 keeps texts of variable length, as an attribute of the file.
-
-    It holds offset, length and checksum of each part, uint64 (part, 3). ``memory``: the bytes of the file, if it is in
-    memory; otherwise the library makes a copy.
+    These are an attribute of every dataset that does not change later, and ``heap_checksum`` of the file: offset,
+    length and checksum of each part of the heap, where HDF5 keeps texts of variable length, uint64 (part, 3).
     """
-    file.flush()
-    if memory is None:
-        sums = _heap_sums(memoryview(file.id.get_file_image()))
-    else:
-        with memory.getbuffer() as image:
-            sums = _heap_sums(image)
-    if sums:
-        file.attrs[HEAP] = np.array(sums, "<u8")
+    # Written to memory: a disk error inside the HDF5 library can crash the program. The library takes two files in
+    # memory with one name for the same file.
+    with h5py.File(secrets.token_hex(), "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        write(file)
+        for name, dataset in datasets(file):
+            if GROUP not in file or not (name in DATASETS or name.startswith(f"{GROUP}/")):
+                dataset.attrs[ATTRIBUTE] = np.uint64(digest(name, (), stored_bytes(dataset[()], dataset.dtype)))
+        file.flush()
+        if sums := _heap_sums(memoryview(file.id.get_file_image())):
+            file.attrs[HEAP] = np.array(sums, "<u8")
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
 
 
 def _heap_sums(image: memoryview) -> list[tuple[int, int, int]]:

@@ -20,6 +20,8 @@ FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 3
 OLDEST_VERSION: Final = 2
 """Version 2 has checksums by BLAKE2b, or none, and was written in place during the run."""
+LIBVER: Final = ("v110", "v110")
+"""Readable with HDF5 1.10 and later."""
 RESULT_FORMAT: Final = "hpe_rig result"
 RESULT_VERSION: Final = 2
 """Version of result files. Version 1, not stated in the file, counted shots from 0 and called the tracked amplitude
@@ -44,7 +46,6 @@ STAGES: Final = (
 )
 """Stages of an acquisition, in the order of the run times in the run file; all outputs are off after "collect"."""
 STAGE_BYTES: Final = 16
-MAX_STAGES: Final = 64
 STATUSES: Final = ("running", "complete", "aborted", "failed", "killed")
 STATUS_BYTES: Final = 8
 """Enough for each status; the size is fixed, because the attribute is filled in when the run ends."""
@@ -54,15 +55,12 @@ SNAPSHOT_BYTES: Final = 8192
 """Enough for the settings of one shot as JSON; the size is fixed before the run."""
 CHUNK_BYTES: Final = 1_000_000
 """Minimum size of a chunk of echoes, unless a shot is smaller."""
-ROW_CHUNK: Final = 2048
-"""Maximum number of pulses in a chunk of the simulated truth, which has one value per pulse."""
 TIME_BYTES: Final = 32
 """Enough for a time in seconds with its offset from UTC, ISO 8601."""
 UNTRUSTED_BYTES: Final = 1024
 """Enough for the reason why a shot is untrusted, and for changed settings; longer texts are cut."""
 CONDITION_BYTES: Final = 32
 """Maximum length of the name of a condition."""
-MAX_CONDITIONS: Final = 64
 BITSHUFFLE: Final = 32008
 """Registered number of the HDF5 filter bitshuffle with LZ4."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,35 +18,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Capture
-from hpe_rig.bench import BenchText, Condition, twin_settings
+from hpe_rig.bench import BenchText, twin_settings
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
 from hpe_rig.scene import Scene, SceneText, printable
-from hpe_rig.store.checksum import add_checksums, seal_heap
+from hpe_rig.store.checksum import add_checksums, blank, sealed_file
+from hpe_rig.store.datasets import DATASETS, RECORD_AXES, TRUE_HARMONICS
 from hpe_rig.store.format import (
     BITSHUFFLE,
     CHUNK_BYTES,
     CONDITION_BYTES,
     FORMAT,
     FORMAT_VERSION,
-    ROW_CHUNK,
     RUN_ID_BYTES,
-    SNAPSHOT_BYTES,
     STAGE_BYTES,
     STAGES,
     STATUS_BYTES,
-    TIME_BYTES,
-    UNTRUSTED_BYTES,
     StoreError,
     extra,
     versions,
 )
 from hpe_rig.store.records import MISSING
-
-LIBVER = ("v110", "v110")
-"""Readable with HDF5 1.10 and later."""
-TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
-"""A cos(phase) and A sin(phase) of the true displacement at the focus, datasets of group ``true_harmonics``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,31 +59,53 @@ def empty_run(
     provenance: Provenance | None = None,
 ) -> bytes:
     """Return the bytes of a new run file, with all datasets but no records; equal arguments give equal bytes."""
-    with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
-        _write_header(file, scene, bench, plan, predecessor or Predecessor())
-        file.attrs.create("run_id", np.bytes_(run_id.encode("ascii")), dtype=f"S{RUN_ID_BYTES}")
-        if (scan_sha256 := sha256_of_scan(scene.scene)) is not None:
-            file.attrs["scan_sha256"] = _fixed(scan_sha256)
-        _create_records(file, plan, bench.bench.digitizer.board_model.code_limits, compress)
-        times = file.create_group("run_time")
-        _add(times, "run_time_s", np.full(len(STAGES), math.nan))
-        name_axes(times, {"stage": np.array(STAGES, f"S{STAGE_BYTES}")}, {"run_time_s": "s"})
-        if bench.bench.simulated:
-            ground_truth = file.create_group("truth")
-            _create_rows(ground_truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
-            name_axes(ground_truth, _shot_and_pulse(plan), {"displacement_m": "m"})
-            # A sweep may change the frequencies: the axis holds those of the point with the most frequencies.
-            frequencies_hz = max((point.scene.wanted_frequencies_hz for point in scene.scene.points), key=len)
-            _create_true_harmonics(file, len(plan.shots), frequencies_hz)
-        if bench.bench.conditions:
-            _create_conditions(file, len(plan.shots), bench.bench.conditions)
-        if provenance is not None:
-            _create_provenance(file, provenance)
+    capture, conditions = plan.shots[0].capture, bench.bench.conditions
+    absent = {
+        *(["records/monitor"] if capture.monitor_range_v is None else []),
+        *(["conditions/before", "conditions/after"] if not conditions else []),
+        *(["truth/displacement_m", *TRUE_HARMONICS] if not bench.bench.simulated else []),
+        *(["provenance/ended"] if provenance is None else []),
+    }
+    axes = _axes(scene, bench, plan)
+    condition_unit = ", ".join(condition.unit or "1" for condition in conditions)
+    units = {name.rpartition("/")[2]: layout.unit for name, layout in DATASETS.items()}
+    units |= {"before": condition_unit, "after": condition_unit, "burst_length_s": "s"}
+
+    def write(file: h5py.File) -> None:
+        """Write the content of the file."""
+        _write_attributes(file, scene, bench, predecessor or Predecessor(), run_id)
+        file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
+        for name in DATASETS:
+            if name not in absent:
+                _create(file, name, axes, capture, compress)
+        _describe_codes(file, capture, bench.bench.digitizer.board_model.code_limits)
+        _write_planned_values(file["records"], plan)
+        for name in ("started", "host", "user", "drivers") if provenance is not None else ():
+            file[f"provenance/{name}"] = _fixed(printable(getattr(provenance, name)))
+        for group in (file, *(item for item in file.values() if isinstance(item, h5py.Group))):
+            names = [item.name[1:] for item in group.values()]
+            used = {axis for name in names if name in DATASETS for axis in DATASETS[name].axes}
+            name_axes(group, {axis: values for axis, values in axes.items() if axis in used}, units)
+        file["records/sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})
+        if "true_harmonics" in file:
+            file["true_harmonics/frequency"].attrs["units"] = "Hz"
         add_checksums(file)
-        seal_heap(file)
-        file.flush()
-        file_bytes: bytes = file.id.get_file_image()
-    return file_bytes
+
+    return sealed_file(write)
+
+
+def _axes(scene: SceneText, bench: BenchText, plan: Plan) -> dict[str, NDArray[Any]]:
+    """Return the values along each axis of a run file by name: numbers, times in s, frequencies in Hz, or names."""
+    capture, timeline = plan.shots[0].capture, plan.shots[0].timeline
+    return {
+        "shot": np.arange(1, len(plan.shots) + 1),
+        "pulse": np.arange(capture.record_count),
+        "sample": timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz,
+        # A sweep may change the frequencies: the axis holds those of the point with the most frequencies.
+        "frequency": np.array(max((point.scene.wanted_frequencies_hz for point in scene.scene.points), key=len)),
+        "condition": np.array([condition.name for condition in bench.bench.conditions], f"S{CONDITION_BYTES}"),
+        "stage": np.array(STAGES, f"S{STAGE_BYTES}"),
+    }
 
 
 def sha256_of_scan(scene: Scene) -> str | None:
@@ -146,12 +160,10 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
             dimension.attach_scale(axis)
 
 
-def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
-    """Write the attributes and texts of the run, and create the datasets of text by shot.
-
-    ``snapshot``: the instruments' settings in each shot. ``untrusted``: why a shot cannot be relied on.
-    ``changed_settings``: differences of the settings after a shot from those before it.
-    """
+def _write_attributes(
+    file: h5py.File, scene: SceneText, bench: BenchText, predecessor: Predecessor, run_id: str
+) -> None:
+    """Write the attributes of the run."""
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -162,16 +174,15 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
         "seed": twin_settings(scene.scene).seed if bench.bench.simulated else -1,
         "predecessor": predecessor.name,
         "predecessor_shots": predecessor.shots,
+        **{f"version_{name}": text for name, text in versions().items()},
     }
-    for name, value in (attributes | {f"version_{name}": text for name, text in versions().items()}).items():
+    if (scan_sha256 := sha256_of_scan(scene.scene)) is not None:
+        attributes["scan_sha256"] = scan_sha256
+    for name, value in attributes.items():
         # Names may be file names, which can contain any character.
         file.attrs[name] = _fixed(printable(value)) if isinstance(value, str) else value
     file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
-    file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
-    sizes = {"snapshot": SNAPSHOT_BYTES, "untrusted": UNTRUSTED_BYTES, "changed_settings": UNTRUSTED_BYTES}
-    for name, size in sizes.items():
-        file.create_dataset(name, len(plan.shots), f"S{size}", chunks=(1,), fletcher32=True)
-    name_axes(file, {"shot": np.arange(1, len(plan.shots) + 1)}, {})
+    file.attrs.create("run_id", np.bytes_(run_id.encode("ascii")), dtype=f"S{RUN_ID_BYTES}")
 
 
 def _fixed(text: str) -> NDArray[Any]:
@@ -180,62 +191,47 @@ def _fixed(text: str) -> NDArray[Any]:
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
 
-def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
-    return {"shot": np.arange(1, len(plan.shots) + 1), "pulse": np.arange(plan.shots[0].capture.record_count)}
-
-
-def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
-    """Create dataset ``name`` (shot, pulse), filled with ``fill``."""
-    shape = (len(plan.shots), plan.shots[0].capture.record_count)
+def _create(file: h5py.File, name: str, axes: Mapping[str, NDArray[Any]], capture: Capture, compress: bool) -> None:
+    """Create dataset ``name`` of the table ``DATASETS``, filled with NaN, zeros, empty texts or ``MISSING``."""
+    layout = DATASETS[name]
+    dtype, shape = np.dtype(layout.dtype), tuple(axes[axis].size for axis in layout.axes)
+    # Groups that HDF5 creates implicitly store the time of creation; then no two files would be equal.
+    folder, _, last = name.rpartition("/")
+    group = file.require_group(f"/{folder}")
+    if 0 in shape or not shape:
+        # HDF5 has no empty chunks.
+        group[last] = blank(dtype, shape)
+        return
     # Marks and trigger times belong to a chunk of echoes: damage of one of them costs the same records.
-    chunks = (1, chunk_records(plan.shots[0].capture) if group.name == "/records" else min(shape[1], ROW_CHUNK))
-    group.create_dataset(name, shape, dtype, chunks=chunks, fillvalue=fill, fletcher32=True)
+    by_pulse = (1, chunk_records(capture), shape[-1])[: len(shape)]
+    chunks = by_pulse if "pulse" in layout.axes else (1,) if dtype.kind == "S" else True
+    is_codes = layout.axes == RECORD_AXES
+    fill = MISSING if is_codes else blank(dtype, ()).item()
+    options = _filter() if compress and is_codes else {}
+    group.create_dataset(last, shape, dtype, chunks=chunks, fillvalue=fill, fletcher32=True, **options)
 
 
-def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence[float]) -> None:
-    """Create datasets for the simulated harmonics (shot, frequency), NaN until the simulation provides them."""
-    group = file.create_group("true_harmonics")
-    for name in TRUE_HARMONICS:
-        _add(group, name, np.full((shots, len(frequencies_hz)), math.nan))
-    axes = {"shot": np.arange(1, shots + 1), "frequency": np.array(frequencies_hz)}
-    name_axes(group, axes, dict.fromkeys(TRUE_HARMONICS, "m"))
-    group["frequency"].attrs["units"] = "Hz"
+def _describe_codes(file: h5py.File, capture: Capture, code_limits: tuple[int, int]) -> None:
+    """Write how codes are converted to volts: programs that follow the CF conventions convert them, and set NaN."""
+    for name, input_range_v in (("echo", capture.input_range_v), ("monitor", capture.monitor_range_v)):
+        if input_range_v is not None:
+            scale, offset = code_scale_and_offset_v(input_range_v, code_limits)
+            lowest, highest = map(np.int16, code_limits)
+            attributes = {"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING}
+            file[f"records/{name}"].attrs.update(attributes | {"valid_min": lowest, "valid_max": highest})
 
 
-def _create_conditions(file: h5py.File, shots: int, conditions: Sequence[Condition]) -> None:
-    """Create the conditions before and after each shot, (shot, condition), NaN until they are read."""
-    group, units = file.create_group("conditions"), ", ".join(condition.unit or "1" for condition in conditions)
-    for name in ("before", "after"):
-        _add(group, name, np.full((shots, len(conditions)), math.nan))
-    names = np.array([condition.name for condition in conditions], f"S{CONDITION_BYTES}")
-    name_axes(group, {"shot": np.arange(1, shots + 1), "condition": names}, {"before": units, "after": units})
-
-
-def _create_codes(
-    group: h5py.Group, name: str, input_range_v: float, code_limits: tuple[int, int], plan: Plan, compress: bool
-) -> None:
-    """Create dataset ``name`` (shot, pulse, sample) of one input's digitizer codes, with their conversion to volts.
-
-    Each chunk, the piece that HDF5 reads and writes at once, holds whole records of one shot.
-    """
-    capture = plan.shots[0].capture
-    shape = (len(plan.shots), capture.record_count, capture.record_samples)
-    chunks, filters = (1, chunk_records(capture), shape[2]), _filter() if compress else {}
-    echo = group.create_dataset(name, shape, "<i2", chunks=chunks, fillvalue=MISSING, fletcher32=True, **filters)
-    # CF conventions: programs that follow them convert codes to volts and missing records to NaN.
-    scale, offset = code_scale_and_offset_v(input_range_v, code_limits)
-    echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
-    lowest, highest = map(np.int16, code_limits)
-    echo.attrs.update({"valid_min": lowest, "valid_max": highest})
-
-
-def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
-    """Write start, host, user and driver versions of the run; its end is written later."""
-    group = file.create_group("provenance")
-    for name in ("started", "host", "user", "drivers"):
-        group[name] = _fixed(printable(getattr(provenance, name)))
-    # Written at the end of the run.
-    group["ended"] = np.zeros((), f"S{TIME_BYTES}")
+def _write_planned_values(records: h5py.Group, plan: Plan) -> None:
+    """Write the planned values of each shot, (shot,)."""
+    shots = plan.shots
+    _add(records, "burst_length_s", [shot.timeline.burst_length_s for shot in shots])
+    _add(
+        records, "force_fraction", [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
+    )
+    _add(records, "repeat", [shot.repeat for shot in shots])
+    for name in ("lateral_offset_m", "axial_offset_m"):
+        if any(offsets := [getattr(shot, name) for shot in shots]):
+            _add(records, name, offsets)
 
 
 def _filter() -> Mapping[str, Any]:
@@ -252,32 +248,3 @@ def _filter() -> Mapping[str, Any]:
             "Try: pip install --upgrade hdf5plugin, or no --compress."
         )
     return filters
-
-
-def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], compress: bool) -> None:
-    """Create the group ``records``: echoes, monitor records, and values by pulse and by shot, with axes and units."""
-    shots, capture = plan.shots, plan.shots[0].capture
-    group = file.create_group("records")
-    _create_codes(group, "echo", capture.input_range_v, code_limits, plan, compress)
-    if capture.monitor_range_v is not None:
-        _create_codes(group, "monitor", capture.monitor_range_v, code_limits, plan, compress)
-    _create_rows(group, "recorded", plan, np.dtype("u1"), 0)
-    _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
-    _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
-    # Planned values and flags of each shot.
-    _add(group, "burst_length_s", [shot.timeline.burst_length_s for shot in shots])
-    # Filled in when the settings of a shot are read back from the generator.
-    _add(group, "force_set", np.full(len(shots), math.nan))
-    forces = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
-    _add(group, "force_fraction", forces)
-    _add(group, "repeat", [shot.repeat for shot in shots])
-    for name in ("lateral_offset_m", "axial_offset_m"):
-        if any(offsets := [getattr(shot, name) for shot in shots]):
-            _add(group, name, offsets)
-    _add(group, "shot_complete", np.zeros(len(shots), np.uint8))
-    _add(group, "clipped", np.zeros(len(shots), np.uint8))
-    # Axes of all datasets: shot, pulse, and time within a record.
-    sample_s = shots[0].timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz
-    units = {"echo": "V", "monitor": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
-    name_axes(group, {**_shot_and_pulse(plan), "sample": sample_s}, units)
-    group["sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})

@@ -157,8 +157,15 @@ class Log:
         return 0 if self.is_torn else self.size - self.end
 
 
-def payload(file: IO[bytes], frame: Frame, index: tuple[int, ...]) -> tuple[bytes, bool]:
-    """Return the payload of ``frame``, and whether it matches its checksum for row or chunk ``index``."""
+def payload(file: IO[bytes], frame: Frame, chunk_records: int = 1) -> tuple[bytes, bool]:
+    """Return the payload of ``frame``, and whether it matches its checksum.
+
+    ``chunk_records``: number of records in a chunk, for frames of echoes and trigger times.
+    """
+    if frame.name in (*CODES, TRIGGER_TIMES):
+        index: tuple[int, ...] = (frame.shot, frame.first // chunk_records)
+    else:
+        index = () if frame.shot < 0 else (frame.shot,)
     file.seek(frame.offset)
     content = file.read(frame.size)
     return content, len(content) == frame.size and crc(frame.name, index, content) == frame.checksum
@@ -193,7 +200,7 @@ def read_log(file: IO[bytes]) -> Log | None:
     if not frames or frames[0].name != IMAGE or frames[0].size > MAX_IMAGE_BYTES:
         return None
     end = frames[-1].offset + frames[-1].size
-    image, is_intact = payload(file, frames[0], ())
+    image, is_intact = payload(file, frames[0])
     is_torn = not _has_sync_after(file, end, nonce, size)
     return Log(image, frames[1:], size, end, is_torn) if is_intact else None
 

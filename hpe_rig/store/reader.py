@@ -21,36 +21,30 @@ from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
 from hpe_rig.scene import printable
-from hpe_rig.store.codes import arrival_of, code_limits_of, echo_dataset
+from hpe_rig.store.codes import code_limits_of
+from hpe_rig.store.damage import Damage
+from hpe_rig.store.datasets import BY_SHOT
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
-from hpe_rig.store.format import (
-    CONDITION_BYTES,
-    MAX_CONDITIONS,
-    MAX_STAGES,
-    SNAPSHOT_BYTES,
-    STAGE_BYTES,
-    STATUSES,
-    TIME_BYTES,
-    UNTRUSTED_BYTES,
-    StoreError,
-)
-from hpe_rig.store.layout import TRUE_HARMONICS, code_scale_and_offset_v
+from hpe_rig.store.format import CONDITION_BYTES, STAGE_BYTES, STATUSES, StoreError
+from hpe_rig.store.layout import code_scale_and_offset_v
 from hpe_rig.store.marks import identity_of, read_marks, write_marks
-from hpe_rig.store.rows import Shape, checked_row, checked_rows, dataset_by_pulse, datasets_by_shot, row_or_blank
+from hpe_rig.store.rows import checked_row, checked_rows, row_or_blank
 from hpe_rig.store.source import open_checked
 from hpe_rig.store.stored_records import StoredGroundTruth, StoredRecords
 from hpe_rig.store.validation import CheckedFile
 
-MAX_SHOTS: Final = 1_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class ShotRows:
-    """One shot without its echoes: which records arrived and when, (pulse,), and its rows of the other datasets."""
-
-    recorded: BoolArray
-    trigger_time_s: FloatArray
-    tables: Mapping[str, Any]
+REQUIRED: Final = ("snapshot", "records/pulse_onset_s", "records/shot_complete", "records/clipped")
+"""Datasets with a row for each shot that every run file has."""
+TEXTS: Final = ("untrusted", "changed_settings")
+READ_AT_ONCE: Final = (
+    *TEXTS,
+    "conditions/before",
+    "conditions/after",
+    "records/shot_complete",
+    "records/clipped",
+    "records/force_set",
+)
+AXIS_NAMES: Final = {"run_time/stage": f"S{STAGE_BYTES}", "conditions/condition": f"S{CONDITION_BYTES}"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +82,7 @@ class StoredRun:
     run_time_s: Mapping[str, float]
     force_set: FloatArray
     untrusted: Mapping[int, str]
-    damage: tuple[str, ...]
+    damage: tuple[Damage, ...]
     has_checksums: bool
     run_id: str
     provenance: Provenance
@@ -115,21 +109,15 @@ class StoredRun:
         """Whether the records are those of another program, which states the pulse of each."""
         return "[recording]" in self.bench_toml.splitlines()
 
-    def rows(self, shot: int) -> ShotRows:
-        """Return the values of ``shot`` other than its echoes, to copy them; missing or damaged values are blank."""
-        shape = self.records.shape
-        with open_checked(self.path) as checked:
-            arrival = arrival_of(checked, shape, shot)
-            tables = {
-                name: row_or_blank(checked, name, dataset, shot)
-                for name, dataset in datasets_by_shot(checked, shape)
-                if not name.endswith("shot_complete")
-            }
-        return ShotRows(arrival.recorded, arrival.trigger_time_s, tables)
+    def rows(self, shot: int) -> dict[str, Any]:
+        """Return the values of ``shot`` by dataset, except its records, to copy them; blank if missing or damaged."""
+        names = [name for name in BY_SHOT if name != "records/shot_complete"]
+        with self.records.open() as checked:
+            return {name: row_or_blank(checked, name, shot) for name in names if checked.has(name)}
 
     def is_intact(self, shot: int) -> bool:
-        """Return whether everything of ``shot`` matches its checksums; reads the whole shot."""
-        return not damage_by_shot(self, shot) and not self.records.damaged(shot).any()
+        """Return whether everything of ``shot`` matches its checksums; reads the echoes of the shot."""
+        return all(damage.shot != shot for damage in self.damage) and not self.records.damaged(shot).any()
 
     def refuse_other_plan(self, plan: Plan) -> None:
         """Raise ``StoreError`` if the records do not fit ``plan``: the file or its scene was changed."""
@@ -162,7 +150,7 @@ def read_run(path: Path) -> StoredRun:
     with open_checked(path) as checked:
         stored = _stored_run(checked, path)
     marks, why_ignored = read_marks(path, stored.identity, stored.shot_complete.size)
-    return replace(stored, marks=marks, damage=(*stored.damage, *([why_ignored] if why_ignored else [])))
+    return replace(stored, marks=marks, damage=(*stored.damage, *([Damage(why_ignored)] if why_ignored else [])))
 
 
 def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...]:
@@ -171,9 +159,7 @@ def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...
     Raises ``StoreError`` if the file is no readable run file.
     """
     with open_checked(path) as checked:
-        dataset = checked.dataset("snapshot", f"S{SNAPSHOT_BYTES}", (None,))
-        texts = [row_or_blank(checked, "snapshot", dataset, shot).item() for shot in range(dataset.shape[0])]
-        return tuple(_settings(text) for text in texts if text)
+        return tuple(_settings(text.item()) for text, _ in checked_rows(checked, "snapshot") if text.item())
 
 
 def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
@@ -193,23 +179,19 @@ def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
 
 
 def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
-    """Return the content of a run file, without its echoes, and with a message for each damaged part left out."""
+    """Return the content of a run file, without its echoes, and the damage of the parts left out."""
     simulated = checked.attribute("simulated", bool)
-    shape = _checked_shape(checked, simulated)
     status = checked.attribute("status", str)
     if status not in STATUSES:
         raise InvalidContentError(f"its status is {status!r}")
-    damage = list[str]()
-    if (remark := _remark_on_length(checked)) is not None:
-        damage.append(remark)
-    shot_complete, damaged_shots = _flags(checked, shape, "shot_complete", "does not count as complete")
-    clipped, damaged_clipping = _flags(checked, shape, "clipped", "may have been clipped")
-    damage += damaged_shots + damaged_clipping
-    run_time_s, times_intact = _run_time_s(checked)
-    damage += [] if times_intact else ["/run_time fails its checksum: the run times are left out"]
-    provenance, end_intact = _provenance(checked)
-    damage += [] if end_intact else ["/provenance/ended fails its checksum: when the run ended is left out"]
-    damage += _damaged_rows(checked, shape)
+    for name in ("records/recorded", "records/trigger_time_s", *(["truth/displacement_m"] if simulated else [])):
+        # Refuses another type or shape.
+        checked.dataset(name)
+    rows, damage = _rows(checked)
+    run_time_s, times_damage = _run_time_s(checked)
+    provenance, provenance_damage = _provenance(checked)
+    records, shots = StoredRecords(path, checked.shape), checked.shape[0]
+    shot_complete, clipped = (np.array(rows[f"records/{name}"]) == 1 for name in ("shot_complete", "clipped"))
     return StoredRun(
         path=path,
         scene_name=checked.attribute("scene_name", str),
@@ -218,86 +200,76 @@ def _stored_run(checked: CheckedFile, path: Path) -> StoredRun:
         bench_toml=checked.text("bench"),
         simulated=simulated,
         status=status,
-        records=StoredRecords(path, shape),
-        true_displacement_m=StoredGroundTruth(path, shape) if simulated else None,
+        records=records,
+        true_displacement_m=StoredGroundTruth(records) if simulated else None,
         shot_complete=shot_complete,
-        clipped=tuple(int(shot) for shot in np.flatnonzero(clipped)),
+        clipped=tuple(np.flatnonzero(clipped).tolist()),
         predecessor=checked.attribute("predecessor", str),
         run_time_s=run_time_s,
-        force_set=_force_set(checked, shape[0]),
-        untrusted=_texts_by_shot(checked, shape, "untrusted"),
-        damage=tuple(damage),
+        force_set=np.array(rows.get("records/force_set", [np.nan] * shots)),
+        untrusted=_texts(rows.get("untrusted", ())),
+        damage=(*_damaged_end(checked), *times_damage, *provenance_damage, *damage),
         has_checksums=checked.has_checksums,
         run_id=checked.attribute("run_id", str) if "run_id" in checked.file.attrs else "",
         provenance=provenance,
         scan_sha256=checked.attribute("scan_sha256", str) if "scan_sha256" in checked.file.attrs else "",
-        changed_settings=_texts_by_shot(checked, shape, "changed_settings"),
-        conditions=_conditions(checked, shape[0]),
+        changed_settings=_texts(rows.get("changed_settings", ())),
+        conditions=_conditions(checked, rows),
     )
 
 
-def _remark_on_length(checked: CheckedFile) -> str | None:
-    """Return a message if the end of the file is damaged."""
+def _damaged_end(checked: CheckedFile) -> Iterator[Damage]:
+    """Yield the damage of the end of the file."""
     if checked.missing_bytes > 0 and checked.codes:
-        return f"the log of the run is damaged: its last {checked.missing_bytes} bytes are left out"
-    if checked.missing_bytes > 0:
-        return f"the file is cut short: {checked.missing_bytes} bytes are missing at its end"
-    if checked.missing_bytes < 0 and checked.is_written_once:
-        return f"{-checked.missing_bytes} bytes follow the end of the file: another program has appended them"
-    return None
+        yield Damage(f"the log of the run is damaged: its last {checked.missing_bytes} bytes are left out")
+    elif checked.missing_bytes > 0:
+        yield Damage(f"the file is cut short: {checked.missing_bytes} bytes are missing at its end")
+    elif checked.missing_bytes < 0 and checked.is_written_once:
+        yield Damage(f"{-checked.missing_bytes} bytes follow the end of the file: another program has appended them")
 
 
-def _checked_shape(checked: CheckedFile, simulated: bool) -> Shape:
-    """Return the shape (shot, pulse, sample) of the echoes.
+CONSEQUENCES: Final = {
+    "snapshot": "its settings are left out",
+    "conditions/before": "they are left out",
+    "conditions/after": "they are left out",
+    "records/shot_complete": "the shot does not count as complete",
+    "records/clipped": "the shot may have been clipped",
+    "records/force_set": "the force is left out",
+    "records/pulse_onset_s": "its records are counted in the order of arrival",
+}
+"""Consequence of a damaged row, by dataset; that of the others is a truth that is left out."""
 
-    Raises ``InvalidContentError`` unless all datasets with a value for each pulse have the same shots and pulses.
+
+def _rows(checked: CheckedFile) -> tuple[dict[str, list[Any]], list[Damage]]:
+    """Return the rows of the datasets ``READ_AT_ONCE`` that the file has, and the damaged rows of all datasets.
+
+    A damaged text is replaced by one that says so; other damaged rows are blank.
     """
-    shape: Shape = checked.dataset("records/echo", "<i2", (None, None, None)).shape
-    if min(shape) < 1 or shape[0] > MAX_SHOTS:
-        raise InvalidContentError(f"/records/echo has shape {shape}")
-    echo_dataset(checked, shape)
-    for name, dtype in (("recorded", "u1"), ("trigger_time_s", "<f8"), ("pulse_onset_s", "<f8")):
-        dataset_by_pulse(checked, f"records/{name}", shape, dtype)
-    if simulated:
-        dataset_by_pulse(checked, "truth/displacement_m", shape)
-    return shape
+    rows, damage = dict[str, list[Any]](), list[Damage]()
+    for name in BY_SHOT:
+        if not checked.has(name) and name not in REQUIRED:
+            # Early releases did not write it, or the run has no such values.
+            continue
+        rows[name] = []
+        for shot, (row, is_intact) in enumerate(checked_rows(checked, name)):
+            if not is_intact and name in TEXTS:
+                damage.append(Damage(f"/{name} fails its checksum", shot))
+                row = f"its state is unknown, /{name} is damaged".encode("ascii")
+            elif not is_intact:
+                damage.append(
+                    Damage(f"/{name} fails its checksum: {CONSEQUENCES.get(name, 'its truth is left out')}", shot)
+                )
+            if name in READ_AT_ONCE:
+                rows[name].append(row)
+    return rows, damage
 
 
-def _flags(checked: CheckedFile, shape: Shape, name: str, consequence: str) -> tuple[BoolArray, list[str]]:
-    """Return the flag ``name`` of each shot (shot,), and a message for each that fails its checksum.
-
-    ``consequence``: the end of that message.
-    """
-    values, intact = checked_rows(checked, f"records/{name}", checked.dataset(f"records/{name}", "u1", shape[:1]))
-    damage = [
-        f"shot {shot + 1}: /records/{name} fails its checksum: the shot {consequence}"
-        for shot in np.flatnonzero(~intact)
-    ]
-    return values == 1, damage
-
-
-def _force_set(checked: CheckedFile, shots: int) -> FloatArray:
-    """Return the relative force that the generator was set to in each shot, as read back, (shot,), NaN if unknown."""
-    if not checked.has("records/force_set"):
-        # Early releases did not read the generator's setting back.
-        return np.full(shots, np.nan)
-    force, _ = checked_rows(checked, "records/force_set", checked.dataset("records/force_set", "<f8", (shots,)))
-    return force
-
-
-def _texts_by_shot(checked: CheckedFile, shape: Shape, name: str) -> dict[int, str]:
+def _texts(rows: Sequence[bytes]) -> dict[int, str]:
     """Return the texts of a dataset by shot, such as why a shot is untrusted; shots without a text are absent."""
-    if not checked.has(name):
-        # Early releases did not read settings back after a shot.
-        return {}
-    dataset = checked.dataset(name, f"S{UNTRUSTED_BYTES}", shape[:1])
-    unknown = f"its state is unknown, /{name} is damaged".encode("ascii")
-    rows = zip(*checked_rows(checked, name, dataset), strict=True)
-    texts = [text if intact else unknown for text, intact in rows]
-    return {shot: text.decode("ascii", "replace") for shot, text in enumerate(texts) if text}
+    return {shot: bytes(text).decode("ascii", "replace") for shot, text in enumerate(rows) if text}
 
 
-def _conditions(checked: CheckedFile, shots: int) -> dict[str, FloatArray]:
+def _conditions(checked: CheckedFile, rows: Mapping[str, Sequence[FloatArray]]) -> dict[str, FloatArray]:
     """Return the readings of each condition by name, (shot, 2): before and after each shot.
 
     A condition is a quantity that may affect the measurement, such as the water's temperature. NaN: not read, or
@@ -305,63 +277,36 @@ def _conditions(checked: CheckedFile, shots: int) -> dict[str, FloatArray]:
     """
     if not checked.has("conditions"):
         return {}
-    names = checked.dataset("conditions/condition", f"S{CONDITION_BYTES}", (None,))
-    if names.shape[0] > MAX_CONDITIONS:
-        raise InvalidContentError(f"/conditions has {names.shape[0]} conditions")
-    checked.refuse_damaged("conditions/condition", names)
-    shape = (shots, names.shape[0])
-    columns = [
-        checked_rows(checked, name, checked.dataset(name, "<f8", shape))[0]
-        for name in ("conditions/before", "conditions/after")
-    ]
-    values = np.stack(columns, axis=-1)
-    return {printable(name.decode("ascii", "replace")): values[:, index] for index, name in enumerate(names[()])}
+    values = np.stack([rows["conditions/before"], rows["conditions/after"]], axis=-1)
+    names = _names(checked, "conditions/condition", values.shape[1])
+    return {printable(name): values[:, index] for index, name in enumerate(names)}
 
 
-def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], bool]:
-    """Return the time that each stage of the run took, s, and whether the times match their checksum."""
+def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], list[Damage]]:
+    """Return the time that each stage of the run took, s, and the damage of the times."""
     if not checked.has("run_time"):
         # The earliest run files of this version have none.
-        return {}, True
-    names = checked.dataset("run_time/stage", f"S{STAGE_BYTES}", (None,))
-    if names.shape[0] > MAX_STAGES:
-        raise InvalidContentError(f"/run_time has {names.shape[0]} stages")
-    checked.refuse_damaged("run_time/stage", names)
-    dataset = checked.dataset("run_time/run_time_s", "<f8", names.shape)
-    times_s, intact = checked_row(checked, "run_time/run_time_s", dataset, None)
-    pairs = zip([name.decode("ascii", "replace") for name in names[()]], times_s, strict=True)
-    return {stage: float(time_s) for stage, time_s in pairs if stage.isprintable() and 0 <= time_s < math.inf}, intact
+        return {}, []
+    times_s, intact = checked_row(checked, "run_time/run_time_s", None)
+    names = _names(checked, "run_time/stage", times_s.size)
+    pairs = zip(names, times_s.tolist(), strict=True)
+    times = {stage: time_s for stage, time_s in pairs if stage.isprintable() and 0 <= time_s < math.inf}
+    return times, [] if intact else [Damage("/run_time fails its checksum: the run times are left out")]
 
 
-def _provenance(checked: CheckedFile) -> tuple[Provenance, bool]:
-    """Return start, end, host, user and drivers of the run, and whether the end matches its checksum."""
+def _names(checked: CheckedFile, name: str, size: int) -> list[str]:
+    """Return the ``size`` names along an axis; raise ``InvalidContentError`` if they are damaged."""
+    dataset = checked.stored_here(name, AXIS_NAMES[name], (size,))
+    checked.refuse_damaged(name, dataset)
+    return [text.decode("ascii", "replace") for text in dataset[()]]
+
+
+def _provenance(checked: CheckedFile) -> tuple[Provenance, list[Damage]]:
+    """Return start, end, host, user and drivers of the run, and the damage of its end."""
     if not checked.has("provenance"):
-        return Provenance(), True
+        return Provenance(), []
     texts = {name: checked.text(f"provenance/{name}") for name in ("started", "host", "user", "drivers")}
-    ended, intact = checked_row(
-        checked, "provenance/ended", checked.dataset("provenance/ended", f"S{TIME_BYTES}", ()), None
-    )
+    ended, intact = checked_row(checked, "provenance/ended", None)
     text = ended.item().decode("ascii", "replace")
-    return Provenance(**texts, ended=text if text.isprintable() else ""), intact
-
-
-def _damaged_rows(checked: CheckedFile, shape: Shape) -> Iterator[str]:
-    """Yield a message for each shot and dataset of planned onsets or simulated truth that fails its checksum."""
-    consequences = {
-        "records/pulse_onset_s": "its records are counted in the order of arrival",
-        "truth/displacement_m": "its truth is left out",
-        **{f"true_harmonics/{name}": "its truth is left out" for name in TRUE_HARMONICS},
-    }
-    for name, dataset in datasets_by_shot(checked, shape):
-        if name in consequences:
-            _, intact = checked_rows(checked, name, dataset)
-            for shot in np.flatnonzero(~intact):
-                yield f"shot {shot + 1}: /{name} fails its checksum: {consequences[name]}"
-
-
-def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
-    """Return a message for each dataset with one checksum per shot that fails it in the row of ``shot``."""
-    with open_checked(stored.path) as checked:
-        datasets = datasets_by_shot(checked, stored.records.shape)
-        rows = [(name, checked_row(checked, name, dataset, shot)) for name, dataset in datasets]
-    return tuple(f"/{name} fails its checksum" for name, (_, intact) in rows if not intact)
+    damage = [] if intact else [Damage("/provenance/ended fails its checksum: when the run ended is left out")]
+    return Provenance(**texts, ended=text if text.isprintable() else ""), damage

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import threading
 from functools import partial
@@ -16,10 +15,10 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import FloatArray
 from hpe_rig.result import MOTION_UNITS, PARTS, UNITS, Covariance, Result, ShotResult, covariance_grid, result_grid
 from hpe_rig.store.atomic import atomic_file, synchronise
-from hpe_rig.store.checksum import kind_of, seal, seal_heap
+from hpe_rig.store.checksum import kind_of, sealed_file
 from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
 from hpe_rig.store.format import RESULT_FORMAT, RESULT_VERSION, StoreError, reason
-from hpe_rig.store.layout import LIBVER, name_axes
+from hpe_rig.store.layout import name_axes
 from hpe_rig.store.task import make_or_undo
 
 
@@ -35,13 +34,8 @@ def write_result(path: Path, result: Result) -> None:
     stays unchanged then.
     """
     try:
-        # Written to memory first: a disk error inside the HDF5 library can crash the program.
-        memory = io.BytesIO()
-        with h5py.File(memory, "w", libver=LIBVER) as file:
-            _write(file, result)
-            seal(file)
-            seal_heap(file, memory)
-        make_or_undo(partial(_replace, path, memory.getvalue()), lambda _: None)
+        image = sealed_file(partial(_write, result=result))
+        make_or_undo(partial(_replace, path, image), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "

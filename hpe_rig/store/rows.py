@@ -3,87 +3,55 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.arrays import BoolArray
-from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, stored_bytes
-from hpe_rig.store.format import SNAPSHOT_BYTES, UNTRUSTED_BYTES
+from hpe_rig.store.checksum import blank, stored_bytes
 from hpe_rig.store.validation import CheckedFile, stored_values
 
-Shape = tuple[int, int, int]
-"""Numbers of shots, pulses and samples."""
+SLAB_BYTES: Final = 16_000_000
+"""Maximum size of the rows that are read together, unless a single one is larger."""
 
 
-def datasets_by_shot(checked: CheckedFile, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
-    """Yield name and dataset of those datasets in the file that have one checksum for each shot.
-
-    Echoes and their trigger times are not among them, because their checksums are by chunk.
-    """
-    # Type and shape of each dataset; the others hold one float64 for each shot and frequency.
-    layouts: dict[str, tuple[str, tuple[int | None, ...]]] = {
-        "snapshot": (f"S{SNAPSHOT_BYTES}", shape[:1]),
-        # Why the settings of a shot cannot be relied on; empty if they can.
-        "untrusted": (f"S{UNTRUSTED_BYTES}", shape[:1]),
-        "changed_settings": (f"S{UNTRUSTED_BYTES}", shape[:1]),
-        "records/shot_complete": ("u1", shape[:1]),
-        "records/clipped": ("u1", shape[:1]),
-        "records/force_set": ("<f8", shape[:1]),
-        "records/pulse_onset_s": ("<f8", shape[:2]),
-        "truth/displacement_m": ("<f8", shape[:2]),
-    }
-    for name in BY_SHOT:
-        dtype, dataset_shape = layouts.get(name, ("<f8", (shape[0], None)))
-        if checked.has(name):
-            yield name, checked.dataset(name, dtype, dataset_shape)
-
-
-def checked_row(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int | None) -> tuple[Any, bool]:
-    """Return row ``row`` of dataset ``name`` (None: all of it), and whether it is intact.
+def checked_row(checked: CheckedFile, name: str, shot: int | None) -> tuple[Any, bool]:
+    """Return the row of ``shot`` in dataset ``name`` (None: all of the dataset), and whether it is intact.
 
     A row is intact if it matches its checksum, has none, or was never written (version 2). Blank values are returned
     where a checksum does not match.
     """
-    index = () if row is None else (row,)
-    values = stored_values(dataset, index)
-    if not checked.has_checksums:
+    index = () if shot is None else (shot,)
+    dataset, sums = checked.dataset(name), checked.checksums(name)
+    return _compared(checked, dataset, index, stored_values(dataset, index), None if sums is None else sums[index])
+
+
+def checked_rows(checked: CheckedFile, name: str) -> Iterator[tuple[Any, bool]]:
+    """Yield the row of every shot in dataset ``name``, and whether it is intact, as ``checked_row``."""
+    dataset, sums = checked.dataset(name), checked.checksums(name)
+    expected = [None] * dataset.shape[0] if sums is None else sums[()]
+    step = max(1, SLAB_BYTES * dataset.shape[0] // max(1, dataset.nbytes))
+    for first in range(0, dataset.shape[0], step):
+        rows = stored_values(dataset, (slice(first, first + step),))
+        for shot, row in enumerate(rows, first):
+            yield _compared(checked, dataset, (shot,), row, expected[shot])
+
+
+def _compared(
+    checked: CheckedFile, dataset: h5py.Dataset, index: tuple[int, ...], values: Any, expected: Any
+) -> tuple[Any, bool]:
+    """Return ``values`` of row ``index``, blank if their checksum is not the ``expected`` one, and whether intact."""
+    if expected is None:
         return values, True
-    expected = int(checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[: len(index)])[index])
-    matches = expected == checked.row_checksum(name, index, stored_bytes(values, dataset.dtype))
+    if checked.row_checksum(dataset.name[1:], index, stored_bytes(values, dataset.dtype)) == expected:
+        return values, True
     # In files of version 2 a checksum of 0 is that of values that were never written.
-    intact = matches or (expected == 0 and not checked.is_written_once)
-    return (values if matches else blank(dataset.dtype, values.shape)), intact
+    return blank(dataset.dtype, np.shape(values)), expected == 0 and not checked.is_written_once
 
 
-def row_or_blank(checked: CheckedFile, name: str, dataset: h5py.Dataset, row: int) -> Any:
-    """Return row ``row`` of dataset ``name``, blank if it was never written or is damaged."""
-    values, _ = checked_row(checked, name, dataset, row)
-    return values
-
-
-def checked_rows(checked: CheckedFile, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], BoolArray]:
-    """Return every row of dataset ``name``, and which rows are intact, (row,).
-
-    As ``checked_row``: rows that do not match their checksums are blank.
-    """
-    values = stored_values(dataset)
-    if not checked.has_checksums:
-        return values, np.ones(values.shape[0], bool)
-    expected = checked.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[:1])[()]
-    content = [stored_bytes(row, dataset.dtype) for row in values]
-    actual = [checked.row_checksum(name, (index,), row) for index, row in enumerate(content)]
-    matches = expected == np.array(actual, "<u8")
-    values[~matches] = blank(dataset.dtype, ())
-    # In files of version 2 a checksum of 0 is that of a row that was never written.
-    return values, matches | ((expected == 0) & (not checked.is_written_once))
-
-
-def dataset_by_pulse(checked: CheckedFile, name: str, shape: Shape, dtype: str = "<f8") -> h5py.Dataset:
-    """Return the dataset ``name`` (shot, pulse)."""
-    return checked.dataset(name, dtype, shape[:2])
+def row_or_blank(checked: CheckedFile, name: str, shot: int) -> Any:
+    """Return the row of ``shot`` in dataset ``name``, blank if it was never written or is damaged."""
+    return checked_row(checked, name, shot)[0]
 
 
 def shot_index(shot: int, shots: int) -> int:

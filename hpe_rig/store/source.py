@@ -11,16 +11,15 @@ from hpe_rig.store.assembly import view_of
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.log import is_log
-from hpe_rig.store.validation import CheckedFile, declared_size, open_hdf5, refuse_format
+from hpe_rig.store.validation import CheckedFile, checked_run, declared_size, open_hdf5
 
 
 @contextlib.contextmanager
 def open_checked(path: Path) -> Iterator[CheckedFile]:
     """Yield the content of the run ``path``, also while another program writes it; raise ``StoreError`` if invalid."""
     try:
-        with _open_unchecked(path) as checked:
-            refuse_format(checked)
-            yield checked
+        with _open_unchecked(path) as unchecked:
+            yield checked_run(unchecked)
     except InvalidContentError as error:
         raise StoreError(
             f"{path} is not a readable run file: {error}. It is damaged, was changed, or comes from elsewhere. "

@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 import weakref
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, final, overload
@@ -16,23 +16,15 @@ from typing import Final, final, overload
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
-from hpe_rig.store.codes import (
-    Arrival,
-    arrival_of,
-    code_limits_of,
-    echo_dataset,
-    placement_of,
-    read_codes,
-    refuse_excessive_size,
-)
+from hpe_rig.store.codes import Arrival, arrival_of, code_limits_of, placement_of, read_codes, refuse_excessive_size
+from hpe_rig.store.datasets import TRUE_HARMONICS
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import StoreError
-from hpe_rig.store.layout import TRUE_HARMONICS
 from hpe_rig.store.placement import Placement
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
-from hpe_rig.store.rows import Shape, dataset_by_pulse, row_or_blank, shot_index
+from hpe_rig.store.rows import row_or_blank, shot_index
 from hpe_rig.store.source import open_checked
-from hpe_rig.store.validation import CheckedFile, stored_values
+from hpe_rig.store.validation import CheckedFile, Shape
 
 MAX_SAMPLES_IN_MEMORY: Final = 1 << 25
 """Maximum number of samples of a shot that are read into memory; the records of a longer shot stay in the file."""
@@ -100,11 +92,8 @@ class StoredShot:
         if self.copy is not None and self.copy.complete:
             return self.copy.block(first, last)
         with open_checked(self.path) as checked:
-            echo = checked.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
-            arrival = Arrival(self.valid, np.full(self.valid.size, np.nan), self.damaged)
             rows = slice(first, max(first, last))
-            codes, _ = read_codes(checked, echo, f"records/{self.name}", self.shot, arrival, self.samples, rows)
-        return codes
+            return read_codes(checked, self.name, self.shot, self.valid, self.samples, rows)[0]
 
 
 @final
@@ -167,39 +156,46 @@ class StoredRecords(Sequence[ShotRecords]):
             return tuple(self[index] for index in range(*shot.indices(len(self))))
         return self.gated(shot, slice(0, self.shape[2]))
 
+    @contextmanager
+    def open(self) -> Iterator[CheckedFile]:
+        """Yield the content of the run; raise ``StoreError`` if it has another shape by now."""
+        with open_checked(self.path) as checked:
+            if checked.shape != self.shape:
+                raise InvalidContentError(f"it was replaced by a run of {checked.shape} instead of {self.shape}")
+            yield checked
+
     def monitor(self, shot: int) -> ShotRecords | None:
         """Return the records of ``shot`` at the monitor input, (pulse, sample), None if it was not recorded."""
-        with open_checked(self.path) as checked:
+        with self.open() as checked:
             if not checked.has("records/monitor"):
                 return None
         return self.gated(shot, slice(0, self.shape[2]), "monitor")
 
+    def arrival(self, shot: int) -> Arrival:
+        """Return which records of ``shot`` have an intact mark, and their trigger times; echoes may be damaged."""
+        with self.open() as checked:
+            return arrival_of(checked, shot_index(shot, self.shape[0]))
+
     def placement(self, shot: int) -> Placement:
         """Return the pulse of each record of ``shot`` by the trigger times."""
-        with open_checked(self.path) as checked:
+        with self.open() as checked:
             shot = shot_index(shot, self.shape[0])
-            return placement_of(checked, self.shape, shot, arrival_of(checked, self.shape, shot))
-
-    def trigger_time_s(self, shot: int) -> FloatArray:
-        """Return the trigger time of each record of ``shot``, s (record,); NaN for missing records and times."""
-        with open_checked(self.path) as checked:
-            return arrival_of(checked, self.shape, shot_index(shot, self.shape[0])).trigger_time_s
+            return placement_of(checked, shot, arrival_of(checked, shot))
 
     def gated(
         self, shot: int, gate: slice, name: str = "echo", margin: int = 0, placement: Placement | None = None
     ) -> ShotRecords:
         """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample).
 
-        ``placement``: pulses of the records; None: by the trigger times.
+        ``name``: the input, "echo" or "monitor". ``placement``: pulses of the records; None: by the trigger times.
         """
-        with open_checked(self.path) as checked:
+        with self.open() as checked:
             stored, offset_v, arrival = self._of_shot(checked, shot, gate, name, margin)
-            echo = echo_dataset(checked, self.shape, name)
-            codes, damaged = read_codes(checked, echo, f"records/{name}", stored.shot, arrival, stored.samples)
-            record_placement = placement or placement_of(checked, self.shape, stored.shot, arrival)
-        time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
+            codes, damaged = read_codes(checked, f"records/{name}", stored.shot, arrival.recorded, stored.samples)
+            record_placement = placement or placement_of(checked, stored.shot, arrival)
+        time_s = np.where(damaged, np.nan, arrival.trigger_time_s)
         scale, limits = stored.volts_per_code, stored.code_limits
-        records = ShotRecords(codes, time_s, scale, offset_v, limits, stored.margin, damaged)
+        records = ShotRecords(codes, time_s, scale, offset_v, limits, stored.margin, damaged | arrival.damaged)
         return records.placed(record_placement)
 
     def shot_blocks(
@@ -219,9 +215,9 @@ class StoredRecords(Sequence[ShotRecords]):
         """
         if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= max_samples:
             return self.gated(shot, gate, margin=margin, placement=placement)
-        with open_checked(self.path) as checked:
+        with self.open() as checked:
             stored, _, arrival = self._of_shot(checked, shot, gate, "echo", margin)
-            placement = placement or placement_of(checked, self.shape, stored.shot, arrival)
+            placement = placement or placement_of(checked, stored.shot, arrival)
         records_are_pulses = placement.is_identity
         pulses, samples = stored.shape
         gate_samples = slice(stored.margin[0], samples - stored.margin[1])
@@ -255,105 +251,69 @@ class StoredRecords(Sequence[ShotRecords]):
                 "Try: a run whose scene passes hpe-rig check."
             )
         samples, margins = with_margin(gate, margin, self.shape[2])
-        arrival = arrival_of(checked, self.shape, shot)
-        refuse_excessive_size(
-            checked, echo_dataset(checked, self.shape, name), arrival.recorded, samples.stop - samples.start
-        )
-        scale, offset = (checked.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
-        limits = code_limits_of(checked, f"records/{name}")
+        arrival, name = arrival_of(checked, shot), f"records/{name}"
+        refuse_excessive_size(checked, name, arrival.recorded, samples.stop - samples.start)
+        scale, offset = (checked.attribute(key, float, name) for key in ("scale_factor", "add_offset"))
+        limits = code_limits_of(checked, name)
         stored = StoredShot(self.path, name, shot, samples, arrival.recorded, scale, limits, margins, arrival.damaged)
         return stored, offset, arrival
 
-    def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, Int16Array]]:
-        """Yield (first pulse, codes (pulse, sample)) of ``shot`` in blocks of ``pulses``, opening the file once.
+    def blocks(
+        self, shot: int, max_records: int, name: str = "echo", samples: slice = slice(None)
+    ) -> Generator[tuple[int, Int16Array, BoolArray], None, None]:
+        """Yield first record, codes of ``samples`` (record, sample) and which records are damaged, block by block.
 
-        ``name``: the input, "echo" or "monitor". Raises ``StoreError`` if a record is damaged.
+        A block has as many whole chunks as ``max_records`` allow, at least one. ``name``: the input, "echo" or
+        "monitor".
         """
-        with open_checked(self.path) as checked:
-            echo, arrival = echo_dataset(checked, self.shape, name), arrival_of(checked, self.shape, shot)
-            for first in range(0, self.shape[1], pulses):
-                rows = slice(first, first + pulses)
-                codes, damaged = read_codes(
-                    checked, echo, f"records/{name}", shot, arrival, slice(0, self.shape[2]), rows
-                )
-                if damaged.any():
-                    raise InvalidContentError(f"shot {shot + 1} has records that fail their checksums")
-                yield first, codes
+        samples = slice(*samples.indices(self.shape[2]))
+        with self.open() as checked:
+            arrival = arrival_of(checked, shot)
+            step = max(1, max_records // checked.chunk_records) * checked.chunk_records
+            for first in range(0, self.shape[1], step):
+                rows = slice(first, first + step)
+                codes, damaged = read_codes(checked, f"records/{name}", shot, arrival.recorded, samples, rows)
+                yield first, codes, damaged | arrival.damaged[rows]
 
     def damaged(
-        self,
-        shot: int,
-        pulses: int = 4096,
-        visit: Callable[[Int16Array], None] | None = None,
-        samples: slice = slice(0, 0),
+        self, shot: int, visit: Callable[[Int16Array], None] | None = None, samples: slice = slice(0, 0)
     ) -> BoolArray:
-        """Return which records of ``shot`` are damaged at any input, (record,), reading at most ``pulses`` at a time.
+        """Return which records of ``shot`` are damaged at any input, (record,).
 
         ``visit`` is called with the codes of ``samples`` of all echoes (record, sample), block by block, in the order
         of the file.
         """
         damaged = np.zeros(self.shape[1], bool)
-        # An error of ``visit`` does not pass through ``open_checked``, which would report a damaged file.
-        with closing(self._checked_blocks(shot, pulses, samples)) as blocks:
-            for name, rows, codes, damaged_rows in blocks:
-                damaged[rows] |= damaged_rows
-                if visit is not None and name == "echo":
-                    visit(codes)
+        with self.open() as checked:
+            names = ("echo", *(["monitor"] if checked.has("records/monitor") else []))
+        for name in names:
+            # An error of ``visit`` does not pass through ``open_checked``, which would report a damaged file.
+            with closing(self.blocks(shot, MAX_SAMPLES_PER_STEP // self.shape[2], name, samples)) as blocks:
+                for first, codes, damaged_records in blocks:
+                    damaged[first : first + damaged_records.size] |= damaged_records
+                    if visit is not None and name == "echo":
+                        visit(codes)
         return damaged
-
-    def _checked_blocks(
-        self, shot: int, pulses: int, samples: slice
-    ) -> Generator[tuple[str, slice, Int16Array, BoolArray], None, None]:
-        """Yield input, records, codes of ``samples`` (record, sample) and damage (record,) block by block."""
-        with open_checked(self.path) as checked:
-            arrival = arrival_of(checked, self.shape, shot)
-            for name in ("echo", *(["monitor"] if checked.has("records/monitor") else [])):
-                echo = echo_dataset(checked, self.shape, name)
-                # Whole chunks, so that each is read and compared once.
-                max_pulses = min(pulses, MAX_SAMPLES_PER_STEP // self.shape[2])
-                step = max(1, max_pulses // echo.chunks[1]) * echo.chunks[1]
-                for first in range(0, self.shape[1], step):
-                    rows = slice(first, first + step)
-                    codes, damaged_rows = read_codes(checked, echo, f"records/{name}", shot, arrival, samples, rows)
-                    yield name, rows, codes, damaged_rows | arrival.damaged[rows]
-
-    def recorded(self, shot: int) -> BoolArray:
-        """Return which records of ``shot`` have an intact mark, (pulse,); their echoes can still be damaged."""
-        with open_checked(self.path) as checked:
-            return arrival_of(checked, self.shape, shot).recorded
-
-    def unverified(self, shot: int) -> BoolArray:
-        """Return which records of ``shot`` are marked as recorded but have no checksum, (pulse,)."""
-        with open_checked(self.path) as checked:
-            marked: BoolArray = (
-                stored_values(dataset_by_pulse(checked, "records/recorded", self.shape, "u1"), (shot,)) == 1
-            )
-            arrival = arrival_of(checked, self.shape, shot)
-            return marked & ~arrival.recorded & ~arrival.damaged
 
 
 @dataclass(frozen=True, slots=True)
 class StoredGroundTruth:
     """True displacement of every shot, float64 (pulse,) in m, each read on demand."""
 
-    path: Path
-    shape: Shape
+    records: StoredRecords
 
     def __getitem__(self, shot: int) -> FloatArray:
         """Return the true displacement at every record of ``shot``, m; NaN if missing or damaged."""
-        name = "truth/displacement_m"
-        with open_checked(self.path) as checked:
-            shot = shot_index(shot, self.shape[0])
-            row_m: FloatArray = row_or_blank(checked, name, dataset_by_pulse(checked, name, self.shape), shot)
-            record = placement_of(checked, self.shape, shot, arrival_of(checked, self.shape, shot)).record
+        with self.records.open() as checked:
+            shot = shot_index(shot, checked.shape[0])
+            row_m: FloatArray = row_or_blank(checked, "truth/displacement_m", shot)
+            record = placement_of(checked, shot, arrival_of(checked, shot)).record
             return np.where(record >= 0, row_m[np.maximum(record, 0)], np.nan)
 
     def harmonics_m(self, shot: int, frequencies: int) -> FloatArray:
         """Return A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
-        shape, shot = (self.shape[0], None), shot_index(shot, self.shape[0])
-        with open_checked(self.path) as checked:
-            names = [f"true_harmonics/{name}" for name in TRUE_HARMONICS]
-            rows = [row_or_blank(checked, name, checked.dataset(name, "<f8", shape), shot) for name in names]
+        with self.records.open() as checked:
+            rows = [row_or_blank(checked, name, shot_index(shot, checked.shape[0])) for name in TRUE_HARMONICS]
             if rows[0].size < frequencies:
                 raise InvalidContentError(f"/true_harmonics has {rows[0].size} frequencies, its scene {frequencies}")
             return np.stack(rows, axis=-1)[:frequencies]

@@ -11,7 +11,7 @@ import ctypes
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,9 +23,16 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import Int16Array
 from hpe_rig.scene import MAX_TEXT_BYTES, control_character, printable
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, crc, digest, stored_bytes
+from hpe_rig.store.datasets import AT_ONCE, BY_CHUNK, DATASETS, RECORD_AXES
 from hpe_rig.store.foreign_hdf5 import InvalidContentError, bytes_in_memory, refuse_elsewhere, refuse_expansion
 from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, OLDEST_VERSION, StoreError, extra
 
+Shape = tuple[int, int, int]
+"""Numbers of shots, pulses and samples."""
+
+MAX_SHOTS: Final = 1_000_000
+MAX_COLUMNS: Final = 10_000
+"""Maximum number of stages, conditions or frequencies."""
 MAX_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
@@ -37,16 +44,20 @@ METADATA_ATTEMPTS: Final = 20
 
 @dataclass(frozen=True, slots=True)
 class CheckedFile:
-    """Open file that returns only checked content.
+    """Open HDF5 file that returns only checked content; ``shape`` and ``chunk_records`` are those of a run.
 
-    ``missing_bytes``: how much shorter it is than it declares, negative if bytes follow its end; of a log, the
-    unreadable bytes. ``codes``: of a chunk of echoes in a log (``LogContent.codes``); None if ``file`` has them.
+    ``size``: bytes of the file. ``missing_bytes``: how much shorter it is than it declares, negative if bytes follow
+    its end; of a log, the unreadable bytes. ``codes``: returns a chunk of echoes in a log (``LogContent.codes``); None
+    if ``file`` has them. ``shape``: numbers of shots, pulses and samples, 0 if any is allowed. ``chunk_records``:
+    records in a chunk of echoes.
     """
 
     file: h5py.File
     size: int = 0
     missing_bytes: int = 0
     codes: Callable[[str, int, int, tuple[int, int], int], tuple[Int16Array, int] | None] | None = None
+    shape: Shape = (0, 0, 0)
+    chunk_records: int = 0
 
     @property
     def is_written_once(self) -> bool:
@@ -62,10 +73,17 @@ class CheckedFile:
         """Whether the file has checksums; files of early releases have none."""
         return GROUP in self.file
 
+    def checksums(self, name: str) -> Any:
+        """Return the checksums of dataset ``name``, (shot,), (shot, chunk) or a single one; None in an early file."""
+        if not self.has_checksums:
+            return None
+        chunks = -(-self.shape[1] // self.chunk_records)
+        shape = () if name in AT_ONCE else (self.shape[0], chunks) if name in BY_CHUNK else (self.shape[0],)
+        return self.stored_here(f"{GROUP}/{name}", "<u8", shape)
+
     def text(self, name: str) -> str:
         """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is damaged or no text."""
         dataset = self._dataset(name)
-        refuse_elsewhere(dataset)
         _require_fixed_text(dataset, f"/{name}")
         self.refuse_damaged(name, dataset)
         return _text(dataset[()], f"/{name}")
@@ -83,15 +101,26 @@ class CheckedFile:
         content = stored_bytes(stored_values(dataset), dataset.dtype)
         return isinstance(stated, np.uint64) and int(stated) == digest(name, (), content)
 
-    def stored_here(self, name: str) -> h5py.Dataset:
-        """Return dataset ``name`` if the file itself holds its values."""
-        dataset = self._dataset(name)
-        refuse_elsewhere(dataset)
+    def dataset(self, name: str) -> h5py.Dataset:
+        """Return dataset ``name`` of a run if its type, shape and chunks are those of a run file."""
+        layout = DATASETS[name]
+        lengths = dict(zip(RECORD_AXES, self.shape, strict=True))
+        dataset = self.stored_here(name, layout.dtype, tuple(lengths.get(axis) or None for axis in layout.axes))
+        if any(
+            size > MAX_COLUMNS for axis, size in zip(layout.axes, dataset.shape, strict=True) if axis not in lengths
+        ):
+            raise InvalidContentError(f"/{name} has shape {dataset.shape}")
+        if layout.axes == RECORD_AXES:
+            if dataset.chunks is None:
+                raise InvalidContentError(f"/{name} is in one piece")
+            chunk_records = self.chunk_records or dataset.chunks[1]
+            if dataset.chunks != (1, chunk_records, dataset.shape[2]):
+                raise InvalidContentError(f"/{name} has chunks of {dataset.chunks}")
         return dataset
 
-    def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+    def stored_here(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
         """Return dataset ``name`` if it has this type and shape; None in ``shape`` allows any length."""
-        dataset = self.stored_here(name)
+        dataset = self._dataset(name)
         if dataset.dtype != np.dtype(dtype):
             raise InvalidContentError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
         same_rank = len(dataset.shape or ()) == len(shape)
@@ -124,7 +153,7 @@ class CheckedFile:
         return name in self.file
 
     def _dataset(self, name: str) -> h5py.Dataset:
-        """Return dataset ``name``; raise ``InvalidContentError`` if it is absent, a link or a group."""
+        """Return dataset ``name``; raise ``InvalidContentError`` if it is absent, a group or in another file."""
         path = ""
         # Each group on the path is checked: any of them can be a link to another file.
         for component in name.split("/"):
@@ -137,6 +166,7 @@ class CheckedFile:
         item = self.file[name]
         if not isinstance(item, h5py.Dataset):
             raise InvalidContentError(f"{path} is not a dataset")
+        refuse_elsewhere(item)
         return item
 
 
@@ -202,8 +232,8 @@ def declared_size(path: Path) -> int:
     return int.from_bytes(start[END_OFFSET:], "little")
 
 
-def refuse_format(checked: CheckedFile) -> None:
-    """Raise ``InvalidContentError`` unless the file is a run file of this format version."""
+def checked_run(checked: CheckedFile) -> CheckedFile:
+    """Return the content of a run with its shape; raise ``InvalidContentError`` unless it is one of this format."""
     try:
         is_run = checked.attribute("format", str) == FORMAT
     except InvalidContentError:
@@ -211,12 +241,16 @@ def refuse_format(checked: CheckedFile) -> None:
     if not is_run:
         raise InvalidContentError("it is an HDF5 file, but a result file or another program's")
     version = checked.attribute("format_version", int)
-    newer = f"this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
     if not OLDEST_VERSION <= version <= FORMAT_VERSION:
+        newer = f"this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
         why = newer if version > FORMAT_VERSION else "which predates the promises of run files"
         raise InvalidContentError(f"it has format version {version}, {why}")
     if checked.is_written_once and not checked.has_checksums:
         raise InvalidContentError("its checksums are absent")
+    echo = checked.dataset("records/echo")
+    if min(echo.shape) < 1 or echo.shape[0] > MAX_SHOTS:
+        raise InvalidContentError(f"/records/echo has shape {echo.shape}")
+    return replace(checked, shape=echo.shape, chunk_records=echo.chunks[1])
 
 
 def _require_fixed_text(holder: Any, where: str) -> None:
@@ -258,12 +292,17 @@ def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
     """Raise ``InvalidContentError`` for chunks that are too large or filters other than bitshuffle and Fletcher-32."""
     if dataset.chunks is not None and math.prod(dataset.chunks) * dataset.dtype.itemsize > MAX_CHUNK_BYTES:
         raise InvalidContentError(f"/{name} has chunks of {dataset.chunks}, larger than any run file's")
-    plist = dataset.id.get_create_plist()
-    filters = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
-    if [number for number in filters if number != h5z.FILTER_FLETCHER32] not in ([], [BITSHUFFLE]):
+    numbers = filters(dataset)
+    if [number for number in numbers if number != h5z.FILTER_FLETCHER32] not in ([], [BITSHUFFLE]):
         raise InvalidContentError(
-            f"/{name} went through filters {filters[:5]}, of which a run file knows {BITSHUFFLE} only"
+            f"/{name} went through filters {numbers[:5]}, of which a run file knows {BITSHUFFLE} only"
         )
-    if BITSHUFFLE in filters:
+    if BITSHUFFLE in numbers:
         with extra("compression"):
             import hdf5plugin  # noqa: F401, registers the filter
+
+
+def filters(dataset: h5py.Dataset) -> list[int]:
+    """Return the registered numbers of the filters of ``dataset``."""
+    properties = dataset.id.get_create_plist()
+    return [properties.get_filter(index)[0] for index in range(properties.get_nfilters())]

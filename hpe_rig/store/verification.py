@@ -3,50 +3,25 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import h5py
-import numpy as np
 
-from hpe_rig.arrays import BoolArray
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound, kind_of
+from hpe_rig.store.damage import Damage, ranges
 from hpe_rig.store.foreign_hdf5 import InvalidContentError, open_bounded
 from hpe_rig.store.format import StoreError, reason
 from hpe_rig.store.json_checksum import read_sealed
-from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
+from hpe_rig.store.reader import read_run
 from hpe_rig.store.source import open_checked
 from hpe_rig.store.validation import CheckedFile
 
 TEXT_KINDS: Final = ("queue", "marks", "study", "summary")
 """Kinds of files of text with a checksum."""
-MAX_ECHO_BYTES: Final = 64_000_000
-"""Maximum size of the echoes in memory."""
-
-
-@dataclass(frozen=True, slots=True)
-class Damage:
-    """Part of a file that fails its checksum.
-
-    ``shot`` counts from 0; None if the damage belongs to no shot. ``records``: first and last of each series of
-    consecutive damaged records, from 0.
-    """
-
-    what: str
-    shot: int | None = None
-    records: tuple[tuple[int, int], ...] = ()
-
-    def __str__(self) -> str:
-        """Return the damage in words, with the shot and the damaged records counted from 1."""
-        where = "" if self.shot is None else f"shot {self.shot + 1}: "
-        if not self.records:
-            return f"{where}{self.what}"
-        ranges = [str(first + 1) if first == last else f"{first + 1} to {last + 1}" for first, last in self.records]
-        return f"{where}record {', '.join(ranges)} {self.what}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,27 +73,19 @@ def verify(path: Path) -> Verification:
     if (kind := kind_of(path)) in ("result", "map"):
         return _verified_result(path, kind)
     stored = read_run(path)
-    damage = [Damage(text) for text in stored.damage if not text.startswith("shot ")]
+    damage = list(stored.damage)
     with open_checked(path) as checked:
         if checked.codes is None:
             damage += _damaged_datasets(checked.file, path)
-    records = 0
-    for shot in range(stored.shot_complete.size):
-        records += int(stored.records.recorded(shot).sum())
-        damage += [Damage(what, shot) for what in damage_by_shot(stored, shot)]
-        damage += _damaged_records(stored, shot)
-    complete = int(stored.shot_complete.sum())
-    kind, shots = "run", stored.shot_complete.size
-    return Verification(path, kind, stored.status, shots, complete, records, stored.has_checksums, tuple(damage))
-
-
-def _damaged_records(stored: StoredRun, shot: int) -> Iterator[Damage]:
-    """Yield the damage of the records of ``shot``: those that fail checksums, and those marked without a checksum."""
-    pulses = MAX_ECHO_BYTES // (2 * stored.records.shape[2])
-    if (damaged := stored.records.damaged(shot, pulses)).any():
-        yield Damage("fail their checksums or lie beyond the end of the file", shot, ranges(damaged))
-    if stored.shot_complete[shot] and (unverified := stored.records.unverified(shot)).any():
-        yield Damage("are marked as recorded, without a checksum", shot, ranges(unverified))
+    records, shots, complete = 0, stored.shot_complete.size, int(stored.shot_complete.sum())
+    for shot in range(shots):
+        arrival = stored.records.arrival(shot)
+        records += int(arrival.recorded.sum())
+        if (damaged := stored.records.damaged(shot)).any():
+            damage.append(Damage("fail their checksums or lie beyond the end of the file", shot, ranges(damaged)))
+        if stored.shot_complete[shot] and arrival.unverified.any():
+            damage.append(Damage("are marked as recorded, without a checksum", shot, ranges(arrival.unverified)))
+    return Verification(path, "run", stored.status, shots, complete, records, stored.has_checksums, tuple(damage))
 
 
 def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:
@@ -173,13 +140,3 @@ def _verified_result(path: Path, kind: str) -> Verification:
             f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
         ) from error
     return Verification(path, kind, "complete", shots, shots, 0, checksums, damage)
-
-
-def ranges(which: BoolArray) -> tuple[tuple[int, int], ...]:
-    """Return first and last index of each series of consecutive true values in ``which``.
-
-    >>> ranges(np.array([True, True, False, True]))
-    ((0, 1), (3, 3))
-    """
-    edges: Iterable[int] = np.flatnonzero(np.diff(np.concatenate(([False], which, [False])).astype(np.int8))).tolist()
-    return tuple((first, end - 1) for number, (first, end) in enumerate(pairwise(edges)) if not number % 2)

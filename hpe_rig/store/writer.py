@@ -29,14 +29,15 @@ from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
 from hpe_rig.store.assembly import DamagedLogError, assemble
 from hpe_rig.store.atomic import atomic_file, refuse_unwritable, synchronise
+from hpe_rig.store.damage import ranges
+from hpe_rig.store.datasets import TRUE_HARMONICS
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, TIME_BYTES, UNTRUSTED_BYTES, StoreError, reason
-from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, chunk_records, code_scale_and_offset_v, empty_run
+from hpe_rig.store.layout import Predecessor, chunk_records, code_scale_and_offset_v, empty_run
 from hpe_rig.store.lock import is_locked
 from hpe_rig.store.log import CODES, SHOT_COMPLETE, STATUS, TRIGGER_TIMES, LogWriter, new_log
 from hpe_rig.store.reader import StoredRun, read_run
 from hpe_rig.store.task import make_or_undo
-from hpe_rig.store.verification import ranges
 
 CHECK_INTERVAL_S = 0.25
 """How often a run that writes nothing checks that its file still exists."""
@@ -190,7 +191,7 @@ class RunWriter:
         """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
             missing = np.full(self._frequencies - column_m.size, np.nan)
-            self._put(f"true_harmonics/{name}", shot.index, _floats(np.concatenate([column_m, missing])))
+            self._put(name, shot.index, _floats(np.concatenate([column_m, missing])))
 
     def write_run_times(self, run_time_s: Mapping[str, float]) -> None:
         """Write the wall time of each stage so far."""
@@ -204,17 +205,18 @@ class RunWriter:
 
     def copy_shot(self, earlier: StoredRun, shot: int) -> None:
         """Copy ``shot`` of another run of the same plan into this one; raise ``StoreError`` if it is damaged."""
-        rows = earlier.rows(shot)
-        inputs = [earlier.records.chunks(shot, self._chunk_records, name) for name in self._inputs]
+        arrival = earlier.records.arrival(shot)
+        inputs = [earlier.records.blocks(shot, self._chunk_records, name) for name in self._inputs]
         for blocks in zip(*inputs, strict=True):
-            first = blocks[0][0]
-            last = first + blocks[0][1].shape[0]
+            first, codes, _ = blocks[0]
+            if any(damaged.any() for _, _, damaged in blocks):
+                raise StoreError(f"{earlier.path}: records of shot {shot + 1} are damaged. Try: hpe-rig resume again.")
             # The records of a chunk that arrived, in series of consecutive ones.
-            for start, stop in ranges(rows.recorded[first:last]):
-                series = slice(start, stop + 1)
-                codes = [codes[series] for _, codes in blocks]
-                self._append_records(shot, first + start, codes, rows.trigger_time_s[first:last][series])
-        for name, row in rows.tables.items():
+            for start, stop in ranges(arrival.recorded[first : first + codes.shape[0]]):
+                series, last = slice(start, stop + 1), first + stop + 1
+                time_s = arrival.trigger_time_s[first + start : last]
+                self._append_records(shot, first + start, [codes[series] for _, codes, _ in blocks], time_s)
+        for name, row in earlier.rows(shot).items():
             self._put(name, shot, np.asarray(row).tobytes())
         self._put(SHOT_COMPLETE, shot, b"\x01")
         with self._writing():

@@ -111,7 +111,7 @@ def test_marks_of_another_run_are_not_applied_and_damaged_ones_are_refused(run_f
     marks.write_text(sealed_json(tables), encoding="utf-8")
     stored = read_run(run_file)
     assert not stored.marks
-    assert "run.marks.json belongs to another run than run.h5" in stored.damage[0]
+    assert "run.marks.json belongs to another run than run.h5" in str(stored.damage[0])
     for wrong in (text[:-9], text.replace('"shot": 2', '"shot": 9'), "[]", text.replace("bad", "good")):
         marks.write_text(wrong, encoding="utf-8")
         with pytest.raises(StoreError, match=r"run\.marks\.json cannot be read as marks of shots"):

@@ -211,7 +211,7 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
         replaced("run_time/run_time_s", shape=(11,), dtype="S9"),
         "/run_time/run_time_s holds",
     ),
-    "run times without end": (replaced("run_time/stage", shape=(1_000_000,), dtype="S16"), "1000000 stages"),
+    "run times without end": (replaced("run_time/stage", shape=(1_000_000,), dtype="S16"), "has shape"),
     "run times that are none": (values("run_time/run_time_s", np.inf), ""),
     "truth that is absent": (lambda path: _delete(path, "truth"), "absent"),
     "settings that are no JSON": (values("snapshot", b"{" * 900), ""),

@@ -9,7 +9,7 @@ from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.linear_fit import fitted_over_true
 from hpe_rig.prediction.text import aliasing_text
 from hpe_rig.scene import scene_text
-from hpe_rig.store.layout import TRUE_HARMONICS
+from hpe_rig.store.datasets import TRUE_HARMONICS
 
 
 def plain_text(name):
@@ -38,7 +38,7 @@ def test_aliasing_of_synchronous_pulses_equals_that_of_the_twins_motion(tmp_path
     shot = setup.plan.shots[0]
     with h5py.File(record_run(setup, tmp_path / "run.h5")) as file:
         motion_m = file["truth/displacement_m"][0]
-        in_phase_m, quadrature_m = (file[f"true_harmonics/{part}"][0] for part in TRUE_HARMONICS)
+        in_phase_m, quadrature_m = (file[part][0] for part in TRUE_HARMONICS)
     period_m, time_s = motion_m[-40:], shot.timeline.sensing_s[-40:] - shot.timeline.time_zero_s
     angle = 2 * np.pi * np.outer(setup.scene.scene.wanted_frequencies_hz, time_s)
     aliased = (np.sin(angle) + 1j * np.cos(angle)) @ period_m / 20

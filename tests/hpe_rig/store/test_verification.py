@@ -26,7 +26,7 @@ from hpe_rig.runs.run import open_run, process
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
 from hpe_rig.store.checksum import HEAP
-from hpe_rig.store.verification import Damage, ranges
+from hpe_rig.store.damage import Damage, ranges
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "run_files"
 
