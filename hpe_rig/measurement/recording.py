@@ -171,11 +171,12 @@ class RunRecorder:
             case ShotReady(shot, settings):
                 self._run(partial(self._open().write_settings, shot, settings))
             case ShotUntrusted(shot, why):
-                self._run(partial(self._open().write_untrusted, shot, why))
+                self._run(partial(self._open().write_rows, shot, {"untrusted": why}))
             case ShotSettingsChanged(shot, changes):
-                self._run(partial(self._open().write_changed_settings, shot, changes))
+                self._run(partial(self._open().write_rows, shot, {"changed_settings": changes}))
             case ShotConditions(shot, before, after):
-                self._run(partial(self._open().write_conditions, shot, before, after))
+                rows = {"conditions/before": before, "conditions/after": after}
+                self._run(partial(self._open().write_rows, shot, rows))
             case ShotDone():
                 self._finish_shot(event, scene, bench, stages)
 
@@ -203,7 +204,7 @@ class RunRecorder:
                 truth = displacement_m, true_harmonics_m(scene, event.shot, bench.world.true_motion_m)
 
         def finish() -> None:
-            writer.write_clipped(event.shot, event.clipped)
+            writer.write_rows(event.shot, {"records/clipped": event.clipped})
             if truth is not None:
                 writer.write_ground_truth(event.shot, truth[0])
                 writer.write_true_harmonics(event.shot, truth[1])

@@ -317,5 +317,6 @@ def _write_records(
                 block = np.ascontiguousarray(codes[rows])
                 times = np.full(rows.size, np.nan)
                 writer.append(shot, RecordBlock(int(rows[0]), block, times, scale_v, scale_v / 2, limits))
-        writer.write_clipped(shot, bool((codes <= limits[0]).any() or (codes >= limits[1]).any()))
+        clipped = bool((codes <= limits[0]).any() or (codes >= limits[1]).any())
+        writer.write_rows(shot, {"records/clipped": clipped})
         writer.finish(shot)

@@ -2,6 +2,8 @@
 
     format.py        names, versions, limits and file names; ``StoreError``; ``extra``: a missing optional package
     foreign_hdf5.py  bounded reading of HDF5 files of unknown origin
+    datasets.py      the datasets of a run file: type, axes, unit and kind of checksum
+    damage.py        damage of a file, in words
     checksum.py      the checksum of every dataset, row and chunk
     layout.py        the empty run file: every group, dataset and attribute at its final size
     placement.py     trigger times -> the pulse of each record

@@ -11,9 +11,10 @@ import contextlib
 import os
 import secrets
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 from io import FileIO
 from itertools import zip_longest
 from pathlib import Path
@@ -52,91 +53,71 @@ MAX_VIEWS: Final = 2
 """Number of logs whose content stays in memory, except for the echoes."""
 BUFFER_BYTES: Final = 4_000_000
 """Size of the writes that go to the disk together: a thread for each write takes as long as the write."""
-LIBRARY_ERRORS: Final = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError)
+LIBRARY_ERRORS: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError)
 
-Rows = dict[str, dict[int, Frame]]
-ChunkKey = tuple[str, int, int]
-"""Dataset, shot and number of a chunk of records."""
-Chunks = dict[ChunkKey, list[Frame]]
+Frames = dict[tuple[str, tuple[int, ...]], list[Frame]]
+"""Frames of a log by dataset and row or chunk, in the order of arrival; the last one of a row counts."""
 
 
 class DamagedLogError(Exception):
     """A log with damage in frames that were synced: it is read as it is and not replaced."""
 
 
-@dataclass(frozen=True, slots=True)
-class LogContent:
-    """Frames of a log by dataset and shot: the last one of each row, and all those of each chunk of records.
+def _codes(
+    checked: CheckedFile, frames: Frames, stream: IO[bytes], name: str, shot: int, number: int
+) -> tuple[Int16Array, int] | None:
+    """Return the codes of chunk ``number`` of ``shot`` in a log, (record, sample), and their checksum; None if damaged.
 
-    ``chunk_records``: number of records in a chunk.
+    Missing records hold ``MISSING``.
     """
-
-    rows: Rows
-    chunks: Chunks
-    chunk_records: int
-
-    @classmethod
-    def of(cls, frames: Sequence[Frame], chunk_records: int) -> LogContent:
-        """Sort the ``frames`` of a log."""
-        rows, chunks = Rows(), Chunks()
-        for frame in frames:
-            if frame.name in (*CODES, TRIGGER_TIMES):
-                chunks.setdefault((frame.name, frame.shot, frame.first // chunk_records), []).append(frame)
-            else:
-                rows.setdefault(frame.name, {})[frame.shot] = frame
-        return cls(rows, chunks, chunk_records)
-
-    def codes(
-        self, stream: IO[bytes], name: str, shot: int, number: int, shape: tuple[int, int], first: int
-    ) -> tuple[Int16Array, int] | None:
-        """Return the codes of chunk ``number`` of ``shot``, (record, sample), and their checksum; None if damaged.
-
-        ``shape``: of the chunk, ``first``: its first record in the shot. Missing records hold ``MISSING``.
-        """
-        codes, checksum = np.full((0, shape[1]), MISSING), 0
-        for frame in self.chunks.get((name, shot, number), ()):
-            content, is_intact = payload(stream, frame, self.chunk_records)
-            start, records = frame.first - first, len(content) // (2 * shape[1])
-            if not is_intact or len(content) != 2 * shape[1] * records or start + records > shape[0]:
-                return None
-            values = np.frombuffer(content, "<i2").reshape(records, shape[1])
-            if records == shape[0]:
-                # The usual case: one frame holds the whole chunk, and its checksum is the chunk's.
-                codes, checksum = values, frame.checksum
-                continue
-            codes = codes.copy() if codes.size else np.full(shape, MISSING)
-            codes[start : start + records], checksum = values, 0
+    index, first, (_, records, samples) = (shot, number), number * checked.chunk_records, checked.shape
+    shape = (min(checked.chunk_records, records - first), samples)
+    codes = np.full((0, samples), MISSING)
+    for frame in frames.get((name, index), ()):
+        content, is_intact = payload(stream, frame, checked.chunk_records)
+        start, stop = frame.first - first, frame.first - first + len(content) // (2 * samples)
+        if not is_intact or len(content) % (2 * samples) or stop > shape[0]:
+            return None
+        values = np.frombuffer(content, "<i2").reshape(-1, samples)
+        if values.shape == shape:
+            # The usual case: one frame holds the whole chunk, and its checksum is the chunk's.
+            return values, frame.checksum
         codes = codes if codes.size else np.full(shape, MISSING)
-        return codes, checksum or crc(name, (shot, number), codes.data)
+        codes[start:stop] = values
+    codes = codes if codes.size else np.full(shape, MISSING)
+    return codes, crc(name, index, codes.data)
 
 
-@dataclass(frozen=True, slots=True)
-class LogView:
-    """A log as an HDF5 file in memory, ``file``, which holds everything but the echoes; those are in ``content``."""
-
-    file: h5py.File
-    content: LogContent
-    log: Log
+_views: dict[tuple[object, ...], tuple[CheckedFile, Frames]] = {}
 
 
-_views: dict[tuple[object, ...], LogView] = {}
+def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
+    """Return the content of the log ``path``, open as ``stream``; raise ``InvalidContentError`` if it is damaged.
 
-
-def view_of(path: Path, stream: IO[bytes]) -> LogView:
-    """Return the content of the log ``path``, open as ``stream``; raise ``InvalidContentError`` if it is damaged."""
+    The HDF5 file in memory has everything but the echoes.
+    """
     status = os.fstat(stream.fileno())
     key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
     if key not in _views:
         log = read_log(stream)
         if log is None:
             raise InvalidContentError("the start of the log is damaged")
-        checked = checked_run(CheckedFile(_open_image(log.image)))
-        view = LogView(checked.file, _fill(checked, log.frames, stream, STATUSES[0]), log)
+        checked = _empty_run(CheckedFile(_open_image(log.image), log.size, log.damaged_bytes))
+        view = checked, _fill(checked, log.frames, stream, STATUSES[0])
         while len(_views) >= MAX_VIEWS:
             # Another thread may still read it: it is closed with its last reference.
             _views.pop(next(iter(_views)), None)
         _views[key] = view
-    return _views[key]
+    checked, frames = _views[key]
+    return replace(checked, codes=partial(_codes, checked, frames, stream))
+
+
+def _empty_run(unchecked: CheckedFile) -> CheckedFile:
+    """Return the run file of a log, which has no records yet; raise ``InvalidContentError`` unless it is one."""
+    checked = checked_run(unchecked)
+    if not checked.is_written_once:
+        raise InvalidContentError("it is a log of an earlier format, which has none")
+    return checked
 
 
 def assemble(
@@ -196,7 +177,7 @@ def _write_draft(
         proceed()
 
     with h5py.File("draft", "r+", libver=LIBVER, driver="fileobj", fileobj=output) as file:
-        checked = checked_run(CheckedFile(file))
+        checked = _empty_run(CheckedFile(file))
         frames = _without_torn_frames(log, stream, checked.chunk_records)
         _write_codes(checked, _fill(checked, frames, stream, KILLED), stream, step)
     output.finish()
@@ -326,36 +307,38 @@ def _without_torn_frames(log: Log, stream: IO[bytes], chunk_records: int) -> Seq
     return log.frames
 
 
-def _fill(checked: CheckedFile, frames: Sequence[Frame], stream: IO[bytes], status: str) -> LogContent:
-    """Write everything in ``frames`` but the codes into the empty run file ``checked``; return the sorted frames.
+def _fill(checked: CheckedFile, log_frames: Sequence[Frame], stream: IO[bytes], status: str) -> Frames:
+    """Write everything in ``log_frames`` but the codes into the empty run file ``checked``; return the sorted frames.
 
     ``status``: of the run, unless the frames state it.
     """
-    content = LogContent.of(frames, checked.chunk_records)
+    frames = Frames()
+    for frame in log_frames:
+        frames.setdefault((frame.name, frame.index(checked.chunk_records)), []).append(frame)
     for name in (*BY_SHOT, *AT_ONCE):
         if checked.has(name):
-            _fill_rows(checked, name, content.rows.get(name, {}), stream)
-    _fill_arrivals(checked, content.chunks, stream)
-    if ended := content.rows.get(STATUS, {}).get(-1):
-        text, is_intact = payload(stream, ended)
+            _fill_rows(checked, name, frames, stream)
+    _fill_arrivals(checked, frames, stream)
+    if ended := frames.get((STATUS, ())):
+        text, is_intact = payload(stream, ended[-1])
         status = text.decode("ascii", "replace") if is_intact else status
     checked.file.attrs.modify("status", np.array(status.encode(), f"S{STATUS_BYTES}"))
     checked.file.flush()
-    return content
+    return frames
 
 
-def _fill_rows(checked: CheckedFile, name: str, frames: Mapping[int, Frame], stream: IO[bytes]) -> None:
-    """Write the rows of dataset ``name`` and the checksums of all of its rows; ``frames``: by shot, -1 for all."""
+def _fill_rows(checked: CheckedFile, name: str, frames: Frames, stream: IO[bytes]) -> None:
+    """Write the rows of dataset ``name`` and the checksums of all of its rows."""
     dataset, stored_sums = checked.dataset(name), checked.checksums(name)
     sums = np.zeros(stored_sums.shape, "<u8")
     shape = dataset.shape[sums.ndim :]
     empty = blank(dataset.dtype, shape).tobytes()
     for index in np.ndindex(sums.shape):
-        frame = frames.get(index[0] if index else -1)
-        if frame is None:
+        if (name, index) not in frames:
             sums[index] = crc(name, index, empty)
             continue
         # A damaged row is written too: readers compare it with the checksum of its frame.
+        frame = frames[name, index][-1]
         content, _ = payload(stream, frame)
         if len(content) != len(empty):
             raise InvalidContentError(f"a row of /{name} has {len(content)} bytes, not {len(empty)}")
@@ -364,7 +347,7 @@ def _fill_rows(checked: CheckedFile, name: str, frames: Mapping[int, Frame], str
     _write(stored_sums, (), sums)
 
 
-def _fill_arrivals(checked: CheckedFile, chunks: Chunks, stream: IO[bytes]) -> None:
+def _fill_arrivals(checked: CheckedFile, frames: Frames, stream: IO[bytes]) -> None:
     """Write the marks and trigger times of all records, and their checksums by chunk."""
     (shots, records, _), chunk_records = checked.shape, checked.chunk_records
     stored_sums = checked.checksums("records/recorded")
@@ -373,7 +356,7 @@ def _fill_arrivals(checked: CheckedFile, chunks: Chunks, stream: IO[bytes]) -> N
         marks, time_s = np.zeros(records, "u1"), np.full(records, np.nan)
         for number in range(sums.shape[1]):
             chunk, is_damaged = slice(number * chunk_records, (number + 1) * chunk_records), False
-            for frame in chunks.get((TRIGGER_TIMES, shot, number), ()):
+            for frame in frames.get((TRIGGER_TIMES, (shot, number)), ()):
                 content, is_intact = payload(stream, frame, chunk_records)
                 rows = slice(frame.first, frame.first + len(content) // 8)
                 if len(content) % 8 or rows.stop > min(records, chunk.stop):
@@ -389,32 +372,26 @@ def _fill_arrivals(checked: CheckedFile, chunks: Chunks, stream: IO[bytes]) -> N
     _write(stored_sums, (), sums)
 
 
-def _write_codes(checked: CheckedFile, content: LogContent, stream: IO[bytes], proceed: Callable[[], None]) -> None:
+def _write_codes(checked: CheckedFile, frames: Frames, stream: IO[bytes], proceed: Callable[[], None]) -> None:
     """Write the echoes, chunk by chunk, and their checksums; raise ``DamagedLogError`` if one is damaged."""
-    (_, records, samples), chunk_records = checked.shape, checked.chunk_records
     names = [name for name in CODES if checked.has(name)]
     echoes = {name: _uncached(checked.dataset(name)) for name in names}
     sums = {name: np.zeros(checked.checksums(name).shape, "<u8") for name in names}
-
-    def read(key: ChunkKey) -> tuple[Int16Array, int] | None:
-        """Return the codes of a chunk, (record, sample), and their checksum; None if damaged."""
-        first = key[2] * chunk_records
-        return content.codes(stream, *key, (min(chunk_records, records - first), samples), first)
-
+    read = partial(_codes, checked, frames, stream)
     # By shot, then chunk, then input.
-    keys = sorted((key for key in content.chunks if key[0] in echoes), key=lambda key: (*key[1:], key[0]))
+    keys = sorted((key for key in frames if key[0] in echoes), key=lambda key: (key[1], key[0]))
     # The next chunk is read while the library writes one.
     with ThreadPoolExecutor(1, "log") as reader:
-        chunks = [reader.submit(read, key) for key in keys[:1]]
-        for (name, shot, number), following in zip_longest(keys, keys[1:]):
+        chunks = [reader.submit(read, name, *index) for name, index in keys[:1]]
+        for (name, index), following in zip_longest(keys, keys[1:]):
             proceed()
             chunk = chunks.pop().result()
             if chunk is None:
                 raise DamagedLogError
             if following is not None:
-                chunks.append(reader.submit(read, following))
-            codes, sums[name][shot, number] = chunk
-            _write(echoes[name], (shot, number * chunk_records), codes)
+                chunks.append(reader.submit(read, following[0], *following[1]))
+            codes, sums[name][index] = chunk
+            _write(echoes[name], (index[0], index[1] * checked.chunk_records), codes)
     for name in names:
         _write(checked.checksums(name), (), sums[name])
 

@@ -171,11 +171,7 @@ def unwritable(path: Path) -> str:
 def _new_draft(path: Path) -> BinaryIO:
     """Return a new, empty file beside ``path``, open for reading and writing."""
     draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}.draft")
-    return open(draft, "x+b", opener=_open_new)
-
-
-def _open_new(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    return open(draft, "x+b", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666))
 
 
 def _replace(draft: Path, path: Path) -> None:

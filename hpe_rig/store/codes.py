@@ -14,7 +14,7 @@ from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import BITSHUFFLE
 from hpe_rig.store.placement import Placement, place_records
 from hpe_rig.store.records import MISSING
-from hpe_rig.store.rows import row_or_blank
+from hpe_rig.store.rows import checked_row
 from hpe_rig.store.validation import CheckedFile, filters, stored_values
 
 CODE_LIMITS_UNSTATED: Final = (-8192, 8191)
@@ -61,7 +61,7 @@ def placement_of(checked: CheckedFile, shot: int, arrival: Arrival) -> Placement
 
     The pulse rate is that of the planned onsets; without them, or for one pulse, it is not finite.
     """
-    onset_s = row_or_blank(checked, "records/pulse_onset_s", shot)
+    onset_s = checked_row(checked, "records/pulse_onset_s", shot)[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         rate_hz = float((onset_s.size - 1) / (onset_s[-1] - onset_s[0]))
     return place_records(arrival.recorded | arrival.damaged, arrival.trigger_time_s, rate_hz)
@@ -104,7 +104,7 @@ def _chunk(checked: CheckedFile, echo: h5py.Dataset, shot: int, number: int, exp
     name, first = echo.name[1:], number * checked.chunk_records
     shape = (min(checked.chunk_records, echo.shape[1] - first), echo.shape[2])
     if checked.codes is not None:
-        chunk = checked.codes(name, shot, number, shape, first)
+        chunk = checked.codes(name, shot, number)
         return None if chunk is None else chunk[0]
     try:
         compressed = BITSHUFFLE in filters(echo)

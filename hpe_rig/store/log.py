@@ -57,6 +57,12 @@ class Frame:
     size: int
     checksum: int
 
+    def index(self, chunk_records: int) -> tuple[int, ...]:
+        """Return the row or chunk of the frame, which its checksum includes; a chunk has ``chunk_records`` records."""
+        if self.name in (*CODES, TRIGGER_TIMES):
+            return self.shot, self.first // chunk_records
+        return () if self.shot < 0 else (self.shot,)
+
 
 @final
 class LogWriter:
@@ -162,13 +168,10 @@ def payload(file: IO[bytes], frame: Frame, chunk_records: int = 1) -> tuple[byte
 
     ``chunk_records``: number of records in a chunk, for frames of echoes and trigger times.
     """
-    if frame.name in (*CODES, TRIGGER_TIMES):
-        index: tuple[int, ...] = (frame.shot, frame.first // chunk_records)
-    else:
-        index = () if frame.shot < 0 else (frame.shot,)
     file.seek(frame.offset)
     content = file.read(frame.size)
-    return content, len(content) == frame.size and crc(frame.name, index, content) == frame.checksum
+    is_intact = crc(frame.name, frame.index(chunk_records), content) == frame.checksum
+    return content, is_intact and len(content) == frame.size
 
 
 def new_log(image: bytes) -> bytes:

@@ -28,7 +28,7 @@ from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import CONDITION_BYTES, STAGE_BYTES, STATUSES, StoreError
 from hpe_rig.store.layout import code_scale_and_offset_v
 from hpe_rig.store.marks import identity_of, read_marks, write_marks
-from hpe_rig.store.rows import checked_row, checked_rows, row_or_blank
+from hpe_rig.store.rows import checked_row, checked_rows
 from hpe_rig.store.source import open_checked
 from hpe_rig.store.stored_records import StoredGroundTruth, StoredRecords
 from hpe_rig.store.validation import CheckedFile
@@ -113,7 +113,7 @@ class StoredRun:
         """Return the values of ``shot`` by dataset, except its records, to copy them; blank if missing or damaged."""
         names = [name for name in BY_SHOT if name != "records/shot_complete"]
         with self.records.open() as checked:
-            return {name: row_or_blank(checked, name, shot) for name in names if checked.has(name)}
+            return {name: checked_row(checked, name, shot)[0] for name in names if checked.has(name)}
 
     def is_intact(self, shot: int) -> bool:
         """Return whether everything of ``shot`` matches its checksums; reads the echoes of the shot."""

@@ -49,11 +49,6 @@ def _compared(
     return blank(dataset.dtype, np.shape(values)), expected == 0 and not checked.is_written_once
 
 
-def row_or_blank(checked: CheckedFile, name: str, shot: int) -> Any:
-    """Return the row of ``shot`` in dataset ``name``, blank if it was never written or is damaged."""
-    return checked_row(checked, name, shot)[0]
-
-
 def shot_index(shot: int, shots: int) -> int:
     """Return the index of ``shot``, which may count from the end; raise ``IndexError`` if there is none."""
     if not -shots <= shot < shots:

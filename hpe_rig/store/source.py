@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 from hpe_rig.store.assembly import view_of
@@ -37,8 +36,7 @@ def _open_unchecked(path: Path) -> Iterator[CheckedFile]:
     """Yield the log or HDF5 file ``path`` without a check of its format."""
     if is_log(path):
         with path.open("rb", buffering=0) as stream:
-            view = view_of(path, stream)
-            yield CheckedFile(view.file, view.log.size, view.log.damaged_bytes, partial(view.content.codes, stream))
+            yield view_of(path, stream)
         return
     declared, size = declared_size(path), path.stat().st_size
     with open_hdf5(path) as file:

@@ -33,40 +33,40 @@ def make_or_undo(
     that ``make`` still returns is passed to ``undo``.
     """
     cancelled = cancelled or threading.Event()
-    products: list[Product] = []
-    done: Future[None] = Future()
+    done: Future[Product] = Future()
     gave_up = False
 
-    def undo_product(_: Future[None]) -> None:
+    def run() -> None:
+        """Run ``make``; the future gets its product or its error."""
+        try:
+            done.set_result(make(cancelled))
+        except BaseException as error:
+            done.set_exception(error)
+
+    def undo_product(made: Future[Product]) -> None:
         """Undo the product, if ``make`` returned one."""
-        for product in products:
-            undo(product)
+        if made.exception() is None:
+            undo(made.result())
 
-    def make_product() -> None:
-        products.append(make(cancelled))
-
-    threading.Thread(target=_run_task, args=(make_product, done), daemon=True, name="new file").start()
+    threading.Thread(target=run, daemon=True, name="new file").start()
     try:
         with interruptible():
             gave_up = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)
         if gave_up:
             waited = "before the program stopped waiting" if cancelled.is_set() else f"for {STEP_TIMEOUT_S:g} s"
             raise OSError(errno.ETIMEDOUT, f"the disk has not answered {waited}")
-        # Raises the error of ``make``, if any.
-        done.result()
-        return products[0]
+        return done.result()
     except BaseException:
         cancelled.set()
         # Give ``make`` a short time to finish, so that ``undo`` runs before the process can end.
-        still_running = gave_up or not _finishes_within(done, lambda: UNDO_TIMEOUT_S)
-        if still_running:
-            done.add_done_callback(undo_product)
-        else:
-            undo_product(done)
+        if not gave_up:
+            _finishes_within(done, lambda: UNDO_TIMEOUT_S)
+        # At once, if ``make`` has finished.
+        done.add_done_callback(undo_product)
         raise
 
 
-def _finishes_within(done: Future[None], timeout_s: Callable[[], float]) -> bool:
+def _finishes_within(done: Future[Product], timeout_s: Callable[[], float]) -> bool:
     """Return whether the task finishes within ``timeout_s``, which another thread may change meanwhile.
 
     Waits in short intervals, because a signal that arrives just before a wait does not end it.
@@ -78,12 +78,3 @@ def _finishes_within(done: Future[None], timeout_s: Callable[[], float]) -> bool
             return False
         wait([done], min(POLL_S, remaining_s))
     return True
-
-
-def _run_task(task: Callable[[], None], done: Future[None]) -> None:
-    """Run ``task``; when it ends, the future is ``done``, with the task's error if it raised one."""
-    try:
-        task()
-        done.set_result(None)
-    except BaseException as error:
-        done.set_exception(error)

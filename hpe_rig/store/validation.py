@@ -47,15 +47,15 @@ class CheckedFile:
     """Open HDF5 file that returns only checked content; ``shape`` and ``chunk_records`` are those of a run.
 
     ``size``: bytes of the file. ``missing_bytes``: how much shorter it is than it declares, negative if bytes follow
-    its end; of a log, the unreadable bytes. ``codes``: returns a chunk of echoes in a log (``LogContent.codes``); None
-    if ``file`` has them. ``shape``: numbers of shots, pulses and samples, 0 if any is allowed. ``chunk_records``:
-    records in a chunk of echoes.
+    its end; of a log, the unreadable bytes. ``codes``: returns the codes of a chunk of records in a log,
+    by dataset, shot and number, and their checksum; None if ``file`` has them. ``shape``: numbers of shots, pulses and
+    samples, 0 if any is allowed. ``chunk_records``: records in a chunk of echoes.
     """
 
     file: h5py.File
     size: int = 0
     missing_bytes: int = 0
-    codes: Callable[[str, int, int, tuple[int, int], int], tuple[Int16Array, int] | None] | None = None
+    codes: Callable[[str, int, int], tuple[Int16Array, int] | None] | None = None
     shape: Shape = (0, 0, 0)
     chunk_records: int = 0
 
@@ -84,9 +84,9 @@ class CheckedFile:
     def text(self, name: str) -> str:
         """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is damaged or no text."""
         dataset = self._dataset(name)
-        _require_fixed_text(dataset, f"/{name}")
+        text = _text(dataset, lambda: dataset[()], f"/{name}")
         self.refuse_damaged(name, dataset)
-        return _text(dataset[()], f"/{name}")
+        return text
 
     def refuse_damaged(self, name: str, dataset: h5py.Dataset) -> None:
         """Raise ``InvalidContentError`` if ``dataset``, which never changes after the start, fails its checksum."""
@@ -139,8 +139,7 @@ class CheckedFile:
         if identity.shape != ():
             raise InvalidContentError(f"{where} is not a single value")
         if kind is str:
-            _require_fixed_text(identity, where)
-            return printable(_text(owner.attrs[name], where))
+            return printable(_text(identity, lambda: owner.attrs[name], where))
         if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
             raise InvalidContentError(f"{where} is not of type {kind.__name__}")
         value = kind(owner.attrs[name])
@@ -253,10 +252,11 @@ def checked_run(checked: CheckedFile) -> CheckedFile:
     return replace(checked, shape=echo.shape, chunk_records=echo.chunks[1])
 
 
-def _require_fixed_text(holder: Any, where: str) -> None:
-    """Raise ``InvalidContentError`` unless ``holder`` is a single text of fixed length, up to ``MAX_TEXT_BYTES``.
+def _text(holder: Any, read: Callable[[], Any], where: str) -> str:
+    """Return the text in ``holder``, a dataset or attribute that ``read`` reads; ``where``: its name in messages.
 
-    ``holder``: dataset or attribute of HDF5. ``where``: its name in the message.
+    Raises ``InvalidContentError`` unless it is a single text in UTF-8 of fixed length, up to ``MAX_TEXT_BYTES``,
+    without control characters, which a terminal would execute.
     """
     if holder.shape != ():
         raise InvalidContentError(f"{where} is not a single text")
@@ -268,21 +268,12 @@ def _require_fixed_text(holder: Any, where: str) -> None:
         raise InvalidContentError(f"{where} is a text of variable length, which no run file holds")
     if holder.dtype.itemsize > MAX_TEXT_BYTES:
         raise InvalidContentError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MAX_TEXT_BYTES}")
-
-
-def _text(value: Any, where: str) -> str:
-    """Return ``value`` as text; raise ``InvalidContentError`` if it is long, not UTF-8 or has control characters.
-
-    ``where`` names the dataset or attribute in the message.
-    """
     try:
+        value = read()
         text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
         text.encode("utf-8")
     except UnicodeError:
         raise InvalidContentError(f"{where} is not UTF-8 text") from None
-    if len(text) > MAX_TEXT_BYTES:
-        raise InvalidContentError(f"{where} is a text of {len(text)} characters, more than {MAX_TEXT_BYTES}")
-    # A terminal would execute control characters.
     if control_character(text):
         raise InvalidContentError(f"{where} holds control characters")
     return text

@@ -30,9 +30,9 @@ from hpe_rig.scene import SceneText
 from hpe_rig.store.assembly import DamagedLogError, assemble
 from hpe_rig.store.atomic import atomic_file, refuse_unwritable, synchronise
 from hpe_rig.store.damage import ranges
-from hpe_rig.store.datasets import TRUE_HARMONICS
+from hpe_rig.store.datasets import DATASETS, TRUE_HARMONICS
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
-from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, TIME_BYTES, UNTRUSTED_BYTES, StoreError, reason
+from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, StoreError, reason
 from hpe_rig.store.layout import Predecessor, chunk_records, code_scale_and_offset_v, empty_run
 from hpe_rig.store.lock import is_locked
 from hpe_rig.store.log import CODES, SHOT_COMPLETE, STATUS, TRIGGER_TIMES, LogWriter, new_log
@@ -145,10 +145,14 @@ class RunWriter:
                 f"the settings of shot {shot.index + 1} take {len(text)} bytes, a run file has room for "
                 f"{SNAPSHOT_BYTES}. Try: report this with the bench file."
             )
-        self._put("snapshot", shot.index, _padded(text, SNAPSHOT_BYTES))
-        self._put("records/pulse_onset_s", shot.index, _floats(shot.timeline.pulse_onset_s))
+        self.write_rows(shot, {"snapshot": text, "records/pulse_onset_s": shot.timeline.pulse_onset_s})
         if (amplitude_vpp := settings.get("toneburst", {}).get("amplitude_vpp")) is not None:
-            self._put("records/force_set", shot.index, _floats(shot.force_fraction_at(amplitude_vpp)))
+            self.write_rows(shot, {"records/force_set": shot.force_fraction_at(amplitude_vpp)})
+
+    def write_rows(self, shot: Shot, rows: Mapping[str, Any]) -> None:
+        """Write the rows of ``shot``, numbers or a text, by dataset of the table ``DATASETS``."""
+        for name, values in rows.items():
+            self._put(name, shot.index, _encoded(name, values))
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
         """Append the records of ``block``, in the order of arrival."""
@@ -161,23 +165,6 @@ class RunWriter:
         self._append_records(shot.index, block.first_record, codes, block.trigger_time_s)
         self._recorded[block.first_record : block.first_record + block.codes.shape[0]] = True
 
-    def write_clipped(self, shot: Shot, clipped: bool) -> None:
-        """Write whether the input of the digitizer left its range during ``shot``."""
-        self._put("records/clipped", shot.index, bytes([clipped]))
-
-    def write_untrusted(self, shot: Shot, why: str) -> None:
-        """Write why the records of ``shot`` are untrusted."""
-        self._put("untrusted", shot.index, _padded(why, UNTRUSTED_BYTES))
-
-    def write_changed_settings(self, shot: Shot, changes: str) -> None:
-        """Write the differences between the settings before and after ``shot``."""
-        self._put("changed_settings", shot.index, _padded(changes, UNTRUSTED_BYTES))
-
-    def write_conditions(self, shot: Shot, before: Sequence[float], after: Sequence[float]) -> None:
-        """Write the conditions before and after ``shot``, each (condition,), NaN if not read."""
-        self._put("conditions/before", shot.index, _floats(before))
-        self._put("conditions/after", shot.index, _floats(after))
-
     def write_ground_truth(self, shot: Shot, displacement_m: FloatArray) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
         # A shot without any record has no row: the marks are still those of the shot before.
@@ -185,23 +172,22 @@ class RunWriter:
         row_m = np.full(self._recorded.size, np.nan)
         row_m[valid] = displacement_m[: valid.size]
         if valid.size:
-            self._put("truth/displacement_m", shot.index, _floats(row_m))
+            self.write_rows(shot, {"truth/displacement_m": row_m})
 
     def write_true_harmonics(self, shot: Shot, harmonics_m: FloatArray) -> None:
         """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
             missing = np.full(self._frequencies - column_m.size, np.nan)
-            self._put(name, shot.index, _floats(np.concatenate([column_m, missing])))
+            self.write_rows(shot, {name: np.concatenate([column_m, missing])})
 
     def write_run_times(self, run_time_s: Mapping[str, float]) -> None:
         """Write the wall time of each stage so far."""
-        self._put("run_time/run_time_s", -1, _floats([run_time_s.get(name, math.nan) for name in STAGES]))
+        name = "run_time/run_time_s"
+        self._put(name, -1, _encoded(name, [run_time_s.get(stage, math.nan) for stage in STAGES]))
 
     def finish(self, shot: Shot) -> None:
         """Mark ``shot`` complete and wait until the disk has stored it."""
-        self._put(SHOT_COMPLETE, shot.index, b"\x01")
-        with self._writing():
-            self._log.sync()
+        self._put(SHOT_COMPLETE, shot.index, b"\x01", sync=True)
 
     def copy_shot(self, earlier: StoredRun, shot: int) -> None:
         """Copy ``shot`` of another run of the same plan into this one; raise ``StoreError`` if it is damaged."""
@@ -218,9 +204,7 @@ class RunWriter:
                 self._append_records(shot, first + start, [codes[series] for _, codes, _ in blocks], time_s)
         for name, row in earlier.rows(shot).items():
             self._put(name, shot, np.asarray(row).tobytes())
-        self._put(SHOT_COMPLETE, shot, b"\x01")
-        with self._writing():
-            self._log.sync()
+        self._put(SHOT_COMPLETE, shot, b"\x01", sync=True)
 
     def _append_records(
         self, shot: int, first_record: int, codes: Sequence[Int16Array], trigger_time_s: FloatArray
@@ -237,13 +221,16 @@ class RunWriter:
                 rows = slice(first - first_record, stop - first_record)
                 for name, values in zip(CODES, codes, strict=False):
                     self._log.append(name, shot, np.ascontiguousarray(values[rows], "<i2").data, (shot, number), first)
-                self._log.append(TRIGGER_TIMES, shot, _floats(trigger_time_s[rows]), (shot, number), first)
+                times = _encoded(TRIGGER_TIMES, trigger_time_s[rows])
+                self._log.append(TRIGGER_TIMES, shot, times, (shot, number), first)
                 first = stop
 
-    def _put(self, name: str, shot: int, row: bytes) -> None:
-        """Append the bytes of row ``shot`` of dataset ``name``; -1: of all of it."""
+    def _put(self, name: str, shot: int, row: bytes, sync: bool = False) -> None:
+        """Append the bytes of row ``shot`` of dataset ``name``, -1: of all of it; wait for the disk if ``sync``."""
         with self._writing():
             self._log.append(name, shot, row, () if shot < 0 else (shot,))
+            if sync:
+                self._log.sync()
 
     def _end(self, status: str) -> None:
         """Write the end of the run and ``status``, and replace the log by the run file; raise the first error."""
@@ -257,7 +244,7 @@ class RunWriter:
             if self._is_broken:
                 self._log.cut_back()
                 self._is_broken = False
-                self._write_status("failed")
+                self._put(STATUS, -1, b"failed", sync=True)
             self._assemble()
         except (StoreError, OSError, MemoryError) as error:
             failure = failure or self._cannot_be_written(error)
@@ -272,14 +259,9 @@ class RunWriter:
         if self._provenance is not None and self._provenance.started:
             # Start plus duration by the monotonic clock, which is never adjusted.
             duration = timedelta(seconds=round(self._clock() - self._started_s))
-            ended = datetime.fromisoformat(self._provenance.started) + duration
-            self._put("provenance/ended", -1, _padded(ended.isoformat(timespec="seconds"), TIME_BYTES))
-        self._write_status(status)
-
-    def _write_status(self, status: str) -> None:
-        self._put(STATUS, -1, status.encode("ascii"))
-        with self._writing():
-            self._log.sync()
+            ended = (datetime.fromisoformat(self._provenance.started) + duration).isoformat(timespec="seconds")
+            self._put("provenance/ended", -1, _encoded("provenance/ended", ended))
+        self._put(STATUS, -1, status.encode("ascii"), sync=True)
 
     def _assemble(self) -> None:
         """Replace the log by the run file; raise ``StoreError`` if that fails, and leave the log as it is."""
@@ -335,14 +317,13 @@ class RunWriter:
         )
 
 
-def _padded(text: str, size: int) -> bytes:
-    """Return ``text`` as ASCII of fixed ``size``; longer texts are cut."""
-    return text.encode("ascii", "replace")[:size].ljust(size, b"\0")
-
-
-def _floats(values: Any) -> bytes:
-    """Return ``values`` as float64, little-endian."""
-    return np.ascontiguousarray(values, "<f8").tobytes()
+def _encoded(name: str, values: Any) -> bytes:
+    """Return the bytes of ``values`` in dataset ``name``: a text as ASCII, cut to its length, or numbers."""
+    dtype = np.dtype(DATASETS[name].dtype)
+    if dtype.kind == "S":
+        encoded: bytes = values.encode("ascii", "replace")
+        return encoded[: dtype.itemsize].ljust(dtype.itemsize, b"\0")
+    return np.ascontiguousarray(values, dtype).tobytes()
 
 
 def _refuse_small_disk(path: Path, needed: int) -> None:

@@ -192,7 +192,7 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "flat echoes": (replaced("records/echo", shape=(48, 256), dtype="<i2", chunks=(48, 256)), "shape"),
     "fewer echoes": (replaced("records/echo", shape=(1, 40, 256), dtype="<i2", chunks=(1, 40, 256)), "shape"),
     "echoes in one piece": (replaced("records/echo", shape=(1, 48, 256), dtype="<i2"), "in one piece"),
-    "huge echoes": (replaced("records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 256)), "shape"),
+    "huge echoes": (replaced("records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 10_000_000)), "shape"),
     "huge chunks": (replaced("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256)), ""),
     "a bomb": (
         replaced("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256), compression=9),

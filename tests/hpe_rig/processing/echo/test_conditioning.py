@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,6 @@ from hpe_rig.processing.motion import phase_shift
 from hpe_rig.processing.motion.phase_shift import coherent
 from hpe_rig.processing.shot_tracking import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
-from hpe_rig.store import StoreError, stored_records
 
 
 def test_the_offset_is_removed_and_the_resting_echo_kept() -> None:
@@ -77,31 +75,13 @@ def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
     assert spectrum.band_spectrum(echoes, 2)[0].dtype == np.complex64
 
 
-def test_codes_of_a_long_shot_are_equal_from_the_copy_and_from_the_run_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_codes_of_a_long_shot_in_the_file_equal_those_in_memory(tmp_path: Path) -> None:
     run = measure(load_scene("table-1").with_({"tracking.pulse_count": 300}), path=tmp_path / "run.h5")
     gate, margin = run.plan.shots[0].gate, margin_needed(run.scene, run.plan.shots[0])
     expected = run.stored.records.shot_blocks(0, gate, margin).block(slice(None))
-    copied = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
-    monkeypatch.setattr(stored_records, "MAX_COPY_BYTES", 0)
-    uncopied = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
-    monkeypatch.undo()
-    # as where the disk of temporary files has no room
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
-    without_room = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
-    for records in (copied, uncopied, without_room):
-        for pulses in (slice(None), slice(3, 17), slice(290, 400), slice(5, 5)):
-            np.testing.assert_array_equal(records.block(pulses), expected[pulses])
-
-
-def test_a_truncated_copy_raises_a_store_error() -> None:
-    copy = stored_records.CodesCopy(4)
-    copy.add(np.ones((3, 4), np.int16))
-    assert copy.block(1, 3).sum() == 8
-    os.ftruncate(vars(copy)["_file"].fileno(), 8)
-    with pytest.raises(StoreError, match="another program has cut it"):
-        copy.block(1, 3)
+    stored = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
+    for pulses in (slice(None), slice(3, 17), slice(290, 400), slice(5, 5)):
+        np.testing.assert_array_equal(stored.block(pulses), expected[pulses])
 
 
 def test_spectra_in_a_temporary_file_give_the_same_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
