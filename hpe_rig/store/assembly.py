@@ -185,10 +185,10 @@ def _write_draft(
 
 @final
 class _Output:
-    """Draft as a file-like object for HDF5, which may crash if it meets an error of the disk.
+    """Draft of the run file as a file-like object, to which the HDF5 library writes.
 
-    Small writes are collected. The first error is stored; later writes of the library stay in memory, so that it can
-    close the file.
+    The library may crash if it meets an error of the disk, so it meets none: small writes are collected, the first
+    error is stored, and later writes stay in memory until the library has closed the file.
     """
 
     def __init__(self, number: int, cancelled: threading.Event) -> None:
@@ -226,7 +226,7 @@ class _Output:
         return len(buffer)
 
     def write(self, data: memoryview) -> int:
-        """Write ``data`` at the current position."""
+        """Write ``data`` at the current position: to memory first, and to the disk with others that wait."""
         # A copy: the library reuses its buffer.
         self._unwritten.append((self._position, bytes(data)))
         self._unwritten_bytes += len(data)
@@ -251,7 +251,10 @@ class _Output:
         self.refuse_failure()
 
     def _attempt(self, change: Callable[[], object]) -> None:
-        """Do ``change`` in a thread: the library, locked meanwhile, must not wait for a disk that does not answer."""
+        """Call ``change`` in a thread, and store its error; nothing is done after the first error.
+
+        The library is locked meanwhile, so that it must not wait for a disk that does not answer.
+        """
         if self._failure is None:
             try:
                 make_or_undo(lambda _: change(), lambda _: None, self._cancelled)
@@ -296,9 +299,9 @@ def _open_image(image: bytes) -> h5py.File:
 
 
 def _without_torn_frames(log: Log, stream: IO[bytes], chunk_records: int) -> Sequence[Frame]:
-    """Return the frames of ``log`` before the first damaged one after the last sync; all if none there is damaged.
+    """Return the frames of ``log`` up to the first one that a power loss has left incomplete.
 
-    A power loss can leave frames after the last sync incomplete. Earlier ones are not examined.
+    That can only be one after the last sync; earlier frames are not examined.
     """
     synced = max((number + 1 for number, frame in enumerate(log.frames) if frame.name in SYNCED), default=0)
     for number in range(synced, len(log.frames)):
@@ -404,7 +407,7 @@ def _uncached(dataset: h5py.Dataset) -> h5py.Dataset:
 
 
 def _write(dataset: h5py.Dataset, start: tuple[int, ...], values: NDArray[Any]) -> None:
-    """Write ``values`` into ``dataset``; they begin at ``start`` along the first axes and at 0 along the others.
+    """Write ``values`` into ``dataset`` from index ``start`` on: along its first axes, and from 0 along the others.
 
     Uses the library's low-level interface: h5py takes ten times as long to interpret an index as to write.
     """

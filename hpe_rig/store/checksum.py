@@ -37,7 +37,10 @@ MAX_HEAP_PART_BYTES: Final = 1 << 24
 
 
 def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
-    """Return the checksum of ``contents``, the bytes in row or chunk ``index`` of dataset ``name``; never zero."""
+    """Return the BLAKE2b of ``contents``, the bytes in row or chunk ``index`` of dataset ``name``; never zero.
+
+    For what never changes, and for everything in format version 2; ``crc`` for the others.
+    """
     # Name and index are part of the checksum, so that exchanged rows or chunks are detected.
     checksum = blake2b(f"{name} {index}".encode(), digest_size=8)
     for content in contents:
@@ -46,7 +49,7 @@ def digest(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> 
 
 
 def crc(name: str, index: tuple[int, ...], *contents: bytes | memoryview) -> int:
-    """Return the CRC-32 of ``contents``, the bytes in row or chunk ``index`` of dataset ``name``; never zero."""
+    """Return the CRC-32 of ``contents``, as ``digest``: three times as fast, for data that arrive during a run."""
     # Name and index are part of the checksum, so that exchanged rows or chunks are detected.
     checksum = crc32(f"{name} {index}".encode())
     for content in contents:

@@ -170,7 +170,10 @@ class CheckedFile:
 
 
 def stored_values(dataset: h5py.Dataset, index: tuple[int | slice, ...] = ()) -> NDArray[Any]:
-    """Return the values of ``dataset`` at ``index``; bytes 255, which no run has, where HDF5's checksum is wrong."""
+    """Return the values of ``dataset`` at ``index``, with all bytes 255 in chunks that fail HDF5's own checksum.
+
+    No run has such values, so that they fail the checksum of the run file too.
+    """
     try:
         return np.asarray(dataset[index], dataset.dtype)
     except OSError:
