@@ -17,12 +17,7 @@ import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray, Int64Array
 from hpe_rig.plan import CLEAN, INSIDE, NEAR, Shot, pulse_kinds
-from hpe_rig.processing.echo.conditioning import (
-    GateStatistics,
-    code_statistics,
-    concatenate_statistics,
-    deviating_levels,
-)
+from hpe_rig.processing.echo.conditioning import code_statistics, concatenate_statistics, deviating_levels
 from hpe_rig.processing.echo.gate import BLOCK_SAMPLES
 
 if TYPE_CHECKING:
@@ -123,14 +118,10 @@ def _disturbed_records(shot: Shot, stored: StoredRun, name: str, delivered: Bool
         return None
     step = max(1, BLOCK_SAMPLES // stored.records.shape[2])
     try:
-        statistics_of_blocks = list[GateStatistics]()
-        for _, codes, damaged in stored.records.blocks(shot.index, step, name):
-            if damaged.any():
-                return None
-            statistics_of_blocks.append(code_statistics(codes))
+        blocks = stored.records.chunks(shot.index, step, name)
+        statistics = concatenate_statistics([code_statistics(codes) for _, codes in blocks])
     except StoreError:
         return None
-    statistics = concatenate_statistics(statistics_of_blocks)
     # Rounding has a variance of 1/12 code²; without it, constant codes would have an infinite level.
     variance = np.maximum(statistics.mean_square - statistics.mean**2, 0.0) + 1 / 12
     disturbed = np.zeros_like(delivered)

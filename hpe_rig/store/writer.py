@@ -192,16 +192,14 @@ class RunWriter:
     def copy_shot(self, earlier: StoredRun, shot: int) -> None:
         """Copy ``shot`` of another run of the same plan into this one; raise ``StoreError`` if it is damaged."""
         arrival = earlier.records.arrival(shot)
-        inputs = [earlier.records.blocks(shot, self._chunk_records, name) for name in self._inputs]
+        inputs = [earlier.records.chunks(shot, self._chunk_records, name) for name in self._inputs]
         for blocks in zip(*inputs, strict=True):
-            first, codes, _ = blocks[0]
-            if any(damaged.any() for _, _, damaged in blocks):
-                raise StoreError(f"{earlier.path}: records of shot {shot + 1} are damaged. Try: hpe-rig resume again.")
+            first, codes = blocks[0]
             # The records of a chunk that arrived, in series of consecutive ones.
             for start, stop in ranges(arrival.recorded[first : first + codes.shape[0]]):
                 series, last = slice(start, stop + 1), first + stop + 1
                 time_s = arrival.trigger_time_s[first + start : last]
-                self._append_records(shot, first + start, [codes[series] for _, codes, _ in blocks], time_s)
+                self._append_records(shot, first + start, [codes[series] for _, codes in blocks], time_s)
         for name, row in earlier.rows(shot).items():
             self._put(name, shot, np.asarray(row).tobytes())
         self._put(SHOT_COMPLETE, shot, b"\x01", sync=True)

@@ -173,7 +173,7 @@ def print_cost(step: str, path: Path) -> None:
                 echo[0, first : first + echo.chunks[1]]
     elif step == "read":
         # Verifies checksums, as processing does.
-        for _ in read_run(path).records.blocks(0, BLOCK_RECORDS):
+        for _ in read_run(path).records.chunks(0, BLOCK_RECORDS):
             pass
     elapsed_s = time.perf_counter() - start_s
     processor_s, peak_mb = resource_usage()

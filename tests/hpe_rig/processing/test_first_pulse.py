@@ -127,10 +127,10 @@ class Records:
     def placement(self, shot: int) -> Placement:
         return self.by_times
 
-    def blocks(self, shot: int, pulses: int, name: str) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    def chunks(self, shot: int, pulses: int, name: str) -> Iterator[tuple[int, np.ndarray]]:
         if name != "echo":
             raise StoreError(name)
-        yield 0, self.codes, np.zeros(len(self.codes), bool)
+        yield 0, self.codes
 
 
 class Stored:

@@ -228,9 +228,9 @@ def test_codes_come_in_steps_of_whole_chunks_each_once(
 ) -> None:
     monkeypatch.setattr(layout, "CHUNK_BYTES", 8 * 2 * 256)
     records = read_run(written(setup, tmp_path / "run.h5", block_of(setup, 0, 48, 0.5))).records
-    steps = list(records.blocks(0, pulses))
-    assert [first for first, _, _ in steps] == list(range(0, 48, max(1, pulses // 8) * 8))
-    np.testing.assert_array_equal(np.concatenate([codes for _, codes, _ in steps])[:, 0], np.arange(48))
+    steps = list(records.chunks(0, pulses))
+    assert [first for first, _ in steps] == list(range(0, 48, max(1, pulses // 8) * 8))
+    np.testing.assert_array_equal(np.concatenate([codes for _, codes in steps])[:, 0], np.arange(48))
 
 
 def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp_path: Path) -> None:
