@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.bench import file_differences, inventory as bench_report, read_bench, settings_differences
+from hpe_rig.bench import inventory as bench_report, read_bench
 from hpe_rig.bench.inventory import survey
 from hpe_rig.cli.app import app
 from hpe_rig.cli.bench import bench_state, compare_with
@@ -237,26 +236,3 @@ def test_snapshots_of_all_acquired_shots_are_read(prepared: Prepare, tmp_path: P
     foreign.write_bytes(b"no HDF5")
     with pytest.raises(StoreError, match="foreign"):
         read_snapshots(foreign)
-
-
-def test_numbers_that_came_through_text_are_the_same_and_others_are_not() -> None:
-    one = {"master": {"width_s": 1e-5, "burst_on": True, "load_ohm": float("inf")}}
-    assert (
-        settings_differences(
-            one, {"master": {"width_s": 1e-5 * (1 + 1e-12), "burst_on": True, "load_ohm": float("inf")}}
-        )
-        == []
-    )
-    (difference,) = settings_differences(
-        one, {"master": {"width_s": 1e-5, "burst_on": False, "load_ohm": float("inf")}}
-    )
-    assert dataclasses.astuple(difference) == ("master trigger", "burst", "", True, False)
-    assert difference.text("a", "b") == "master trigger: burst on in a, off in b"
-
-
-def test_cables_are_compared_by_their_ends() -> None:
-    cable = {"source": "master.output", "target": "burst_train.trigger", "delay_s": 5e-9}
-    (difference,) = file_differences({"wiring": [cable]}, {"wiring": [cable | {"delay_s": 7e-9}]})
-    assert difference.text("a", "b") == (
-        "bench file: wiring.master.output to burst_train.trigger delay 5 ns in a, 7 ns in b"
-    )

@@ -112,3 +112,4 @@ def test_only_outputs_are_named_as_driving() -> None:
     first_line = str(caught.value).splitlines()[0]
     assert first_line == "THE BENCH MAY STILL BE DRIVING: not proven off: master"
     assert caught.value.roles == ("master", "digitizer")
+    assert "no answer" in str(caught.value)

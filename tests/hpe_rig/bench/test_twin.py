@@ -127,6 +127,17 @@ def test_only_driven_tonebursts_displace_the_specimen() -> None:
     assert undriven_m == 0.0
 
 
+def test_the_displacement_at_a_time_does_not_depend_on_the_other_times() -> None:
+    twin = twin_of(scene("bovine-muscle"))
+    assert twin is not None
+    time_s, onset_s = np.array([0.5, 5.0, 15.0, 25.0]) * 1e-3, np.array([1.0, 11.0, 21.0]) * 1e-3
+    together_m = twin.displacement_m(time_s, onset_s, 100e-6, (3e6, 1.0))
+    single_m = [twin.displacement_m(time_s[[k]], onset_s, 100e-6, (3e6, 1.0))[0] for k in range(4)]
+    assert together_m[0] == 0.0
+    np.testing.assert_allclose(together_m, single_m, rtol=1e-9, atol=0)
+    assert np.all(together_m[1:] > 0)
+
+
 def declared(name: str, simulation: dict[str, Any]) -> TwinDeclaration:
     """Return the twin of the shipped scene ``name`` with ``simulation`` in the place of its [simulation]."""
     twin = twin_of(scene(name).model_copy(update={"simulation": simulation}))
