@@ -87,6 +87,13 @@ def test_without_its_key_the_serial_numbers_of_a_file_are_compared_with_those_of
     assert "expected HPE_000000" in shown.output
 
 
+def test_a_port_of_the_bench_file_that_another_program_uses_is_named(real: Path, free_port: int) -> None:
+    with closing(socket.create_server(("127.0.0.1", free_port))):
+        refused = CliRunner().invoke(app, ["emulate", str(real), "-o", str(real.with_name("emulated.toml"))])
+    assert refused.exit_code == 1
+    assert f"ports of the bench file (master {free_port})" in " ".join(refused.output.split())
+
+
 def test_a_bench_file_is_told_from_a_scene(real: Path, tmp_path: Path) -> None:
     assert is_bench_file(str(real))
     assert not is_bench_file("bovine-muscle")

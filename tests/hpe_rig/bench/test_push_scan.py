@@ -17,10 +17,10 @@ WIDTH_M, LENGTH_M = 1e-3, 8e-3
 
 
 def scan_file(path: Path, ends_m: tuple[float, float]) -> str:
-    """Write a scan of a Gaussian beam with plane wave fronts, in planes of points on four radii; return its path."""
+    """Write a scan of a Gaussian beam with plane wave fronts, in 41 planes of points on a line; return its path."""
     wave_number_per_m = 2 * math.pi * FREQUENCY_HZ / SOUND_SPEED_M_PER_S
     rows = ["x_m,y_m,z_m,pressure_pa,phase_rad"]
-    for z_m in np.linspace(*ends_m, 33):
+    for z_m in np.linspace(*ends_m, 41):
         for x_m in np.arange(-12, 13) * 0.25e-3:
             pressure_pa = 1e6 * math.exp(-((x_m / WIDTH_M) ** 2) - (z_m / LENGTH_M) ** 2)
             rows.append(f"{x_m},0.0,{z_m},{pressure_pa},{-wave_number_per_m * z_m}")
