@@ -112,6 +112,28 @@ def test_a_measured_calibration_is_taken(tmp_path: Path, source: str) -> None:
     prepare("bovine-muscle", real(tmp_path / "metal.toml", *edits))
 
 
+def test_a_sweep_lowers_the_limits_of_a_real_bench_and_raises_none(tmp_path: Path) -> None:
+    bench = read_bench(real(tmp_path / "metal.toml", (TITLE, "Room 12")), lenient=True).bench
+    assert bench.with_({("limits", "max_duty"): 0.04}).limits.max_duty == 0.04
+    raised: dict[tuple[str | int, ...], int | float] = {
+        ("limits", "max_duty"): 0.06,
+        ("limits", "max_drive_vpp"): 3.0,
+        ("generators", "toneburst", "max_vpp"): 5.0,
+        ("calibration", "pressure_pa"): 1e6,
+    }
+    with pytest.raises(SettingsError) as caught:
+        bench.with_(raised)
+    assert [(mistake.path, mistake.remedy) for mistake in caught.value.mistakes] == [
+        ("bench.limits.max_duty", "at most 0.05"),
+        ("bench.limits.max_drive_vpp", "at most 2"),
+        # The bench file states no limit of this generator.
+        ("bench.generators.toneburst.max_vpp", "no sweep of it"),
+        ("bench.calibration.pressure_pa", "the bench file"),
+    ]
+    # Limits protect nothing on the twin.
+    assert read_bench().bench.with_({("limits", "max_duty"): 0.06}).limits.max_duty == 0.06
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
 def test_serial_lines_have_the_settings_of_the_bench_file(tmp_path: Path) -> None:
     import termios
