@@ -119,7 +119,7 @@ def test_a_sweep_lowers_the_limits_of_a_real_bench_and_raises_none(tmp_path: Pat
         ("limits", "max_duty"): 0.06,
         ("limits", "max_drive_vpp"): 3.0,
         ("generators", "toneburst", "max_vpp"): 5.0,
-        ("calibration", "pressure_pa"): 1e6,
+        ("calibration", "u"): 0.1,
     }
     with pytest.raises(SettingsError) as caught:
         bench.with_(raised)
@@ -128,7 +128,7 @@ def test_a_sweep_lowers_the_limits_of_a_real_bench_and_raises_none(tmp_path: Pat
         ("bench.limits.max_drive_vpp", "at most 2"),
         # The bench file states no limit of this generator.
         ("bench.generators.toneburst.max_vpp", "no sweep of it"),
-        ("bench.calibration.pressure_pa", "the bench file"),
+        ("bench.calibration.u", "the bench file"),
     ]
     # Limits protect nothing on the twin.
     assert read_bench().bench.with_({("limits", "max_duty"): 0.06}).limits.max_duty == 0.06
