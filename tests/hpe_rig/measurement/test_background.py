@@ -108,8 +108,9 @@ class RealBench:
     simulated, world = False, None
 
 
-def blocks_of(shot: Shot, count: int) -> list[ShotBlock]:
+def blocks_of(shot: Shot, count: int, has_monitor: bool = False) -> list[ShotBlock]:
     block = RecordBlock(0, np.zeros((2, 500), np.int16), np.zeros(2), 1.0, 0.0, (-128, 127))
+    block = replace(block, monitor=block if has_monitor else None)
     return [ShotBlock(shot, replace(block, first_record=2 * number)) for number in range(count)]
 
 
@@ -126,12 +127,15 @@ def test_records_are_written_in_order_while_the_measurement_goes_on_and_before_t
         assert not disk.blocks
         disk.answers.set()
         recorder.write(ShotDone(shot, False), scene, bench, Stages())  # type: ignore[arg-type]
+        recorder.check_file_present(wait=True)
     assert [block.first_record for block in disk.blocks] == list(range(0, 100, 2))
     assert "finish after 50 blocks" in disk.calls
+    assert disk.calls.count("check_file after 50 blocks") == 1
 
 
+@pytest.mark.parametrize(("has_monitor", "blocks"), [(False, 6), (True, 3)])
 def test_a_disk_that_falls_behind_by_more_than_memory_may_hold_ends_the_shot_with_a_remedy(
-    shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    shot: Shot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_monitor: bool, blocks: int
 ) -> None:
     monkeypatch.setattr(recording, "MAX_BACKLOG_BYTES", 10_000)
     disk, bench, scene = Disk(), RealBench(), prepare("table-1").scene.scene
@@ -142,7 +146,7 @@ def test_a_disk_that_falls_behind_by_more_than_memory_may_hold_ends_the_shot_wit
         nonlocal written
         with RunRecorder(tmp_path / "run.h5", create, defer=False) as recorder:
             try:
-                for event in blocks_of(shot, 50):
+                for event in blocks_of(shot, 50, has_monitor):
                     recorder.write(event, scene, bench, Stages())  # type: ignore[arg-type]
                     written += 1
             finally:
@@ -151,8 +155,8 @@ def test_a_disk_that_falls_behind_by_more_than_memory_may_hold_ends_the_shot_wit
     with pytest.raises(StoreError, match=r"fallen behind by 0\.012 MB .* 0\.01 MB that are kept in memory\. Try:"):
         record()
     # What had arrived is written all the same.
-    assert written == 5
-    assert len(disk.blocks) == 6
+    assert written == blocks - 1
+    assert len(disk.blocks) == blocks
 
 
 def test_a_run_leaves_no_thread_behind(tmp_path: Path) -> None:

@@ -64,6 +64,22 @@ def test_a_signal_is_recognised_with_time_and_polarity(role: str, sign: float) -
     assert np.std(errors) < 1.5
 
 
+@pytest.mark.parametrize("role", BURSTS)
+@pytest.mark.parametrize("samples", [0.0, 0.25, 0.5, 0.75])
+def test_a_burst_is_timed_to_a_tenth_of_a_sample(role: str, samples: float) -> None:
+    delay_s = (20 + samples) / SAMPLE_RATE_HZ
+    signal = arrival(2.5 * waveform(role, TIME_S - delay_s)[None], RANGE_V)
+    assert signal is not None
+    assert signal.time_s == pytest.approx(delay_s, abs=0.1 / SAMPLE_RATE_HZ)
+
+
+def test_an_edge_synchronous_with_the_sample_clock_has_the_uncertainty_of_rounding() -> None:
+    signal = arrival(np.tile(2.5 * waveform("master", TIME_S), (32, 1)), RANGE_V)
+    assert signal is not None
+    # The standard deviation of a uniform distribution over a sample.
+    assert signal.u_s == pytest.approx(1 / SAMPLE_RATE_HZ / np.sqrt(12), rel=1e-6)
+
+
 def test_the_difference_of_two_places_is_the_delay_of_the_cable() -> None:
     for role in ("master", "toneburst"):
         rng, normalised = np.random.default_rng(1), []

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ import pytest
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import GENERATOR_ROLES, Bench, BenchFile, BenchText, commissioned_digest, parse_bench, read_bench
 from hpe_rig.measurement import CableResult, Operator, Tap, commission, record_commissioning, taps, twin_operator
+from hpe_rig.measurement.cable_signals import capture_of
+from hpe_rig.measurement.commissioning import _records
 from hpe_rig.scene import SettingsError
 from sim_backend.settings import SimulationSettings
 from sim_backend.world import Silence, World
@@ -222,6 +226,21 @@ def test_mistakes_with_the_t_piece_are_found(words: str) -> None:
     except InstrumentError as error:
         text = str(error)
     assert words in text
+
+
+def test_records_are_awaited_after_the_last_trigger() -> None:
+    """The twin's records are complete at once, those of a board are not."""
+    deadlines_s: list[float] = []
+    digitizer = SimpleNamespace(
+        configure=lambda capture: None,
+        arm=lambda: None,
+        records=lambda deadline_s: deadlines_s.append(deadline_s) or (),
+    )
+    master = SimpleNamespace(enable_output=lambda: None, fire=lambda: None)
+    clock = SimpleNamespace(now_s=lambda: 5.0, sleep=lambda duration_s: None)
+    instruments: Any = SimpleNamespace(digitizer=digitizer, clock=clock, make_safe=lambda: None)
+    _records(instruments, capture_of("master", SHIPPED, 1), master, (), None)  # type: ignore[arg-type]
+    assert deadlines_s[0] - 5.0 > 0.1
 
 
 def test_neighbouring_places_of_the_t_piece_have_different_signals() -> None:

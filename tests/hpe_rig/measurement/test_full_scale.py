@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.interfaces import InstrumentError
+from drivers.interfaces import InstrumentError, RecordBlock
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import prepare
+from hpe_rig.measurement.full_scale import end_at_full_scale
 from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Event, ShotBlock, ShotDone
 from hpe_rig.scene import scene_text
 from hpe_rig.store import read_run
 
@@ -42,6 +45,24 @@ def test_some_records_at_full_scale_do_not_end_the_run(tmp_path: Path) -> None:
     path.write_text(text, encoding="utf-8")
     run = read_run(record_run(prepare(path), tmp_path / "run.h5"))
     assert (run.status, run.clipped) == ("complete", (0,))
+
+
+@pytest.mark.parametrize("end", [-128, 127])
+def test_full_scale_at_either_end_counts_and_only_in_the_gate(end: int) -> None:
+    shot = prepare("table-1").plan.shots[0]
+    codes = np.zeros((4, shot.capture.record_samples), np.int16)
+    blocks = [ShotBlock(shot, RecordBlock(first, codes, np.zeros(4), 1.0, 0.0, (-128, 127))) for first in (0, 4)]
+
+    def run() -> list[Event]:
+        return list(end_at_full_scale(event for event in (*blocks, ShotDone(shot, False))))
+
+    codes[:, shot.gate.start - 1] = end
+    assert len(run()) == 3
+    codes[:, shot.gate.start] = end
+    with pytest.raises(InstrumentError, match="all 8 records of shot 1 reach full scale"):
+        run()
+    codes[3, shot.gate] = 0
+    assert len(run()) == 3
 
 
 def test_the_command_says_what_to_change(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from hpe_rig.measurement import Progress, Setup, Step, prepare_text, record_run, run as run_module
 from hpe_rig.result import Stages
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.store import WriteOptions, read_run
+from hpe_rig.store import StoreError, WriteOptions, read_run
 
 TEXT = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 41").replace("snr_db = 40.0", "")
 SWEEP_OF_THE_TWIN = '\n[sweep]\n"simulation.seed" = [1, 2]\n'
@@ -51,6 +51,22 @@ def test_no_check_of_the_run_file_waits_for_the_disk_while_outputs_are_on(setup:
         observe(Progress(step, setup.plan.shots[0]))
     without_wait = [step.value for step, wait in zip(Step, recorder.waits, strict=True) if not wait]
     assert without_wait == ["wait", "fire", "collect"]
+
+
+@pytest.mark.parametrize("step", [Step.ARM, Step.COLLECT])
+def test_a_run_whose_file_is_removed_ends_before_the_next_shot(step: Step, tmp_path: Path) -> None:
+    three = prepare_text("three", TEXT.replace("[acquisition]", "[acquisition]\nrepeats = 3"), refuse=False)
+    shots: list[int] = []
+
+    def remove(progress: Progress) -> None:
+        if progress.step is step:
+            shots.append(progress.shot.index)
+            for file in tmp_path.iterdir():
+                file.unlink()
+
+    with pytest.raises(StoreError, match=r"run\.h5.*removed"):
+        record_run(three, tmp_path / "run.h5", remove)
+    assert set(shots) == {0}
 
 
 def test_the_observer_of_a_simulated_run_is_called_in_the_thread_of_the_run(setup: Setup, tmp_path: Path) -> None:
