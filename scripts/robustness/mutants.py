@@ -46,11 +46,9 @@ CODE_AND_TESTS = {
         "sim_backend/generator/emission.py sim_backend/generator/timing.py sim_backend/digitizer/board.py",
         "tests/sim_backend/test_wiring.py tests/sim_backend/generator tests/sim_backend/digitizer",
     ),
-    "generator driver": ("drivers/agilent", "tests/drivers/agilent"),
-    "board driver": ("drivers/alazar", "tests/drivers/alazar"),
-    "connections": ("drivers/visa", "tests/drivers/visa tests/system/test_idle_connections.py"),
+    "drivers": ("drivers", "tests/drivers tests/system/test_idle_connections.py"),
 }
-"""Files and folders that are mutated, and their tests, by package."""
+"""Files and folders that are mutated, and their tests, by package; the package's folder of tests is the first."""
 PACKAGES = {package: (code.split(), tests.split()) for package, (code, tests) in CODE_AND_TESTS.items()}
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     operator: swapped
