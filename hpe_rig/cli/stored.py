@@ -13,6 +13,7 @@ import typer
 from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.options import RunsFigureKind
 from hpe_rig.cli.tables import wide_console
+from hpe_rig.cli.terminal import terminal_columns, wrapped
 from hpe_rig.result import probability_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, plural, printable
 from hpe_rig.store import (
@@ -110,47 +111,51 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
         print_json(comparison.as_dict())
         return
     console = wide_console()
-    for setting in dict.fromkeys(row.setting for row in comparison.results):
-        console.print(f"\n{setting}", style="bold")
-        headers = ["f\nHz"]
-        headers += [f"{values}\n{run}" for run in ("first", "second") for values in ("nm, u", "deg, u")]
-        rows = [_difference_row(row) for row in comparison.results if row.setting == setting]
-        console.print(rich_table([*headers, "change\n%", "change\ndeg", "p\nall", "p\nnoise", ""], rows, words=0))
+    console.print(f"\n{wrapped(comparison.sentence(), terminal_columns())}", style="bold")
+    if comparison.results:
+        _print_differences(console, comparison)
     for text in comparison.alone:
         console.print(text)
-    if not comparison.results:
-        console.print("no setting and frequency has a result in both")
-    else:
-        _explain_differences(console, comparison)
-    settings = [(item.where, item.what, _value(item.before), _value(item.after)) for item in comparison.settings]
-    title = {0: "no setting differs", 1: "1 setting differs"}.get(len(settings), f"{len(settings)} settings differ")
-    console.print(f"\n{title}", style="bold")
-    if settings:
-        console.print(rich_table(("", "setting", *comparison.names), settings, words=4))
+    title = {0: "no setting differs", 1: "1 setting differs:"}
+    console.print(f"\n{title.get(len(comparison.settings), f'{len(comparison.settings)} settings differ:')}")
+    for item in comparison.settings:
+        console.print(f"  {item.where}, {item.what}: {_value(item.before)} -> {_value(item.after)}")
 
 
-def _explain_differences(console: Console, comparison: Comparison) -> None:
-    """Print the two runs and the meaning of both probabilities."""
-    console.print()
+def _print_differences(console: Console, comparison: Comparison) -> None:
+    """Print the table of differences, the two runs and the meaning of both probabilities.
+
+    A single setting has a row for each frequency. Several settings have a row each, at the frequency with the largest
+    difference.
+    """
+    settings, rows = comparison.varied_settings(), comparison.results
+    if len(settings) > 1:
+        by_setting = [[row for row in rows if row.setting == setting] for setting in settings]
+        rows = tuple(max(group, key=lambda row: row.change_over_u) for group in by_setting)
+        console.print(f"most changed at each of {len(settings)} settings; --json lists every frequency")
+    # A name in two lines keeps its column narrow.
+    headers = [name.rpartition(".")[2].replace("_", "\n", 1) for name in settings[rows[0].setting]]
+    headers += ["f\nHz", "first\nnm", "second\nnm", "change\n%", "\n/u", "change\ndeg", "\n/u", "p\nnoise", ""]
+    cells = [(*settings[row.setting].values(), *_difference_row(row)) for row in rows]
+    console.print(rich_table(headers, cells, words=0))
     for run, name, origin, method in zip(
         ("first", "second"), comparison.names, comparison.origins, comparison.estimators, strict=True
     ):
         console.print(f"{run}: {name}, {origin}, estimator {method}")
     console.print(
-        "p: probability of a difference of amplitude and phase at least as large by chance, significant below 0.01;\n"
-        "all: all sources of uncertainty, independent in the two runs; noise: noise and trigger jitter alone, for\n"
-        "runs with the same lateral offset, beams and specimen"
+        "/u: change over its standard uncertainty from all sources, independent in both\n"
+        "runs. Results differ if chance explains such a change with a probability below\n"
+        "0.01. p noise: that probability for noise and trigger jitter alone. If alike:\n"
+        "they differ if lateral offset, beams and specimen are the same."
     )
 
 
 def _difference_row(row: ResultDifference) -> tuple[str, ...]:
-    # Amplitude in nm and phase in degrees, each with its u, for either run.
-    cells = [f"{row.frequency_hz:g}"]
-    for run in (0, 1):
-        cells.append(f"{row.amplitude_m[run] * 1e9:.4g}, {row.amplitude_uncertainty_m[run] * 1e9:.2g}")
-        cells.append(f"{math.degrees(row.phase_rad[run]):.2f}, {math.degrees(row.phase_uncertainty_rad[run]):.2g}")
-    cells += [f"{row.amplitude_change * 100:+.1f}", f"{math.degrees(row.phase_change_rad):+.2f}"]
-    return (*cells, probability_text(row.p_all), probability_text(row.p_noise), row.verdict)
+    amplitudes = (f"{amplitude_m * 1e9:.4g}" for amplitude_m in row.amplitude_m)
+    amplitude = f"{row.amplitude_change * 100:+z.1f}", f"{row.amplitude_change_over_u:+z.1f}"
+    phase = f"{math.degrees(row.phase_change_rad):+z.2f}", f"{row.phase_change_over_u:+z.1f}"
+    verdict = row.verdict.removeprefix("differs ")
+    return f"{row.frequency_hz:g}", *amplitudes, *amplitude, *phase, probability_text(row.p_noise), verdict
 
 
 def _value(value: Any) -> str:

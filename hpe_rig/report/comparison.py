@@ -36,7 +36,7 @@ from hpe_rig.result import (
     titled,
 )
 from hpe_rig.runs import Run, open_run
-from hpe_rig.scene import Scene, parse_toml
+from hpe_rig.scene import Scene, parse_toml, plural
 from hpe_rig.store import StoreError, read_snapshots
 
 if TYPE_CHECKING:
@@ -46,7 +46,13 @@ if TYPE_CHECKING:
 SIGNIFICANCE = 0.01
 """Probability of a difference by chance below which the runs differ."""
 
-DERIVED = {"amplitude_change": float, "phase_change_rad": float, "verdict": str}
+DERIVED = {
+    "amplitude_change": float,
+    "phase_change_rad": float,
+    "amplitude_change_over_u": float,
+    "phase_change_over_u": float,
+    "verdict": str,
+}
 
 Setting = tuple[Any, ...]
 
@@ -92,6 +98,21 @@ class ResultDifference:
         return math.remainder(self.phase_rad[1] - self.phase_rad[0], 2 * math.pi)
 
     @property
+    def amplitude_change_over_u(self) -> float:
+        """Difference of the amplitudes over its combined standard uncertainty."""
+        return _over_u(self.amplitude_m[1] - self.amplitude_m[0], self.amplitude_uncertainty_m)
+
+    @property
+    def phase_change_over_u(self) -> float:
+        """Difference of the phases over its combined standard uncertainty."""
+        return _over_u(self.phase_change_rad, self.phase_uncertainty_rad)
+
+    @property
+    def change_over_u(self) -> float:
+        """Difference of amplitude and phase together in standard uncertainties, the root of chi-square."""
+        return math.hypot(self.amplitude_change_over_u, self.phase_change_over_u)
+
+    @property
     def verdict(self) -> str:
         """Whether the two differ, differ only if position, beams and specimen are the same, or agree."""
         if self.p_all < SIGNIFICANCE:
@@ -113,6 +134,32 @@ class Comparison:
     settings: tuple[SettingDifference, ...]
     results: tuple[ResultDifference, ...]
     alone: tuple[str, ...]
+
+    def sentence(self) -> str:
+        """Return how many results differ, and the largest difference in percent, degrees and u."""
+        if not self.results:
+            return "no setting and frequency has a result in both"
+        verdicts = [row.verdict for row in self.results]
+        differing, if_alike = verdicts.count("differs"), verdicts.count("differs if alike")
+        largest = max(self.results, key=lambda row: row.change_over_u)
+        settings = self.varied_settings()[largest.setting]
+        where = "".join(f", {name} = {value}" for name, value in settings.items())
+        alike = f", {if_alike} if position, beams and specimen are the same" if if_alike else ""
+        return (
+            f"{differing or 'none'} of {plural(len(verdicts), 'result')} {'differ' if differing > 1 else 'differs'}"
+            f"{alike}; most changed at {largest.frequency_hz:g} Hz{where}: amplitude "
+            f"{100 * largest.amplitude_change:+z.1f} % ({abs(largest.amplitude_change_over_u):.1f} u), phase "
+            f"{math.degrees(largest.phase_change_rad):+z.2f} deg ({abs(largest.phase_change_over_u):.1f} u)"
+        )
+
+    def varied_settings(self) -> dict[str, dict[str, str]]:
+        """Return, for the text of every setting, the values by name that differ between the settings."""
+        texts = dict.fromkeys(row.setting for row in self.results)
+        values = {text: dict(part.split(" = ") for part in text.split(", ") if " = " in part) for text in texts}
+        names = dict.fromkeys(name for parts in values.values() for name in parts)
+        varied = [name for name in names if len({parts.get(name) for parts in values.values()}) > 1]
+        # Texts leave out a value of 0.
+        return {text: {name: parts.get(name, "0") for name in varied} for text, parts in values.items()}
 
     def as_dict(self) -> dict[str, Any]:
         """Return all values in the form of JSON."""
@@ -320,19 +367,18 @@ def _figure(comparison: Comparison, ax: Sequence[Axes] | None, figsize: tuple[fl
     # Both runs are shifted by this distance from the frequency, so that neither hides the other.
     shift_hz = 0.003 * (float(np.ptp(frequency_hz)) if frequency_hz.size > 1 else 100.0)
     quantities = (
-        ("amplitude_m", "amplitude_uncertainty_m", "amplitude / nm", 1e9),
-        ("phase_rad", "phase_uncertainty_rad", "phase / deg", 180 / math.pi),
+        ("amplitude_m", "amplitude_uncertainty_m", "amplitude_change_over_u", "amplitude / nm", 1e9),
+        ("phase_rad", "phase_uncertainty_rad", "phase_change_over_u", "phase / deg", 180 / math.pi),
     )
-    for (above, below), (value, u, label, factor) in zip(panels.T, quantities, strict=True):
+    for (above, below), (value, u, change, label, factor) in zip(panels.T, quantities, strict=True):
         for run, (name, colour, marker) in enumerate(zip(comparison.names, PALETTE, "os", strict=False)):
             values = [getattr(row, value)[run] * factor for row in rows]
             bars = [2 * getattr(row, u)[run] * factor for row in rows]
             x = frequency_hz + (2 * run - 1) * shift_hz
             text = f"{name}, {comparison.origins[run]}"
             above.errorbar(x, values, bars, fmt=marker, color=colour, label=text, ms=5)
-        is_phase = value == "phase_rad"
         below.axhspan(-2, 2, color="0.9")
-        differences = [_difference_over_u(getattr(row, value), getattr(row, u), is_phase) for row in rows]
+        differences = [getattr(row, change) for row in rows]
         below.plot(frequency_hz, differences, "D", color=PALETTE[2], ms=5)
         above.set_ylabel(f"{label}, bars: 2 u")
         below.set(xlabel="frequency / Hz", ylabel="difference / u")
@@ -350,6 +396,9 @@ def _figure(comparison: Comparison, ax: Sequence[Axes] | None, figsize: tuple[fl
     return figure
 
 
-def _difference_over_u(values: tuple[float, float], u: tuple[float, float], is_phase: bool) -> float:
-    difference = math.remainder(values[1] - values[0], 2 * math.pi) if is_phase else values[1] - values[0]
-    return difference / math.hypot(*u) if math.hypot(*u) > 0 else math.nan
+def _over_u(difference: float, u: tuple[float, float]) -> float:
+    """Return ``difference`` over the combined ``u`` of the two values."""
+    combined = math.hypot(*u)
+    if combined > 0:
+        return difference / combined
+    return math.copysign(math.inf, difference) if difference else 0.0

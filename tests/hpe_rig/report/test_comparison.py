@@ -74,6 +74,10 @@ def test_half_the_motion_is_told_from_chance_whatever_else_differs(runs: tuple[P
     (row,) = found.results
     assert row.amplitude_change == pytest.approx(-0.5, abs=0.01)
     assert row.verdict == "differs"
+    assert row.phase_change_over_u == pytest.approx(row.phase_change_rad / math.hypot(*row.phase_uncertainty_rad))
+    assert row.p_all == pytest.approx(chdtrc(2, row.amplitude_change_over_u**2 + row.phase_change_over_u**2))
+    u = abs(row.amplitude_change_over_u)
+    assert found.sentence().startswith(f"1 of 1 result differs; most changed at 200 Hz: amplitude -50.0 % ({u:.1f} u)")
     figure = found.figure()
     # Both runs above, and their difference in u below.
     assert [len(panel.lines) for panel in figure.axes] == [2, 2, 1, 1]
@@ -112,6 +116,23 @@ def test_repeats_are_compared_by_their_means_and_what_has_no_partner_is_named(
     assert found.results == ()
     assert len(found.alone) == 3
     assert "tracking.delay_s = 0.0001: in swept.h5 alone" in found.alone[2]
+
+
+def test_several_settings_have_one_table_with_a_row_each(tmp_path: Path, runs: tuple[Path, Path, Path]) -> None:
+    scene = hpe.load_scene("table-1").with_({"tracking.pulse_count": 40})
+    swept = hpe.sweep(scene, {"tracking.delay_s": [0.0, 1e-4, 2e-4]}, path=tmp_path / "a.h5")
+    other = hpe.sweep(
+        scene.with_({"simulation.seed": 7}), {"tracking.delay_s": [0.0, 1e-4, 2e-4]}, path=tmp_path / "b.h5"
+    )
+    comparison = compare_runs(swept.path, other.path)
+    assert [list(values) for values in comparison.varied_settings().values()] == [["tracking.delay_s"]] * 3
+    printed = CliRunner().invoke(app, ["compare", str(swept.path), str(other.path)], env={"COLUMNS": "80"}).stdout
+    assert max(map(len, printed.splitlines())) <= 80
+    table = [line.split() for line in printed.splitlines() if "200" in line.split()[1:2]]
+    assert [cells[0] for cells in table] == ["0", "0.0001", "0.0002"]
+    for cells, row in zip(table, comparison.results, strict=True):
+        assert float(cells[5]) == pytest.approx(row.amplitude_change_over_u, abs=0.05)
+        assert float(cells[7]) == pytest.approx(row.phase_change_over_u, abs=0.05)
 
 
 def test_the_command_prints_both_and_writes_json_and_figure(runs: tuple[Path, Path, Path], tmp_path: Path) -> None:
