@@ -24,9 +24,9 @@ from sim_backend.digitizer import (
     Board,
     BoardSettings,
     CaptureSnapshot,
+    Latencies,
     Recording,
     direct_volts,
-    latencies_of,
     pulse_onsets_ps,
 )
 from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A, ScpiError, with_serial
@@ -185,8 +185,10 @@ class World:
             for role in GENERATORS
         }
         board_type = BOARDS[(models or {}).get("digitizer", "ATS460")]
-        latencies = latencies_of(
-            instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
+        latencies = Latencies(
+            to_ps(instruments.digitizer_latency_s),
+            to_ps(instruments.aux_latency_s),
+            instruments.aux_waits_for_trigger_delay,
         )
         board_serial = (serials or {}).get("digitizer", "")
         self.board = Board(

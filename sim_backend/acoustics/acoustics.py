@@ -342,11 +342,7 @@ class Acoustics:
         if np.array_equal(record, np.arange(len(out))):
             _add_to_records(out[:, span], block, group, train.strength_v[burst])
             return
-        block = block[group] * train.strength_v[burst, None]
-        if len(set(record.tolist())) == len(record):
-            out[record, span] += block
-        else:
-            np.add.at(out[:, span], record, block)
+        np.add.at(out[:, span], record, block[group] * train.strength_v[burst, None])
 
     def _grouped_echoes(
         self, train: _EchoTrain, burst: Int64Array, shift_s: FloatArray, sample_ps: Int64Array
@@ -470,18 +466,12 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
     transducer to the focus.
     """
     if settings.specimen is not None:
-        from sim_backend.motion import (
-            focus_response,
-            force_scale,
-            force_shape,
-            radiation_force,
-            transient_displacement,
-        )
+        from sim_backend import motion
 
-        specimen = settings.specimen
-        response, scale = focus_response(specimen, force_shape(settings)), force_scale(settings)
-        return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
-            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter, scale), time_ps
+        specimen, scale = settings.specimen, motion.force_scale(settings)
+        response = motion.focus_response(specimen, motion.force_shape(settings))
+        return lambda tonebursts, time_ps, _origin_ps: motion.transient_displacement(
+            response, motion.radiation_force(tonebursts, specimen, travel_s, settings.transmitter, scale), time_ps
         )
     if settings.motion:
         from sim_backend.motion import motion_at

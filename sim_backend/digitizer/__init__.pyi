@@ -2,7 +2,7 @@ from .board import (
     AcceptedTriggers as AcceptedTriggers,
     Board as Board,
     BoardSettings as BoardSettings,
-    latencies_of as latencies_of,
+    Latencies as Latencies,
 )
 from .boards import BOARDS as BOARDS
 from .capture_snapshot import FAR_PS as FAR_PS, CaptureSnapshot as CaptureSnapshot, pulse_onsets_ps as pulse_onsets_ps

@@ -354,8 +354,3 @@ class Board:
         steps = [aux_steps(arming, accepted, self.latencies) for arming, accepted in pairs]
         ignored = sum(accepted.ignored for accepted in triggers)
         return Emission(joined_steps(steps), no_bursts(), ignored), triggers
-
-
-def latencies_of(sample_s: float, aux_s: float, aux_waits_for_delay: bool = False) -> Latencies:
-    """Return the board's latencies in whole picoseconds."""
-    return Latencies(to_ps(sample_s), to_ps(aux_s), aux_waits_for_delay)

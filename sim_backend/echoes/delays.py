@@ -11,7 +11,7 @@ c             sound speed, m/s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,15 +69,10 @@ class EchoDelays:
         max_change_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
         return self.rest_s - max_change_s, self.rest_s + max_change_s
 
-    def selected(self, scatterers: Int64Array) -> EchoDelays:
+    def selected(self, scatterers: Int64Array | slice) -> EchoDelays:
         """Return the delays of the scatterers with the indices ``scatterers``."""
         response = None if self.response is None else self.response[:, scatterers]
-        return EchoDelays(
-            rest_s=self.rest_s[scatterers],
-            shape=self.shape[:, scatterers],
-            amplitude_s=self.amplitude_s,
-            response=response,
-        )
+        return replace(self, rest_s=self.rest_s[scatterers], shape=self.shape[:, scatterers], response=response)
 
     def shifted(self, shift_s: FloatArray) -> EchoDelays:
         """Return the delays relative to sample times that are later by ``shift_s`` (echo,).
@@ -90,7 +85,7 @@ class EchoDelays:
         # amplitude -shift_s.
         shape = np.concatenate([self.shape, np.ones((1, self.shape.shape[1]))])
         amplitude_s = np.concatenate([self.amplitude_s, -shift_s[:, None]], axis=1)
-        return EchoDelays(rest_s=self.rest_s, shape=shape, amplitude_s=amplitude_s, response=self.response)
+        return replace(self, shape=shape, amplitude_s=amplitude_s)
 
     def delay_s(self) -> FloatArray:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
@@ -109,12 +104,7 @@ class EchoDelays:
         # A small offset costs no term of the series, but moving every delay costs time.
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
-        return EchoDelays(
-            rest_s=self.rest_s + middle_s @ self.shape,
-            shape=self.shape,
-            amplitude_s=self.amplitude_s - middle_s,
-            response=self.response,
-        )
+        return replace(self, rest_s=self.rest_s + middle_s @ self.shape, amplitude_s=self.amplitude_s - middle_s)
 
 
 def distinct_echoes(

@@ -235,13 +235,14 @@ def _series_by_blocks(
         min_s, max_s = time_s[0] - pulse.end_s - max_change_s, time_s[-1] - pulse.start_s + max_change_s
         first, end = np.searchsorted(delays.rest_s, [min_s, max_s])
         reaching = slice(max(0, int(first) - 1), int(end) + 1)
+        near = delays.selected(reaching)
         scatterer_rows = ScattererRows(
-            row=np.zeros(len(delays.rest_s[reaching]), dtype=np.int64),
-            rest_s=delays.rest_s[reaching] - origin_s,
+            row=np.zeros(len(near.rest_s), dtype=np.int64),
+            rest_s=near.rest_s - origin_s,
             weight=weight[reaching],
-            shape=delays.shape[:, reaching],
-            amplitude_s=delays.amplitude_s[None],
-            response=None if delays.response is None else delays.response[:, reaching],
+            shape=near.shape,
+            amplitude_s=near.amplitude_s[None],
+            response=near.response,
         )
         series(scatterer_rows, pulse, time_s - origin_s, tolerance, out[:, :, block])
     return np.asarray(out[0])

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
@@ -178,10 +177,6 @@ class ThinnedDraws:
     reflectivity: FloatArray
     """Reflectivity without any beam."""
 
-    def arrays(self) -> list[Any]:
-        """Return the arrays in the order of the fields."""
-        return [getattr(self, field.name) for field in fields(self)]
-
 
 def draw_thinned(
     settings: SimulationSettings,
@@ -260,9 +255,11 @@ def _with_reflectors(scatterer_draws: ThinnedDraws, settings: SimulationSettings
         offset_m=np.tile(field.offset_m, (draws, 1)),
         reflectivity=np.tile(field.reflectivity, draws),
     )
-    merged = [np.concatenate(pair) for pair in zip(scatterer_draws.arrays(), reflectors.arrays(), strict=True)]
-    order = np.lexsort((merged[1], merged[0]))  # by row, then by delay
-    return ThinnedDraws(*(array[order] for array in merged))
+    both = (scatterer_draws, reflectors)
+    row, delay_s = (np.concatenate([getattr(part, name) for part in both]) for name in ("row", "delay_s"))
+    order = np.lexsort((delay_s, row))  # by row, then by delay
+    names = (item.name for item in fields(ThinnedDraws))
+    return ThinnedDraws(*(np.concatenate([getattr(part, name) for part in both])[order] for name in names))
 
 
 def _gaussian(offset_m: tuple[FloatArray, FloatArray, FloatArray], width_m: tuple[float, float, float]) -> FloatArray:

@@ -25,12 +25,12 @@ import functools
 import itertools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
-from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.exact_sums import is_alive_in_block, running_sum_cell, running_sums
 from sim_backend.echoes.pulse import Pulse, phasors
 
@@ -160,7 +160,7 @@ def series(
     # left out may add up to a fraction of the tolerance, relative to the norm of the echo at rest (term 0) in the gate.
     rms_at_rest = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     max_omitted = _CROSSING_FRACTION * tolerance * rms_at_rest * math.sqrt(len(sample_time_s))
-    _correct_crossings(out, scatterer_rows, (enter, leave), tables, pulse, sample_time_s, max_omitted)
+    _correct_crossings(out, scatterer_rows, tables, pulse, sample_time_s, max_omitted)
 
 
 class _PowerStep(NamedTuple):
@@ -290,8 +290,7 @@ def _sums_at_rest(
         rows = slice(first_row, min(first_row + rows_per_chunk, len(sums)))
         first, end = row_bounds[rows.start], row_bounds[rows.stop]
         alive = first + np.flatnonzero(is_alive_in_block(enter[first:end], leave[first:end], samples))
-        # Each alive scatterer adds to the cell of the sample at which its pulse starts or ends; sums over the cells
-        # then give the sum over all scatterers alive at each sample, (frequency, term, row, sample).
+        # Sums over the scatterers alive at each sample, (frequency, term, row, sample).
         cell = running_sum_cell(scatterer_rows.row[alive] - rows.start, enter[alive], leave[alive], samples)
         cells = np.zeros((frequencies, len(degree), rows.stop - rows.start, 2, samples), dtype=np.complex128)
         _add_to_cells(cells.reshape(frequencies, len(degree), -1), scatterer_rows, alive, cell, steps, pulse)
@@ -353,19 +352,12 @@ class _Crossings:
 
     def selected(self, rows: slice | Int64Array) -> _Crossings:
         """Return the crossing edges with the indices ``rows``."""
-        return _Crossings(
-            scatterer=self.scatterer[rows],
-            edge=self.edge[rows],
-            time_s=self.time_s[rows],
-            first_sample=self.first_sample[rows],
-            sample_count=self.sample_count[rows],
-        )
+        return _Crossings(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def _correct_crossings(
     out: FloatArray,
     scatterer_rows: ScattererRows,
-    sample_at_rest: tuple[Int64Array, Int64Array],
     tables: _Tables,
     pulse: Pulse,
     sample_time_s: FloatArray,
@@ -373,9 +365,8 @@ def _correct_crossings(
 ) -> None:
     """Correct ``out`` (row, echo, sample), in place, at samples that the start or end of a moving pulse crosses.
 
-    The power series moves the pulses but not their edges. ``sample_at_rest``: for start and end of each scatterer's
-    pulse, the first sample (scatterer,) at or after it at rest. ``max_omitted``: size of the corrections that may be
-    left out in total.
+    The power series moves the pulses but not their edges. ``max_omitted``: size of the corrections that may be left
+    out in total.
     """
     # Largest change of each scatterer's delay by the motion.
     reach_s = np.abs(scatterer_rows.amplitude_s).max(axis=(0, 1)) @ np.abs(scatterer_rows.shape)
@@ -394,7 +385,7 @@ def _correct_crossings(
     edges_per_chunk = max(1, _VALUES_PER_CHUNK // (out.shape[1] * int(crossings.sample_count.max(initial=1))))
     for first in range(0, len(crossings.edge), edges_per_chunk):
         chunk = crossings.selected(slice(first, first + edges_per_chunk))
-        _correct_edges(out, scatterer_rows, sample_at_rest, chunk, taylor, sample_time_s)
+        _correct_edges(out, scatterer_rows, chunk, taylor, sample_time_s)
 
 
 def _significant_edges(
@@ -444,16 +435,14 @@ def _pulse_bound_near_edge(response: ComplexArray | None, taylor: ComplexArray, 
 def _correct_edges(
     out: FloatArray,
     scatterer_rows: ScattererRows,
-    sample_at_rest: tuple[Int64Array, Int64Array],
     crossings: _Crossings,
     taylor: ComplexArray,
     sample_time_s: FloatArray,
 ) -> None:
     """Correct ``out`` (row, echo, sample), in place, at all samples that the edges in ``crossings`` can reach.
 
-    An edge is the start or the end of a scatterer's pulse, which moves with the scatterer. ``sample_at_rest``: for
-    start and end of each scatterer's pulse, the first sample (scatterer,) at or after it at rest. ``taylor`` (edge,
-    frequency, order): Taylor coefficients of each exponential of the pulse about start and end.
+    An edge is the start or the end of a scatterer's pulse, which moves with the scatterer. ``taylor`` (edge, frequency,
+    order): Taylor coefficients of each exponential of the pulse about start and end.
     """
     # A pair is an edge and one of the samples within its reach: index of its edge, and its sample, (pair,).
     count = crossings.sample_count
@@ -462,14 +451,13 @@ def _correct_edges(
     sample = np.repeat(crossings.first_sample, count) + index_in_edge
     scatterer, edge = crossings.scatterer[pair], crossings.edge[pair]
     after_edge_at_rest_s = sample_time_s[sample] - crossings.time_s[pair]
-    is_after_at_rest = sample >= np.where(edge == 0, sample_at_rest[0][scatterer], sample_at_rest[1][scatterer])
     # Taylor coefficients of the pulse, (pair, order): common to all scatterers, or with each one's beam response.
     if scatterer_rows.response is None:
         coefficients = taylor.sum(axis=1).real[edge]
     else:
         response, edge_taylor = scatterer_rows.response[:, crossings.scatterer], taylor[crossings.edge]
         coefficients = np.einsum("fs,sfq->sq", response, edge_taylor, optimize=True).real[pair]
-    correction = _crossing_corrections(scatterer_rows, scatterer, after_edge_at_rest_s, is_after_at_rest, coefficients)
+    correction = _crossing_corrections(scatterer_rows, scatterer, after_edge_at_rest_s, coefficients)
     # Several pairs may have the same row and sample, and fancy indexing adds to an element only once: sort the pairs by
     # row and sample, sum each run of equal ones, and add the sums.
     row = scatterer_rows.row[scatterer]
@@ -484,15 +472,13 @@ def _crossing_corrections(
     scatterer_rows: ScattererRows,
     scatterer: Int64Array,
     after_edge_at_rest_s: FloatArray,
-    is_after_at_rest: BoolArray,
     coefficients: FloatArray,
 ) -> FloatArray:
     """Return the corrections of the echoes where motion moves an edge of a pulse past a sample, (pair, echo).
 
     A pair is an edge (start or end) and a sample near it. At a crossing the correction is plus or minus the weighted
-    pulse, elsewhere 0. ``after_edge_at_rest_s`` (pair,): time of the sample after the edge at rest;
-    ``is_after_at_rest`` (pair,): whether the sample is at or after it. ``coefficients`` (pair, order): Taylor
-    coefficients of the pulse about its edge, sign reversed at its end.
+    pulse, elsewhere 0. ``after_edge_at_rest_s`` (pair,): time of the sample after the edge at rest.
+    ``coefficients`` (pair, order): Taylor coefficients of the pulse about its edge, sign reversed at its end.
     """
     # Change of the echo delay by the motion, (pair, echo).
     if len(scatterer_rows.amplitude_s) == 1:
@@ -511,6 +497,7 @@ def _crossing_corrections(
     # A sample that is after the edge only in motion gains the weighted pulse, one that is after it only at rest loses
     # it, and one on the same side in both cases does not change.
     weight = scatterer_rows.weight[scatterer]
+    is_after_at_rest = after_edge_at_rest_s >= 0
     if_after, if_before = np.where(is_after_at_rest, 0.0, weight), np.where(is_after_at_rest, -weight, 0.0)
     pulse_value *= np.where(after_moved_edge_s >= 0, if_after[:, None], if_before[:, None])
     return np.asarray(pulse_value)

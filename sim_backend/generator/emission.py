@@ -79,15 +79,10 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
     ``history`` holds (time, registers), sorted by time; ``software_ps`` are triggers by command, ``arriving`` is the
     voltage at Trig In. An endless output is computed up to ``until_ps``.
     """
-    segments = [
-        (start_ps, history[index + 1][0] if index + 1 < len(history) else FAR_PS, registers)
-        for index, (start_ps, registers) in enumerate(history)
-    ]
-    # Within one segment of the history the registers are constant.
+    # Each state lasts until the next one.
+    following = [*((start_ps, _idle_v(registers)) for start_ps, registers in history[1:]), (FAR_PS, 0.0)]
     steps, bursts, ignored, idle_v = [], [], 0, 0.0
-    for index, (start_ps, stop_ps, registers) in enumerate(segments):
-        # Each state lasts until the next one.
-        next_idle_v = _idle_v(segments[index + 1][2]) if index + 1 < len(segments) else 0.0
+    for (start_ps, registers), (stop_ps, next_idle_v) in zip(history, following, strict=True):
         if registers.burst and registers.burst_mode == "GAT":
             onset_ps, cycles = _gated(registers, start_ps, stop_ps, arriving, latency_ps)
         else:

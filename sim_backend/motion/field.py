@@ -115,6 +115,8 @@ class FocusField:
         return np.asarray(np.einsum("pl,mla,pa->pm", lateral, self.shape, axial, optimize=True))
 
 
+# The field depends only on settings and scatterers, so repeated measurements of a scene share it.
+@lru_cache(maxsize=8)
 def focus_field(
     specimen: Specimen,
     force: Force,
@@ -166,19 +168,14 @@ def focus_field(
     )
 
 
+@lru_cache(maxsize=8)
 def focus_response(specimen: Specimen, force: Force) -> StepResponse:
     """Return the displacement at the focus after a step of force, tabulated over time.
 
     It is in closed form for a Gaussian force, and to 1e-7 for a sum of Gaussians.
     """
-    if isinstance(force, GaussianSum):
-        return _sum_response(specimen, force)
-    return tabulate_step_response(specimen, force)
-
-
-@lru_cache(maxsize=8)
-def _sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
-    """Return the displacement at the focus after a step of a force that is a sum of Gaussians, tabulated over time."""
+    if not isinstance(force, GaussianSum):
+        return tabulate_step_response(specimen, force)
     panels = _focus_spectrum(force).step_response(specimen)
     return StepResponse(memory_s(specimen, panels), panels)
 
@@ -262,7 +259,7 @@ def medium_motion(
     point_m = abs(lateral_offset_m)
     nearest_m, farthest_m = float(lateral_m.min(initial=point_m)), float(lateral_m.max(initial=point_m))
     # If all are off the axis, only a shell around it is tabulated; it needs some thickness for a single radius.
-    field = _cached_field(
+    field = focus_field(
         specimen,
         force,
         max(farthest_m, lateral_width_m, nearest_m + lateral_width_m / 100),
@@ -277,10 +274,6 @@ def medium_motion(
         travel_s=travel_s,
         force_scale=force_scale(settings),
     )
-
-
-# The field depends only on settings and scatterers, so repeated measurements of a scene share it.
-_cached_field = lru_cache(maxsize=8)(focus_field)
 
 
 def field_transfer(

@@ -25,7 +25,7 @@ from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 
 _PANEL_RATIO = 4.0
 """End over begin of a panel: as long as one hyperbola serves."""
-_DEGREES = 24  # Chebyshev coefficients of a panel
+DEGREES = 24  # Chebyshev coefficients of a panel
 # Begin of the first panel, and a time that the last panel contains.
 _FIRST_S = 1e-12
 _LAST_S = 1e4
@@ -82,7 +82,7 @@ class Panels:
 
 
 def panels_of(
-    transfer: Callable[[ComplexArray], ComplexArray], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
+    transfer: Callable[[ComplexArray], ComplexArray], contour: Contour = AXIS_CONTOUR, degrees: int = DEGREES
 ) -> Panels:
     """Return step responses from 1 ps to 10^4 s, tabulated in panels of time, from their Laplace transform.
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.motion.force import ForcePulses
-from sim_backend.motion.inverse_laplace import AXIS_CONTOUR, Panels, panels_of
+from sim_backend.motion.inverse_laplace import AXIS_CONTOUR, DEGREES, Panels, panels_of
 from sim_backend.motion.sphere import SPHERE_CONTOUR, SPHERE_DEGREES, sphere_force_volume_m3, sphere_response
 from sim_backend.settings import BUILT_IN_MEDIA, Specimen, creeps, modulus_of
 from sim_backend.wiring import PS_PER_S
@@ -165,15 +165,8 @@ def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
     ``width_m`` are the sigmas of the force. The relative error is 1e-10, with a sphere 1e-6. Cached, because the checks
     of a plan and the measurement use the same table.
     """
-
-    def response(s_per_s: ComplexArray) -> ComplexArray:
-        """Return displacement over force density at complex frequencies, (frequency, 1)."""
-        return transfer(specimen, width_m, s_per_s)[:, None]
-
-    if specimen.sphere is None:
-        panels = panels_of(response, contour=AXIS_CONTOUR)
-    else:
-        panels = panels_of(response, contour=SPHERE_CONTOUR, degrees=SPHERE_DEGREES)
+    contour, degrees = (AXIS_CONTOUR, DEGREES) if specimen.sphere is None else (SPHERE_CONTOUR, SPHERE_DEGREES)
+    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], contour, degrees)
     return StepResponse(memory_s=memory_s(specimen, panels), panels=panels)
 
 

@@ -24,7 +24,9 @@ _CHAIN_NOISE_STREAM = 100
 _CLOCK_STREAM = 101
 # Every scene's seed has four streams of trigger jitter, two of them in use: pulser and tonebursts are independent.
 _JITTER_STREAMS = 4
-_PULSER_STREAM, _TONEBURST_STREAM = 1, 2
+# Stream, and number of jittering generators. The burst train's generator triggers that of the toneburst. The tracking
+# train's jitter delays pulse and record alike, so only the pulser's moves echoes in a record.
+_PULSE_JITTER, _TONEBURST_JITTER = (1, 1), (2, 2)
 
 
 class Physics(Protocol):
@@ -58,13 +60,13 @@ class Reception:
         self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
     ) -> FloatArray:
         """Return the displacement at the focus at ``time_ps`` (time,), m, under the jittered tonebursts."""
-        jittered_bursts = self._jittered_tonebursts(tonebursts, origin_ps, index)
+        jittered_bursts = self._jittered(tonebursts, *_TONEBURST_JITTER, origin_ps, index)
         return self._acoustics.focus_displacement_m(jittered_bursts, time_ps, origin_ps)
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
         """Return the voltages that the digitizer samples, float64 (record, sample), V: echoes after receive chain."""
-        tonebursts = self._jittered_tonebursts(tonebursts, capture.origin_ps, capture.index)
-        pulses = self._jittered_pulses(pulses, capture.origin_ps, capture.index)
+        tonebursts = self._jittered(tonebursts, *_TONEBURST_JITTER, capture.origin_ps, capture.index)
+        pulses = self._jittered(pulses, *_PULSE_JITTER, capture.origin_ps, capture.index)
         # Longer and finer records, so that the chain and the clock have the samples they need.
         padded_capture, selected = widened(self._settings, capture)
         volts = self._acoustics.record_volts(tonebursts, pulses, padded_capture)
@@ -100,27 +102,15 @@ class Reception:
             rng = self._chain_noise.generator_for(padded_capture, padded_capture.samples)
         return receive(volts, chain, padded_capture.sample_period_ps / PS_PER_S, switch_gains, rng)
 
-    def _jittered_tonebursts(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
-        """Return ``tonebursts`` with the trigger jitter of their generators, each burst shifted by a random time.
+    def _jittered(self, bursts: Bursts, stream: int, generators: int, origin_ps: int, index: int) -> Bursts:
+        """Return ``bursts`` shifted by the random jitter of their triggers.
 
-        Equal onsets after the master trigger's edge ``origin_ps``, in a capture of equal number ``index``, have equal
-        jitter.
+        ``generators`` in series each add an independent jitter. It depends only on the onset after the master trigger's
+        edge ``origin_ps``, on the capture's number ``index`` and on ``stream``, which distinguishes trains.
         """
-        # The generators of the burst train and of the toneburst are in series, each with independent jitter.
-        rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(2)
-        stream_seed = self._settings.seed * _JITTER_STREAMS + _TONEBURST_STREAM
-        return jittered(tonebursts, rms_s=rms_s, seed=stream_seed, origin_ps=origin_ps, index=index)
-
-    def _jittered_pulses(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
-        """Return the tracking ``pulses`` with the trigger jitter of the pulser, each pulse shifted by a random time.
-
-        Equal onsets after the master trigger's edge ``origin_ps``, in a capture of equal number ``index``, have equal
-        jitter.
-        """
-        # Jitter of the tracking train delays pulse and record alike. Only the pulser's jitter moves echoes in a record.
-        rms_s = self._settings.instruments.trigger_jitter_s
-        stream_seed = self._settings.seed * _JITTER_STREAMS + _PULSER_STREAM
-        return jittered(pulses, rms_s=rms_s, seed=stream_seed, origin_ps=origin_ps, index=index)
+        rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(generators)
+        stream_seed = self._settings.seed * _JITTER_STREAMS + stream
+        return jittered(bursts, rms_s=rms_s, seed=stream_seed, origin_ps=origin_ps, index=index)
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:

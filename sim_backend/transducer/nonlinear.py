@@ -41,6 +41,8 @@ _PANEL_RADIUS_RATIO = 1.15
 # Smallest window around the beam, and its margin beyond the geometric edge.
 _MIN_WINDOW_M, _WINDOW_MARGIN_M = 2.5e-3, 2.0e-3
 _DEPTH_BEHIND_FOCUS_M = 12e-3
+# Ratio of the last harmonic to the fundamental above which harmonics are added.
+_NEW_HARMONICS_RATIO = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +55,6 @@ class Accuracy:
     """Step relative to the distance from the focus."""
     min_step_m: float = 0.2e-3
     """Smallest step, around the focus."""
-    threshold: float = 1e-4
-    """Ratio of the last harmonic to the fundamental above which harmonics are added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,8 +235,8 @@ class _March:
         self._add_steepening((after_pa - before_pa) * (self.taper * self.radius_weight_m2)[:, None])
         self._store_results(before_pa, shock_heat_w_per_m3=shock_loss / step_m, step_m=step_m)
         self._diffract(step_m / 2)
-        # More harmonics once the highest active one, relative to the fundamental, exceeds the threshold.
-        if np.abs(after_pa[:, -1]).max() > self.accuracy.threshold * np.abs(after_pa[:, 0]).max():
+        # More harmonics once the highest active one, relative to the fundamental, is large enough.
+        if np.abs(after_pa[:, -1]).max() > _NEW_HARMONICS_RATIO * np.abs(after_pa[:, 0]).max():
             self.active_harmonics = min(
                 self.accuracy.harmonics, self.active_harmonics + max(2, self.active_harmonics // 2)
             )
