@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
+from sim_backend.arrays import BoolArray, FloatArray, Int64Array
 from sim_backend.echoes import (
+    BeamResponse,
     EchoDelays,
     Pulse,
     ScattererField,
@@ -66,20 +67,6 @@ _MAX_STORED_ECHOES = 256
 """Echoes of one pulse that are stored for the next records; a periodic motion has one for each phase."""
 _MAX_STORED_PULSES = 8
 """Pulses with stored echoes; a sweep of carriers or burst lengths makes new ones in every shot."""
-
-
-@dataclass(frozen=True, slots=True)
-class _ScattererEchoes:
-    """Echo of every scatterer, at rest, for one pulse and beam."""
-
-    pulse: Pulse
-    """Echo of a scatterer of weight 1 at the focus."""
-    weight: FloatArray
-    """(scatterer,), strength of its echo."""
-    response: ComplexArray | None = None
-    """(frequency, scatterer), relative response of the beam at each frequency; None: 1."""
-    delay_ratio: FloatArray | None = None
-    """(scatterer,), delay caused by a displacement u, divided by 2 u / c; None: 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +121,12 @@ class Acoustics:
         self._field = draw_field(scatterers, settings.beams, rng, lateral_offset_m, self._box_rng)
         self._noise = RecordNoise(settings.receiver, RecordStream(settings.seed, _NOISE_STREAM))
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
-        self._aperture_echoes: dict[Pulse, _ScattererEchoes] = {}
+        self._aperture_beams: dict[Pulse, BeamResponse] = {}
         # For each pulse the echoes of the latest records, if they were few, with the numbers that define them.
         self._stored_echoes: dict[Pulse, tuple[tuple[FloatArray, FloatArray, Int64Array], FloatArray]] = {}
         # The gain gives the echoes of the reference pulse the signal-to-noise ratio that the settings state.
         reference_pulse = echo_pulse(settings, settings.receiver.reference_carrier_hz)
-        reference = self._scatterer_echoes(reference_pulse, self._field.tracking_weight)
+        reference = self._beam(reference_pulse, self._field.tracking_weight)
         self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.response)
         self._focus_motion = _focus_motion(settings, push_travel_s)
         self._medium = _medium_motion(settings, self._field, push_travel_s, lateral_offset_m)
@@ -187,8 +174,9 @@ class Acoustics:
         for carrier_hz in sorted(set(pulses.carrier_hz.tolist())):
             selected = pulses.carrier_hz == carrier_hz
             passage = self._passage(pulses.onset_ps[selected], capture)
-            scatterers = self._scatterer_echoes(echo_pulse(self._settings, carrier_hz), self._field.tracking_weight)
-            self._add_echoes(volts, capture, scatterers, passage, strength_v[selected], tonebursts)
+            pulse = echo_pulse(self._settings, carrier_hz)
+            beam = self._beam(pulse, self._field.tracking_weight)
+            self._add_echoes(volts, capture, pulse, beam, passage, strength_v[selected], tonebursts)
 
     def _add_toneburst_echoes(self, volts: NoiseSource, tonebursts: Bursts, capture: Capture) -> None:
         """Add the echoes of the tonebursts to the records that ``volts`` returns.
@@ -203,22 +191,20 @@ class Acoustics:
             pulse = attenuated_to_focus(self._settings, rectangular_burst(*carrier_and_length))
             # A separate pushing transducer changes only the time of the echoes.
             passage = self._passage(bursts.onset_ps[selected] + to_ps(self._push_delay_s), capture)
-            scatterers = self._scatterer_echoes(pulse, self._field.excitation_weight, of_push=True)
-            self._add_echoes(volts, capture, scatterers, passage, strength_v[selected], tonebursts)
+            beam = self._beam(pulse, self._field.excitation_weight, of_push=True)
+            self._add_echoes(volts, capture, pulse, beam, passage, strength_v[selected], tonebursts)
 
-    def _scatterer_echoes(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> _ScattererEchoes:
-        """Return the echo of every scatterer for ``pulse``, in the beam of the settings.
+    def _beam(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> BeamResponse:
+        """Return the weight and, unless the beam is Gaussian, the response of every scatterer's echo for ``pulse``.
 
-        A Gaussian beam only weakens it, by ``gaussian_weight`` (scatterer,). A computed or measured beam has a response
-        at each frequency of the pulse, which is cached. ``of_push``: the beam is that of the tonebursts.
+        ``gaussian_weight`` (scatterer,): weights in a Gaussian beam. ``of_push``: the beam is that of the tonebursts.
         """
         if self._settings.beams.field == "gaussian":
-            return _ScattererEchoes(pulse, gaussian_weight)
-        if pulse not in self._aperture_echoes:
+            return BeamResponse(gaussian_weight)
+        if pulse not in self._aperture_beams:
             beam = beam_response(self._settings, self._field.offset_m, pulse, of_push)
-            weight = beam.weight * self._field.reflectivity
-            self._aperture_echoes[pulse] = _ScattererEchoes(pulse, weight, beam.response, beam.delay_ratio)
-        return self._aperture_echoes[pulse]
+            self._aperture_beams[pulse] = replace(beam, weight=beam.weight * self._field.reflectivity)
+        return self._aperture_beams[pulse]
 
     def _add_leak(self, volts: FloatArray, tonebursts: Bursts, capture: Capture) -> None:
         """Add the leak of the tonebursts to the records during which they are transmitted."""
@@ -268,21 +254,23 @@ class Acoustics:
         self,
         volts: NoiseSource,
         capture: Capture,
-        scatterers: _ScattererEchoes,
+        pulse: Pulse,
+        beam: BeamResponse,
         passage: _FocusPassage,
         strength_v: FloatArray,
         tonebursts: Bursts,
     ) -> None:
         """Add the echoes of a train of equal bursts to the records that ``volts`` returns.
 
-        ``scatterers``: echo of every scatterer at rest. ``passage``: when the bursts pass the focus. ``strength_v``
-        (burst,): volts of a scatterer of weight 1. ``tonebursts`` move the specimen meanwhile.
+        ``pulse``: echo of a scatterer at the focus. ``beam``: its weight and change for every scatterer. ``passage``:
+        when the bursts pass the focus. ``strength_v`` (burst,): volts of a scatterer of weight 1. ``tonebursts`` move
+        the specimen meanwhile.
         """
         motion_m = self._motion_amplitudes_m(tonebursts, passage.time_ps, capture)
-        relevant = noticeable(scatterers.weight)
+        relevant = noticeable(beam.weight)
         if not (strength_v.any() and relevant.any()):
             return
-        train = self._echo_train(scatterers, relevant, passage, strength_v, motion_m)
+        train = self._echo_train(pulse, beam, relevant, passage, strength_v, motion_m)
         if passage.background_delay_s is None:
             self._add_aligned_echoes(volts, capture, train)
         else:
@@ -290,7 +278,8 @@ class Acoustics:
 
     def _echo_train(
         self,
-        scatterers: _ScattererEchoes,
+        pulse: Pulse,
+        beam: BeamResponse,
         relevant: BoolArray,
         passage: _FocusPassage,
         strength_v: FloatArray,
@@ -303,20 +292,20 @@ class Acoustics:
         """
         # Spatial shapes of the motion, (shape, scatterer).
         shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, relevant]
-        if scatterers.delay_ratio is not None:
-            shapes = shapes * scatterers.delay_ratio[relevant]
-        response = None if scatterers.response is None else scatterers.response[:, relevant]
+        if beam.delay_ratio is not None:
+            shapes = shapes * beam.delay_ratio[relevant]
+        response = None if beam.response is None else beam.response[:, relevant]
         delay_s, sound_speed_m_per_s = self._delay_s[relevant], self._settings.sound_speed_m_per_s
         # The largest displacement extends the interval of arrival on both sides.
         reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
         margin_s, focus_s = 2 * reach_m / sound_speed_m_per_s, 2 * self._travel_s
-        start_s = focus_s + delay_s.min() + scatterers.pulse.start_s - margin_s
-        end_s = focus_s + delay_s.max() + scatterers.pulse.end_s + margin_s
+        start_s = focus_s + delay_s.min() + pulse.start_s - margin_s
+        end_s = focus_s + delay_s.max() + pulse.end_s + margin_s
         return _EchoTrain(
-            pulse=scatterers.pulse,
+            pulse=pulse,
             passage=passage,
             strength_v=strength_v,
-            weight=scatterers.weight[relevant],
+            weight=beam.weight[relevant],
             delays=EchoDelays.of_motion(delay_s, shapes, motion_m, sound_speed_m_per_s, response),
             start_ps=math.floor(start_s * PS_PER_S),
             end_ps=math.ceil(end_s * PS_PER_S),

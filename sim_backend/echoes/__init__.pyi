@@ -1,4 +1,4 @@
-from .aperture import beam_response as beam_response
+from .aperture import BeamResponse as BeamResponse, beam_response as beam_response
 from .choice import Method as Method, method_times_s as method_times_s
 from .delays import EchoDelays as EchoDelays, distinct_echoes as distinct_echoes
 from .engine import echoes as echoes, synthesise as synthesise

@@ -33,10 +33,10 @@ class BeamResponse:
 
     weight: FloatArray
     """(scatterer,), largest magnitude over the frequencies of the pulse, relative to the focus."""
-    response: ComplexArray
-    """(frequency, scatterer), complex response at each frequency, divided by ``weight``."""
-    delay_ratio: FloatArray
-    """(scatterer,), delay caused by a displacement u, divided by 2 u / c."""
+    response: ComplexArray | None = None
+    """(frequency, scatterer), complex response at each frequency, divided by ``weight``; None: 1."""
+    delay_ratio: FloatArray | None = None
+    """(scatterer,), delay caused by a displacement u, divided by 2 u / c; None: 1."""
 
 
 def beam_response(

@@ -60,7 +60,7 @@ def method_times_s(
 
 def reachable_scatterers(delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> Int64Array:
     """Return the indices of scatterers with an echo that overlaps a sample time."""
-    early_s, late_s = delays.range_s()
+    early_s, late_s = delays.rest_s - delays.max_change_s(), delays.rest_s + delays.max_change_s()
     touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])
     touches &= weight != 0
     return np.flatnonzero(touches)

@@ -64,10 +64,9 @@ class EchoDelays:
         """Number of echoes."""
         return len(self.amplitude_s)
 
-    def range_s(self) -> tuple[FloatArray, FloatArray]:
-        """Return bounds on each scatterer's earliest and latest delay, (scatterer,)."""
-        max_change_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
-        return self.rest_s - max_change_s, self.rest_s + max_change_s
+    def max_change_s(self) -> float:
+        """Return a bound on the change of any delay by the motion."""
+        return float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
 
     def selected(self, scatterers: Int64Array | slice) -> EchoDelays:
         """Return the delays of the scatterers with the indices ``scatterers``."""

@@ -223,8 +223,7 @@ def _series_by_blocks(
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
         order = np.argsort(delays.rest_s, kind="stable")
         delays, weight = delays.selected(order), weight[order]
-    # Bound on the change of any delay by the motion.
-    max_change_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
+    max_change_s = delays.max_change_s()
     # `series` can compute several independent sets of scatterers, "rows"; here all are in row 0.
     out: FloatArray = np.empty((1, delays.echo_count, len(sample_time_s)))
     for block in blocks(sample_time_s, pulse):

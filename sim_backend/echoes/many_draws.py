@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from sim_backend.arrays import FloatArray
-from sim_backend.echoes.aperture import beam_response
+from sim_backend.echoes.aperture import BeamResponse, beam_response
 from sim_backend.echoes.delays import EchoDelays, check_axes, check_numbers, check_sample_rate
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
 from sim_backend.echoes.exact_sums import blocks
@@ -81,12 +82,13 @@ def drawn_echoes(
         # Always draw a whole chunk, so that the last draws do not depend on their number.
         field = draw_thinned(settings, reach_s, tolerance, chunk_rng, DRAWS_AT_ONCE)
         row = np.minimum(np.arange(first, first + DRAWS_AT_ONCE), draws - 1)
-        weight, shape, response = field.tracking_weight, field.motion_weight, None
+        beam = BeamResponse(field.tracking_weight)
         if settings.beams.field != "gaussian":
             beam = beam_response(settings, field.offset_m, pulse)
-            weight, shape, response = beam.weight * field.reflectivity, beam.delay_ratio * shape, beam.response
-        scatterer_rows = ScattererRows(field.row, field.delay_s, weight, shape[None], amplitude_s[row], response)
-        yield batch(scatterer_rows, pulse, sample_time_s, tolerance)[: draws - first]
+            beam = replace(beam, weight=beam.weight * field.reflectivity)
+        shape = field.motion_weight if beam.delay_ratio is None else beam.delay_ratio * field.motion_weight
+        rows = ScattererRows(field.row, field.delay_s, beam.weight, shape[None], amplitude_s[row], beam.response)
+        yield batch(rows, pulse, sample_time_s, tolerance)[: draws - first]
 
 
 def _check_rows(scatterer_rows: ScattererRows, sample_time_s: FloatArray, tolerance: float) -> None:

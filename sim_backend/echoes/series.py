@@ -89,9 +89,9 @@ def shape_angles_rad(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -
     if shape.size == 0 or amplitude_s.size == 0:
         return (0.0,) * len(shape)
     highest_rad_per_s = 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz)
-    return tuple(
-        highest_rad_per_s * (_max_abs(amplitude_s[..., index]) * _max_abs(shape[index])) for index in range(len(shape))
-    )
+    max_amplitude_s = np.abs(amplitude_s).max(axis=tuple(range(amplitude_s.ndim - 1)))
+    max_shape = np.abs(shape).max(axis=1)
+    return tuple((highest_rad_per_s * (max_amplitude_s * max_shape)).tolist())
 
 
 @functools.lru_cache(maxsize=32)
@@ -513,7 +513,3 @@ def _taylor_term_count(angle_rad: float, tolerance: float) -> int:
         term_count += 1
         remainder *= angle_rad / term_count
     return term_count
-
-
-def _max_abs(values: FloatArray) -> float:
-    return max(abs(float(values.max())), abs(float(values.min())))
