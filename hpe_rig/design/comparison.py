@@ -68,6 +68,7 @@ QUANTITIES = (
     _Quantity("detection_floor_m", "detection floor", 1e9, unit="nm"),
     _Quantity("relative_jitter", "jitter over amplitude", 100, unit="%"),
     _Quantity("predicted_phase_jitter_rad", "phase jitter, predicted", DEGREES, unit="deg"),
+    _Quantity("clock_phase_u_rad", "time base, phase", DEGREES, unit="deg"),
     _Quantity(
         *("simulated_phase_jitter_rad", "phase jitter, simulated", DEGREES),
         unit="deg",
@@ -216,7 +217,8 @@ def _outcome(problem: Problem, candidate: Candidate, draws: int, seed: int) -> _
         "speckle_m": prediction.speckle_jitter_m,
         "detection_floor_m": floor_m,
         "relative_jitter": prediction.jitter_m / setting.amplitude_m,
-        "predicted_phase_jitter_rad": prediction.phase_jitter_rad,
+        "predicted_phase_jitter_rad": math.hypot(prediction.phase_jitter_rad, candidate.clock_phase_u),
+        **({"clock_phase_u_rad": candidate.clock_phase_u} if candidate.clock_phase_u else {}),
         **(_simulated_values(prediction, setting.amplitude_m, simulated) if draws else {}),
         **_moduli(problem, candidate),
         "duration_s": plan.duration_s,

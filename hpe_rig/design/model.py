@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.bench import twin_of, twin_settings
+from hpe_rig.bench import BenchFile, twin_of, twin_settings
 from hpe_rig.medium import echo_power
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.prediction import (
@@ -24,6 +24,7 @@ from hpe_rig.prediction import (
     expected_snr_db,
     noise_gain,
     relative_drive,
+    time_base_uncertainty,
 )
 from hpe_rig.processing import EchoGate, band_frequencies_hz
 from hpe_rig.scene import Mistake, Scene, SettingsError
@@ -86,6 +87,22 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Conditions:
     if drive > 0 and start.drive > 0 and not _simulates_specimen(scene):
         amplitude_m *= drive / start.drive
     return replace(setting, snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+
+
+def clock_phase_u(scene: Scene, plan: Plan, setting: Conditions, bench: BenchFile) -> float:
+    """Return the u that the clocks add to the phase of the first frequency, rad, as ``check`` predicts it.
+
+    SNR and a declared amplitude are those of ``setting``.
+    """
+    plain = conditions_of(scene, plan.shots[0])
+    snr_db = expected_snr_db(scene)
+    if plain is None or snr_db is None:
+        return 0.0
+    expected = {"expected_snr_db": snr_db + 10 * math.log10(setting.snr / plain.snr)}
+    if scene.processing.expected_amplitude_m is not None:
+        expected["expected_amplitude_m"] = setting.amplitude_m
+    expected_scene = scene.model_copy(update={"processing": scene.processing.model_copy(update=expected)})
+    return float(time_base_uncertainty(expected_scene, bench, plan.shots[0])[2][0])
 
 
 def effective_pulses(scene: Scene, plan: Plan) -> int:

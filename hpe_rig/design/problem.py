@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import check_simulation, with_transducers
-from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
+from hpe_rig.design.model import Baseline, baseline, clock_phase_u, design_setting, predicted
 from hpe_rig.design.variables import Variable
 from hpe_rig.measurement import Setup, plan_and_check
 from hpe_rig.moduli import ModuliForecast, moduli_forecast
@@ -48,13 +48,17 @@ Values = Mapping[KeyPath, Number]
 
 @dataclass(frozen=True)
 class Candidate:
-    """One scene with its plan and the inputs of the model; ``conflicts`` are the checks that refuse it."""
+    """One scene with its plan and the inputs of the model; ``conflicts`` are the checks that refuse it.
+
+    ``clock_phase_u``: u that the clocks add to the phase of the first frequency, rad.
+    """
 
     values: Values
     conflicts: tuple[CheckResult, ...]
     scene: Scene | None = None
     plan: Plan | None = None
     setting: Conditions | None = None
+    clock_phase_u: float = 0.0
 
     @cached_property
     def expected(self) -> EstimatorErrors:
@@ -151,7 +155,7 @@ class Problem:
         # The logarithms of different goals differ by constants, which do not matter.
         main = {
             "jitter": jitter,
-            "phase-jitter": math.log(prediction.phase_jitter_rad),
+            "phase-jitter": math.log(math.hypot(prediction.phase_jitter_rad, candidate.clock_phase_u)),
             "bias": math.log(max(abs(prediction.bias_m) / amplitude_m, 1e-9)),
         }
         return main[self.goal] + SIDE_WEIGHT * time
@@ -184,7 +188,9 @@ class Problem:
         if candidate.setting is not None or candidate.scene is None or candidate.plan is None:
             return candidate
         try:
-            judged = replace(candidate, setting=design_setting(candidate.scene, candidate.plan, self.baseline))
+            setting = design_setting(candidate.scene, candidate.plan, self.baseline)
+            phase_u = clock_phase_u(candidate.scene, candidate.plan, setting, self.bench)
+            judged = replace(candidate, setting=setting, clock_phase_u=phase_u)
             if self.goal == "modulus-uncertainty":
                 _ = judged.moduli
             return judged

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.moduli.problem import MAX_LATERAL_M
-from hpe_rig.moduli.scene_geometry import detected, focus_depth_m, vibration_at
-from hpe_rig.moduli.vibration_model import Vibration
-from hpe_rig.result import DETECTED, MotionMap
+from hpe_rig.moduli.scene_geometry import detected, focus_depth_m, push_of, vibration_at
+from hpe_rig.moduli.vibration_model import Push, Vibration
+from hpe_rig.result import DETECTED, PHASE_VARIANCE_LIMIT, MotionMap
 from hpe_rig.scene import Scene
 
 MAX_LINES = 12
@@ -57,15 +60,28 @@ def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibrati
     return [vibrations[line] for line in fitted_lines], omitted
 
 
+def push_of_map(motion_map: MotionMap, scene: Scene, width_uncertainty: float) -> Push:
+    """Return the push of ``scene``, with the delay by the clocks as an error of its onset: all lines share both.
+
+    ``width_uncertainty``: relative, of the force.
+    """
+    push = push_of([scene], width_uncertainty)
+    return replace(push, onset_uncertainty_s=math.hypot(push.onset_uncertainty_s, motion_map.clock_delay_u_s))
+
+
 def _pixel(motion_map: MotionMap, line: int, depth: int) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Return frequencies and phasors (frequency,), m, of the pixel at the indices ``line`` and ``depth``, and their u.
 
     u is the covariance (2 * frequency, 2 * frequency), m², of real and imaginary parts. It has no terms between
-    frequencies, which a long train separates.
+    frequencies, which a long train separates, and not the delay by the clocks, which all lines share.
     """
     pixel = line, depth
     amplitude_m, phase_rad = motion_map.amplitude_m[pixel], motion_map.phase_rad[pixel]
-    along_m, across_m = motion_map.amplitude_uncertainty_m[pixel], amplitude_m * motion_map.phase_uncertainty_rad[pixel]
+    clock_rad = np.minimum(
+        2 * np.pi * motion_map.frequency_hz * motion_map.clock_delay_u_s, np.sqrt(PHASE_VARIANCE_LIMIT)
+    )
+    noise_rad = np.sqrt(np.maximum(motion_map.phase_uncertainty_rad[pixel] ** 2 - clock_rad**2, 0.0))
+    along_m, across_m = motion_map.amplitude_uncertainty_m[pixel], amplitude_m * noise_rad
     covariance = np.zeros((2 * phase_rad.size, 2 * phase_rad.size))
     for index, (angle, *sigma) in enumerate(zip(phase_rad, along_m, across_m, strict=True)):
         # From errors along and across the phasor to those of its real and imaginary parts.

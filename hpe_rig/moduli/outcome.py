@@ -11,7 +11,7 @@ import numpy as np
 
 from hpe_rig.medium import MediumLaw, law_of
 from hpe_rig.moduli.inversion import Contribution, Moduli, compare_media
-from hpe_rig.moduli.map_vibrations import vibrations_of_map
+from hpe_rig.moduli.map_vibrations import push_of_map, vibrations_of_map
 from hpe_rig.moduli.run_vibrations import Source, vibrations_of
 from hpe_rig.moduli.scene_geometry import WIDTH_UNCERTAINTY, push_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
@@ -227,7 +227,7 @@ def moduli_of_map(
 
     ``scene`` states the push and the tracking beam.
     """
-    push = push_of([scene], width_uncertainty)
+    push = push_of_map(motion_map, scene, width_uncertainty)
     vibrations, omitted = vibrations_of_map(motion_map, scene)
     return _fitted(scene.title, vibrations, omitted, push, laws, common_amplitude=True)
 

@@ -48,4 +48,4 @@ from .text import (
     detection_text as detection_text,
     prediction_text as prediction_text,
 )
-from .time_base import time_base_text as time_base_text
+from .time_base import time_base_text as time_base_text, time_base_uncertainty as time_base_uncertainty

@@ -28,8 +28,11 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
     """Return the relative uncertainty of the clocks' rate before and after the fit, and its effect on the phases.
 
     The effect, rad (frequency,), is the standard uncertainty of the phase of each wanted harmonic by the rate alone.
+    All are 0 with a linear drift, which contains the rate error.
     """
     prior_u = prior_rate_error(scene, clock_covariance(scene, bench), None).uncertainty
+    if scene.processing.drift == "linear":
+        prior_u = 0.0
     pulses = select(scene, shot)
     time_s, wanted_hz = pulses.time_s[pulses.used], pulses.wanted_hz
     # The rate error is estimated with the coherent displacement, whichever estimator a scene chooses.
@@ -49,8 +52,6 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
 
 def time_base_text(scene: Scene, bench: BenchFile, shot: Shot) -> Iterator[str]:
     """Yield the line of the predicted u that the clocks add; nothing for one clock and with a linear drift."""
-    if scene.processing.drift == "linear":
-        return
     prior_u, posterior_u, phase_u_rad = time_base_uncertainty(scene, bench, shot)
     if not prior_u or not phase_u_rad.size:
         return

@@ -27,6 +27,7 @@ from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_warnings import fit_warnings, line_warnings
 from hpe_rig.processing.shots import FALSE_ALARM_PROBABILITY, Estimates
+from hpe_rig.recordings import largest_change
 from hpe_rig.result import PHASE_VARIANCE_LIMIT, BadPixel, MotionMap, ShotResult
 from hpe_rig.scene import engineering
 
@@ -74,10 +75,7 @@ def fit_stated_motion(
 def _refuse_other_units(motion: NDArray[Any], quantity: StatedQuantity, axis: int) -> None:
     """Raise ``ValueError`` if a series of ``motion`` along ``axis``, m or m/s, changes by more than tissue can."""
     largest, unit = MAX_CHANGE[quantity]
-    # A displacement is defined up to a constant, so that its change counts.
-    with np.errstate(invalid="ignore"):
-        change = np.fmax.reduce(motion, axis=axis) - np.fmin.reduce(motion, axis=axis)
-    if (change_by := float(np.max(change[np.isfinite(change)], initial=0.0))) > largest:
+    if (change_by := largest_change(motion, axis)) > largest:
         raise ValueError(
             f"the {quantity} changes by up to {engineering(change_by, unit)} within the train, tissue by at most "
             f"{engineering(largest, unit)}, so the values have another unit than stated: for values in um "
@@ -192,14 +190,12 @@ def map_stated_motion(
     pixels[bad > 0] = 0.0
     every_pulse = np.ones(time_s.size, bool)
     fit, velocity, velocity_u = fit_stated_motion(pixels, every_pulse, time_s, frequencies_hz, quantity)
-    clock_m = _clock_change_m(pixels, every_pulse, time_s, frequencies_hz, quantity, frequency_accuracy)
-    # In the direction of each phasor and across it; the latter over the amplitude is the phase.
-    clock_m = clock_m * np.exp(-1j * fit.phase_rad)
-    clock_rad = np.abs(clock_m.imag) / np.maximum(fit.amplitude_m, np.finfo(np.float64).tiny)
-    clock_rad = np.minimum(clock_rad, math.sqrt(PHASE_VARIANCE_LIMIT))
+    # Times that are wrong by e t delay the motion of all pixels by e times their mean.
+    clock_delay_u_s = frequency_accuracy * abs(float(time_s.mean()))
+    clock_rad = np.minimum(2 * np.pi * fit.frequency_hz * clock_delay_u_s, math.sqrt(PHASE_VARIANCE_LIMIT))
     results: dict[str, Any] = {
         "amplitude_m": fit.amplitude_m,
-        "amplitude_uncertainty_m": np.hypot(np.sqrt(fit.covariance[..., 0, 0]), clock_m.real),
+        "amplitude_uncertainty_m": np.sqrt(fit.covariance[..., 0, 0]),
         "phase_rad": fit.phase_rad,
         "phase_uncertainty_rad": np.hypot(np.sqrt(fit.covariance[..., 1, 1]), clock_rad),
         "velocity_m_per_s": velocity,
@@ -215,5 +211,6 @@ def map_stated_motion(
         power=np.full(bad.shape, np.nan),
         bad=bad,
         lines_are_placed=line_position_m is not None,
+        clock_delay_u_s=clock_delay_u_s,
         **results,
     )

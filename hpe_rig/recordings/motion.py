@@ -37,12 +37,19 @@ def si_motion(statements: Statements, values: NDArray[Any], quantity: Quantity) 
     name, unit = quantity.split("_")[:2]
     with np.errstate(invalid="ignore", over="ignore"):
         motion = values * UNITS[unit]
-        # The spread over the train: a displacement is known up to a constant.
-        spread = np.fmax.reduce(motion, axis=2) - np.fmin.reduce(motion, axis=2)
-    largest = float(np.max(spread[np.isfinite(spread)], initial=0.0))
-    change = engineering(largest, "m" if name == "displacement" else "m/s")
+    change = engineering(largest_change(motion, axis=2), "m" if name == "displacement" else "m/s")
     statements.inferred.append(f"the {name} changes by up to {change} within the train")
     return motion
+
+
+def largest_change(motion: NDArray[Any], axis: int) -> float:
+    """Return the largest change of a series of ``motion`` along ``axis``, 0 without finite values.
+
+    A displacement is known up to a constant: its range counts, not its size.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        change = np.fmax.reduce(motion, axis=axis) - np.fmin.reduce(motion, axis=axis)
+    return float(np.max(change[np.isfinite(change)], initial=0.0))
 
 
 def depth_rate_hz(statements: Statements, sound_speed_m_per_s: float, has_samples: bool) -> float | None:

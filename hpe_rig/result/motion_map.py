@@ -39,6 +39,7 @@ class MotionMap:
     motion. Their standard uncertainties include noise, decorrelation of the echoes, echo frequency and sound
     speed.
     ``residual_m``: displacement noise of one pulse. ``power``: echo power, in the recording's units squared.
+    ``clock_delay_u_s``: standard uncertainty of one delay of all phases by the clocks, part of that of each phase.
     """
 
     frequency_hz: FloatArray
@@ -55,6 +56,7 @@ class MotionMap:
     bad: ByteArray
     lines_are_placed: bool
     origin: str = ""
+    clock_delay_u_s: float = 0.0
 
     def __str__(self) -> str:
         return "\n".join(self._lines())

@@ -21,7 +21,7 @@ from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.measurement.setup import Setup, prepare, prepare_text
-from hpe_rig.prediction import EstimatorErrors
+from hpe_rig.prediction import EstimatorErrors, time_base_text, time_base_uncertainty
 from hpe_rig.result import symbols
 from hpe_rig.scene import SettingsError, scene_text
 from hpe_rig.study import Errors
@@ -341,3 +341,28 @@ def test_a_predicted_gain_that_the_simulation_lacks_is_said() -> None:
     (text,) = _unconfirmed_gains(before, outcome(3.2e-9, 5.0e-9))
     assert text.startswith("the simulation does not confirm the gain in jitter: it falls by 0.1 +- 0.42 nm")
     assert not list(_unconfirmed_gains(before, outcome(3.2e-9, 3.3e-9)))
+
+
+def test_the_phase_has_the_u_of_the_clocks_that_check_predicts() -> None:
+    setup = prepare("free-running-clocks")
+    problem = _problem(setup, "pulse_rate_hz", "phase-jitter")
+    start = problem.judged(problem.start)
+    scene, shot = setup.scene.scene, setup.plan.shots[0]
+    *_, phase_u = time_base_uncertainty(scene, setup.bench.bench, shot)
+    assert start.clock_phase_u == pytest.approx(phase_u[0], rel=1e-12)
+    assert phase_u[0] > 1e-5
+    noise_rad = start.expected.phase_jitter_rad
+    assert problem.measure(start) == pytest.approx(math.log(math.hypot(noise_rad, phase_u[0])), rel=1e-4)
+    outcome = {name: text for name, text, _ in compare(DesignResult(problem, start, start, ())).outcome_rows()}
+    # check prints 'add u of the phase of 0.0054 deg at 100 Hz' for this scene.
+    (line,) = time_base_text(scene, setup.bench.bench, shot)
+    assert f"{float(outcome['time base, phase'].split()[0]):.2g} deg at 100 Hz" in line
+
+
+def test_one_clock_or_a_linear_drift_has_no_row_of_the_clocks() -> None:
+    drifting = prepare("free-running-clocks", changes={"processing.drift": "linear"})
+    for setup in (prepare("bovine-muscle"), drifting):
+        problem = _problem(setup, "pulse_rate_hz", "phase-jitter")
+        start = problem.judged(problem.start)
+        assert start.clock_phase_u == 0
+        assert "clock_phase_u_rad" not in compare(DesignResult(problem, start, start, ())).after

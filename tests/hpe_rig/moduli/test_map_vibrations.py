@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 import hpe_rig as hpe
+from hpe_rig.medium import law_of
 from hpe_rig.moduli import map_vibrations, push_of
+from hpe_rig.moduli.problem import Problem
 from hpe_rig.scene import SettingsError
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
@@ -92,3 +95,35 @@ def test_unknown_geometry_is_refused(changes: dict[str, Any], settings: dict[str
     with pytest.raises(SettingsError) as error:
         hpe.fit_map_moduli(measured, fitted)
     assert message in " ".join(str(error.value).split())
+
+
+def test_the_clocks_delay_all_lines_alike() -> None:
+    """Closed form: the covariance of all data is that of the noise plus s² g g', with g their derivative by a delay."""
+    accuracy = 1e-3
+    delay_u_s = accuracy * float(TIME_S.mean())
+    clocks = scene().with_({"processing.frequency_accuracy": accuracy})
+    first_m = scene().acquisition.gate_depth_m - 1e-3
+    locked, free = motion_map(), hpe.map_motion(displacement_m(), clocks, **SETTINGS, first_sample_depth_m=first_m)
+    # The phases of a pixel have the u of the delay, the covariance of a line for the moduli has not.
+    expected_rad = np.hypot(locked.phase_uncertainty_rad, 2 * np.pi * FREQUENCY_HZ * delay_u_s)
+    np.testing.assert_allclose(free.phase_uncertainty_rad, expected_rad, rtol=1e-9)
+    vibrations, others = (map_vibrations.vibrations_of_map(item, scene())[0] for item in (locked, free))
+    for vibration, other in zip(vibrations, others, strict=True):
+        np.testing.assert_allclose(other.covariance_m2, vibration.covariance_m2, rtol=1e-6, atol=1e-24)
+
+    push = push_of([scene()])
+    problem = Problem.of(vibrations, replace(push, onset_uncertainty_s=0.0), law_of("voigt"))
+    unknown = problem.start(problem.law.coordinates(np.array(list(TRUTH.values()))))[0]
+    # Derivative of every whitened datum by the delay of the onset and of the clocks, in units of its u.
+    delayed_m = [-2j * np.pi * FREQUENCY_HZ * phasor_m for phasor_m in problem.modelled(unknown)]
+    pairs = zip(problem.whitening, delayed_m, strict=True)
+    slope = np.concatenate([root @ np.stack([y.real, y.imag], axis=-1).ravel() for root, y in pairs])
+    slope *= np.hypot(push.onset_uncertainty_s, delay_u_s)
+    jacobian = problem.jacobian(unknown)
+    inverse = np.eye(len(jacobian))
+    inverse[: slope.size, : slope.size] -= np.outer(slope, slope) / (1 + slope @ slope)
+    expected = np.linalg.inv(jacobian.T @ inverse @ jacobian)[:2, :2]
+    mapped = Problem.of(others, map_vibrations.push_of_map(free, scene(), push.width_uncertainty[0]), law_of("voigt"))
+    shared = mapped.coordinate_covariance(mapped.jacobian(mapped.start(unknown[:2])[0]))
+    np.testing.assert_allclose(shared, expected, rtol=1e-4)
+    assert shared[0, 0] > 1.1 * problem.coordinate_covariance(jacobian)[0, 0]
