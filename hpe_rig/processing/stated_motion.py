@@ -4,7 +4,7 @@
     V(t) = sum_i 2 pi f_i A_i cos(2 pi f_i t + phi_i) + v
 
 The noise of consecutive values counts as independent. Its variance is that of the residual. u includes the error of the
-frequencies by the clock of the pulses, as the change of the fit.
+frequencies by the clock of the pulses, as a delay of the motion.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.processing.budget import ErrorSources, estimates_of
 from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.harmonics.fit_checks import residual_line
@@ -83,23 +83,6 @@ def _refuse_other_units(motion: NDArray[Any], quantity: StatedQuantity, axis: in
         )
 
 
-def _clock_change_m(
-    motion: FloatArray,
-    valid: BoolArray,
-    time_s: FloatArray,
-    frequencies_hz: Sequence[float],
-    quantity: StatedQuantity,
-    frequency_accuracy: float,
-) -> ComplexArray:
-    """Return the change of each phasor (..., frequency) by one standard uncertainty of the frequencies, m."""
-    fast, slow = (
-        fit_stated_motion(motion, valid, time_s * (1 + error), frequencies_hz, quantity)[0].state
-        for error in (frequency_accuracy, -frequency_accuracy)
-    )
-    change_m = (fast - slow) / 2
-    return np.asarray(change_m[..., ::2] + 1j * change_m[..., 1::2])
-
-
 def estimate_stated_motion(
     motion: FloatArray,
     pulse_rate_hz: float,
@@ -139,7 +122,9 @@ def _estimate_series(
     fit = fit_stated_motion(motion, valid, time_s, frequencies_hz, quantity)[0]
     clock_m = None
     if frequency_accuracy:
-        clock_m = _clock_change_m(motion, valid, time_s, frequencies_hz, quantity, frequency_accuracy)
+        # Times that are wrong by e t delay the motion by e times their mean.
+        delay_s = frequency_accuracy * float(time_s[valid].mean())
+        clock_m = -2j * np.pi * fit.frequency_hz * delay_s * fit.amplitude_m * np.exp(1j * fit.phase_rad)
     sources = ErrorSources(sound_speed_uncertainty=0.0, time_base_m=clock_m)
     estimates = estimates_of(fit, sources)
     line = None
@@ -190,7 +175,7 @@ def map_stated_motion(
     pixels[bad > 0] = 0.0
     every_pulse = np.ones(time_s.size, bool)
     fit, velocity, velocity_u = fit_stated_motion(pixels, every_pulse, time_s, frequencies_hz, quantity)
-    # Times that are wrong by e t delay the motion of all pixels by e times their mean.
+    # One delay for all pixels, as in `_estimate_series`.
     clock_delay_u_s = frequency_accuracy * abs(float(time_s.mean()))
     clock_rad = np.minimum(2 * np.pi * fit.frequency_hz * clock_delay_u_s, math.sqrt(PHASE_VARIANCE_LIMIT))
     results: dict[str, Any] = {
