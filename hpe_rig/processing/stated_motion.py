@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.arrays import BoolArray, FloatArray, largest_change
 from hpe_rig.processing.budget import ErrorSources, estimates_of
 from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.harmonics.fit_checks import residual_line
@@ -27,7 +27,6 @@ from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.motion.displacement import Motion
 from hpe_rig.processing.shot_warnings import fit_warnings, line_warnings
 from hpe_rig.processing.shots import FALSE_ALARM_PROBABILITY, Estimates
-from hpe_rig.recordings import largest_change
 from hpe_rig.result import PHASE_VARIANCE_LIMIT, BadPixel, MotionMap, ShotResult
 from hpe_rig.scene import engineering
 

@@ -6,7 +6,6 @@ from .export_files import (
     export_image as export_image,
 )
 from .importers import foreign_importer as foreign_importer
-from .motion import largest_change as largest_change
 from .recording import (
     Recording as Recording,
     Source as Source,

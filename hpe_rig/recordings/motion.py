@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.arrays import largest_change
 from hpe_rig.recordings.settings import Quantity
 from hpe_rig.recordings.statements import Statements
 from hpe_rig.scene import engineering
@@ -40,16 +41,6 @@ def si_motion(statements: Statements, values: NDArray[Any], quantity: Quantity) 
     change = engineering(largest_change(motion, axis=2), "m" if name == "displacement" else "m/s")
     statements.inferred.append(f"the {name} changes by up to {change} within the train")
     return motion
-
-
-def largest_change(motion: NDArray[Any], axis: int) -> float:
-    """Return the largest change of a series of ``motion`` along ``axis``, 0 without finite values.
-
-    A displacement is known up to a constant: its range counts, not its size.
-    """
-    with np.errstate(invalid="ignore", over="ignore"):
-        change = np.fmax.reduce(motion, axis=axis) - np.fmin.reduce(motion, axis=axis)
-    return float(np.max(change[np.isfinite(change)], initial=0.0))
 
 
 def depth_rate_hz(statements: Statements, sound_speed_m_per_s: float, has_samples: bool) -> float | None:
