@@ -52,14 +52,12 @@ class BeamWidths:
         """Variance of the tracking beam's echo energy along x, or along y: T^2 / 2, in proportion to its area."""
         return self.tracking_width_m[0] ** 2 / 2
 
-    def gaussian_averaging(self, width_scale: float = 1.0) -> float:
+    def gaussian_averaging(self) -> float:
         """Return tracked over peak displacement for a Gaussian motion among many scatterers, eq. (12) of the paper.
 
-        The tracking beam and gate average over the motion, so the ratio is below 1. The sigmas of the motion (E in the
-        paper) are those of the force times ``width_scale``.
+        The motion has the widths of the force (E in the paper). Tracking beam and gate average over it.
         """
-        sigmas_m = self._gaussian_sigmas_m()
-        return float(np.prod([1 / np.hypot(1, echo_m / (motion_m * width_scale)) for echo_m, motion_m in sigmas_m]))
+        return float(np.prod([1 / np.hypot(1, echo_m / motion_m) for echo_m, motion_m in self._gaussian_sigmas_m()]))
 
     def _gaussian_sigmas_m(self) -> list[tuple[float, float]]:
         """Return, by axis, the sigma S of the echo energy and the sigma E of the force."""

@@ -144,12 +144,17 @@ class _EnsembleSpec:
         return _nodes(self.lowest_hz, self.highest_hz, count)
 
     def modulus(self, s: ComplexArray) -> ComplexArray:
-        """Return the complex modulus (member, frequency) of every medium at complex frequencies ``s`` (frequency,)."""
-        return (
-            prior_modulus(s, self.members)
-            if self.known_medium is None
-            else _known_modulus(self.known_medium, s, self.members)
-        )
+        """Return the complex modulus (member, frequency) of every medium at complex frequencies ``s`` (frequency,).
+
+        Near a known medium the parameters are log-normal about the known ones, with ``KNOWN_MEDIUM_LOG_SD``.
+        """
+        if self.known_medium is None:
+            return prior_modulus(s, self.members)
+        from scipy.special import ndtri
+
+        factors = np.exp(ndtri(_even_sequence(self.members, 5)[:, :2]) * KNOWN_MEDIUM_LOG_SD)
+        modulus_pa, viscosity_pa_s = self.known_medium
+        return np.asarray(modulus_pa * factors[:, :1] + s * (viscosity_pa_s * factors[:, 1:]))
 
     def are_voigt(self) -> BoolArray:
         """Return which members (member,) are Voigt media: all near a known medium, else those of the first family."""
@@ -261,7 +266,7 @@ def _shape_ratio(force: PushForce, beams: BeamWidths, shear_k2: ComplexArray, wi
     highest = min(float(wave_number.max()), MAX_RELATIVE_WAVE_NUMBER / beams.force_width_m[0])
     wave_nodes = _nodes(lowest, highest, SHAPE_NODES)
     loss_nodes = np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
-    ratio = _shape_ratio_at_nodes(force, beams, tuple(wave_nodes.tolist()), tuple(loss_nodes.tolist()))
+    ratio = _shape_ratio_at_nodes(force, beams, wave_nodes, loss_nodes)
     # Coefficients (wave, loss) of the Chebyshev polynomials, from the values at the nodes. Both variables are scaled to
     # -1 at the lowest and 1 at the highest node.
     wave_basis = chebvander(_log_position(wave_nodes, lowest, highest), SHAPE_NODES - 1)
@@ -274,14 +279,13 @@ def _shape_ratio(force: PushForce, beams: BeamWidths, shear_k2: ComplexArray, wi
     return np.asarray(np.sum(wave_series @ coefficients * loss_series, axis=-1))
 
 
-@functools.lru_cache(maxsize=8)
 def _shape_ratio_at_nodes(
-    force: PushForce, beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]
+    force: PushForce, beams: BeamWidths, wave_per_m: FloatArray, loss_rad: FloatArray
 ) -> ComplexArray:
     """Return the tracked motion under ``force`` over that under a Gaussian force, (wave, loss), on a grid of media.
 
     The Gaussian has the widths of ``beams``. Its motion has a closed form; the ratio corrects it for the force's shape.
-    ``wave_per_m``: wave numbers |q| of shear waves. ``loss_rad``: loss angles of the modulus.
+    ``wave_per_m`` (wave,): wave numbers |q| of shear waves. ``loss_rad`` (loss,): loss angles of the modulus.
     """
     from hpe_rig.medium.shear_field import TrackedRegion, shear_motion
 
@@ -374,19 +378,6 @@ def prior_modulus(s: ComplexArray, members: int) -> ComplexArray:
 def _law_modulus(name: str, s: ComplexArray, *parameters: FloatArray) -> ComplexArray:
     """Return the complex modulus (member, frequency) of a law with ``parameters``, each (member,)."""
     return LAWS[name].modulus(s, np.stack(parameters, axis=-1))[0]
-
-
-def _known_modulus(known_medium: VoigtParameters, s: ComplexArray, members: int) -> ComplexArray:
-    """Return the complex modulus (member, frequency) of Voigt media near ``known_medium`` at ``s`` (frequency,).
-
-    The parameters (Pa, Pa s) are log-normal about the known ones, with the deviations ``KNOWN_MEDIUM_LOG_SD``.
-    """
-    from scipy.special import ndtri
-
-    deviates = ndtri(_even_sequence(members, 5)[:, :2])
-    factors = np.exp(deviates * KNOWN_MEDIUM_LOG_SD)
-    modulus_pa, viscosity_pa_s = known_medium
-    return np.asarray(modulus_pa * factors[:, :1] + s * (viscosity_pa_s * factors[:, 1:]))
 
 
 def _log_uniform(quantile: FloatArray, parameter: str) -> FloatArray:

@@ -52,8 +52,27 @@ class DispersionResult:
         return "\n".join(_lines(self))
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row for each method and frequency, with the columns of the CSV output; None without a value."""
-        return list(_rows(self))
+        """Return one row for each method and frequency, with the columns of the CSV output; None without a value.
+
+        A method has phase velocity or attenuation; the fit of the near field has both and no bias.
+        """
+        near = self.near_field
+        nothing = np.full(near.frequency_hz.size, np.nan)
+        speed = near.phase_velocity_m_per_s, near.phase_velocity_uncertainty_m_per_s, nothing
+        attenuation = near.attenuation_np_per_m, near.attenuation_uncertainty_np_per_m, nothing
+        curves = [(NEAR_FIELD, speed, attenuation)]
+        for method in self.methods:
+            values, empty = (method.value, method.uncertainty, method.bias), (nothing, nothing, nothing)
+            curves.append((method.name, empty, values) if method.is_attenuation else (method.name, values, empty))
+        rows = list[dict[str, Any]]()
+        for name, speed, attenuation in curves:
+            in_db_per_cm = (column * DB_PER_CM_PER_NP_PER_M for column in attenuation[:2])
+            # In the order of ``COLUMNS``, (column, frequency).
+            table = np.stack([*speed, *attenuation, *in_db_per_cm])
+            for hz, values_at_hz in zip(near.frequency_hz.tolist(), table.T.tolist(), strict=True):
+                cells = (value if math.isfinite(value) else None for value in values_at_hz)
+                rows.append({"method": name, "frequency_hz": hz, **dict(zip(COLUMNS, cells, strict=True))})
+        return rows
 
     def to_csv(self) -> str:
         """Return ``rows`` as CSV."""
@@ -97,9 +116,7 @@ def dispersion_of(
     ``MIN_OFFSETS`` lateral offsets.
     """
     push = push_of([source.scene for source in sources], width_uncertainty)
-    vibrations, omitted = vibrations_of(sources, estimator)
-    if not common_amplitude:
-        vibrations = [vibration.with_free_gain() for vibration in vibrations]
+    vibrations, omitted = vibrations_of(sources, estimator, common_amplitude)
     return dispersion_of_vibrations(
         vibrations,
         push,
@@ -148,29 +165,19 @@ def _at_enough_offsets(
             offsets_m.setdefault(hz, set()).add(round(abs(vibration.lateral_m), 9))
     enough = [hz for hz, offsets in offsets_m.items() if len(offsets) >= MIN_OFFSETS]
     if not enough:
-        raise ValueError("; ".join([_too_few_offsets(vibrations), *omitted]))
+        offsets_mm = sorted({round(abs(vibration.lateral_m) * 1e3, 6) for vibration in vibrations})
+        reason = (
+            f"no frequency is significant at {MIN_OFFSETS} lateral offsets, which a wave number and its misfit need; "
+            f"offsets with a vibration: {', '.join(f'{offset:g} mm' for offset in offsets_mm) or 'none'}. Try: more "
+            "values of sweep.lateral_offset_m, more run files, or a stronger push"
+        )
+        raise ValueError("; ".join([reason, *omitted]))
     total = len(set.union(*offsets_m.values()))
     too_few = (
         f"{hz:g} Hz: significant at {len(offsets_m[hz])} of {total} offsets" for hz in offsets_m if hz not in enough
     )
     at_enough = (vibration.at_frequencies(np.isin(vibration.frequency_hz, enough)) for vibration in vibrations)
     return [vibration for vibration in at_enough if vibration.frequency_hz.size], too_few
-
-
-def _too_few_offsets(vibrations: Sequence[Vibration]) -> str:
-    """Return the message that no frequency has a vibration at enough lateral offsets, with its cause and remedy."""
-    offsets_mm = sorted({round(abs(vibration.lateral_m) * 1e3, 6) for vibration in vibrations})
-    names = ", ".join(f"{offset:g} mm" for offset in offsets_mm) or "none"
-    remedy = "Try: more values of sweep.lateral_offset_m, or more run files"
-    if len(offsets_mm) < MIN_OFFSETS:
-        count = f"{len(offsets_mm)} lateral offset{'s' * (len(offsets_mm) != 1)}"
-        return (
-            f"{count} with a vibration ({names}), {MIN_OFFSETS} are needed for a wave number and its misfit. {remedy}"
-        )
-    return (
-        f"no frequency is significant at {MIN_OFFSETS} lateral offsets, which a wave number and its misfit need; "
-        f"offsets with a vibration: {names}. {remedy}, or a stronger push"
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,28 +272,6 @@ def _missing_values(
     for where, reason in reasons:
         if where.any():
             yield f"{result.name} at {', '.join(f'{hz:g}' for hz in frequency_hz[where])} Hz: {reason}"
-
-
-def _rows(result: DispersionResult) -> Iterator[dict[str, Any]]:
-    """Yield one row for each method and frequency: value, uncertainty and bias of phase velocity and attenuation.
-
-    A method has one of the two; the fit of the near field has both and no bias.
-    """
-    near = result.near_field
-    nothing = np.full(near.frequency_hz.size, np.nan)
-    speed = near.phase_velocity_m_per_s, near.phase_velocity_uncertainty_m_per_s, nothing
-    attenuation = near.attenuation_np_per_m, near.attenuation_uncertainty_np_per_m, nothing
-    curves = [(NEAR_FIELD, speed, attenuation)]
-    for method in result.methods:
-        values, empty = (method.value, method.uncertainty, method.bias), (nothing, nothing, nothing)
-        curves.append((method.name, empty, values) if method.is_attenuation else (method.name, values, empty))
-    for name, speed, attenuation in curves:
-        db_per_cm = (column * DB_PER_CM_PER_NP_PER_M for column in attenuation[:2])
-        # In the order of ``COLUMNS``, (column, frequency).
-        table = np.stack([*speed, *attenuation, *db_per_cm])
-        for hz, values_at_hz in zip(near.frequency_hz.tolist(), table.T.tolist(), strict=True):
-            cells = (value if math.isfinite(value) else None for value in values_at_hz)
-            yield {"method": name, "frequency_hz": hz, **dict(zip(COLUMNS, cells, strict=True))}
 
 
 COLUMNS = (

@@ -16,7 +16,7 @@ from hpe_rig.medium import HarmonicMedium, TrackedRegion, shear_motion
 from hpe_rig.moduli.inversion import bound
 from hpe_rig.moduli.scene_geometry import (
     GateAtDepth,
-    detected,
+    detected_part,
     gates_at_depths,
     has_strongest_push,
     push_of,
@@ -63,20 +63,21 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
     values, medium_source = _voigt_medium(scene, frequency_hz, simulated)
     if values[1] <= 0:
         raise ValueError("a medium without viscosity has no viscosity to fit")
-    medium = HarmonicMedium.voigt(*values, frequency_hz)
-    medium = replace(medium, density_kg_per_m3=push.density_kg_per_m3)
+    medium = replace(HarmonicMedium.voigt(*values, frequency_hz), density_kg_per_m3=push.density_kg_per_m3)
     offsets = [
         (at_offset, offset_plan) for at_offset, offset_plan in plans_at_offsets(scene, plan) if offset_plan.shots
     ]
     # Pulses and echoes, hence the noise, are the same at all offsets: computed on the axis.
-    noise_m, correlation = _noise_m(_on_axis(offsets[0][0]), offsets[0][1], simulated)
+    first_scene, first_plan = offsets[0]
+    on_axis = first_scene.tracking.model_copy(update={"lateral_offset_m": 0.0})
+    noise_m, correlation = _noise_m(first_scene.model_copy(update={"tracking": on_axis}), first_plan, simulated)
     peak_m = expected_amplitude_m(scene, float(frequency_hz[0]), plan.shots[0])
     vibrations = list[Vibration]()
     for at_offset, offset_plan in offsets:
         gates = gates_at_depths(at_offset, offset_plan, [])
-        expected = [_expected_vibration(gate, push, medium, peak_m, noise_m) for gate in gates]
-        visible = [vibration.at_frequencies(detected(vibration)) for vibration in expected if detected(vibration).any()]
-        vibrations += with_shared_noise(visible, correlation)
+        expected = (_expected_vibration(gate, push, medium, peak_m, noise_m) for gate in gates)
+        detected = [part for vibration in expected for part in detected_part(vibration, [])]
+        vibrations += with_shared_noise(detected, correlation)
     # Two numbers for each harmonic, against the parameters and the common amplitude.
     if sum(2 * vibration.frequency_hz.size for vibration in vibrations) <= len(values) + 1:
         raise ValueError("too few harmonics are expected to exceed the noise")
@@ -117,11 +118,6 @@ def _voigt_medium(scene: Scene, frequency_hz: FloatArray, simulated: bool) -> tu
     viscosity_pa_s = np.mean(medium.modulus_pa.imag / (2 * np.pi * frequency_hz))
     source = "the declared medium" if scene.medium is not None else "the twin's medium"
     return (float(stiffness_pa), float(viscosity_pa_s)), source
-
-
-def _on_axis(scene: Scene) -> Scene:
-    """Return ``scene`` without a lateral offset."""
-    return scene.model_copy(update={"tracking": scene.tracking.model_copy(update={"lateral_offset_m": 0.0})})
 
 
 def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> tuple[FloatArray, float]:

@@ -281,10 +281,12 @@ def _contributions(
     """
     if len(labels) < 2:
         return ()
-    # The Jacobian at the minimum gives the variances without another fit.
-    without = (problem.variances_without(label_of_phasor == index, jacobian) for index in range(len(labels)))
-    growth = [np.sqrt(values / variances).tolist() for values in without]
-    return tuple(Contribution(label, tuple(factors)) for label, factors in zip(labels, growth, strict=True))
+    contributions = []
+    for index, label in enumerate(labels):
+        # The Jacobian at the minimum gives the variances without another fit.
+        remaining = problem.variances_without(label_of_phasor == index, jacobian)
+        contributions.append(Contribution(label, tuple(np.sqrt(remaining / variances).tolist())))
+    return tuple(contributions)
 
 
 def _by_name(law: Law, values: FloatArray) -> dict[str, float]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.moduli.problem import MAX_LATERAL_M
-from hpe_rig.moduli.scene_geometry import detected, focus_depth_m, push_of, vibration_at
+from hpe_rig.moduli.scene_geometry import detected_part, focus_depth_m, push_of, vibration_at
 from hpe_rig.moduli.vibration_model import Push, Vibration
-from hpe_rig.result import DETECTED, PHASE_VARIANCE_LIMIT, MotionMap
+from hpe_rig.result import PHASE_VARIANCE_LIMIT, MotionMap
 from hpe_rig.scene import Scene
 
 MAX_LINES = 12
@@ -47,12 +47,7 @@ def vibrations_of_map(motion_map: MotionMap, scene: Scene) -> tuple[list[Vibrati
             continue
         scene_at_line = scene.with_({"tracking.lateral_offset_m": lateral_m})
         vibration = vibration_at(scene_at_line, "coherent", label, _pixel(motion_map, line, index))
-        selected = detected(vibration)
-        if not selected.all():
-            weak = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])
-            omitted.append(f"{label}: {weak} Hz, less than {DETECTED:g} times its uncertainty")
-        if selected.any():
-            vibrations.append(vibration.at_frequencies(selected))
+        vibrations += detected_part(vibration, omitted)
     if len(vibrations) <= MAX_LINES:
         return vibrations, omitted
     omitted.append(f"{len(vibrations) - MAX_LINES} of {len(vibrations)} lines: {MAX_LINES}, evenly spread, are fitted")

@@ -212,8 +212,8 @@ def moduli_of(
     ``ValueError`` if no vibration exceeds its noise.
     """
     push = push_of([source.scene for source in sources], width_uncertainty)
-    vibrations, omitted = vibrations_of(sources, estimator)
-    result = _fitted(sources[0].scene.title, vibrations, omitted, push, laws, common_amplitude)
+    vibrations, omitted = vibrations_of(sources, estimator, common_amplitude)
+    result = _fitted(sources[0].scene.title, vibrations, omitted, push, laws)
     return replace(result, simulated=any(source.stored.simulated for source in sources))
 
 
@@ -229,7 +229,7 @@ def moduli_of_map(
     """
     push = push_of_map(motion_map, scene, width_uncertainty)
     vibrations, omitted = vibrations_of_map(motion_map, scene)
-    return _fitted(scene.title, vibrations, omitted, push, laws, common_amplitude=True)
+    return _fitted(scene.title, vibrations, omitted, push, laws)
 
 
 def _fitted(
@@ -238,11 +238,8 @@ def _fitted(
     omitted: Sequence[str],
     push: Push,
     laws: Sequence[MediumLaw] | None,
-    common_amplitude: bool,
 ) -> ModuliResult:
     """Return the moduli fitted to measured ``vibrations``; raise ``ValueError`` if there are none."""
-    if not common_amplitude:
-        vibrations = [vibration.with_free_gain() for vibration in vibrations]
     if not vibrations:
         raise ValueError("no vibration exceeds its noise: " + "; ".join(omitted))
     # Every law is fitted, because the user needs to know which ones the data exclude.

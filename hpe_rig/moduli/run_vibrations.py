@@ -14,7 +14,7 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.moduli.scene_geometry import (
     GateAtDepth,
-    detected,
+    detected_part,
     gates_at_depths,
     has_strongest_push,
     vibration_at,
@@ -33,7 +33,6 @@ from hpe_rig.plan import (
 )
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import HarmonicFit, assign_pulses, displacement_residual_m, estimate_controls, shot_fit
-from hpe_rig.result import DETECTED
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun
 
@@ -51,10 +50,13 @@ class Source:
     stored: StoredRun
 
 
-def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tuple[list[Vibration], list[str]]:
+def vibrations_of(
+    sources: Sequence[Source], estimator: str | None = None, common_amplitude: bool = True
+) -> tuple[list[Vibration], list[str]]:
     """Return the vibrations of all runs at every lateral offset and depth, and a list of omitted data in words.
 
-    ``estimator`` defaults to each scene's own. Gates over depth that share echoes with another are omitted.
+    ``estimator`` defaults to each scene's own. ``common_amplitude``: the force was equally strong at all lateral
+    offsets, else gains are unknown. Gates over depth that share echoes with another are omitted.
     """
     vibrations, omitted = list[Vibration](), list[str]()
     for source in sources:
@@ -69,7 +71,7 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
             # Noise common to all depths of a record does not average out.
             correlation = _residual_correlation(scene, plan, source.stored) if len(depths) > 1 else 0.0
             vibrations += with_shared_noise(depths, correlation)
-    return vibrations, omitted
+    return vibrations if common_amplitude else [vibration.with_free_gain() for vibration in vibrations], omitted
 
 
 def _label(gate: GateAtDepth) -> str:
@@ -80,20 +82,14 @@ def _label(gate: GateAtDepth) -> str:
 
 def _detected_vibration(
     gate: GateAtDepth, source: Source, estimator: str | None, label: str, omitted: list[str]
-) -> Iterator[Vibration]:
-    """Yield the vibration in one gate at its detected frequencies, if there are any; add the others to ``omitted``."""
+) -> list[Vibration]:
+    """Return the vibration in one gate at its detected frequencies, if there are any; add the others to ``omitted``."""
     estimator = estimator or gate.scene.processing.estimator
     fits = list(_fits(gate, source, estimator, label, omitted))
     if not fits:
         omitted.append(f"{label}: no shot can be estimated")
-        return
-    vibration = _mean_vibration(gate, label, fits, estimator)
-    selected = detected(vibration)
-    if not selected.all():
-        below = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~selected])
-        omitted.append(f"{label}: {below} Hz, less than {DETECTED:g} times its uncertainty")
-    if selected.any():
-        yield vibration.at_frequencies(selected)
+        return []
+    return detected_part(_mean_vibration(gate, label, fits, estimator), omitted)
 
 
 def _fits(gate: GateAtDepth, source: Source, estimator: str, label: str, omitted: list[str]) -> Iterator[HarmonicFit]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.moduli.vibration_model import Push, Vibration
 from hpe_rig.plan import DepthGate, Plan, Shot, depth_gates, shots_with_gate, with_gate, without_shared_echoes
 from hpe_rig.prediction import beam_widths, push_force, tracked_region_spread, tracking_gate
@@ -39,8 +39,17 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
     """
     mistakes = [mistake for scene in scenes for mistake in _push_mistakes(scene)]
     # All mistakes are reported at once, so scenes with mistakes contribute their push as well if they state one.
-    stated = (scene for scene in scenes if scene.excitation is not None and scene.beams is not None)
-    pushes = [_stated_push(scene, width_uncertainty) for scene in stated]
+    pushes = [
+        Push(
+            force=push_force(scene),
+            burst_rate_hz=excitation.burst_rate_hz,
+            burst_length_s=excitation.burst_length_s[0],
+            density_kg_per_m3=scene.medium.density_kg_per_m3 if scene.medium else 1000.0,
+            width_uncertainty=(width_uncertainty, width_uncertainty),
+        )
+        for scene in scenes
+        if (excitation := scene.excitation) is not None and scene.beams is not None
+    ]
     if any(push != pushes[0] for push in pushes):
         what = "the runs differ in widths, burst rate, burst length or density of the medium"
         mistakes.append(Mistake("excitation", what, "runs with the same push, or a fit of each run"))
@@ -67,19 +76,6 @@ def _push_mistakes(scene: Scene) -> Iterator[Mistake]:
     if not has_own_force and not np.isclose(*beams.excitation_width_m[:2]):
         what = f"a force of {beams.excitation_width_m[0]:g} m by {beams.excitation_width_m[1]:g} m is not round"
         yield Mistake("beams.excitation_width_m", what, "equal widths across")
-
-
-def _stated_push(scene: Scene, width_uncertainty: float) -> Push:
-    """Return the force of the tonebursts that ``scene`` states; ``width_uncertainty`` is relative, across and along."""
-    excitation = scene.excitation
-    assert excitation is not None  # noqa: S101 (the caller selects scenes with tonebursts)
-    return Push(
-        force=push_force(scene),
-        burst_rate_hz=excitation.burst_rate_hz,
-        burst_length_s=excitation.burst_length_s[0],
-        density_kg_per_m3=scene.medium.density_kg_per_m3 if scene.medium else 1000.0,
-        width_uncertainty=(width_uncertainty, width_uncertainty),
-    )
 
 
 def gates_at_depths(scene: Scene, plan: Plan, omitted: list[str]) -> Iterator[GateAtDepth]:
@@ -149,11 +145,18 @@ def vibration_at(
     )
 
 
-def detected(vibration: Vibration) -> BoolArray:
-    """Return which frequencies (frequency,) exceed ``DETECTED`` times the larger noise of their two quadratures."""
+def detected_part(vibration: Vibration, omitted: list[str]) -> list[Vibration]:
+    """Return the vibration at the frequencies that exceed its noise, if there are any; add the others to ``omitted``.
+
+    The threshold is ``DETECTED`` times the larger noise of the two quadratures.
+    """
     # Variances of A cos(phase) and A sin(phase), frequency by frequency.
     sigma_m = np.sqrt(np.diag(vibration.covariance_m2).reshape(-1, 2).max(axis=1))
-    return np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)
+    is_detected = np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)
+    if not is_detected.all():
+        weak = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~is_detected])
+        omitted.append(f"{vibration.label}: {weak} Hz, less than {DETECTED:g} times its uncertainty")
+    return [vibration.at_frequencies(is_detected)] if is_detected.any() else []
 
 
 def with_shared_noise(depths: Sequence[Vibration], correlation: float) -> list[Vibration]:

@@ -18,11 +18,10 @@ from hpe_rig.arrays import FloatArray, numbers_text
 
 @dataclass(frozen=True, slots=True)
 class Voigt:
-    """Moduli of a Voigt medium with their covariance (2, 2) in (Pa, Pa s)."""
+    """Moduli of a Voigt medium."""
 
     elasticity_pa: float
     viscosity_pa_s: float
-    covariance: FloatArray
 
 
 def shear_speed(
@@ -31,20 +30,19 @@ def shear_speed(
     phase_rad: FloatArray,
     uncertainty_rad: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the shear wave speed (frequency,) and its uncertainty, m/s, from the phase over lateral offset.
+    """Return the shear wave speed (frequency,) and its uncertainty by the phases, m/s, from phase over lateral offset.
 
     The speed follows from the slope of a line through the phases. ``position_m`` (offset,); ``phase_rad`` and
     ``uncertainty_rad`` (offset, frequency). Phases are unwrapped in order of offset, so neighbours must be less than
-    half a wavelength apart. The wave runs away from the focus: the phase falls with distance. The uncertainty covers
-    the phases only. Within a wavelength or two of the push the wave is not plane and the speed is biased: a sixth too
-    low at 100 Hz in 9 kPa, 1 to 4 mm off the axis, without noise. Raises ``ValueError`` for fewer than two different
-    offsets and if a phase does not fall. Source: Chen, Fatemi, Greenleaf (2004), phase gradient.
+    half a wavelength apart. The wave runs away from the focus: the phase falls with distance. Within a wavelength or
+    two of the push the wave is not plane: at 100 Hz in 9 kPa the speed is a sixth too low 1 to 4 mm off the axis.
+    Raises ``ValueError`` for fewer than two different offsets and if a phase does not fall. Source: Chen, Fatemi,
+    Greenleaf (2004), phase gradient.
     """
     offset, frequency = np.asarray(position_m, dtype=np.float64), np.asarray(frequency_hz, dtype=np.float64)
     if np.unique(offset).size < 2:
         raise ValueError(f"lateral offsets {numbers_text(offset)} m: a phase gradient needs two different ones")
     order = np.argsort(offset, kind="stable")
-    # Unwrapping needs neighbouring offsets in order.
     phase = np.unwrap(phase_rad[order], axis=0)
     # Weighted least squares for the slope, about the weighted mean offset.
     weight = 1 / np.square(np.maximum(uncertainty_rad[order], np.finfo(np.float32).tiny))
@@ -87,7 +85,7 @@ def fit_voigt(
     unit = np.array([median_pa, median_pa / (2 * np.pi * frequency_hz.max())])
 
     def residual(relative: FloatArray) -> FloatArray:
-        """Return the weighted residual (frequency,) of moduli (2,) in units of ``unit``."""
+        """Return modelled minus measured speed (frequency,), in standard uncertainties, for moduli in ``unit``."""
         elasticity_pa, viscosity_pa_s = (relative * unit).tolist()
         model = voigt_speed(frequency_hz, elasticity_pa, viscosity_pa_s, density_kg_per_m3)
         return np.asarray((model - speed_m_per_s) / sigma)
@@ -96,8 +94,5 @@ def fit_voigt(
     starts = (np.array([1.0, 0.1]), np.array([0.5, 0.8]))
     solutions = [least_squares(residual, start, bounds=(0, np.inf), xtol=1e-14, ftol=1e-14) for start in starts]
     best = min(solutions, key=lambda solution: float(solution.cost))
-    # Covariance of the weighted fit, in SI units again.
-    jacobian = np.asarray(best.jac, dtype=np.float64)
-    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * np.outer(unit, unit), dtype=np.float64)
     elasticity_pa, viscosity_pa_s = (best.x * unit).tolist()
-    return Voigt(elasticity_pa, viscosity_pa_s, covariance)
+    return Voigt(elasticity_pa, viscosity_pa_s)

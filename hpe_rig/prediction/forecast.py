@@ -92,35 +92,25 @@ def _fit_gain(scene: Scene, shot: Shot, frequency_hz: float, pulses: int, estima
     return 1.0
 
 
-def forecast_of(
-    scene: Scene,
-    shot: Shot,
-    frequency_hz: float | None = None,
-    estimators: tuple[str, ...] = ESTIMATORS,
-    simulated: bool = True,
-) -> Prediction | None:
-    """Return predicted bias, jitter and aliasing of every estimator at one wanted frequency (default: the first).
+def forecast_of(scene: Scene, shot: Shot, simulated: bool = True) -> Prediction | None:
+    """Return predicted bias, jitter and aliasing of every estimator at the first wanted frequency.
 
     ``check``, report and design print this forecast. None without beams or SNR.
     """
     # Beams and SNR are the same for all estimators: conditions exist for all of them or for none.
     by_estimator = [
-        conditions for name in estimators if (conditions := conditions_of(scene, shot, frequency_hz, name)) is not None
+        conditions for name in ESTIMATORS if (conditions := conditions_of(scene, shot, estimator=name)) is not None
     ]
     if not by_estimator:
         return None
-    index = scene.wanted_frequencies_hz.index(by_estimator[0].frequency_hz)
     errors = tuple(
-        with_beam_averaging(
-            predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[index]
-        )
-        for name, conditions in zip(estimators, by_estimator, strict=True)
+        with_beam_averaging(predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[0])
+        for name, conditions in zip(ESTIMATORS, by_estimator, strict=True)
     )
-    ratios = fitted_over_true_by_estimator(scene, shot, estimators, simulated)
-    aliasing = tuple(complex(ratio[index]) - 1 for ratio in ratios if ratio is not None)
-    scene_estimator = scene.processing.estimator
-    conditions = by_estimator[estimators.index(scene_estimator)] if scene_estimator in estimators else by_estimator[0]
-    return Prediction(conditions, errors, aliasing if len(aliasing) == len(estimators) else ())
+    ratios = fitted_over_true_by_estimator(scene, shot, ESTIMATORS, simulated)
+    aliasing = tuple(complex(ratio[0]) - 1 for ratio in ratios if ratio is not None)
+    conditions = by_estimator[ESTIMATORS.index(scene.processing.estimator)]
+    return Prediction(conditions, errors, aliasing if len(aliasing) == len(ESTIMATORS) else ())
 
 
 def with_beam_averaging(

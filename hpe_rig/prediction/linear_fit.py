@@ -153,15 +153,9 @@ def trigger_noise_m(scene: Scene, simulated: bool = True) -> float:
     return 0.0 if twin is None else twin.trigger_jitter_s * scene.acquisition.sound_speed_m_per_s / 2
 
 
-def fitted_over_true(
-    scene: Scene, shot: Shot, simulated: bool = True, estimator: str | None = None
-) -> ComplexArray | None:
-    """Return the fitted over the true phasor of each wanted harmonic (frequency,), without noise.
-
-    It is 1 without aliasing. ``estimator`` defaults to the scene's. None if no medium is known, nothing pushes, or the
-    wanted frequencies are no multiples of the burst rate.
-    """
-    return fitted_over_true_by_estimator(scene, shot, (estimator or scene.processing.estimator,), simulated)[0]
+def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> ComplexArray | None:
+    """Return ``fitted_over_true_by_estimator`` for the estimator of the scene."""
+    return fitted_over_true_by_estimator(scene, shot, (scene.processing.estimator,), simulated)[0]
 
 
 def fitted_over_true_by_estimator(
@@ -173,22 +167,14 @@ def fitted_over_true_by_estimator(
     nothing pushes, the wanted frequencies are no multiples of the burst rate, or the estimator has no fit.
     """
     motion = _steady_motion(scene, shot, simulated)
-    if motion is None:
-        return (None,) * len(estimators)
-    return tuple(_aliasing_ratio(scene, shot, name, *motion) for name in estimators)
-
-
-def _aliasing_ratio(
-    scene: Scene, shot: Shot, estimator: str, true_m: ComplexArray, displacement_m: FloatArray
-) -> ComplexArray | None:
-    """Return the phasors fitted by one estimator over the true phasors ``true_m``, (frequency,); None without a fit.
-
-    ``displacement_m`` (pulse,) is the noise-free motion at the pulses: the ratio differs from 1 by aliasing alone.
-    """
-    # In a plan with conflicts, the pulses may not resolve the frequencies; the fit then raises ValueError.
-    with suppress(ValueError):
-        return np.asarray(fit_noise_free(scene, shot, spec_of(estimator), displacement_m) / true_m)
-    return None
+    ratios: list[ComplexArray | None] = [None] * len(estimators)
+    if motion is not None:
+        true_m, displacement_m = motion
+        for i, name in enumerate(estimators):
+            # In a plan with conflicts, the pulses may not resolve the frequencies; the fit then raises ValueError.
+            with suppress(ValueError):
+                ratios[i] = fit_noise_free(scene, shot, spec_of(name), displacement_m) / true_m
+    return tuple(ratios)
 
 
 def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexArray, FloatArray] | None:

@@ -6,10 +6,8 @@ p_3 are drawn for each echo, hence two steps, read at the peaks f_1 and f_2 of t
     s_1 = p_2(f_1) - p_1(f_1),    s_2 = p_3(f_2) - p_2(f_2),    Var s = 2 v + w,    Cov(s_1, s_2) = -v
 
 v is the variance of a pulse. w is the part of a step's variance that the next step does not cancel: the variance of a
-sum of steps grows by it from pulse to pulse. Two control variates reduce the scatter of a finite number of draws: steps
-q at f_1 of phases against the noise-free echo, which have w = 0, so that their Var q + 2 Cov(q_1, q_2) is chance; and
-the linear approximation of the phases at the noise-free peak, with v known exactly as the noise in a bin over the
-peak's power.
+sum of steps grows by it from pulse to pulse. Two control variates, with known v or w, reduce the scatter of a finite
+number of draws (from 13 % of the noise to 3 % for muscle at 30 dB).
 """
 
 from __future__ import annotations

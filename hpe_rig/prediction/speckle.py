@@ -9,7 +9,6 @@ Arrays are in single precision, which halves the time: a finite number of draws 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -68,38 +67,35 @@ class Scattering:
 
 
 def draw_speckle(
-    conditions: Conditions, generator: np.random.Generator, draws: int = 1000, displacement: Displacement | None = None
+    conditions: Conditions,
+    generator: np.random.Generator | None,
+    draws: int = 1000,
+    displacement: Displacement | None = None,
 ) -> Speckle:
     """Return the echo envelopes of ``draws`` random draws of scatterers, at rest and weighted by their displacement.
 
-    ``displacement``: function of position (default: the Gaussian of the paper).
+    ``generator`` None: fixed seeds. ``displacement``: function of position (default: the Gaussian of the paper).
     """
     scattering = draw_scattering(conditions, generator, draws, *_cells(conditions), displacement)
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
 
 
 def seeded_speckle(conditions: Conditions, draws: int, displacement: Displacement | None = None) -> Speckle:
-    """Return echo envelopes as ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene.
+    """Return ``draw_speckle`` with fixed seeds, so that a prediction is a function of the scene; cached.
 
-    Conditions with equal echoes have the same scatterers for any displacement, and a larger number of draws begins with
-    the same ones.
+    Conditions with equal echoes have the same scatterers for any displacement.
     """
     # Speckle does not depend on noise, fit, and the time course of the motion: fixed values give equal cache keys.
     echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf)
-    return _cached_speckle(replace(echoes, trigger_jitter_s=0.0, fit_gain=1.0), draws, displacement)
+    return _cached_speckle(replace(echoes, trigger_jitter_s=0.0, fit_gain=1.0), None, draws, displacement)
 
 
-@functools.lru_cache(maxsize=4)
-def _cached_speckle(echoes: Conditions, draws: int, displacement: Displacement | None) -> Speckle:
-    """Return the result of ``seeded_speckle`` for ``echoes``, conditions without motion and noise."""
-    seeded_generators = (np.random.default_rng([0, block]) for block in itertools.count())
-    scattering = _scattering(echoes, seeded_generators, draws, *_cells(echoes), displacement)
-    return scattering.speckle(echoes.gate_length_m, echoes.pulse_length_m)
+_cached_speckle = functools.lru_cache(maxsize=4)(draw_speckle)
 
 
 def draw_scattering(
     conditions: Conditions,
-    generator: np.random.Generator,
+    generator: np.random.Generator | None,
     draws: int,
     depth_m: float,
     cells: int,
@@ -107,31 +103,19 @@ def draw_scattering(
 ) -> Scattering:
     """Return ``draws`` random sets of scatterers around the focus, each summed into ``cells`` depth cells.
 
-    ``depth_m``: total depth of the cells, centred on the focus; the draws serve any gate and pulse within it. The
-    default ``displacement`` is the Gaussian of the paper, eq. (12). The mean number of scatterers of a draw is at most
-    ``MAX_SCATTERERS``: more would change only the echo's strength, which predictions do not depend on.
+    ``generator`` None: fixed seeds, so that a larger number of draws begins with the same ones. ``depth_m``: total
+    depth of the cells, centred on the focus; the draws serve any gate and pulse within it. The default ``displacement``
+    is the Gaussian of the paper, eq. (12). The mean number of scatterers of a draw is at most ``MAX_SCATTERERS``: more
+    would change only the echo's strength, which predictions do not depend on.
     """
-    return _scattering(conditions, itertools.repeat(generator), draws, depth_m, cells, displacement)
-
-
-def _scattering(
-    conditions: Conditions,
-    generators: Iterable[np.random.Generator],
-    draws: int,
-    depth_m: float,
-    cells: int,
-    displacement: Displacement | None,
-) -> Scattering:
-    """Return the result of ``draw_scattering`` with one of ``generators`` for each block of ``BLOCK_DRAWS`` draws."""
     displacement = displacement or functools.partial(_gaussian, conditions.excitation_width_m)
-    sizes = (min(BLOCK_DRAWS, draws - first) for first in range(0, draws, BLOCK_DRAWS))
-    blocks = [
-        _draw_block(conditions, generator, size, depth_m, cells, displacement)
-        for size, generator in zip(sizes, generators, strict=False)
-    ]
-    echo, displaced = (np.concatenate(block) for block in zip(*blocks, strict=True))
-    cell_depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * depth_m
-    return Scattering(echo, displaced, cell_depth_m)
+    blocks = []
+    for block, first in enumerate(range(0, draws, BLOCK_DRAWS)):
+        block_generator = generator or np.random.default_rng([0, block])
+        size = min(BLOCK_DRAWS, draws - first)
+        blocks.append(_draw_block(conditions, block_generator, size, depth_m, cells, displacement))
+    echo, displaced = (np.concatenate(block_echoes) for block_echoes in zip(*blocks, strict=True))
+    return Scattering(echo, displaced, ((np.arange(cells) + 0.5) / cells - 0.5) * depth_m)
 
 
 def _draw_block(

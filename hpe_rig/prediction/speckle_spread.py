@@ -6,7 +6,6 @@ import functools
 
 import numpy as np
 
-from hpe_rig.arrays import SingleArray
 from hpe_rig.medium import TrackingGate
 from hpe_rig.prediction.conditions import Conditions, resting_conditions
 from hpe_rig.prediction.error_model import tracked_over_peak
@@ -41,12 +40,9 @@ def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, fl
     # In units of the beam width, single precision loses no digits.
     unit_m = resting.tracking_width_m[0]
     mean_area, area_sd = statistics(lambda position_m: np.square(position_m[:2] / unit_m).sum(axis=0) / 2)
-    lateral_sd, axial_sd = (statistics(functools.partial(_coordinate, axis, unit_m))[1] for axis in (0, 2))
+    _, lateral_sd = statistics(lambda position_m: np.asarray(position_m[0] / np.float32(unit_m)))
+    _, axial_sd = statistics(lambda position_m: np.asarray(position_m[2] / np.float32(unit_m)))
     return area_sd / mean_area, unit_m * lateral_sd, unit_m * axial_sd
-
-
-def _coordinate(axis: int, unit_m: float, position_m: SingleArray) -> SingleArray:
-    return np.asarray(position_m[axis] / np.float32(unit_m))
 
 
 @functools.lru_cache(maxsize=16)

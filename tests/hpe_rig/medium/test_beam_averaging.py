@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -95,7 +97,8 @@ def test_random_echoes_change_log_area_and_relative_offset_by_the_same_standard_
 def test_a_gaussian_of_the_scaled_width_has_the_same_averaging() -> None:
     beams = BeamWidths(FORCE_M, TRACKING_M, TrackingGate(TRACKING_M, GATE_M, PULSE_M).depth_sd_m())
     for averaging in (0.3, 0.9, 0.955, 0.984):
-        assert beams.gaussian_averaging(beams.width_scale(averaging)) == pytest.approx(averaging, rel=1e-9)
+        scaled = replace(beams, force_width_m=tuple(np.multiply(FORCE_M, beams.width_scale(averaging)).tolist()))
+        assert scaled.gaussian_averaging() == pytest.approx(averaging, rel=1e-9)
     assert beams.width_scale(1.0) > 100
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.prediction.linear_fit import fitted_over_true
+from hpe_rig.prediction.linear_fit import fitted_over_true, fitted_over_true_by_estimator
 from hpe_rig.prediction.text import aliasing_text
 from hpe_rig.scene import scene_text
 from hpe_rig.store.datasets import TRUE_HARMONICS
@@ -24,7 +24,7 @@ def test_with_the_medium_prior_aliasing_is_negligible(name, largest):
     setup = prepare(name)
     ratio = fitted_over_true(setup.scene.scene, setup.plan.shots[0])
     assert np.abs(ratio - 1).max() < largest
-    paper = fitted_over_true(setup.scene.scene, setup.plan.shots[0], True, "cross_spectrum")
+    paper = fitted_over_true_by_estimator(setup.scene.scene, setup.plan.shots[0], ("cross_spectrum",))[0]
     assert np.abs(paper - 1).max() > 5 * largest
 
 

@@ -12,7 +12,8 @@ from hpe_rig.design.comparison import _outcome
 from hpe_rig.design.problem import Problem
 from hpe_rig.measurement.setup import prepare
 from hpe_rig.prediction.detection import detection_floor
-from hpe_rig.prediction.forecast import forecast_of
+from hpe_rig.prediction.forecast import conditions_of, forecast_of, predict
+from hpe_rig.processing import ESTIMATORS
 from hpe_rig.report.page import write_report
 from hpe_rig.runs import check, measure
 from hpe_rig.scene import load_scene, shipped_scenes
@@ -57,18 +58,18 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
 def test_the_floor_has_the_noise_of_the_worst_frequency() -> None:
     setup = prepare("bovine-muscle", refuse=False)
     scene, shot = setup.scene.scene, setup.plan.shots[0]
-    each = [forecast_of(scene, shot, hz, ("coherent",)) for hz in scene.wanted_frequencies_hz]
-    worst = max(found.expected[0].quadrature_m for found in each if found is not None)
+    each = [conditions_of(scene, shot, hz, "coherent") for hz in scene.wanted_frequencies_hz]
+    worst = max(predict(one, ("coherent",)).expected[0].quadrature_m for one in each if one is not None)
     assert detection_floor(scene, True, shot).noise_m == pytest.approx(worst, rel=1e-9)
 
 
 def test_the_stated_uncertainty_is_the_predicted_noise(tmp_path: Path) -> None:
     run = measure("bovine-muscle", path=tmp_path / "run.h5")
-    found = forecast_of(run.scene, run.plan.shots[0], estimators=("coherent",))
+    found = forecast_of(run.scene, run.plan.shots[0])
     assert found is not None
     first = run.estimate().shots[0].estimates[0]
     # SNR of this draw of scatterers, noise of 598 residuals, and 0.19 nm of aliasing on 0.77
-    assert first.tracked_amplitude_uncertainty_m == pytest.approx(found.error_m(0), rel=0.25)
+    assert first.tracked_amplitude_uncertainty_m == pytest.approx(found.error_m(ESTIMATORS.index("coherent")), rel=0.25)
 
 
 @pytest.mark.parametrize(
