@@ -81,7 +81,7 @@ def predicted_averaging(
     gaussian = Averaging(factor, phase_rad=0.0, speckle_relative=speckle_sd, carrier_relative=frequency_sd)
     if scene.excitation is None:
         return (_with_scene_offsets(scene, gaussian),) * frequency_hz.size
-    averagings = _in_media(averaging_ratio(scene, beams, frequency_hz), beams, gaussian)
+    averagings = _averaging_in_media(averaging_ratio(scene, beams, frequency_hz), beams, gaussian)
     corrections = _aperture_correction(scene, beams, frequency_hz)
     return tuple(
         _multiplied(_with_scene_offsets(scene, with_second_order_speckle(averaging)), correction)
@@ -89,7 +89,7 @@ def predicted_averaging(
     )
 
 
-def _in_media(media: AveragingRatio, beams: BeamWidths, gaussian: Averaging) -> Iterator[Averaging]:
+def _averaging_in_media(media: AveragingRatio, beams: BeamWidths, gaussian: Averaging) -> Iterator[Averaging]:
     """Yield the averaging at every frequency of ``media``, with the effects of few scatterers and of speckle.
 
     ``gaussian``: averaging of a Gaussian motion with the widths of the force, which has these effects. ``media``:
@@ -119,7 +119,7 @@ def _in_media(media: AveragingRatio, beams: BeamWidths, gaussian: Averaging) -> 
 
 
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return tracked over peak motion at ``frequency_hz``, its standard deviation over media, and its steepness.
+    """Return tracked over peak motion at ``frequency_hz``, its standard deviation over media, and its change by speckle.
 
     They are those of the medium that the scene declares, without deviation, else statistics over the media of the
     prior. The medium of the twin is not used, as it is not known on a real bench.
@@ -132,10 +132,10 @@ def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return mean, standard deviation and steepness of tracked over peak motion, over the media of the prior.
+    """Return mean, standard deviation and change by speckle of tracked over peak motion, over the media of the prior.
 
     Mean and standard deviation are those of the logarithm of the ratio: its real part is relative amplitude, its
-    imaginary part is phase. The steepness is a root mean square with the sign of the mean.
+    imaginary part is phase. The change by speckle is a root mean square with the sign of the mean.
     """
     assert scene.excitation is not None  # noqa: S101 (callers check)
     ensemble = _prior_ensemble(scene, beams, frequency_hz)
