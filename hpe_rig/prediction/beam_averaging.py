@@ -119,7 +119,7 @@ def _averaging_in_media(media: AveragingRatio, beams: BeamWidths, gaussian: Aver
 
 
 def averaging_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> AveragingRatio:
-    """Return tracked over peak motion at ``frequency_hz``, its standard deviation over media, and its change by speckle.
+    """Return tracked over peak motion at ``frequency_hz``, its standard deviation over media and change by speckle.
 
     They are those of the medium that the scene declares, without deviation, else statistics over the media of the
     prior. The medium of the twin is not used, as it is not known on a real bench.
