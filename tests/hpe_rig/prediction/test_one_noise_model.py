@@ -43,14 +43,14 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
         return
     setup = prepare(scene, refuse=False)
     problem = Problem(setup, tomllib.loads(setup.scene.text), (), "jitter", longest_s=1.0)
-    designed = _outcome(problem, problem.judged(problem.start), 0, 0).rows
-    assert designed["detection floor"] == f"{floor} nm"
+    designed = _outcome(problem, problem.judged(problem.start), 0, 0).values
+    assert f"{designed['detection_floor_m'] * 1e9:.3g}" == floor
     estimator, hz = scene.processing.estimator, scene.wanted_frequencies_hz[0]
     noise = printed(rf"\n  {estimator} +\S+ nm +(\S+) nm", checked)
-    assert designed["noise of a quadrature"] == f"{noise} nm"
+    assert f"{designed['quadrature_noise_m'] * 1e9:.3g}" == noise
     figures = re.findall(r"(\S+) nm", printed(rf"\n  ({estimator} .*)", checked))
-    for what, figure in (("bias, predicted", figures[0]), ("speckle", figures[-1])):
-        assert float(designed[what].split()[0]) == pytest.approx(float(figure), rel=6e-3)
+    for key, figure in (("predicted_bias_m", figures[0]), ("speckle_m", figures[-1])):
+        assert designed[key] * 1e9 == pytest.approx(float(figure), rel=6e-3)
     row = printed(rf'<tr><th scope="row">{hz:g}</th>((?:<td>[^<]*</td>){{6}})\s*</tr>', html)
     assert re.findall(r"<td>([^<]*)</td>", row)[2] == noise
 
