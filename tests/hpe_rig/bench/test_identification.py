@@ -16,16 +16,16 @@ from sim_backend.world import World
 
 @pytest.fixture
 def worlds(monkeypatch: pytest.MonkeyPatch) -> list[World]:
-    """Return the simulated worlds whose generators were opened, one entry for each generator."""
-    opened: list[World] = []
+    """Return a list that gets the simulated world of each generator when the generator is opened."""
+    world_by_opening: list[World] = []
     connect = World.connect
 
     def connect_noted(world: World, *arguments: Any) -> Any:
-        opened.append(world)
+        world_by_opening.append(world)
         return connect(world, *arguments)
 
     monkeypatch.setattr(World, "connect", connect_noted)
-    return opened
+    return world_by_opening
 
 
 def displays(world: World) -> list[str]:
