@@ -73,34 +73,32 @@ class Evaluation:
     until_ps: int
 
 
+@dataclass(frozen=True, slots=True)
 class GeneratorConnection:
     """Text connection to one generator; every message takes ``message_time_s``."""
 
-    def __init__(
-        self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float, over_serial: bool = False
-    ) -> None:
-        """Connect to ``generator``, with the local mode of a serial line if ``over_serial``."""
-        self._over_serial = over_serial
-        self._generator = generator
-        self._clock = clock
-        self._message_time_s = message_time_s
+    generator: Generator33250A
+    clock: SimulatedClock
+    message_time_s: float
+    over_serial: bool = False
+    """Whether the line is serial, on which the generator has a local mode."""
 
     def write(self, message: str) -> None:
         """Send a message."""
-        self._clock.sleep(self._message_time_s)
-        self._generator.write(message, self._over_serial)
+        self.clock.sleep(self.message_time_s)
+        self.generator.write(message, self.over_serial)
 
     def read(self) -> str:
         """Return one reply; raise ``TimeoutError`` if there is none."""
-        return self._generator.read()
+        return self.generator.read()
 
     def serial_poll(self) -> int:
         """Return the status byte, as by a serial poll on the bus."""
-        return self._generator.serial_poll()
+        return self.generator.serial_poll()
 
     def close(self) -> None:
         """Close the connection; the instrument keeps its state."""
-        self._generator.close()
+        self.generator.close()
 
 
 def _generator(

@@ -62,7 +62,6 @@ _NOISE_STREAM = 1
 # Relative error of the echoes. A thousandth of a 14-bit code of a full-scale echo is 1e-7; as motion that is 1 pm.
 _ECHO_TOLERANCE = 1e-8
 _FIELD_ECHO_TOLERANCE = 2e-7  # many shapes, of a medium's field or of pulses that start between samples
-_RECORDS_PER_CHUNK = 64
 _MAX_STORED_ECHOES = 256
 """Echoes of one pulse that are stored for the next records; a periodic motion has one for each phase."""
 _MAX_STORED_PULSES = 8
@@ -327,11 +326,13 @@ class Acoustics:
         sample_ps = int(age_ps[0]) + np.arange(span.start, span.stop) * capture.sample_period_ps
         shift_s = (age_ps - age_ps[0]) / PS_PER_S
         block, group = self._grouped_echoes(train, burst, shift_s, sample_ps)
+        echo_v = block[group] * train.strength_v[burst, None]
         out = volts()
         if np.array_equal(record, np.arange(len(out))):
-            _add_to_records(out[:, span], block, group, train.strength_v[burst])
-            return
-        np.add.at(out[:, span], record, block[group] * train.strength_v[burst, None])
+            out[:, span] += echo_v
+        else:
+            # Records without an echo, or with several.
+            np.add.at(out[:, span], record, echo_v)
 
     def _grouped_echoes(
         self, train: _EchoTrain, burst: Int64Array, shift_s: FloatArray, sample_ps: Int64Array
@@ -394,17 +395,6 @@ class Acoustics:
             start, end = max(0, first), min(capture.samples, first + len(echo))
             if start < end:
                 volts[target, start:end] += echo[start - first : end - first]
-
-
-def _add_to_records(volts: FloatArray, block: FloatArray, group: Int64Array, strength_v: FloatArray) -> None:
-    """Add to each record (record, sample) the echo of its ``group`` (record,) from ``block`` (group, sample)."""
-    same_strength = bool((strength_v == strength_v[0]).all())
-    if same_strength:
-        block = block * strength_v[0]
-    # Some records at a time, so that the temporary array stays in the cache.
-    for first in range(0, len(volts), _RECORDS_PER_CHUNK):
-        chunk = slice(first, first + _RECORDS_PER_CHUNK)
-        volts[chunk] += block[group[chunk]] if same_strength else block[group[chunk]] * strength_v[chunk, None]
 
 
 def transmitted_fraction(amplitude_vpp: FloatArray, settings: SimulationSettings) -> FloatArray:

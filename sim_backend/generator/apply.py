@@ -33,8 +33,8 @@ def _apply(function: str) -> Write:
         coerced = set_function(start, function)
         # The present offset must not limit a new amplitude that comes with a new offset.
         values = [(OFFSET, "0")] if amplitude and offset else []
-        given = [(FREQUENCY, frequency), (AMPLITUDE, amplitude), (OFFSET, offset)]
-        values += given[IGNORED_ARGUMENTS.get(function, 0) :]
+        all_values = [(FREQUENCY, frequency), (AMPLITUDE, amplitude), (OFFSET, offset)]
+        values += all_values[IGNORED_ARGUMENTS.get(function, 0) :]
         for setting, text in values:
             if text:
                 coerced = coerced.then(partial(setting.execute, arguments=(text,)))

@@ -130,10 +130,10 @@ class HeaderTable(Generic[Entry]):
                 numbered.append((short_nodes[-1], digits))
         # An entry is stored with those of its nodes that a channel number may follow. Digits elsewhere, or at an
         # instrument without channels, make the header undefined.
-        found = self._entries.get(tuple(short_nodes))
-        if found is None or not all(self._channels and node in found[1] for node, _ in numbered):
+        stored = self._entries.get(tuple(short_nodes))
+        if stored is None or not all(self._channels and node in stored[1] for node, _ in numbered):
             raise ScpiError(-113, "Undefined header")
-        entry, _ = found
+        entry, _ = stored
         # All numbers in a header must name the same channel; without a number it is 1. Three digits are enough for a
         # comparison with the number of channels.
         channels = {int(digits[:3]) for _, digits in numbered} or {1}

@@ -72,11 +72,8 @@ class RecordNoise:
         if self._next_block is None:
             return None
         (block, future), self._next_block = self._next_block, None
-        same_start = (block.index, block.first_record, block.samples) == (
-            capture.index,
-            capture.first_record,
-            capture.samples,
-        )
+        start = (capture.index, capture.first_record, capture.samples)
+        same_start = start == (block.index, block.first_record, block.samples)
         if same_start and len(capture.first_sample_ps) <= len(block.first_sample_ps):
             return future
         # Only wait: a failure of a discarded block does not matter.
