@@ -73,7 +73,7 @@ class Evaluation:
     until_ps: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False)
 class GeneratorConnection:
     """Text connection to one generator; every message takes ``message_time_s``."""
 
