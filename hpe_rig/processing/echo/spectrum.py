@@ -31,14 +31,14 @@ MAX_MEMORY_BYTES = 1 << 25
 _WRITE_BYTES = 1 << 20
 
 
-def band_spectrum(echoes: EchoGate, min_pulses: int) -> tuple[ComplexArray, Band]:
+def band_spectrum(echoes: EchoGate) -> tuple[ComplexArray, Band]:
     """Return the spectrum (..., valid pulse, bin) of each record around the gate in the transmitted band, and the band.
 
     NaN for trains without an echo. The bin axis is the slowest in memory; the precision is that of the volts. Raises
-    ``ValueError`` for too few valid pulses, a gate too short to resolve two frequencies of the band, and if no train
-    has an echo in the band.
+    ``ValueError`` for fewer than two valid pulses, a gate too short to resolve two frequencies of the band, and if no
+    train has an echo in the band.
     """
-    require_pulses(echoes, min_pulses)
+    require_pulses(echoes)
     band = band_of(echoes)
     first = echoes.gate.start - band.margin[0]
     samples, count = band.analysis.shape
@@ -147,11 +147,11 @@ def fft_is_faster(samples: int, count: int, fft_points: int) -> bool:
     return bool(samples * count > FFT_COST * fft_points * np.log2(fft_points))
 
 
-def require_pulses(echoes: EchoGate, minimum: int) -> None:
-    """Raise ``ValueError`` for fewer than ``minimum`` valid pulses."""
+def require_pulses(echoes: EchoGate) -> None:
+    """Raise ``ValueError`` for fewer than two valid pulses."""
     count = int(echoes.valid.sum())
-    if count < minimum:
-        raise ValueError(f"{count} valid pulses, {minimum} needed: records are missing; try more tracking pulses")
+    if count < 2:
+        raise ValueError(f"{count} valid pulses, 2 needed: records are missing; try more tracking pulses")
 
 
 def has_echo(band_energy: FloatArray, echoes: EchoGate) -> BoolArray:

@@ -22,7 +22,7 @@ from hpe_rig.processing.harmonics.harmonic_fit import (
     InnovationCorrelation,
     fit_from_state,
 )
-from hpe_rig.processing.harmonics.model import MAX_CONDITION_OF_PRODUCTS, linear_model
+from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.processing.motion.displacement import Motion
 
 PRIOR = 1e10
@@ -31,6 +31,8 @@ BLOCK = 16
 """Pulses, or states if more, in one joint covariance of innovations."""
 CHUNK = 10_000
 """Pulses processed at once."""
+MAX_CONDITION_OF_PRODUCTS = 1e4
+"""Condition number of F up to which F'F is used: it has the square of it, and half of the digits remain."""
 
 Information = tuple[FloatArray, FloatArray]
 """Estimate from all pulses so far: triangular F, with F'F the inverse covariance of the states x, and F x."""

@@ -20,9 +20,6 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, FloatArray, IndexArray, numbers_text
 from hpe_rig.plan import MAX_CONDITION as MAX_CONDITION
 
-MAX_CONDITION_OF_PRODUCTS = 1e4
-"""Condition number up to which H'H is used. H'H has the square of it: half of the digits remain. QR keeps all
-digits."""
 MAX_CACHED_PULSES = 1 << 16
 """Longest train that keeps its model for the next train with the same pulse times."""
 
@@ -165,7 +162,10 @@ def _model(
     products = matrix.T @ matrix
     sizes = [2] * frequency_hz.size + [1] * (background_order + 1)
     column_hz = np.repeat(np.append(frequency_hz, np.zeros(background_order + 1)), sizes)
-    condition = _condition(matrix, products, _lengths(products, sizes))
+    # Condition number: 1 is best, it grows as the pulses resolve the frequencies less. The eigenvalues of H'H are the
+    # squared singular values of H.
+    smallest, *_, largest = np.linalg.eigvalsh(_normalised(products, sizes)).tolist()
+    condition = float(np.sqrt(largest / smallest)) if smallest > 0 else np.inf
     if not condition <= MAX_CONDITION:
         raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition))
     if also_hz:
@@ -179,12 +179,11 @@ def _model(
         products = every_pulse[valid].T @ every_pulse[valid]
         counts = np.cumsum(sizes)
         counts = counts[(counts >= states) & (counts <= states + (pulses - states) // 2)]
-        lengths = _lengths(products, sizes)
-        count = _resolved_columns(products / np.outer(lengths, lengths), counts)
-        every_pulse = every_pulse[:, :count]
+        every_pulse = every_pulse[:, : _resolved_columns(_normalised(products, sizes), counts)]
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
-    root = triangular_root(matrix, products, max(condition, MAX_CONDITION if also_hz else 1.0))
+    # R^-1 with R'R = H'H. Products lose half of the digits at a condition of 1e8, none that count at the limit.
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
     column_hz = column_hz[: matrix.shape[1]]
     for array in (matrix, every_pulse, root, column_hz):
         array.flags.writeable = False
@@ -198,40 +197,17 @@ def _model(
     )
 
 
-def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) -> FloatArray:
-    """Return R^-1 (state, state), upper triangular, with R'R = ``products`` = matrix' matrix.
+def _normalised(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
+    """Return the inner products H'H after each column of H is divided by the rms length of its group of columns.
 
-    It converts columns to orthonormal ones. A ``condition`` number above the limit needs QR, which keeps more digits.
-    """
-    if condition > MAX_CONDITION_OF_PRODUCTS:
-        return np.asarray(np.linalg.inv(np.linalg.qr(matrix, mode="r")))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
-
-
-def _lengths(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
-    """Return the length by which each column of a matrix H is divided before its condition number is computed.
-
-    It is the rms length of the columns of a group. ``sizes``: number of columns of each group, 2 for sin and cos of a
-    frequency. A shift of time zero rotates sin into cos; with a common length the condition then stays the same.
-    ``products``: H'H.
+    ``products``: H'H. ``sizes``: number of columns of each group, 2 for sin and cos of a frequency. A shift of time
+    zero rotates sin into cos; with a common length the condition number then stays the same.
     """
     ends = np.cumsum(np.array(sizes, dtype=np.intp))
     starts = ends - np.array(sizes, dtype=np.intp)
     mean_square = np.add.reduceat(np.diagonal(products), starts) / sizes
-    return np.repeat(np.sqrt(mean_square).clip(min=np.finfo(np.float64).tiny), sizes)
-
-
-def _condition(matrix: FloatArray, products: FloatArray, lengths: FloatArray) -> float:
-    """Return the condition number of ``matrix`` H (pulse, state) with columns divided by ``lengths``.
-
-    1 is best; it grows as the pulses resolve the frequencies less. ``products``: H'H.
-    """
-    # The eigenvalues of H'H are the squared singular values: accurate enough up to a condition of 1e4.
-    smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(lengths, lengths)).tolist()
-    if smallest > largest / MAX_CONDITION_OF_PRODUCTS**2:
-        return float(np.sqrt(largest / smallest))
-    values = np.linalg.svd(np.linalg.qr(matrix / lengths, mode="r"), compute_uv=False)
-    return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
+    lengths = np.repeat(np.sqrt(mean_square).clip(min=np.finfo(np.float64).tiny), sizes)
+    return np.asarray(products / np.outer(lengths, lengths))
 
 
 def _resolved_columns(products: FloatArray, counts: IndexArray) -> int:

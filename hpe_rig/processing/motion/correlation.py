@@ -34,7 +34,7 @@ def cross_correlation(echoes: EchoGate) -> Motion:
     then at the delay where the cross-spectrum, summed over the band, has zero phase, which a taper biases least. Raises
     ``ValueError`` for fewer than two valid pulses and if no train has an echo.
     """
-    spectrum, band = band_spectrum(echoes, 2)
+    spectrum, band = band_spectrum(echoes)
     # A first guess of the delays (..., pulse), from the phases of consecutive echoes.
     consecutive = pulse_steps(spectrum, band)
     guess_s = consecutive.delay_s - consecutive.delay_s.mean(axis=-1, keepdims=True)

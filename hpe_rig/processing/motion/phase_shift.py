@@ -43,7 +43,7 @@ def coherent(echoes: EchoGate) -> Motion:
     Raises ``ValueError`` for fewer than two valid pulses and if no train has an echo in the band; a single train
     without an echo is NaN. Source: maximum likelihood for a known echo in white noise.
     """
-    spectrum, band = band_spectrum(echoes, 2)
+    spectrum, band = band_spectrum(echoes)
     trains, pulses = math.prod(spectrum.shape[:-2]), spectrum.shape[-2]
     use_compiled = trains > 1 and trains * pulses >= COMPILED_ECHOES and "numba" in sys.modules
     phase, variance, mean_hz = coherent_phase(spectrum, band, use_compiled)
@@ -108,7 +108,7 @@ def kasai(echoes: EchoGate) -> Motion:
     The phase is that of the complex echoes' lag-one correlation, divided by the carrier frequency as published. Raises
     ``ValueError`` for fewer than two valid pulses and without an echo. Source: Kasai et al. (1985).
     """
-    spectrum, band = band_spectrum(echoes, 2)
+    spectrum, band = band_spectrum(echoes)
     steps = pulse_steps(spectrum, band)
     carrier_hz = np.full_like(steps.mean_hz, echoes.carrier_hz)
     variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
@@ -122,8 +122,8 @@ def loupas(echoes: EchoGate) -> Motion:
     than two valid pulses and without an echo. Source: Loupas et al. (1995), two-dimensional autocorrelation with two
     pulses.
     """
-    spectrum, band = band_spectrum(echoes, 2)
-    lag_one = _depth_correlation(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
+    spectrum, band = band_spectrum(echoes)
+    lag_one = _depth_correlation(spectrum, band, echoes.sample_rate_hz)
     centre_hz = np.angle(lag_one[..., :-1] + lag_one[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
     steps = pulse_steps(spectrum, band)
     variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
@@ -395,14 +395,13 @@ def compare_with_others(
     return Comparison(gated_sum=gated_sum, product=product, variance=variance, mean_hz=mean_hz)
 
 
-def _depth_correlation(spectrum: ComplexArray, band: Band, phase_per_sample: FloatArray) -> ComplexArray:
+def _depth_correlation(spectrum: ComplexArray, band: Band, sample_rate_hz: float) -> ComplexArray:
     """Return the autocorrelation over one sample in depth, in the gate, of each echo: (..., pulse).
 
     It is the mean of two sums over the samples t of the gate: conj(z_t) z_t+1 and conj(z_t-1) z_t. Both ends of the
     gate then have the same weight. ``spectrum`` (..., pulse, bin): analytic signal z of gate and margins.
-    ``phase_per_sample`` (bin,): phase of each bin's frequency over one sample, rad.
     """
-    one_sample = np.exp(1j * phase_per_sample)
+    one_sample = np.exp(1j * (2 * np.pi * band.frequency_hz / sample_rate_hz))
     spectrum = spectrum.astype(np.complex128, copy=False)
     # The same two sums over the margins, from the echo and the echo advanced and delayed by one sample.
     margin, advanced_margin, delayed_margin = (

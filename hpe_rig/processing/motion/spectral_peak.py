@@ -69,7 +69,7 @@ def cross_spectrum(echoes: EchoGate) -> Motion:
     ``ValueError`` for fewer than two valid pulses or no echo. Source: eqs. (5) and (6) of the paper, with the peak's
     frequency as w.
     """
-    require_pulses(echoes, 2)
+    require_pulses(echoes)
     samples = echoes.gate_samples
     bins = padded_bins(samples)
     frequency_hz = band_frequencies_hz(echoes, bins)

@@ -72,7 +72,7 @@ def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
     # single precision of the spectra: 6e-8 of an echo's phase
     np.testing.assert_allclose(shot_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
     np.testing.assert_allclose(shot_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
-    assert spectrum.band_spectrum(echoes, 2)[0].dtype == np.complex64
+    assert spectrum.band_spectrum(echoes)[0].dtype == np.complex64
 
 
 def test_codes_of_a_long_shot_in_the_file_equal_those_in_memory(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_spectra_in_a_temporary_file_give_the_same_motion(tmp_path: Path, monkey
     np.testing.assert_allclose(expected.displacement_m, at_once.displacement_m, rtol=0, atol=rounding * one_radian_m)
     monkeypatch.setattr(phase_shift, "ALIGNED_CHUNK", 64)
     monkeypatch.setattr(spectrum, "MAX_MEMORY_BYTES", 0)
-    assert isinstance(spectrum.band_spectrum(echoes, 2)[0], np.memmap)
+    assert isinstance(spectrum.band_spectrum(echoes)[0], np.memmap)
     in_file = coherent(echoes)
     np.testing.assert_allclose(in_file.displacement_m, expected.displacement_m, rtol=0, atol=1e-15)
     np.testing.assert_allclose(in_file.variance_m2, expected.variance_m2, rtol=1e-9)

@@ -109,7 +109,7 @@ def test_a_rigid_motion_at_60_db_is_within_its_uncertainty(wide: TableOne) -> No
 def test_the_gates_edges_do_not_bias_kasai_divided_by_the_mean_frequency(wide: TableOne) -> None:
     table = _one_cycle(wide, 130)
     echoes = table.gate(_draws(table, 40))
-    mean_hz = pulse_steps(*band_spectrum(echoes, 2)).mean_hz
+    mean_hz = pulse_steps(*band_spectrum(echoes)).mean_hz
     errors = least_squares(kasai(echoes), [200.0]).amplitude_m[:, 0] * echoes.carrier_hz / mean_hz / 1e-6 - 1
     assert np.sqrt(np.mean(errors**2)) < 2e-4
 

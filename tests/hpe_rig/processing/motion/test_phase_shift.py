@@ -61,10 +61,10 @@ def test_two_threads_give_the_same_spectrum_as_one(
     # 1000 samples, so that the FFT is used, and more pulses than one block; some 40 roundings
     volts = np.random.default_rng(3).standard_normal((1000, 1000)).astype(precision)
     train = EchoGate(volts, 100e6, np.arange(1000) / 4000, 9e6, 1540.0, np.ones(1000, bool))
-    serial, band = band_spectrum(train, 2)
+    serial, band = band_spectrum(train)
     assert fft_is_faster(*band.analysis.shape, round(train.sample_rate_hz / np.diff(band.frequency_hz)[0]))
     monkeypatch.setattr(spectrum_module, "TWO_THREADS_POINTS", 0)
-    shared, _ = band_spectrum(train, 2)
+    shared, _ = band_spectrum(train)
     np.testing.assert_allclose(shared, serial, rtol=0, atol=rounding * np.abs(serial).max())
 
 
@@ -160,7 +160,7 @@ def test_a_stationary_leak_reduces_the_motion_by_at_most_its_fraction_of_the_ban
 ) -> None:
     """With a stationary tone of e^2 times the echo's energy in the band, 1 / (1 + e^2) of the motion is measured."""
     tone = leak * _leak_3_mhz(wide, wide_draws)
-    echo, with_tone = (band_spectrum(wide.gate(volts), 2)[0] for volts in (wide_draws, wide_draws + tone))
+    echo, with_tone = (band_spectrum(wide.gate(volts))[0] for volts in (wide_draws, wide_draws + tone))
     ratio = np.mean(np.abs(with_tone - echo) ** 2) / np.mean(np.abs(echo) ** 2)
     clean, dirty = (
         estimate(wide.gate(volts), [200.0], "coherent").amplitude_m[:, 0] for volts in (wide_draws, wide_draws + tone)
@@ -210,7 +210,7 @@ def test_spectra_by_fft_equal_those_by_projection(wide: TableOne, monkeypatch: p
     spectra = []
     for by_fft in (True, False):
         monkeypatch.setattr(spectrum_module, "fft_is_faster", lambda *_, by_fft=by_fft: by_fft)
-        spectra.append(band_spectrum(wide.gate(volts), 2)[0])
+        spectra.append(band_spectrum(wide.gate(volts))[0])
     np.testing.assert_allclose(spectra[0], spectra[1], rtol=1e-9, atol=1e-12)
 
 
@@ -223,7 +223,7 @@ def test_the_compiled_phase_equals_that_of_numpy(
     volts = draws[:5] + 0.1 * draws.std() * np.random.default_rng(3).standard_normal(draws[:5].shape)
     # one train without an echo, and one of noise alone
     volts[1], volts[3] = 0.0, np.random.default_rng(4).standard_normal(volts[3].shape)
-    spectrum, band = band_spectrum(table.gate(volts), 2)
+    spectrum, band = band_spectrum(table.gate(volts))
     # rounding: of the largest 1e-14 for phases and 5e-13 for variances, measured on a thousand trains
     for plain, fast in zip(coherent_phase(spectrum, band, False), coherent_phase(spectrum, band, True), strict=True):
         np.testing.assert_allclose(fast, plain, rtol=0, atol=1e-11 * np.nanmax(np.abs(plain)))
