@@ -198,8 +198,8 @@ def _carrier_phasors(shot: Shot, stored: StoredRun, carrier_hz: float) -> tuple[
     phasor, purity = np.zeros(records, np.complex128), np.zeros(records)
     for first, codes in stored.records.chunks(shot.index, max(1, BLOCK_SAMPLES // samples), "monitor"):
         block, statistics = slice(first, first + len(codes)), code_statistics(codes)
-        parts = codes.astype(np.float32) @ columns
-        phasor[block] = parts[:, 0] + 1j * parts[:, 1]
+        components = codes.astype(np.float32) @ columns
+        phasor[block] = components[:, 0] + 1j * components[:, 1]
         # Rounding has a variance of 1/12 code²; without it constant codes would have no energy.
         energy = samples * (np.maximum(statistics.mean_square - statistics.mean**2, 0.0) + 1 / 12)
         purity[block] = 2 / samples * np.abs(phasor[block]) ** 2 / energy
