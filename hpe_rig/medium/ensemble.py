@@ -187,13 +187,7 @@ def medium_ensemble(
     parameter ranges evenly, so there is no random seed. ``members``: number of media; off the axis of the push it is
     ``OFF_AXIS_MEMBERS`` instead.
     """
-    spec = _EnsembleSpec(
-        lowest_hz=lowest_hz,
-        highest_hz=highest_hz,
-        known_medium=known_medium,
-        density_kg_per_m3=density_kg_per_m3,
-        members=members,
-    )
+    spec = _EnsembleSpec(lowest_hz, highest_hz, known_medium, density_kg_per_m3, members)
     if isinstance(pushed, RigidSphere):
         return _sphere_ensemble(pushed, spec)
     # The ensembles are cached by their arguments. Arguments that do not matter get one value, so that equal ensembles

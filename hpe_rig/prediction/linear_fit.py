@@ -191,9 +191,11 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
     # All harmonics of the burst rate up to several lobes of the force's spectrum.
     harmonic = np.arange(1, int(LOBES / (length_s * rate_hz)) + 1)
     frequency_hz = np.asarray(harmonic * rate_hz, dtype=np.float64)
-    motion = focal_motion(scene, frequency_hz, simulated)
+    motion, time_s = focal_motion(scene, frequency_hz, simulated), select(scene, shot).time_s
+    # A plan with conflicts may have no pulse in its window.
     if (
         motion is None
+        or not time_s.size
         or not np.allclose(wanted_index * rate_hz, wanted_hz, rtol=1e-9)
         or wanted_index.max() > harmonic.size
     ):
@@ -201,10 +203,6 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
     # The sinusoid A sin(w t + phase) has A exp(j phase) = j times the coefficient of exp(j w t).
     phasor_m = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
     quadratures_m = np.stack([phasor_m.real, phasor_m.imag], axis=-1).ravel()
-    time_s = select(scene, shot).time_s
-    if not time_s.size:
-        # A plan with conflicts may have no pulse in its window.
-        return None
     displacement_m = _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), quadratures_m.tobytes())
     return np.asarray(phasor_m[wanted_index - 1]), displacement_m
 
