@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated, Any, Final
+from typing import Annotated
 
 import typer
 
@@ -28,9 +28,6 @@ from hpe_rig.cli.stored_runs import stored_runs
 from hpe_rig.cli.streams import finish_streams, queue_streams
 from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
-
-REFUSED_ARGUMENTS: Final[Any] = typer.BadParameter.__mro__[1]
-"""Arguments that typer refuses; it exports only this subclass of the exception."""
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 for group in (measuring, stored_runs, recordings, scene_commands, benches, studies, reporting):
@@ -56,7 +53,7 @@ def _run() -> int:
         refuse_undecodable(sys.argv)
         exit_code = app(standalone_mode=False)
         return exit_code if isinstance(exit_code, int) else 0
-    except REFUSED_ARGUMENTS as error:
+    except typer.TyperException as error:
         announce(_refusal(error))
         return EXIT_MISTAKE
     except SystemExit as end:
@@ -67,9 +64,9 @@ def _run() -> int:
         return EXIT_INTERRUPTED
 
 
-def _refusal(error: Any) -> str:
+def _refusal(error: typer.TyperException) -> str:
     """Return the message of refused arguments in one sentence with its remedy; without arguments it is the help."""
-    message, context = error.format_message(), error.ctx
+    message, context = error.format_message(), getattr(error, "ctx", None)
     if context is None or "\n" in message:
         return str(message)
     remedy = "" if "Try: " in message else f" Try: {context.command_path} --help"

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hpe_rig.bench import END_SIGNALS
-from hpe_rig.cli.options import ResultOptions, expand_option_groups, output_option
+from hpe_rig.cli.options import ResultOptions, expand_option_groups, is_figure_name, output_option
 from hpe_rig.cli.streams import EXIT_SIGNAL, wait_for_messages
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 
 EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
 OUTPUTS = ("output", "print_to", "figure")
 """Parameters of commands that name files to write."""
-FIGURE_SUFFIXES = {".svg", ".png", ".pdf"}
 
 
 def guarded(command: Callable[..., None]) -> Callable[..., None]:
@@ -105,7 +104,7 @@ def printing(command: Callable[..., None]) -> Callable[..., None]:
             return
         from hpe_rig.store import StoreError, refuse_unwritable, write_file
 
-        if "figure" in values and print_to.suffix.lower() in FIGURE_SUFFIXES:
+        if "figure" in values and is_figure_name(print_to):
             raise StoreError(f"-o {print_to}: the printed text is no figure. Try: --figure {print_to}.")
         refuse_unwritable(print_to)
         _refuse_binary(print_to)

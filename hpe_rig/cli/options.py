@@ -25,15 +25,20 @@ def check_file_name(path: Path | None) -> Path | None:
     return path
 
 
+def is_figure_name(path: Path) -> bool:
+    """Return whether Matplotlib has a format for the ending of ``path``."""
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    return path.suffix.lower().removeprefix(".") in FigureCanvasBase.get_supported_filetypes()
+
+
 def check_figure_name(path: Path | None) -> Path | None:
     """Return ``path``; refuse a figure that cannot be written, before the command computes anything."""
     if path is None or check_file_name(path) is None:
         return None
-    from matplotlib.backend_bases import FigureCanvasBase
-
     from hpe_rig.store import StoreError, refuse_unwritable
 
-    if path.suffix.lower().removeprefix(".") not in FigureCanvasBase.get_supported_filetypes():
+    if not is_figure_name(path):
         why = f"Matplotlib has no format {path.suffix!r}"
         raise typer.BadParameter(f"{path} cannot be written ({why}). Try: a name that ends in .svg, .png or .pdf.")
     try:
