@@ -38,11 +38,11 @@ PREPARATION = {
 EVENING = "docs/tutorials/an-evening.md"
 SHORT_EVENING = """
 [excitation]
-burst_count = 10
+burst_count = 6
 [acquisition]
 repeats = 1
 [processing]
-window_start_s = 60e-3
+window_start_s = 40e-3
 frequencies_hz = [50.0, 100.0, 200.0]
 [sweep]
 lateral_offset_m = [1.0e-3, 2.25e-3, 3.5e-3]
