@@ -428,7 +428,7 @@ class BenchFile(Section):
     """What hpe-rig commission proved; default: nothing, and checks of a real bench report so."""
     transducers: Transducers | None = None
     """The transducers if one pushes and another one tracks; default: one does both, and scenes have [beams]."""
-    conditions: tuple[Condition, ...] = ()
+    conditions: Annotated[tuple[Condition, ...], Field(max_length=64)] = ()
     """Quantities such as the temperature of the water that are read before and after each shot."""
     recording: ForeignRecording | None = None
     """Source of imported records; only in run files that hpe-rig import wrote."""

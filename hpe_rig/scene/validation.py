@@ -135,8 +135,9 @@ def _not_a_choice(entry: Entry) -> Words:
 
 
 def _wrong_length(entry: Entry) -> Words:
-    count = entry["ctx"].get("min_length", entry["ctx"].get("max_length"))
-    return f"{len(entry['input'])} entries where {count} are needed", f"a list of {count}"
+    limits = entry["ctx"]
+    allowed = f"at least {limits['min_length']}" if "min_length" in limits else f"at most {limits['max_length']}"
+    return f"{len(entry['input'])} entries instead of {allowed}", f"a list of {allowed}"
 
 
 _WORDS: Mapping[str, Callable[[Entry], Words]] = {

@@ -8,7 +8,6 @@ from .atomic import (
     unwritable as unwritable,
     write_file as write_file,
 )
-from .damage import Damage as Damage
 from .foreign_hdf5 import (
     InvalidContentError as InvalidContentError,
     bytes_in_memory as bytes_in_memory,

@@ -77,10 +77,8 @@ def read_codes(
     """
     echo, sums, chunk_records = checked.dataset(name), checked.checksums(name), checked.chunk_records
     start, stop, _ = records.indices(recorded.size)
-    codes, damaged = (
-        np.full((max(0, stop - start), samples.stop - samples.start), MISSING),
-        np.zeros(recorded.size, bool),
-    )
+    codes = np.full((max(0, stop - start), samples.stop - samples.start), MISSING)
+    damaged = np.zeros(recorded.size, bool)
     for number in range(start // chunk_records, -(-stop // chunk_records)):
         # Records of the shot that the chunk and ``records`` share.
         chunk_start = number * chunk_records

@@ -17,7 +17,7 @@ TRUE_HARMONICS: Final = ("true_harmonics/in_phase_m", "true_harmonics/quadrature
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Type of a dataset, names of its axes, and unit of its values; its fill value is NaN, zero or empty text."""
+    """Type of a dataset, names of its axes, and unit of its values."""
 
     dtype: str
     axes: tuple[str, ...]

@@ -70,6 +70,7 @@ def empty_run(
     condition_unit = ", ".join(condition.unit or "1" for condition in conditions)
     units = {name.rpartition("/")[2]: layout.unit for name, layout in DATASETS.items()}
     units |= {"before": condition_unit, "after": condition_unit, "burst_length_s": "s"}
+    units |= {"lateral_offset_m": "m", "axial_offset_m": "m"}
 
     def write(file: h5py.File) -> None:
         """Write the content of the file."""

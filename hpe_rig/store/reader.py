@@ -296,7 +296,7 @@ def _run_time_s(checked: CheckedFile) -> tuple[dict[str, float], list[Damage]]:
 
 def _names(checked: CheckedFile, name: str, size: int) -> list[str]:
     """Return the ``size`` names along an axis; raise ``InvalidContentError`` if they are damaged."""
-    dataset = checked.stored_here(name, AXIS_NAMES[name], (size,))
+    dataset = checked.dataset_of_type(name, AXIS_NAMES[name], (size,))
     checked.refuse_damaged(name, dataset)
     return [text.decode("ascii", "replace") for text in dataset[()]]
 

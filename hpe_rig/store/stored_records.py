@@ -170,8 +170,18 @@ class StoredRecords(Sequence[ShotRecords]):
         damaged = self.damaged(shot, visit if read.placement.is_identity else None, gate)
         intact, record = read.arrival.recorded & ~damaged, read.placement.record
         valid, damaged_pulses = ((record >= 0) & values[np.maximum(record, 0)] for values in (intact, damaged))
-        scale, limits, margins = read.volts_per_code, read.code_limits, read.margin
-        return StoredShot(self, shot, read.samples, intact, record, valid, damaged_pulses, scale, limits, margins)
+        return StoredShot(
+            records=self,
+            shot=shot,
+            samples=read.samples,
+            intact=intact,
+            record=record,
+            valid=valid,
+            damaged=damaged_pulses,
+            volts_per_code=read.volts_per_code,
+            code_limits=read.code_limits,
+            margin=read.margin,
+        )
 
     def _gate(
         self, checked: CheckedFile, shot: int, gate: slice, name: str, margin: int, placement: Placement | None

@@ -31,8 +31,8 @@ Shape = tuple[int, int, int]
 """Numbers of shots, pulses and samples."""
 
 MAX_SHOTS: Final = 1_000_000
-MAX_COLUMNS: Final = 10_000
-"""Maximum number of stages, conditions or frequencies."""
+MAX_LENGTHS: Final = {"stage": 64, "condition": 64, "frequency": 1_000_000}
+"""Maximum lengths of the axes that ``/records/echo`` does not have."""
 MAX_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
@@ -79,14 +79,18 @@ class CheckedFile:
             return None
         chunks = -(-self.shape[1] // self.chunk_records)
         shape = () if name in AT_ONCE else (self.shape[0], chunks) if name in BY_CHUNK else (self.shape[0],)
-        return self.stored_here(f"{GROUP}/{name}", "<u8", shape)
+        return self.dataset_of_type(f"{GROUP}/{name}", "<u8", shape)
 
     def text(self, name: str) -> str:
         """Return the text in the scalar dataset ``name``; raise ``InvalidContentError`` if it is damaged or no text."""
         dataset = self._dataset(name)
-        text = _text(dataset, lambda: dataset[()], f"/{name}")
-        self.refuse_damaged(name, dataset)
-        return text
+
+        def read() -> Any:
+            """Return the value, once its type and length are known to be those of a text."""
+            self.refuse_damaged(name, dataset)
+            return dataset[()]
+
+        return _text(dataset, read, f"/{name}")
 
     def refuse_damaged(self, name: str, dataset: h5py.Dataset) -> None:
         """Raise ``InvalidContentError`` if ``dataset``, which never changes after the start, fails its checksum."""
@@ -105,10 +109,8 @@ class CheckedFile:
         """Return dataset ``name`` of a run if its type, shape and chunks are those of a run file."""
         layout = DATASETS[name]
         lengths = dict(zip(RECORD_AXES, self.shape, strict=True))
-        dataset = self.stored_here(name, layout.dtype, tuple(lengths.get(axis) or None for axis in layout.axes))
-        if any(
-            size > MAX_COLUMNS for axis, size in zip(layout.axes, dataset.shape, strict=True) if axis not in lengths
-        ):
+        dataset = self.dataset_of_type(name, layout.dtype, tuple(lengths.get(axis) or None for axis in layout.axes))
+        if any(size > MAX_LENGTHS.get(axis, size) for axis, size in zip(layout.axes, dataset.shape, strict=True)):
             raise InvalidContentError(f"/{name} has shape {dataset.shape}")
         if layout.axes == RECORD_AXES:
             if dataset.chunks is None:
@@ -118,7 +120,7 @@ class CheckedFile:
                 raise InvalidContentError(f"/{name} has chunks of {dataset.chunks}")
         return dataset
 
-    def stored_here(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+    def dataset_of_type(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
         """Return dataset ``name`` if it has this type and shape; None in ``shape`` allows any length."""
         dataset = self._dataset(name)
         if dataset.dtype != np.dtype(dtype):

@@ -85,6 +85,7 @@ def verify(path: Path) -> Verification:
             damage.append(Damage("fail their checksums or lie beyond the end of the file", shot, ranges(damaged)))
         if stored.shot_complete[shot] and arrival.unverified.any():
             damage.append(Damage("are marked as recorded, without a checksum", shot, ranges(arrival.unverified)))
+    damage.sort(key=lambda item: -1 if item.shot is None else item.shot)
     return Verification(path, "run", stored.status, shots, complete, records, stored.has_checksums, tuple(damage))
 
 

@@ -48,7 +48,7 @@ CODE_AND_TESTS = {
     ),
     "drivers": ("drivers", "tests/drivers tests/system/test_idle_connections.py"),
 }
-"""Files and folders that are mutated, and their tests, by package; the package's folder of tests is the first."""
+"""Files and folders that are mutated, and their tests, by package."""
 PACKAGES = {package: (code.split(), tests.split()) for package, (code, tests) in CODE_AND_TESTS.items()}
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     operator: swapped

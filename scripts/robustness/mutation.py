@@ -367,7 +367,7 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget-s", type=float, default=30.0, help="recorded time of the tests of one mutant")
     parser.add_argument("--again", action="store_true", help="repeat the mutants that were not killed")
-    parser.add_argument("--own-tests", action="store_true", help="only tests in the package's folder of tests")
+    parser.add_argument("--own-tests", action="store_true", help="only tests in the folders that mirror the package")
     parser.add_argument("--of", type=absolute, help="folder of an earlier run: its mutants of unchanged lines")
     parser.add_argument("--packages", nargs="*", choices=list(PACKAGES), default=list(PACKAGES))
     return parser.parse_args()
@@ -377,8 +377,9 @@ def main() -> None:
     """Print a line per mutant, and a table at the end or after Ctrl-C."""
     options = parse_options()
     if options.own_tests:
-        for _, tests in PACKAGES.values():
-            del tests[1:]
+        for code, tests in PACKAGES.values():
+            folders = tuple(f"tests/{Path(path).parent if path.endswith('.py') else path}" for path in code)
+            tests[:] = [test for test in tests if test.startswith(folders)]
     tree, results = options.folder / "tree", Results(options.folder / "results.tsv")
     judge = Judge(tree, prepare_tree(options.folder, options.packages), options.budget_s)
     if options.of:

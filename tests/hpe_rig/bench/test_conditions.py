@@ -149,6 +149,13 @@ def test_mistakes_of_conditions_are_reported_together() -> None:
         parse_bench("bench", read_bench().text + '\n[[conditions]]\nname = "water level"\ncommand = ["x"]\n')
 
 
+def test_more_conditions_than_a_run_file_has_room_for_are_refused() -> None:
+    tables = [f'\n[[conditions]]\nname = "c{number}"\ncommand = ["x"]\n' for number in range(65)]
+    assert len(parse_bench("bench", read_bench().text + "".join(tables[:64])).bench.conditions) == 64
+    with pytest.raises(SettingsError, match=r"conditions.*64"):
+        parse_bench("bench", read_bench().text + "".join(tables))
+
+
 def test_a_bench_file_without_the_table_has_no_conditions() -> None:
     assert read_bench().bench.conditions == ()
 

@@ -26,7 +26,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.bench import uninterrupted
 from hpe_rig.cli.measuring import resume, run
 from hpe_rig.measurement.run import record_run
-from hpe_rig.measurement.setup import Setup, prepare
+from hpe_rig.measurement.setup import Setup, prepare, prepare_text
 from hpe_rig.result import headline_sentence, symbols
 from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
@@ -243,6 +243,14 @@ def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp
 def test_an_empty_run_is_the_same_bytes_every_time(setup: Setup) -> None:
     images = [empty_run(setup.scene, setup.bench, setup.plan) for _ in range(2)]
     assert images[0] == images[1]
+
+
+def test_offsets_of_the_gate_are_stored_in_metres() -> None:
+    scene = shipped_scenes()["table-1"].replace("[tracking]", "[tracking]\nlateral_offset_m = 1e-3")
+    offset = prepare_text("offset", scene)
+    with h5py.File(io.BytesIO(empty_run(offset.scene, offset.bench, offset.plan))) as file:
+        dataset = file["records/lateral_offset_m"]
+        assert (dataset[0], dataset.attrs["units"]) == (1e-3, "m")
 
 
 def test_overwriting_happens_only_when_told(setup: Setup, tmp_path: Path) -> None:

@@ -140,13 +140,41 @@ def test_one_bit_of_anything_is_found_and_of_what_a_result_uses_said_with_it(
 def test_damaged_settings_are_left_out_and_a_damaged_scene_is_refused(path: Path) -> None:
     flipped(path, "snapshot", (1,))
     assert len(read_snapshots(path)) == 2
+    assert list(map(str, read_run(path).damage)) == ["shot 2: /snapshot fails its checksum: its settings are left out"]
     with h5py.File(path, "r") as file:
         offset = file["scene"].id.get_offset()
     data = bytearray(path.read_bytes())
-    data[offset + 20] ^= 1
+    # No longer UTF-8: the checksum is compared before the text is decoded.
+    data[offset + 20] ^= 0x80
     path.write_bytes(data)
     with pytest.raises(StoreError, match=r"/scene fails its checksum"):
         read_run(path)
+
+
+def test_damage_is_listed_by_shot(path: Path) -> None:
+    flipped(path, "records/echo", (0, 130, 7))
+    flipped(path, "snapshot", (1,))
+    flipped(path, "records/burst_length_s", (1,))
+    flipped(path, "records/pulse_onset_s", (0, 3))
+    assert [damage.shot for damage in verify(path).damage] == [None, 0, 0, 1]
+
+
+def test_echoes_of_a_long_shot_that_change_after_their_verification_are_refused(path: Path) -> None:
+    records = read_run(path).records
+    shot = records.shot_blocks(1, slice(100, 120), 5, max_samples=0)
+    expected = shot.block(slice(None))
+    np.testing.assert_array_equal(expected, records.shot_blocks(1, slice(100, 120), 5).block(slice(None)))
+    flipped(path, "records/echo", (1, 130, 7))
+    np.testing.assert_array_equal(shot.block(slice(0, 123)), expected[:123])
+    with pytest.raises(StoreError, match="shot 2 was changed while it was read"):
+        shot.block(slice(120, 140))
+
+
+def test_records_of_a_run_that_another_run_has_replaced_are_refused(path: Path) -> None:
+    records = read_run(path).records
+    path.write_bytes((FIXTURES / "specimen.h5").read_bytes())
+    with pytest.raises(StoreError, match=r"replaced by a run of \(2, 119, 192\) instead of \(3, 400, 4096\)"):
+        records.placement(0)
 
 
 @pytest.mark.parametrize("harm", ["echo", pytest.param("cut", marks=pytest.mark.slow)])
