@@ -186,7 +186,7 @@ class StoredRecords(Sequence[ShotRecords]):
     def _gate(
         self, checked: CheckedFile, shot: int, gate: slice, name: str, margin: int, placement: Placement | None
     ) -> _Gate:
-        """Return what is known of the records of ``shot`` in ``gate`` without reading their codes; as ``gated``."""
+        """Return samples, arrival, pulses and volts per code of the records of ``shot`` in ``gate``; as ``gated``."""
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
                 f"{self.path}: the gate takes samples {gate.start} to {gate.stop}, a record has {self.shape[2]}. "

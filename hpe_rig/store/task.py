@@ -43,10 +43,10 @@ def make_or_undo(
         except BaseException as error:
             done.set_exception(error)
 
-    def undo_product(made: Future[Product]) -> None:
+    def undo_product(future: Future[Product]) -> None:
         """Undo the product, if ``make`` returned one."""
-        if made.exception() is None:
-            undo(made.result())
+        if future.exception() is None:
+            undo(future.result())
 
     threading.Thread(target=run, daemon=True, name="new file").start()
     try:
