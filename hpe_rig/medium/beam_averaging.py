@@ -126,8 +126,9 @@ def off_axis_motion(medium: HarmonicMedium, beams: BeamWidths, lateral_m: FloatA
     """Return tracked and peak displacement (frequency, offset), and the effects of speckle on the former.
 
     The beam is at the distances ``lateral_m`` (offset,) from the force's axis; the peak is the displacement at that
-    point. All are per unit of body force. The effects (effect, frequency, offset) are derivatives by the logarithm of
-    the beam's area, then by its offset over its radius: ``TrackedMotion``.
+    point. All are per unit of body force. Speckle changes area and position of the tracked region. Its effects (effect,
+    frequency, offset) are therefore two derivatives of the tracked displacement: by ln(area), then by a shift of the
+    beam in units of its radius (``TrackedMotion``).
     """
     # A function-level import: a prescribed motion has no medium and must not load SciPy.
     from hpe_rig.medium.shear_field import focal_plane_motion
@@ -177,37 +178,62 @@ def beam_averaging_factor(force_width_m: Triple, gate: TrackingGate, scatterers_
     """Return the expected tracked over peak displacement of a Gaussian motion, for coaxial beams focused mid-gate.
 
     ``force_width_m`` and the gate's tracking widths are the sigmas E and T of eqs. (12) and (8) of the paper. Each
-    scatterer has the energy of its echo as weight: factors 1/sqrt(1 + T^2 / 2 E^2) across, a sum over depths along. Two
-    corrections of leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their
+    scatterer has the energy of its echo as weight: factors 1 / sqrt(1 + T^2 / (2 E^2)) across, a sum over depths along.
+    Two corrections of leading order, each below 1 %: few independent speckles in the gate, and few scatterers if their
     density is finite.
     """
     # Echo envelopes (instant of the gate, depth), and the energy from each depth.
     depth_m, echo = gate.echoes()
     energy = np.sum(echo**2, axis=0)
-    total_energy = energy.sum()
-    # Mean motion over many scatterers, weighted by echo energy.
     axial_motion = np.asarray(np.exp(-(depth_m**2) / (2 * force_width_m[2] ** 2)))
     squared_ratios = [(t / e) ** 2 for e, t in zip(force_width_m[:2], gate.tracking_width_m[:2], strict=True)]
-    lateral_mean = _lateral_mean(squared_ratios, 2)
-    mean = lateral_mean * (energy @ axial_motion) / total_energy
-    # Number of independent speckles: squared trace of the energy matrix over the trace of its square.
+    lateral_mean = _lateral_mean(squared_ratios, weight_power=2)
+    # Mean motion over many scatterers, weighted by echo energy.
+    mean = lateral_mean * (energy @ axial_motion) / energy.sum()
+    # Squared elements of the energy matrix M = echo' echo of the depths.
     overlap = (echo.T @ echo) ** 2
-    speckles = total_energy**2 / overlap.sum()
-    # Few scatterers, -sum w^2 (u - mean) / (sum w)^2 with the weights w = energy I^2, I the tracking beam's intensity
-    # across. The mean under the squared weights, and the effective number of scatterers (sum w)^2 / sum w^2:
-    mean_of_squares = _lateral_mean(squared_ratios, 4) * (energy**2 @ axial_motion) / np.sum(energy**2)
+    # Mean motion over the depths with the energies squared, which few scatterers approach.
+    mean_of_squares = _lateral_mean(squared_ratios, weight_power=4) * (energy**2 @ axial_motion) / np.sum(energy**2)
+    scatterers = _effective_scatterers(gate, depth_m, energy, scatterers_per_m3)
+    scatterer_error = _completeness(energy, overlap) * (mean_of_squares - mean) / scatterers
+    return float(float(mean - scatterer_error) - _speckle_error(energy, overlap, lateral_mean * axial_motion))
+
+
+def _lateral_mean(squared_ratios: list[float], weight_power: int) -> float:
+    """Return the mean of u / u_0 over x and y, with the tracking beam's intensity to ``weight_power`` as weight.
+
+    ``squared_ratios`` are (T / E)^2 along x and y.
+    """
+    return float(np.prod([1 / np.sqrt(1 + square / weight_power) for square in squared_ratios]))
+
+
+def _effective_scatterers(
+    gate: TrackingGate, depth_m: FloatArray, energy: FloatArray, scatterers_per_m3: float
+) -> float:
+    """Return the effective number of scatterers, (sum w)^2 / sum w^2, with the energies w of their echoes.
+
+    w is ``energy`` (depth,) times the square of the tracking beam's intensity across.
+    """
     area_m2 = 4 * np.pi * gate.tracking_width_m[0] * gate.tracking_width_m[1] / 2
     depth_step_m = depth_m[1] - depth_m[0]
-    scatterers = scatterers_per_m3 * area_m2 * total_energy**2 / np.sum(energy**2) * depth_step_m
-    # The correction of a ratio of sums halves for one speckle and is complete for many.
-    completeness = 1 - 1 / (2 * speckles)
-    of_scatterers = float(mean - completeness * (mean_of_squares - mean) / scatterers)
-    # Few speckles: the same form with the overlap of neighbouring depths.
-    motion = lateral_mean * axial_motion
-    deviation = motion - energy @ motion / total_energy
-    return float(of_scatterers - (overlap.sum(axis=0) @ deviation) / total_energy**2)
+    return float(scatterers_per_m3 * area_m2 * energy.sum() ** 2 / np.sum(energy**2) * depth_step_m)
 
 
-def _lateral_mean(squared_ratios: list[float], power: int) -> float:
-    """Return the mean of u/u_0 over x and y under the weight I^power; ``squared_ratios`` are (T/E)^2 along x and y."""
-    return float(np.prod([1 / np.sqrt(1 + square / power) for square in squared_ratios]))
+def _completeness(energy: FloatArray, overlap: FloatArray) -> float:
+    """Return the factor on the correction for few scatterers: 1 for many independent speckles, 1/2 for one.
+
+    The number of independent speckles is tr(M)^2 / tr(M^2), with M the energy matrix of the depths. ``energy`` (depth,)
+    is its diagonal, ``overlap`` (depth, depth) has its squared elements.
+    """
+    speckles = energy.sum() ** 2 / overlap.sum()
+    return float(1 - 1 / (2 * speckles))
+
+
+def _speckle_error(energy: FloatArray, overlap: FloatArray, motion: FloatArray) -> float:
+    """Return the error of the energy-weighted mean of ``motion`` (depth,) as expected for few independent speckles.
+
+    ``overlap`` (depth, depth): squared elements of the energy matrix. It replaces the squared weights in the correction
+    for few scatterers, -sum w^2 (u - mean) / (sum w)^2, because the echoes of neighbouring depths overlap.
+    """
+    deviation = motion - energy @ motion / energy.sum()
+    return float((overlap.sum(axis=0) @ deviation) / energy.sum() ** 2)

@@ -68,16 +68,17 @@ class RigidSphere:
     radius_m: float
     density_kg_per_m3: float
 
-    def response(self, modulus_pa: ComplexArray, density_kg_per_m3: float, s_per_s: ComplexArray) -> ComplexArray:
+    def response(self, modulus_pa: ComplexArray, density_kg_per_m3: float, laplace_per_s: ComplexArray) -> ComplexArray:
         """Return the sphere's displacement over the force on it, m/N, in media of moduli (..., frequency).
 
-        ``s_per_s`` (frequency,) is the complex frequency, j w for vibration. Oestreicher's impedance in an
-        incompressible medium: docs/explanation/medium.md, section 8.
+        ``laplace_per_s`` (frequency,): complex frequency s of the Laplace transform, j w for vibration. The source is
+        Oestreicher's impedance in an incompressible medium: docs/explanation/medium.md, section 8.
         """
-        relative_radius = self.radius_m * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
+        relative_radius = self.radius_m * laplace_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
         mass_kg = 4 / 3 * np.pi * self.radius_m**3 * self.density_kg_per_m3
-        drag = 6 * np.pi * self.radius_m * modulus_pa * (1 + relative_radius + relative_radius**2 / 9)
-        return np.asarray(1 / (drag + mass_kg * s_per_s**2))
+        # Force per displacement: of the medium around the sphere, then of the sphere's own inertia.
+        medium_n_per_m = 6 * np.pi * self.radius_m * modulus_pa * (1 + relative_radius + relative_radius**2 / 9)
+        return np.asarray(1 / (medium_n_per_m + mass_kg * laplace_per_s**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +147,8 @@ class _EnsembleSpec:
     def modulus(self, s: ComplexArray) -> ComplexArray:
         """Return the complex modulus (member, frequency) of every medium at complex frequencies ``s`` (frequency,).
 
-        Near a known medium the parameters are log-normal about the known ones, with ``KNOWN_MEDIUM_LOG_SD``.
+        If the scene declares a medium, ``known_medium``, the members are Voigt media near it: modulus and viscosity are
+        log-normal about the declared values, with the standard deviations ``KNOWN_MEDIUM_LOG_SD``.
         """
         if self.known_medium is None:
             return prior_modulus(s, self.members)

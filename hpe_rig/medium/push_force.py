@@ -45,6 +45,7 @@ Specimen and absorption end it at an unknown distance, which matters at the lowe
 FADE_LENGTH = 0.5
 """Length over which the force fades out there, over the same sigma."""
 MAX_REACH = REACH + REACH_UNCERTAINTY + FADE_LENGTH
+"""Distance from the focus to the end of the fitted region, over the same sigma."""
 SIGMA_PER_FOCAL_LENGTH = 7.1 / FWHM_PER_SIGMA
 """Sigma along the axis of a focused bowl's intensity, over lambda (F / D)^2."""
 FIT_RADIUS, FIT_POINTS = 3.5, 100
@@ -104,8 +105,9 @@ def aperture_force(
     sound_speed_m_per_s: float,
     attenuation_db_per_cm_mhz: float | None = None,
 ) -> PushForce:
-    """Return the force of a focused bowl driven at ``frequency_hz``, as a sum of Gaussians; it follows the intensity.
+    """Return the force of a focused bowl driven at ``frequency_hz``, as a sum of Gaussians.
 
+    The force has the shape of the intensity, so that absorbed momentum is proportional to it.
     The default attenuation is that of soft tissue. Raises ``ValueError`` for a bowl wider than its sphere.
     """
     if diameter_m >= 2 * focal_length_m:
@@ -117,13 +119,13 @@ def aperture_force(
     wave_number = 2 * math.pi * frequency_hz / sound_speed_m_per_s - 1j * loss_np_per_m
     f_number = focal_length_m / diameter_m
     spot_m = sound_speed_m_per_s / frequency_hz * focal_length_m / diameter_m
-    # The fitted region ends at most half-way to the bowl.
-    sigma_m = min(SIGMA_PER_FOCAL_LENGTH * spot_m * f_number, focal_length_m / 2 / MAX_REACH)
+    # The fitted region ends ``MAX_REACH`` axial sigmas from the focus, at most half-way to the bowl.
+    axial_sigma_m = min(SIGMA_PER_FOCAL_LENGTH * spot_m * f_number, focal_length_m / 2 / MAX_REACH)
 
     def intensity(lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         return np.abs(bowl_pressure(diameter_m, focal_length_m, wave_number, lateral_m, axial_m)) ** 2
 
-    return _fitted_force(intensity, spot_m, f_number, sigma_m, loss_uncertainty * loss_np_per_m)
+    return _fitted_force(intensity, spot_m, f_number, axial_sigma_m, loss_uncertainty * loss_np_per_m)
 
 
 @lru_cache(maxsize=16)

@@ -297,15 +297,19 @@ def _path(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return complex wave numbers (k,) and quadrature weights on a path from 0 to the end of the force's spectrum.
 
-    The path runs above the poles of the integrand, the shear wave numbers ``q`` (frequency,). Its parameters are
-    rounded to the safe side, so that all iterations of a fit share one cached path.
+    The path runs above the poles of the integrand, the shear wave numbers ``q`` (frequency,). ``across_m2`` and
+    ``along_m2``: squared sigmas of the force across and along. ``quality``: nodes in a panel, and the exponent of the
+    force's spectrum at the end. The parameters are rounded to the safe side, so that all iterations of a fit share one
+    cached path.
     """
-    # The force's length limits the spectrum along the axis to 1 / sz; the first panel must resolve that.
-    low = 2 ** np.floor(np.log2(min(q.min(), 1 / np.sqrt(along_m2))))
-    high = 2 ** np.ceil(np.log2(q.max()))
-    narrow = 1.2 ** np.floor(np.log(across_m2) / np.log(1.2))
-    far = 1.1 ** np.ceil(np.log(max(max_distance_m, 1e-6)) / np.log(1.1))
-    return _cached_path(float(low), float(high), float(narrow), float(far), quality)
+    # A force of sigma sz along the axis has wave numbers up to about 1 / sz there; the first panel must resolve that.
+    rounded_low = 2 ** np.floor(np.log2(min(q.min(), 1 / np.sqrt(along_m2))))
+    rounded_high = 2 ** np.ceil(np.log2(q.max()))
+    rounded_across_m2 = 1.2 ** np.floor(np.log(across_m2) / np.log(1.2))
+    rounded_distance_m = 1.1 ** np.ceil(np.log(max(max_distance_m, 1e-6)) / np.log(1.1))
+    return _cached_path(
+        float(rounded_low), float(rounded_high), float(rounded_across_m2), float(rounded_distance_m), quality
+    )
 
 
 @lru_cache(maxsize=32)

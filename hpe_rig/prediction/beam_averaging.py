@@ -1,10 +1,12 @@
 """Beam averaging of a scene: tracked over peak displacement at every wanted frequency, with its uncertainty.
 
-    factor = 1 - loss_scale (1 - |ratio|),    loss_scale = (1 - Gaussian in this gate) / (1 - Gaussian, dense limit)
+    factor = 1 - deficit_scale (1 - |ratio|)
+    deficit_scale = (1 - Gaussian in this gate) / (1 - Gaussian, dense limit)
 
 The ratio is that of the shear field in the declared medium, else its mean over the ensemble of media. Few speckles and
-scatterers change the loss in proportion to that of a Gaussian motion. Corrections follow for a force that is not
-Gaussian, oblique waves, and a gate off the focus. Without tonebursts the motion is Gaussian, eq. (12) of the paper.
+scatterers change the deficit 1 - |ratio| in proportion to that of a Gaussian motion. Corrections follow for a force
+that is not Gaussian, oblique waves, and a gate off the focus. Without tonebursts the motion is Gaussian, eq. (12) of
+the paper.
 """
 
 from __future__ import annotations
@@ -81,7 +83,7 @@ def predicted_averaging(
     gaussian = Averaging(factor, phase_rad=0.0, speckle_relative=speckle_sd, carrier_relative=frequency_sd)
     if scene.excitation is None:
         return (_with_scene_offsets(scene, gaussian),) * frequency_hz.size
-    averagings = _averaging_in_media(averaging_ratio(scene, beams, frequency_hz), beams, gaussian)
+    averagings = _with_few_scatterers(averaging_ratio(scene, beams, frequency_hz), beams, gaussian)
     corrections = _aperture_correction(scene, beams, frequency_hz)
     return tuple(
         _multiplied(_with_scene_offsets(scene, with_second_order_speckle(averaging)), correction)
@@ -89,32 +91,34 @@ def predicted_averaging(
     )
 
 
-def _averaging_in_media(media: AveragingRatio, beams: BeamWidths, gaussian: Averaging) -> Iterator[Averaging]:
-    """Yield the averaging at every frequency of ``media``, with the effects of few scatterers and of speckle.
+def _with_few_scatterers(dense: AveragingRatio, beams: BeamWidths, gaussian: Averaging) -> Iterator[Averaging]:
+    """Yield the averaging at every frequency of ``dense``, corrected for few scatterers and with the effect of speckle.
 
-    ``gaussian``: averaging of a Gaussian motion with the widths of the force, which has these effects. ``media``:
-    averaging of the motion under tonebursts, among dense scatterers.
+    ``dense``: tracked over peak motion under tonebursts if scatterers are infinitely many. ``gaussian``: averaging of a
+    Gaussian motion with the widths of the force, already with few scatterers and speckle.
     """
-    # Few scatterers are assumed to change 1 - ratio by the same factor as for the Gaussian motion.
-    loss_scale = (1 - gaussian.factor) / (1 - beams.gaussian_averaging())
-    factor = 1 - loss_scale * (1 - np.abs(media.ratio))
-    # Standard deviation over speckle of the logarithm of the tracked region's area and of its offset over its radius:
-    # both are 1 / sqrt(N) for N equal echoes. The Gaussian motion's effect of speckle and its steepness give it.
+    # Few scatterers are assumed to change the deficit 1 - ratio by the same factor as for the Gaussian motion.
+    deficit_scale = (1 - gaussian.factor) / (1 - beams.gaussian_averaging())
+    factor = 1 - deficit_scale * (1 - np.abs(dense.ratio))
+    # Standard deviation over speckle of ln(area of the tracked region) and of the region's offset over its radius: both
+    # are 1 / sqrt(N) for N equal echoes. For the Gaussian motion it times the steepness, d ln(ratio) / d ln(area), is
+    # the effect of speckle; this gives it.
     region_sd = gaussian.speckle_relative / -beams.gaussian_steepness()
-    by_speckle = region_sd * media.steepness
-    phase_rad = np.angle(media.ratio)
-    for i in range(media.ratio.size):
+    # Effect of speckle on this motion: relative amplitude as real part, phase as imaginary part.
+    by_speckle = region_sd * dense.steepness
+    phase_rad = np.angle(dense.ratio)
+    for i in range(dense.ratio.size):
         yield Averaging(
             factor=float(factor[i]),
             phase_rad=float(phase_rad[i]),
             speckle_relative=float(np.abs(by_speckle[i].real)),
             speckle_phase_rad=float(np.abs(by_speckle[i].imag)),
-            factor_uncertainty=float(factor[i] * media.deviation[i].real),
-            phase_uncertainty_rad=float(media.deviation[i].imag),
+            factor_uncertainty=float(factor[i] * dense.deviation[i].real),
+            phase_uncertainty_rad=float(dense.deviation[i].imag),
             carrier_relative=gaussian.carrier_relative,
-            # For a posterior over media, whose ratio replaces this one.
-            rule=AveragingRule(area_spread=region_sd, loss_scale=loss_scale),
-            steepness=complex(media.steepness[i]),
+            # A fit that narrows down the medium repeats this computation with its own ratio.
+            rule=AveragingRule(region_sd=region_sd, deficit_scale=deficit_scale),
+            steepness=complex(dense.steepness[i]),
         )
 
 

@@ -163,15 +163,17 @@ def fitted_over_true_by_estimator(
 ) -> tuple[ComplexArray | None, ...]:
     """Return the fitted over the true phasor of each wanted harmonic (frequency,), for each of ``estimators``.
 
-    Without noise the ratio is 1 except for aliasing. The motion is computed once for all. None if no medium is known,
-    nothing pushes, the wanted frequencies are no multiples of the burst rate, or the estimator has no fit.
+    Without noise the ratio is 1 except for aliasing. The motion is computed once for all. ``simulated``: without a
+    declared medium, that of the twin (the table [simulation]) is used. All are None if no medium is known, nothing
+    pushes, or the wanted frequencies are no multiples of the burst rate. One is None if that estimator cannot resolve
+    the frequencies.
     """
     motion = _steady_motion(scene, shot, simulated)
     ratios: list[ComplexArray | None] = [None] * len(estimators)
     if motion is not None:
         true_m, displacement_m = motion
         for i, name in enumerate(estimators):
-            # In a plan with conflicts, the pulses may not resolve the frequencies; the fit then raises ValueError.
+            # The plan may break rules of the scene, such as too few pulses: the fit then raises ValueError.
             with suppress(ValueError):
                 ratios[i] = fit_noise_free(scene, shot, spec_of(name), displacement_m) / true_m
     return tuple(ratios)
@@ -180,8 +182,9 @@ def fitted_over_true_by_estimator(
 def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexArray, FloatArray] | None:
     """Return the steady motion under the tonebursts: phasors (frequency,) and displacement at every pulse (pulse,), m.
 
-    The phasors A exp(j phase) are those of the wanted harmonics; the displacement contains all harmonics. None if no
-    medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
+    The phasors A exp(j phase) are those of the wanted harmonics; the displacement contains all harmonics.
+    ``simulated``: without a declared medium, that of the twin is used. None if no medium is known, nothing pushes, or
+    the wanted frequencies are no multiples of the burst rate.
     """
     if scene.excitation is None or shot.toneburst is None or not scene.wanted_frequencies_hz:
         return None
@@ -192,7 +195,7 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
     harmonic = np.arange(1, int(LOBES / (length_s * rate_hz)) + 1)
     frequency_hz = np.asarray(harmonic * rate_hz, dtype=np.float64)
     motion, time_s = focal_motion(scene, frequency_hz, simulated), select(scene, shot).time_s
-    # A plan with conflicts may have no pulse in its window.
+    # A plan that breaks rules of the scene may have no pulse in its window.
     if (
         motion is None
         or not time_s.size

@@ -75,7 +75,10 @@ def averaging_text(scene: Scene) -> Iterator[str]:
 
 
 def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, simulated: bool = True) -> Iterator[str]:
-    """Yield the lines that ``hpe-rig check`` prints: table, best estimator, settings that reach ``target_m``."""
+    """Yield the lines that ``hpe-rig check`` prints: table, best estimator, settings that reach ``target_m``.
+
+    ``simulated``: the run would be one of the twin, so that its medium (the table [simulation]) is known.
+    """
     prediction = forecast_of(scene, shot, simulated=simulated)
     if prediction is None:
         if scene.sphere is not None:
@@ -103,7 +106,7 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
             f"{prediction.error_m(best) * 1e9:.3g} nm"
         )
     if scene.processing.drift == "linear":
-        yield "  without the u of a linear drift (processing.drift), about 1.7 times the noise"
+        yield "  the noise excludes processing.drift, whose component of u is about 1.7 times as large as the noise"
     if target_m is not None:
         yield _target_line(prediction, target_m, scene.acquisition.gate_depth_m, scene.processing.estimator)
 

@@ -18,7 +18,7 @@ from .estimators import (
 )
 from .first_pulse import assign_pulses as assign_pulses
 from .ground_truth import true_harmonics_m as true_harmonics_m
-from .harmonics.drift import drift_of as drift_of, with_drift as with_drift
+from .harmonics.drift import drift_of as drift_of, with_drift_uncertainty as with_drift_uncertainty
 from .harmonics.fit_checks import residual_line as residual_line
 from .harmonics.harmonic_fit import HarmonicFit as HarmonicFit, least_squares as least_squares
 from .harmonics.kalman_filter import kalman as kalman

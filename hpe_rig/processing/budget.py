@@ -140,36 +140,39 @@ def _estimate(
 def components(fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging) -> tuple[Component, ...]:
     """Return the standard uncertainties of frequency ``index`` of ``fit``, source by source (GUM: uncertainty budget).
 
-    They are those of the peak displacement, which is the tracked one over the factor of ``averaging``.
+    They are those of the peak displacement: the tracked displacement over ``averaging.factor``, which is tracked over
+    peak.
     """
     amplitude_m = float(fit.amplitude_m[index])
     peak_m = amplitude_m / averaging.factor
-    # All arrays of two hold (amplitude, phase); times ``polar`` a relative amplitude becomes an amplitude.
-    polar = np.array([amplitude_m, 1.0])
+    # All arrays of two hold (amplitude, phase). ``to_metres`` converts relative amplitudes and leaves phases.
+    to_metres = np.array([amplitude_m, 1.0])
     aliasing = np.zeros(2) if fit.aliasing is None else np.diagonal(fit.aliasing[index])
-    averaging_u = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad]) * polar
-    covariance = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * polar**2
+    averaging_u = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad])
+    averaging_u = averaging_u * to_metres
+    covariance = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * to_metres**2
     rounding_m = sources.quantisation_m[index] if sources.quantisation_m else (0.0, 0.0)
-    # The error across the phasor over the amplitude is the phase error, at most that of an unknown phase.
+    # The error across the phasor over the amplitude is the phase error. It is at most that of an unknown phase.
     rounding = np.array(rounding_m) / (1.0, max(amplitude_m, np.finfo(np.float64).tiny))
+    rounding_variance = np.minimum(rounding, (np.inf, math.sqrt(PHASE_VARIANCE_LIMIT))) ** 2
     carrier_relative = averaging.carrier_relative or sources.carrier_relative
     drift = np.zeros(2) if fit.drift_m2 is None else np.diagonal(polar_covariance(fit.drift_m2, fit)[index])
     noise = _noise_components(fit, index, sources, averaging, aliasing + drift)
-    # Aliasing and beam averaging both depend on the medium, so that their errors are correlated.
+    # Aliasing and beam averaging both depend on the medium, so that their errors have a covariance.
     aliasing, averaging_variance = _with_covariance(aliasing, averaging_u**2, covariance)
     optional = (("carrier", carrier_relative), ("beam shape", averaging.shape_relative))
     return (
         *noise,
         *_control_components(sources.control, index, amplitude_m, averaging),
-        _tracked("quantisation", np.minimum(rounding, (np.inf, math.sqrt(PHASE_VARIANCE_LIMIT))) ** 2, averaging),
-        _tracked("aliasing", aliasing, averaging),
+        _from_tracked_variance("quantisation", rounding_variance, averaging),
+        _from_tracked_variance("aliasing", aliasing, averaging),
         Component("speckle", averaging.speckle_relative * peak_m, averaging.speckle_phase_rad),
-        _tracked("beam averaging", averaging_variance, averaging),
+        _from_tracked_variance("beam averaging", averaging_variance, averaging),
         Component("gate edge", sources.gate_edge * peak_m, 0.0),
         Component("sound speed", sources.sound_speed_uncertainty * peak_m, 0.0),
         Component("gate off focus", averaging.offset_relative * peak_m, 0.0),
         *(Component(source, relative * peak_m, 0.0) for source, relative in optional if relative),
-        *((_tracked("drift", drift, averaging),) if drift.any() else ()),
+        *((_from_tracked_variance("drift", drift, averaging),) if drift.any() else ()),
         *_time_base_components(fit, index, sources, averaging),
     )
 
@@ -188,20 +191,23 @@ def _control_components(
         ("control scatter", control.scatter_m2[index], control.scatter_freedom),
     ):
         phase_variance = min(variance_m2 / max(amplitude_m**2, np.finfo(np.float64).tiny), PHASE_VARIANCE_LIMIT)
-        yield _tracked(source, np.array([variance_m2, phase_variance]), averaging, freedom)
+        yield _from_tracked_variance(source, np.array([variance_m2, phase_variance]), averaging, freedom)
 
 
 def _time_base_components(
     fit: HarmonicFit, index: int, sources: ErrorSources, averaging: Averaging
 ) -> tuple[Component, ...]:
-    """Return the uncertainty of frequency ``index`` of ``fit`` from the clocks' rate error; none for one clock."""
+    """Return the uncertainty of frequency ``index`` of ``fit`` from the clocks' rate error; empty for one clock.
+
+    ``sources.time_base_m``: change of the complex displacement by one standard uncertainty of the rate error.
+    """
     if sources.time_base_m is None:
         return ()
-    # In the direction of the phasor and across it; the latter over the amplitude is the phase.
+    # Rotated to the phasor: the real part changes the amplitude, the imaginary part over the amplitude is the phase.
     change_m = complex(sources.time_base_m[index]) * np.exp(-1j * float(fit.phase_rad[index]))
-    phase_rad = abs(change_m.imag) / max(float(fit.amplitude_m[index]), np.finfo(np.float64).tiny)
-    variance = np.array([change_m.real**2, min(phase_rad**2, PHASE_VARIANCE_LIMIT)])
-    return (_tracked("time base", variance, averaging, sources.time_base_freedom),)
+    phase_error_rad = abs(change_m.imag) / max(float(fit.amplitude_m[index]), np.finfo(np.float64).tiny)
+    variance = np.array([change_m.real**2, min(phase_error_rad**2, PHASE_VARIANCE_LIMIT)])
+    return (_from_tracked_variance("time base", variance, averaging, sources.time_base_freedom),)
 
 
 def with_first_pulse(
@@ -253,8 +259,8 @@ def _noise_components(
     nu = float(fit.quality.degrees_of_freedom)
     noise_nu, jitter_nu = (nu * (1 - jitter_fraction) ** 2, math.inf) if jitter_fraction < 1 else (nu, nu)
     return (
-        _tracked("noise", random * (1 - jitter_fraction), averaging, noise_nu),
-        _tracked("trigger jitter", random * jitter_fraction, averaging, jitter_nu),
+        _from_tracked_variance("noise", random * (1 - jitter_fraction), averaging, noise_nu),
+        _from_tracked_variance("trigger jitter", random * jitter_fraction, averaging, jitter_nu),
         Component(
             source=RECTIFIED,
             amplitude_m=math.sqrt(fit.rician_bias_m2[index]) / averaging.factor,
@@ -264,7 +270,7 @@ def _noise_components(
     )
 
 
-def _tracked(
+def _from_tracked_variance(
     source: str, variance: FloatArray, averaging: Averaging, degrees_of_freedom: float = math.inf
 ) -> Component:
     """Return the budget's component of an error of the tracked displacement, from its ``variance`` (2,).

@@ -128,7 +128,7 @@ def _media_influences(
         yield Influence("beam averaging", medium.ratio_influences.T * phasor_m[:, None], "run", "medium")
         steepness = medium.steepness_influences.T
     # Speckle changes that area; a phase error of variance s² also raises the amplitude by s²/2.
-    first_order = np.array([[item.rule.area_spread] for item in items]) * steepness
+    first_order = np.array([[item.rule.region_sd] for item in items]) * steepness
     if first_order.any():
         second_order = math.sqrt(SPECKLE_KURTOSIS) / 2 * np.sum(first_order.imag**2, axis=1, keepdims=True)
         yield Influence("speckle", np.hstack([first_order, second_order]) * phasor_m[:, None], "position", "speckle")

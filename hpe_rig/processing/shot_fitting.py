@@ -151,9 +151,9 @@ def posterior_averaging(medium: MediumPosterior, index: int, predicted: Averagin
     # Tracked over peak displacement in those media, with the standard uncertainty of its magnitude and phase.
     rule, ratio = predicted.rule, 1 / complex(medium.peak_over_tracked[index])
     relative, phase_rad = np.sqrt(np.diag(medium.peak_covariance[index])).tolist()
-    speckle_relative, speckle_phase_rad = (rule.area_spread * medium.steepness[index]).tolist()
-    # Few speckles scale the loss 1 - |ratio|; the geometry (gate off focus, oblique waves) adds a factor and a phase.
-    factor = (1 - rule.loss_scale * (1 - abs(ratio))) * rule.geometry_factor
+    speckle_relative, speckle_phase_rad = (rule.region_sd * medium.steepness[index]).tolist()
+    # Few speckles scale the deficit 1 - |ratio|; the geometry (gate off focus, oblique waves) adds factor and phase.
+    factor = (1 - rule.deficit_scale * (1 - abs(ratio))) * rule.geometry_factor
     averaging = replace(
         predicted,
         factor=factor,

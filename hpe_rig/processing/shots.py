@@ -20,7 +20,7 @@ from hpe_rig.processing.error_influences import error_influences
 from hpe_rig.processing.estimators import EstimatorSpec, Options, spec_of
 from hpe_rig.processing.first_pulse import PulseAssignment
 from hpe_rig.processing.harmonics.aliasing_error import with_aliasing_error
-from hpe_rig.processing.harmonics.drift import Drift, with_drift
+from hpe_rig.processing.harmonics.drift import Drift, with_drift_uncertainty
 from hpe_rig.processing.harmonics.fit_checks import Line, residual_line
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.quantisation import quantisation_m
@@ -204,7 +204,7 @@ def _estimate_window(
     if removed_drift is not None:
         motion = motion.without(removed_drift.change_m(motion.tracked.time_s))
     fit_of = partial(_fit_with_aliasing, scene, shot, selection=selection, options=options, settings=settings)
-    fit = fit_of(motion) if removed_drift is None else with_drift(fit_of(motion), removed_drift)
+    fit = fit_of(motion) if removed_drift is None else with_drift_uncertainty(fit_of(motion), removed_drift)
     time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base)
     sources = replace(_error_sources(records, motion, fit, settings, time_base, time_base_m), control=control)
     reference = phase_reference_of(scene, shot)
@@ -335,16 +335,17 @@ def _drift(
 ) -> Drift | None:
     """Return the change of the motion over the window, for its removal or for a test of whether there is one.
 
-    A change is estimated in full if ``scene`` removes it or if it is significant: a steady motion has it with less than
-    ``max_probability``. None if a test is not possible: noisy echoes or few pulses. Raises ``ValueError`` if ``scene``
-    asks for the removal of a drift that cannot be estimated.
+    One iteration is enough to test for a change. It is iterated to convergence if ``scene`` removes it or if it is
+    significant: a steady motion shows one as large with a probability below ``max_probability``. None if a test is not
+    possible: noisy echoes or few pulses. Raises ``ValueError`` if ``scene`` asks for the removal of a drift that cannot
+    be estimated.
     """
     if scene.processing.drift == "linear":
         return shot_drift(motion, selection, options)
     if motion.coherent is not None:
         with suppress(ValueError):
             drift = shot_drift(motion, selection, options, max_iterations=1)
-            # A drift that is reported needs its full size.
+            # A significant drift is reported with its size, which one iteration gives only roughly.
             significant = drift.probability < max_probability
             return shot_drift(motion, selection, options) if significant else drift
     return None

@@ -38,11 +38,12 @@ MAX_CHANGE = {"displacement": (0.03, "m"), "velocity": (30.0, "m/s")}
 def fit_stated_motion(
     motion: FloatArray, valid: BoolArray, time_s: FloatArray, frequencies_hz: Sequence[float], quantity: StatedQuantity
 ) -> tuple[HarmonicFit, FloatArray, FloatArray]:
-    """Return amplitude and phase of a ``motion`` (..., pulse), and its mean velocity (...) with standard uncertainty.
+    """Return amplitude and phase of a motion known from elsewhere, and its mean velocity with standard uncertainty.
 
-    The motion is given as a ``quantity``, displacement (m) or velocity (m/s), at ``time_s`` (pulse,), used where
-    ``valid`` (pulse,). Amplitudes are those of the displacement. The residual of a velocity is stated as that of the
-    displacement at the lowest frequency. Raises ``ValueError`` if the pulses do not resolve the frequencies.
+    ``motion`` (..., pulse) is the ``quantity`` displacement (m) or velocity (m/s) at ``time_s`` (pulse,), used where
+    ``valid`` (pulse,). Amplitudes are those of the displacement. The residual of a velocity is divided by the lowest
+    angular frequency. Mean velocity and its uncertainty have the shape (...). Raises ``ValueError`` if the pulses do
+    not resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, np.float64)
     is_velocity, harmonic_states = quantity == "velocity", slice(2 * frequency_hz.size)
@@ -59,16 +60,16 @@ def fit_stated_motion(
     omega = 2 * np.pi * frequency_hz
     velocity_to_displacement = np.kron(np.diag(1 / omega), [[0.0, 1.0], [-1.0, 0.0]])
     to_displacement = velocity_to_displacement if is_velocity else np.eye(2 * frequency_hz.size)
-    per_variance = to_displacement @ unit_covariance[harmonic_states, harmonic_states] @ to_displacement.T
-    covariance = variance[..., None, None] * per_variance
+    covariance_per_variance = to_displacement @ unit_covariance[harmonic_states, harmonic_states] @ to_displacement.T
+    covariance = variance[..., None, None] * covariance_per_variance
     residual_m = np.asarray(np.sqrt(variance) / (omega.min() if is_velocity else 1.0))
     quality = FitQuality(residual_m, float(pulses - states), pulses, model.condition)
     fit = fit_from_state(frequency_hz, state[..., harmonic_states] @ to_displacement.T, covariance, quality)
     # The column of the slope runs from -1 to 1 over the train.
     per_second = 1.0 if is_velocity else 2 / (time_s[-1] - time_s[0])
-    slope = 2 * frequency_hz.size + order
-    velocity_u = np.sqrt(variance * unit_covariance[slope, slope]) * per_second
-    return fit, np.asarray(state[..., slope] * per_second), np.asarray(velocity_u)
+    velocity_index = 2 * frequency_hz.size + order
+    velocity_u = np.sqrt(variance * unit_covariance[velocity_index, velocity_index]) * per_second
+    return fit, np.asarray(state[..., velocity_index] * per_second), np.asarray(velocity_u)
 
 
 def _refuse_other_units(motion: NDArray[Any], quantity: StatedQuantity, axis: int) -> None:

@@ -26,7 +26,7 @@ from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.estimators import spec_of
-from hpe_rig.processing.harmonics.drift import with_drift
+from hpe_rig.processing.harmonics.drift import with_drift_uncertainty
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, with_state_error
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.rate_error import SIGNIFICANT, RateError, estimate_rate_error, with_rate_error
@@ -40,9 +40,9 @@ from hpe_rig.scene import UNSTATED_FREQUENCY_ACCURACY, Scene
 if TYPE_CHECKING:
     from hpe_rig.store import StoredRun
 
-MOTION_BY_PULSES: Final = np.array([1.0, -1.0, 0.0])
-"""w: rate error of the motion as measured with the pulses' clock, from those of motion, pulses and digitizer."""
-PULSES_BY_DIGITIZER: Final = np.array([0.0, 1.0, -1.0])
+MOTION_MINUS_PULSES: Final = np.array([1.0, -1.0, 0.0])
+"""w: weights of the rate errors of motion, pulses and digitizer; the sum is that of the motion by the pulses' clock."""
+PULSES_MINUS_DIGITIZER: Final = np.array([0.0, 1.0, -1.0])
 """As above, for the rate error of the pulses as measured with the digitizer's clock."""
 
 
@@ -95,26 +95,26 @@ def _parsed(name: str, text: str) -> BenchFile:
 
 
 def prior_rate_error(scene: Scene, clocks: FloatArray | None, rate: TrackingRate | None) -> RateError:
-    """Return the expected rate error before the displacement is analysed, with its standard deviation.
+    """Return the rate error that the clocks let expect, before the displacement is analysed.
 
-    It is the relative error of the motion's frequencies as timed by the pulses' clock. ``clocks`` (3, 3): covariance of
-    the relative rate errors of the clocks of motion, pulses and digitizer, None if nothing is known of them. ``rate``:
-    rate of the pulses measured with the digitizer's clock, None if it was not. A stated
-    ``processing.frequency_accuracy`` replaces both.
+    The rate error is the relative error of the motion's frequencies as timed by the pulses' clock. The value is its
+    mean, the uncertainty its standard deviation. ``clocks`` (3, 3): covariance of the relative rate errors of the
+    clocks of motion, pulses and digitizer, None if nothing is known of them. ``rate``: rate of the pulses measured with
+    the digitizer's clock, None if it was not. A stated ``processing.frequency_accuracy`` replaces both.
     """
     stated = scene.processing.frequency_accuracy
     if stated is not None or clocks is None:
         return RateError(0.0, UNSTATED_FREQUENCY_ACCURACY if stated is None else stated)
-    variance = float(MOTION_BY_PULSES @ clocks @ MOTION_BY_PULSES)
+    variance = float(MOTION_MINUS_PULSES @ clocks @ MOTION_MINUS_PULSES)
     if rate is None:
         return RateError(0.0, math.sqrt(variance))
     if differs_from_bench(clocks, rate):
         # Either of the two clocks may be wrong by the whole difference.
         clocks = clocks + rate.error**2 * np.diag([0.0, 1.0, 1.0])
-        variance = float(MOTION_BY_PULSES @ clocks @ MOTION_BY_PULSES)
+        variance = float(MOTION_MINUS_PULSES @ clocks @ MOTION_MINUS_PULSES)
     # Condition on the measured pulse rate (Gaussian regression).
     rate_variance = _pulse_rate_variance(clocks, rate)
-    covariance = float(MOTION_BY_PULSES @ clocks @ PULSES_BY_DIGITIZER)
+    covariance = float(MOTION_MINUS_PULSES @ clocks @ PULSES_MINUS_DIGITIZER)
     conditional_variance = max(variance - covariance**2 / rate_variance, 0.0)
     return RateError(covariance / rate_variance * rate.error, math.sqrt(conditional_variance))
 
@@ -126,7 +126,7 @@ def differs_from_bench(clocks: FloatArray, rate: TrackingRate) -> bool:
 
 def _pulse_rate_variance(clocks: FloatArray, rate: TrackingRate) -> float:
     """Return the expected variance of the pulse rate measured with the digitizer's clock, its noise included."""
-    return float(PULSES_BY_DIGITIZER @ clocks @ PULSES_BY_DIGITIZER) + rate.uncertainty**2
+    return float(PULSES_MINUS_DIGITIZER @ clocks @ PULSES_MINUS_DIGITIZER) + rate.uncertainty**2
 
 
 def timed_motion(
@@ -245,7 +245,7 @@ def shot_fit(
         fit = fitter(motion.tracked)
     else:
         drift = shot_drift(motion, selection, options)
-        fit = with_drift(fitter(motion.without(drift.change_m(motion.tracked.time_s)).tracked), drift)
+        fit = with_drift_uncertainty(fitter(motion.without(drift.change_m(motion.tracked.time_s)).tracked), drift)
     if time_base.is_uncertain:
         influence_m = state_influence_m(fitter, motion, time_base)
         fit = with_state_error(fit, np.outer(influence_m, influence_m))

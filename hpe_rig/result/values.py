@@ -44,15 +44,15 @@ EARLIER_NAMES = {
 class AveragingRule:
     """How the averaging follows from the complex ratio r of tracked to peak motion in a medium.
 
-        factor = (1 - loss_scale (1 - |r|)) geometry_factor,    phase = arg r + geometry_phase_rad
+        factor = (1 - deficit_scale (1 - |r|)) geometry_factor,    phase = arg r + geometry_phase_rad
 
-    ``loss_scale``: loss with few speckles and scatterers over the loss with many. ``area_spread``: standard deviation,
-    over speckle, of the logarithm of the tracking beam's area, and also of the beam's offset over its radius. The
+    ``deficit_scale``: deficit 1 - |r| with few speckles and scatterers over that with many. ``region_sd``: standard
+    deviation, over speckle, of ln(area of the tracked region), and also of the region's offset over its radius. The
     geometry is that of a gate off the focus, oblique waves and a force that is not Gaussian.
     """
 
-    area_spread: float = 0.0
-    loss_scale: float = 1.0
+    region_sd: float = 0.0
+    deficit_scale: float = 1.0
     geometry_factor: float = 1.0
     geometry_phase_rad: float = 0.0
 

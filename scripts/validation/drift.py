@@ -25,7 +25,7 @@ from medium_prior import BEAMS, HARMONIC, LENGTH_S, RATE_HZ, RMS_M, TRAINS, WANT
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import HarmonicMedium, tracked_motion
-from hpe_rig.processing import HarmonicFit, Motion, drift_of, medium_fit, medium_prior, with_drift
+from hpe_rig.processing import HarmonicFit, Motion, drift_of, medium_fit, medium_prior, with_drift_uncertainty
 
 PAGE = Path(__file__).parents[2] / "docs" / "validation" / "drift.md"
 TABLE_HEAD = """\
@@ -91,7 +91,7 @@ def trial(motion: Motion, change: str) -> Trial:
         np.abs(tested.log_change.imag) / np.sqrt(mean.covariance[:, 1, 1]),
     ]
     steady = replace(motion, displacement_m=motion.displacement_m - drift.change_m(motion.time_s))
-    linear = with_drift(medium_fit(steady, WANTED_HZ, prior, background_order=1).fit, drift)
+    linear = with_drift_uncertainty(medium_fit(steady, WANTED_HZ, prior, background_order=1).fit, drift)
     u_ratio = np.sqrt(np.diagonal(linear.covariance / mean.covariance, axis1=-2, axis2=-1).T)
     # The mean of a phasor that is a parabola in its logarithm, by Simpson's rule.
     first, middle, last = (changed_phasors(change, at) for at in (0.0, 0.5, 1.0))

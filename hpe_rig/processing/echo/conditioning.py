@@ -125,7 +125,7 @@ def deviating_pulses(echoes: EchoGate) -> BoolArray:
     """Return which valid pulses (pulse,) have an energy unlike the others', in at least one realisation.
 
     Causes are leaked tonebursts, spikes, and dropped or clipped records. The energy is that of the whole gate, so that
-    leakage outside the tracked band counts too; motion hardly changes it. At least half of the pulses must be sound.
+    leakage outside the tracked band counts too; motion hardly changes it. At least half of the pulses must be intact.
     """
     deviates = deviating_levels(np.log(np.maximum(echoes.energy[..., echoes.valid], np.finfo(np.float64).tiny)))
     pulses = np.zeros(echoes.valid.shape, dtype=bool)

@@ -177,8 +177,8 @@ def _positions(time_s: FloatArray) -> FloatArray:
     return np.asarray(2 * (time_s - time_s[0]) / (time_s[-1] - time_s[0]) - 1)
 
 
-def with_drift(fit: HarmonicFit, drift: Drift) -> HarmonicFit:
-    """Return the ``fit`` of a motion without its ``drift``, with the covariance of the removed drift added."""
+def with_drift_uncertainty(fit: HarmonicFit, drift: Drift) -> HarmonicFit:
+    """Return ``fit`` with the uncertainty of ``drift``, which was removed from the motion before this fit."""
     phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
     # A relative error g of a phasor is an error phasor * g of its in-phase and quadrature states.
     to_states = np.zeros(drift.covariance.shape)
@@ -189,7 +189,7 @@ def with_drift(fit: HarmonicFit, drift: Drift) -> HarmonicFit:
     return replace(
         with_state_error(fit, drift_m2),
         drift_m2=drift_m2,
-        aliasing_corrected=None if corrected is None else with_drift(corrected, drift),
+        aliasing_corrected=None if corrected is None else with_drift_uncertainty(corrected, drift),
     )
 
 
@@ -232,19 +232,20 @@ def _fitted(
 def _normal_equations(
     harmonics: Harmonics, basis: FloatArray, steady: Motion, unknowns: FloatArray
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Return the normal equations of least squares for the unknowns of a drift, and the noise's degrees of freedom.
+    """Return the normal equations J'J x = J'd for the unknowns x of a drift, and the noise's degrees of freedom.
 
-    These are the products of the displacement's derivatives by the unknowns, (unknown, unknown), and their products
-    with the data, (unknown,), both over the noise variance. The derivatives are those at ``unknowns``. ``steady``:
-    motion without the change that these describe; ``basis`` (valid pulse, column): orthonormal columns of its harmonic
-    fit. Raises ``ValueError`` if no degree of freedom is left.
+    J has the derivatives of the displacement by the unknowns at their present estimate, ``unknowns``. d is the measured
+    displacement. The columns of the harmonic fit are projected out of both. J'J (unknown, unknown) and J'd (unknown,)
+    are divided by the noise variance. ``steady``: measured motion minus the drift of the present estimate. ``basis``
+    (valid pulse, column): orthonormal columns of the harmonic fit of ``steady``. Raises ``ValueError`` if no degree of
+    freedom is left.
     """
     derivatives = harmonics.derivatives_m(steady.time_s, _positions(steady.time_s), unknowns)[:, steady.valid]
     data = steady.displacement_m[steady.valid]
     # Project the columns of the fit out of data and derivatives, in place: no second copy of a long train.
     for row in (data, *derivatives):
         row -= (row @ basis) @ basis.T
-    # Data for the whole change, not only for the step from ``unknowns``.
+    # d: ``steady`` lacks the drift of the present estimate, to first order J times ``unknowns``.
     data += unknowns @ derivatives
     products, moments = derivatives @ derivatives.T, derivatives @ data
     explained_m2, rank = _explained(products, moments)

@@ -165,17 +165,23 @@ def _coordinates_of_response(prior: MediumPrior, fit: MediumFit) -> FloatArray:
 def posterior_of_states(
     prior_fit: MediumFit, prior: MediumPrior, from_response: FloatArray
 ) -> tuple[FloatArray, AliasingCauses, FloatArray]:
-    """Return mean and covariance of further states of the motion, given the data of ``prior_fit``.
+    """Return the posterior of in-phase and quadrature values, *states*, that ``prior_fit`` did not fit itself.
 
-    ``from_response`` (state, response component): the states as a linear function of a medium's response. The third
-    value (..., member, state): true minus estimated states of every member of the ensemble, each scaled to a motion of
-    1 m rms.
+    They are linear in the medium's response to the bursts, as the aliasing error of another fit is. ``from_response``
+    (state, response component) is this linear function. The data are those of ``prior_fit``. Returns:
+
+    * the mean of the states, (..., state), m;
+    * their covariance by cause: noise and unknown medium;
+    * their error without noise in every medium of the ensemble, (..., member, state): true minus estimated states, for
+      a motion of 1 m rms.
     """
     evidence, projected = prior_fit.evidence, prior_fit.projected
-    # As in ``medium_fit``, with these states instead of the wanted ones. They do not contain the independent deviations
-    # of the wanted harmonics.
-    per_pattern = from_response @ prior.response_root @ _coordinates_of_response(prior, prior_fit).T
-    weights = per_pattern * _gain(projected, evidence)[..., None, :]
+    # As in ``medium_fit``: the fit has the coordinates of the motion in each pattern, a displacement of the prior at
+    # the pulses. ``response_root`` converts coordinates to the medium's response, ``from_response`` that to the states.
+    states_per_pattern = from_response @ prior.response_root @ _coordinates_of_response(prior, prior_fit).T
+    weights = states_per_pattern * _gain(projected, evidence)[..., None, :]
+    # The medium's response deviates from the ensemble (first rows), and the states with it. A wanted harmonic also
+    # deviates alone (last rows), which changes only the data: these rows stay 0.
     deviation_states = np.zeros((len(projected.deviation_coefficients), len(from_response)))
     deviation_states[: prior.response_deviation.size] = prior.response_deviation[:, None] * from_response.T
     member_states = prior.member_responses @ from_response.T
@@ -183,7 +189,7 @@ def posterior_of_states(
     noise_m2 = evidence.total_noise_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     aliasing_m2, member_errors = _aliasing(of_states, weights, evidence)
     causes = AliasingCauses(noise_m2 + aliasing_m2, media_influences_m(evidence, member_errors), noise_m2)
-    return prior_fit.coordinates @ per_pattern.T, causes, member_errors
+    return prior_fit.coordinates @ states_per_pattern.T, causes, member_errors
 
 
 def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
@@ -218,9 +224,11 @@ def _aliasing(projected: ProjectedPrior, weights: FloatArray, evidence: Evidence
 def media_influences_m(evidence: Evidence, member_errors: FloatArray) -> ComplexArray:
     """Return the influences (..., member, frequency), m, of the unknown medium on the fitted phasors.
 
-    They are the phasors' errors in each medium times the root of its probability: the sum of their squares over the
-    media is the variance. ``member_errors`` (..., member, state): in-phase and quadrature, for a motion of 1 m rms.
+    An influence is the complex error of a phasor in one medium of the ensemble times the square root of the medium's
+    probability. The sum of squares over the media is the variance due to the unknown medium. ``member_errors`` (...,
+    member, state): errors in phase and in quadrature for a motion of 1 m rms, scaled here to the measured motion.
     """
+    # Not summed: beam averaging depends on the same media, so its error is correlated medium by medium.
     root = np.sqrt(evidence.probability * evidence.member_scale_m2)[..., None]
     return np.asarray(root * (member_errors[..., ::2] + 1j * member_errors[..., 1::2]))
 

@@ -115,21 +115,22 @@ def estimate_rate_error(
     start = _initial_error(motion, frequencies_hz, prior_error, background_order)
     if prior is not None:
         # Least squares is far faster, and close enough to save iterations with the prior.
-        start = _gauss_newton(motion, least_squares, prior_error, start).value
-    error = _gauss_newton(motion, linearise, prior_error, start)
+        start = _most_probable_rate_error(motion, least_squares, prior_error, start).value
+    error = _most_probable_rate_error(motion, linearise, prior_error, start)
     excess = abs(error.value - prior_error.value)
     if excess > SIGNIFICANT * prior_error.uncertainty:
         # The accuracies are wrong: a prior as wide as the error found does not draw the estimate to its mean.
-        error = _gauss_newton(motion, linearise, RateError(prior_error.value, excess), error.value)
+        error = _most_probable_rate_error(motion, linearise, RateError(prior_error.value, excess), error.value)
     return error
 
 
-def _gauss_newton(
+def _most_probable_rate_error(
     motion: Motion, linearise: Callable[[Motion], Linearisation], prior_error: RateError, start: float
 ) -> RateError:
-    """Return the most probable rate error, iterated from ``start``, with its standard uncertainty.
+    """Return the most probable rate error, by Gauss-Newton steps from ``start``, with its standard uncertainty.
 
-    ``linearise``: harmonic fit of a motion. ``prior_error``: normal prior of the rate error, from the clocks.
+    ``linearise``: harmonic fit of a motion. ``prior_error``: normal prior of the rate error, from the clocks. It is the
+    result if the displacement adds hardly any information at its mean.
     """
     error, weight = start, prior_error.uncertainty**-2
     for _ in range(MAX_STEPS):
@@ -147,7 +148,8 @@ def _gauss_newton(
         if abs(gradient * uncertainty) < CONVERGED:
             break
         error += gradient * uncertainty**2
-    # Part of the variance that comes from the prior; the other part has the residual's degrees of freedom.
+    # Part of the variance that comes from the prior, which counts as exactly known. The other part has the residual's
+    # degrees of freedom, and both together have them divided by the square of that part (Welch-Satterthwaite).
     clock_fraction = weight * uncertainty**2
     degrees = model.degrees_of_freedom / max(1 - clock_fraction, 1e-6) ** 2
     return RateError(error, uncertainty, degrees, clock_fraction)

@@ -56,7 +56,7 @@ White noise of 0.5 rad: intervals of 2 u cover 92 to 96 % up to it, 75 to 89 % a
 echo have 3.3 rad².
 """
 ECHO_PULSE_STEP: Final = 12
-"""One pulse in so many contributes to echo frequency and power, which are nearly equal in all pulses."""
+"""Every pulse of this step contributes to echo frequency and power, which are nearly equal in all pulses."""
 BAND_FADE: Final = 0.2
 """Fraction of the band tapered at each end, so that the impulse response of the filter decays within few periods."""
 
@@ -273,9 +273,9 @@ class _Pixels:
     def _mean_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> ComplexSingleArray:
         """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
 
-        It is complex, sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate and one pulse in
-        ``ECHO_PULSE_STEP``; ``z`` (line, gate, sample, pulse): baseband. The imaginary part, times -2 pi, is the
-        relative change of the amplitude per second of fast time. ``power`` (line, gate): mean power of those pulses.
+        It is complex, sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate in every
+        ``ECHO_PULSE_STEP``-th pulse. ``z`` (line, gate, sample, pulse): baseband. The imaginary part, times -2 pi, is
+        the relative change of the amplitude per second of fast time. ``power`` (line, gate): mean power of the pulses.
         """
         from scipy.fft import fft, ifft
 
@@ -349,7 +349,7 @@ class _Pixels:
         """Return the relative variance (pixel,) of the metres per radian, from echo frequency and sound speed.
 
         The frequency follows from the phase step between two samples, which has twice the noise variance of a phase,
-        the first column of ``noise`` (pixel, 3). One pulse in ``ECHO_PULSE_STEP`` contributes to its mean.
+        the first column of ``noise`` (pixel, 3). Every ``ECHO_PULSE_STEP``-th pulse contributes to its mean.
         """
         # The phase step of a sample at the carrier, which is nearly the echo's frequency.
         phase_per_sample = 2 * np.pi * self.settings.carrier_hz / self.settings.sample_rate_hz * self.decimation
@@ -407,7 +407,7 @@ class _Pixels:
 
 
 def _mean_power(z: ComplexSingleArray) -> SingleArray:
-    """Return the mean power (line, gate) of one pulse in ``ECHO_PULSE_STEP`` of ``z`` (line, gate, sample, pulse)."""
+    """Return the mean power (line, gate) of every ``ECHO_PULSE_STEP``-th pulse of ``z`` (line, gate, sample, pulse)."""
     subset = np.ascontiguousarray(z[..., ::ECHO_PULSE_STEP])
     real_and_imag = subset.view(np.float32)
     # Sum of squares over samples and pulses.

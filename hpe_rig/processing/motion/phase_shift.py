@@ -137,10 +137,11 @@ def _motion_of_phase(
     frequency_hz: FloatArray,
     step_noise_ratio: FloatArray | None = None,
 ) -> Motion:
-    """Return the displacement -c phase / (4 pi f) of phases (..., valid pulse), with its variance from ``variance``.
+    """Return the displacement -c phase / (4 pi f) of ``phase`` (..., valid pulse), with its variance.
 
-    ``frequency_hz`` f (..., 1): that of the train's echoes. ``step_noise_ratio``: of phases that are a sum of noisy
-    steps.
+    ``variance`` (..., valid pulse): that of the phase, rad². ``frequency_hz`` f (..., 1): that of the train's echoes.
+    ``step_noise_ratio`` (...), for a phase that is a sum of noisy steps: variance that a step adds to all later pulses,
+    over the variance of a pulse.
     """
     # A phase of pi is a quarter wavelength of displacement.
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
@@ -149,6 +150,7 @@ def _motion_of_phase(
         displacement_m=expand_to_pulses(phase * metres_per_radian, echoes.valid),
         variance_m2=expand_to_pulses(variance * metres_per_radian**2, echoes.valid),
         valid=echoes.valid,
+        # Largest phase step as a fraction of pi, where the phase becomes ambiguous.
         largest_step=np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
         step_noise_ratio=step_noise_ratio,
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.processing.harmonics import drift as drift_module
-from hpe_rig.processing.harmonics.drift import DELAY_SD_S, DEVIATION, GROWTH_SD, drift_of, with_drift
+from hpe_rig.processing.harmonics.drift import DELAY_SD_S, DEVIATION, GROWTH_SD, drift_of, with_drift_uncertainty
 
 FloatArray = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def test_values_at_the_first_pulse_are_within_their_u(monkeypatch: pytest.Monkey
         motion = moving(growth, delay_s, seed=seed)
         drift = drift_of(motion, HZ)
         steady = replace(motion, displacement_m=motion.displacement_m - drift.change_m(motion.time_s))
-        fit = with_drift(least_squares(steady, HZ), drift)
+        fit = with_drift_uncertainty(least_squares(steady, HZ), drift)
         amplitude = (fit.amplitude_m - np.abs(PHASORS_M)) / np.sqrt(fit.covariance[:, 0, 0])
         phase = np.angle(np.exp(1j * fit.phase_rad) / PHASORS_M) / np.sqrt(fit.covariance[:, 1, 1])
         squares.append(np.mean([amplitude**2, phase**2]))
@@ -76,7 +76,7 @@ def test_u_holds_a_warming_that_slows_down() -> None:
     waves = np.exp(0.1 * law) * (PHASORS_M[:, None] * np.exp(2j * np.pi * HZ[:, None] * (TIME_S - 1e-4 * law))).imag
     motion = replace(moving(), displacement_m=waves.sum(axis=0))
     drift = drift_of(motion, HZ)
-    fit = with_drift(
+    fit = with_drift_uncertainty(
         least_squares(replace(motion, displacement_m=waves.sum(axis=0) - drift.change_m(motion.time_s)), HZ), drift
     )
     phase_errors = np.angle(np.exp(1j * fit.phase_rad) / PHASORS_M) / np.sqrt(fit.covariance[:, 1, 1])
