@@ -160,14 +160,15 @@ def toneburst_warnings(tonebursts: ToneburstPhases | None, time_base: TimeBase) 
 
     ``tonebursts``: their phases, None if the second input was not recorded.
     """
-    is_needed = time_base.by_clocks.uncertainty > 0 and time_base.by_tonebursts is None
+    is_needed = time_base.is_uncertain and time_base.by_tonebursts is None
     if tonebursts is None or not is_needed or tonebursts.expected < MIN_RECORDS:
         return
     count, expected = tonebursts.pulse.size, tonebursts.expected
     observation = (
         f"the second input shows a toneburst in {count} records, where {expected} are expected"
         if count < MIN_RECORDS
-        else f"the phases of {count} records within tonebursts at the second input fit no rate, or several"
+        else f"the phases of {count} records within tonebursts at the second input fit no rate, several, or one that "
+        "differs from that of the motion"
     )
     yield (
         f"{observation}: the rate of the tonebursts is not measured there; check the T piece at the output of the "

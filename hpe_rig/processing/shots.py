@@ -49,7 +49,6 @@ from hpe_rig.processing.shot_warnings import (
     toneburst_warnings,
 )
 from hpe_rig.processing.time_base import TimeBase, clocks_of, phasor_influence_m, timed_motion
-from hpe_rig.processing.tracking_rate import TrackingRate
 from hpe_rig.result import MAX_INFLUENCE_BYTES, MOST_PULSES, Averaging, ShotResult
 from hpe_rig.scene import Scene
 
@@ -219,7 +218,7 @@ def _estimate_window(
     line = _line(motion, selection, options)
     residual_m, order = float(fit.quality.residual_rms_m), options.background_order
     return ShotResult(
-        **_settings_of(scene, shot, records.tracking_rate),
+        **(_settings_of(scene, shot) | _rates_of(time_base)),
         pulses_used=int(motion.echoes.valid.sum()),
         pulses_missing=int((~records.gate.valid[selection.window]).sum()),
         residual_m=residual_m,
@@ -236,17 +235,14 @@ def _estimate_window(
             *toneburst_warnings(records.tonebursts, time_base),
             *clock_warnings(time_base, estimates, motion.echoes.pulse_time_s, scene.excitation is not None),
         ),
-        frequency_error=time_base.by_pulses.value if time_base.is_uncertain else None,
-        frequency_error_uncertainty=time_base.by_pulses.uncertainty if time_base.is_uncertain else None,
-        frequency_error_from_tonebursts=time_base.by_tonebursts is not None,
         complete=complete,
         influences=error_influences(fit, estimates, averaging, averaging is not settings.averaging, sources),
         motion=stored_motion(motion.tracked, estimates, reference, residual_m, selection, order, spec.name),
     )
 
 
-def _settings_of(scene: Scene, shot: Shot, rate: TrackingRate | None) -> dict[str, Any]:
-    """Return the fields of a shot's result that do not depend on its echoes; ``rate``: measured rate of the pulses."""
+def _settings_of(scene: Scene, shot: Shot) -> dict[str, Any]:
+    """Return the fields of a shot's result that state its settings."""
     return {
         "index": shot.index,
         "repeat": shot.repeat,
@@ -256,8 +252,18 @@ def _settings_of(scene: Scene, shot: Shot, rate: TrackingRate | None) -> dict[st
         "window_length_s": scene.processing.window_length_s,
         "lateral_offset_m": shot.lateral_offset_m,
         "axial_offset_m": shot.axial_offset_m,
+    }
+
+
+def _rates_of(time_base: TimeBase) -> dict[str, Any]:
+    """Return the fields of a shot's result that state the measured rates of its pulses and of the motion."""
+    rate, error = time_base.tracking_rate, time_base.by_pulses if time_base.is_uncertain else None
+    return {
         "pulse_rate_error": rate.error if rate else None,
         "pulse_rate_uncertainty": rate.uncertainty if rate else None,
+        "frequency_error": error.value if error else None,
+        "frequency_error_uncertainty": error.uncertainty if error else None,
+        "frequency_error_from_tonebursts": time_base.by_tonebursts is not None,
     }
 
 

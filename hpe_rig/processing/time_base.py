@@ -149,16 +149,15 @@ def timed_motion(
     window = window_motion(scene, shot, records, selection, motion)
     if control is not None:
         window = window.without(control.displacement_m(window.tracked.time_s))
-    by_clocks = expected = prior_rate_error(scene, clocks, records.tracking_rate)
+    error = by_clocks = prior_rate_error(scene, clocks, records.tracking_rate)
     if scene.processing.drift == "linear":
         # A growing delay is the same motion as a rate error; the drift is far less limited and contains it.
-        by_clocks = replace(by_clocks, uncertainty=0.0)
-    error = by_clocks
+        error = replace(by_clocks, uncertainty=0.0)
     # The coherent displacement has the least noise.
-    if window.coherent is not None and by_clocks.uncertainty:
+    if window.coherent is not None and error.uncertainty:
         prior = available_prior(scene, shot, beams)
         error = _narrowed(by_clocks, window.coherent, selection, scene.processing.background_order, prior)
-    by_tonebursts = None if records.tonebursts is None else measured_error(records.tonebursts, expected, error)
+    by_tonebursts = None if records.tonebursts is None else measured_error(records.tonebursts, by_clocks, error)
     error = by_tonebursts or error
     if error.value:
         coherent = None if window.coherent is None else with_rate_error(window.coherent, error.value)
@@ -172,13 +171,16 @@ def measured_error(tonebursts: ToneburstPhases, by_clocks: RateError, by_displac
     """Return the rate error that ``tonebursts`` at the second input measure; None if they leave several.
 
     Their phases alone do not determine the whole carrier periods between tonebursts. If the clocks' accuracies and the
-    displacement select different ones, neither is certain: accuracies may be wrong, and tissue that warms looks like a
-    rate error.
+    displacement select different ones, or if the displacement excludes the selected one, none is certain: accuracies
+    may be wrong, and tissue that warms looks like a rate error. ``by_displacement`` has no uncertainty if a drift
+    contains the rate error.
     """
     selected = [error for prior in (by_clocks, by_displacement) if (error := tonebursts.rate_error(prior)) is not None]
     if not selected or abs(selected[0].value - selected[-1].value) > SIGNIFICANT * selected[0].uncertainty:
         return None
-    return selected[0]
+    differs = abs(selected[0].value - by_displacement.value) > SIGNIFICANT * by_displacement.uncertainty > 0
+    # Without information in the displacement, ``by_displacement`` states the accuracies only.
+    return None if differs and by_displacement != by_clocks else selected[0]
 
 
 def _narrowed(

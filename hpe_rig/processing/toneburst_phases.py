@@ -9,7 +9,8 @@
 A record seldom holds the onset of a toneburst, but pulses that shift against the tonebursts often record inside one.
 The phase of its carrier there times it to a fraction of a sampling period, apart from whole periods of the carrier. A
 scan of e over all records resolves these, except for equally many carrier periods more between all tonebursts: e and
-e + f_r / f_b have the same phases. The accuracies of the clocks or the displacement must select one.
+e + f_r / (g f_b) have the same phases, with g the common divisor of the steps of n_k. The accuracies of the clocks or
+the displacement must select one.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray
-from hpe_rig.plan import INSIDE, Shot, pulse_kinds
+from hpe_rig.arrays import FloatArray, IndexArray
+from hpe_rig.plan import Shot
 from hpe_rig.processing.echo.conditioning import code_statistics
 from hpe_rig.processing.echo.gate import BLOCK_SAMPLES
 from hpe_rig.processing.harmonics.rate_error import RateError
@@ -30,9 +31,9 @@ if TYPE_CHECKING:
     from hpe_rig.store import Placement, StoredRun
 
 MIN_RECORDS: Final = 5
-"""Number of records within tonebursts below which no rate is measured."""
+"""Number of records within tonebursts below which no rate is measured; these span at least a period of the bursts."""
 MIN_PURITY: Final = 0.5
-"""Part of a record's energy in the carrier above which it lies within a toneburst: a clipped sine has 0.8."""
+"""Part of a record, or of its energy in the carrier, above which it lies within a toneburst: a clipped sine has 0.8."""
 MIN_AMPLITUDE: Final = 0.3
 """Amplitude of such a record over the largest one: crosstalk of echoes is far weaker."""
 MAX_SCATTER_RAD: Final = 0.5
@@ -70,9 +71,9 @@ class ToneburstPhases:
 
         ``prior_error``: what the clocks' accuracies state of it.
         """
-        if self.pulse.size < MIN_RECORDS or not prior_error.uncertainty:
-            return None
         time_s = self.pulse / self.pulse_rate_hz
+        if not _are_enough(time_s, self.burst_rate_hz) or not prior_error.uncertainty:
+            return None
         errors, variances_s2 = self._fitted(time_s, self._maxima(prior_error.value))
         # Times scatter at least by their rounding to samples.
         variance_s2 = max(float(variances_s2.min()), 1 / self.sample_rate_hz**2 / 12)
@@ -138,32 +139,73 @@ def predicted_uncertainty(shot: Shot, known_u: float) -> float | None:
     ``known_u``: uncertainty of the rate error without it. None if it cannot measure the rate, or not better.
     """
     tone, train, pulse = shot.toneburst, shot.burst_train, within_tonebursts(shot)
-    if shot.capture.monitor_range_v is None or tone is None or train is None or pulse.size < MIN_RECORDS:
+    if tone is None or train is None or not pulse.size:
         return None
-    if known_u > MAX_PRIOR_PERIODS * train.rate_hz / tone.carrier_hz:
+    period_step = int(np.gcd.reduce(np.diff(_nearest_tonebursts(shot, pulse)[0])))
+    if known_u > MAX_PRIOR_PERIODS * train.rate_hz / (period_step * tone.carrier_hz):
         return None
     uncertainty = slope_uncertainty(pulse / shot.tracking_train.rate_hz, shot.capture.sample_rate_hz)
     return uncertainty if uncertainty < known_u else None
 
 
-def within_tonebursts(shot: Shot) -> FloatArray:
-    """Return the numbers (record,) of the pulses whose records lie mostly within a toneburst by nominal times."""
-    return np.flatnonzero(pulse_kinds(shot) == INSIDE).astype(np.float64)
+def within_tonebursts(shot: Shot) -> IndexArray:
+    """Return the numbers (record,) of the pulses whose records lie mostly within a toneburst by nominal times.
+
+    Empty if the second input does not record tonebursts, or too few to measure their rate.
+    """
+    if not _records_tonebursts(shot) or shot.burst_train is None:
+        return np.zeros(0, np.intp)
+    line, record_s = shot.timeline, _record_length_s(shot)
+    burst, start_s = _nearest_tonebursts(shot, np.arange(line.pulse_onset_s.size))
+    overlap_s = np.minimum(start_s + record_s, line.burst_length_s) - np.maximum(start_s, 0.0)
+    is_within = (overlap_s > MIN_PURITY * record_s) & (burst >= 0) & (burst < line.burst_onset_s.size)
+    pulse = np.flatnonzero(is_within)
+    return pulse if _are_enough(pulse / shot.tracking_train.rate_hz, shot.burst_train.rate_hz) else pulse[:0]
+
+
+def _nearest_tonebursts(shot: Shot, pulse: IndexArray) -> tuple[IndexArray, FloatArray]:
+    """Return the toneburst whose centre is nearest to each record's by nominal times, and the record's start after it.
+
+    ``pulse`` (record,): pulse of each record. Tonebursts are counted from 0, also before the first and after the last.
+    """
+    line, train = shot.timeline, shot.burst_train
+    burst_rate_hz = math.nan if train is None else train.rate_hz
+    time_s = line.pulse_onset_s[pulse] + line.record_offset_s[0] - line.burst_onset_s[0]
+    burst = np.rint((time_s + (_record_length_s(shot) - line.burst_length_s) / 2) * burst_rate_hz)
+    return burst.astype(np.intp), time_s - burst / burst_rate_hz
+
+
+def _are_enough(time_s: FloatArray, burst_rate_hz: float) -> bool:
+    """Return whether records within tonebursts, at ``time_s`` (record,), are many enough and in several tonebursts."""
+    return time_s.size >= MIN_RECORDS and float(np.ptp(time_s)) * burst_rate_hz >= 1
+
+
+def _records_tonebursts(shot: Shot) -> bool:
+    """Return whether the second input records tonebursts, in records that fit into one and into the pause between two.
+
+    A longer record is not mostly within a toneburst, or may hold two.
+    """
+    line, train = shot.timeline, shot.burst_train
+    if shot.capture.monitor_range_v is None or shot.toneburst is None or train is None or shot.is_control:
+        return False
+    return _record_length_s(shot) <= min(line.burst_length_s, 1 / train.rate_hz - line.burst_length_s)
+
+
+def _record_length_s(shot: Shot) -> float:
+    """Return the length of the records of ``shot``."""
+    start_s, end_s = shot.timeline.record_offset_s
+    return end_s - start_s
 
 
 def toneburst_phases(shot: Shot, stored: StoredRun, placement: Placement) -> ToneburstPhases | None:
-    """Return the phases of the tonebursts that the second input recorded; None if it or a toneburst is missing.
+    """Return the phases of the tonebursts that the second input recorded; None if it did not.
 
-    ``placement``: pulse of each record. None also where a record is so long that it may hold two tonebursts, and where
-    records are damaged.
+    ``placement``: pulse of each record. None also if records are damaged.
     """
     from hpe_rig.store import StoreError
 
-    line, tone, train = shot.timeline, shot.toneburst, shot.burst_train
-    if shot.capture.monitor_range_v is None or tone is None or train is None or shot.is_control:
-        return None
-    record_s = line.record_offset_s[1] - line.record_offset_s[0]
-    if record_s > 1 / train.rate_hz - line.burst_length_s:
+    tone, train = shot.toneburst, shot.burst_train
+    if tone is None or train is None or not _records_tonebursts(shot):
         return None
     try:
         phasor, purity = _carrier_phasors(shot, stored, tone.carrier_hz)
@@ -173,10 +215,8 @@ def toneburst_phases(shot: Shot, stored: StoredRun, placement: Placement) -> Ton
     largest = float(np.max(np.abs(phasor[is_pure]), initial=0.0))
     record = np.flatnonzero(is_pure & (np.abs(phasor) > MIN_AMPLITUDE * largest))
     pulse = placement.pulse[record]
-    # Start of the record after the first toneburst, and the toneburst whose centre is nearest to that of the record.
-    time_s = line.pulse_onset_s[pulse] + line.record_offset_s[0] - line.burst_onset_s[0]
-    burst = np.rint((time_s + (record_s - line.burst_length_s) / 2) * train.rate_hz)
-    nominal_rad = 2 * np.pi * tone.carrier_hz * (time_s - burst / train.rate_hz)
+    _, start_s = _nearest_tonebursts(shot, pulse)
+    nominal_rad = 2 * np.pi * tone.carrier_hz * start_s
     return ToneburstPhases(
         pulse=pulse.astype(np.float64),
         phase_rad=np.angle(phasor[record] * np.exp(-1j * nominal_rad)),

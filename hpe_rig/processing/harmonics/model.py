@@ -169,17 +169,10 @@ def _model(
     if not condition <= MAX_CONDITION:
         raise ValueError(_unresolved_message(time_s[valid], frequency_hz, condition))
     if also_hz:
-        # As many further columns as the pulses resolve, at most half of the remaining degrees of freedom: noise is
-        # estimated from the others.
         further_hz, groups = _further_columns(time_s, frequency_hz, np.array(also_hz))
         further_sizes = [group.shape[1] for group in groups]
         column_hz = np.append(column_hz, np.repeat(np.array(further_hz), np.array(further_sizes, dtype=np.intp)))
-        sizes += further_sizes
-        every_pulse = np.hstack([every_pulse, *groups])
-        products = every_pulse[valid].T @ every_pulse[valid]
-        counts = np.cumsum(sizes)
-        counts = counts[(counts >= states) & (counts <= states + (pulses - states) // 2)]
-        every_pulse = every_pulse[:, : _resolved_columns(_normalised(products, sizes), counts)]
+        every_pulse = _resolved(np.hstack([every_pulse, *groups]), valid, sizes + further_sizes, states)
         matrix = every_pulse if valid.all() else every_pulse[valid]
         products = matrix.T @ matrix
     # R^-1 with R'R = H'H. Products lose half of the digits at a condition of 1e8, none that count at the limit.
@@ -208,6 +201,17 @@ def _normalised(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
     mean_square = np.add.reduceat(np.diagonal(products), starts) / sizes
     lengths = np.repeat(np.sqrt(mean_square).clip(min=np.finfo(np.float64).tiny), sizes)
     return np.asarray(products / np.outer(lengths, lengths))
+
+
+def _resolved(every_pulse: FloatArray, valid: BoolArray, sizes: Sequence[int], states: int) -> FloatArray:
+    """Return as many columns of ``every_pulse`` (pulse, column), from the first, as the ``valid`` pulses resolve.
+
+    The first ``states`` columns are always returned, further ones in whole groups of ``sizes`` columns.
+    """
+    matrix, counts = every_pulse[valid], np.cumsum(sizes)
+    # At most half of the remaining degrees of freedom: noise is estimated from the others.
+    counts = counts[(counts >= states) & (counts <= states + (len(matrix) - states) // 2)]
+    return every_pulse[:, : _resolved_columns(_normalised(matrix.T @ matrix, sizes), counts)]
 
 
 def _resolved_columns(products: FloatArray, counts: IndexArray) -> int:

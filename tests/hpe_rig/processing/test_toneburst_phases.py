@@ -16,7 +16,12 @@ from hpe_rig.bench import read_bench
 from hpe_rig.processing.harmonics.rate_error import RateError
 from hpe_rig.processing.shot_warnings import toneburst_warnings
 from hpe_rig.processing.time_base import TimeBase, measured_error
-from hpe_rig.processing.toneburst_phases import ToneburstPhases, toneburst_phases, within_tonebursts
+from hpe_rig.processing.toneburst_phases import (
+    ToneburstPhases,
+    predicted_uncertainty,
+    toneburst_phases,
+    within_tonebursts,
+)
 from hpe_rig.result import frequency_error_text
 
 PPM = 1e-6
@@ -91,6 +96,8 @@ def test_accuracies_and_displacement_that_select_different_carrier_periods_deter
     stated, alias = RateError(0.0, 3 * PPM), BURST_HZ / CARRIER_HZ
     assert measured_error(phases, stated, RateError(true_error, PPM)) == phases.rate_error(stated)
     assert measured_error(phases, stated, RateError(true_error + 2 * alias, PPM)) is None
+    # The displacement differs by far more than its u from the nearest rate that the phases allow.
+    assert measured_error(phases, RateError(0.0, 50 * PPM), RateError(true_error + 0.6 * alias, PPM)) is None
     # A wide prior selects none, the displacement does.
     error = measured_error(phases, RateError(0.0, 50 * PPM), RateError(true_error, PPM))
     assert error is not None
@@ -168,3 +175,36 @@ def test_records_that_may_hold_two_tonebursts_are_not_used(run: hpe.Run) -> None
     assert train is not None
     # 5.12 us of record, and 4 us between tonebursts of 100 us.
     assert phases_of(run, burst_train=dataclasses.replace(train, rate_hz=1 / 104e-6)) is None
+
+
+def test_a_record_longer_than_a_toneburst_is_not_used(run: hpe.Run) -> None:
+    timeline = run.plan.shots[0].timeline
+    shot = dataclasses.replace(run.plan.shots[0], timeline=dataclasses.replace(timeline, burst_length_s=5e-6))
+    assert phases_of(run, timeline=shot.timeline) is None
+    assert within_tonebursts(shot).size == 0
+    assert predicted_uncertainty(shot, PPM) is None
+
+
+def test_records_of_one_toneburst_determine_no_rate() -> None:
+    phases, true_error = drawn(2 * PPM, 0.2, 0)
+    in_one = dataclasses.replace(phases, pulse=np.arange(8.0), phase_rad=np.zeros(8))
+    assert in_one.rate_error(RateError(true_error, 30 * PPM)) is None
+
+
+def test_records_in_every_second_toneburst_halve_the_largest_uncertainty_that_selects_a_rate(run: hpe.Run) -> None:
+    """Rate errors 33.3 ppm apart have the same phases, or 16.7 ppm if two periods are between the tonebursts."""
+    shot = run.plan.shots[0]
+    train = dataclasses.replace(shot.tracking_train, rate_hz=4050.0)
+    onset_s = shot.timeline.burst_onset_s[0] + 50e-6 + np.arange(800) / 4050
+    timeline = dataclasses.replace(shot.timeline, pulse_onset_s=onset_s - shot.timeline.record_offset_s[0])
+    every_second = dataclasses.replace(shot, tracking_train=train, timeline=timeline)
+    for changed, largest_u in ((shot, 33.3 * PPM / 6), (every_second, 16.7 * PPM / 6)):
+        assert within_tonebursts(changed).size >= 8
+        assert predicted_uncertainty(changed, 0.98 * largest_u) is not None
+        assert predicted_uncertainty(changed, 1.02 * largest_u) is None
+
+
+def test_with_a_linear_drift_a_rate_within_the_accuracies_is_no_contradiction(run: hpe.Run) -> None:
+    (shot,) = run.with_drift("linear").estimate().shots
+    assert shot.frequency_error == pytest.approx(TRUE_ERROR, abs=0.1 * PPM)
+    assert not [text for text in shot.warnings if "more than clock_accuracy explains" in text]
