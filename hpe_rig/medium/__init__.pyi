@@ -20,5 +20,10 @@ from .material_laws import (
     law_names as law_names,
     law_of as law_of,
 )
-from .push_force import PushForce as PushForce, aperture_force as aperture_force, scanned_force as scanned_force
+from .push_force import (
+    PushForce as PushForce,
+    aperture_force as aperture_force,
+    burst_spectrum as burst_spectrum,
+    scanned_force as scanned_force,
+)
 from .shear_field import QUICK_ERROR as QUICK_ERROR, TrackedRegion as TrackedRegion, shear_motion as shear_motion

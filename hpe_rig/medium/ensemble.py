@@ -18,7 +18,7 @@ from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.medium.beam_averaging import BeamWidths, off_axis_motion
 from hpe_rig.medium.focal_field import focal_displacement
 from hpe_rig.medium.material_laws import LAWS, POWER_REFERENCE_HZ, HarmonicMedium
-from hpe_rig.medium.push_force import PushForce
+from hpe_rig.medium.push_force import PushForce, burst_spectrum
 
 MEMBERS = 240
 OFF_AXIS_MEMBERS = 60
@@ -119,10 +119,10 @@ class Ensemble:
         The motion is A exp(j phase) of harmonics 1 to ``harmonics`` of the burst rate. The force is a train of
         rectangular tonebursts, eq. (18) of the paper.
         """
-        harmonic, duty = np.arange(1.0, harmonics + 1), burst_rate_hz * burst_length_s
+        harmonic = np.arange(1.0, harmonics + 1)
         # Force at every harmonic: a motion A sin(wt + phase) has A exp(j phase) = 2j c, with c the Fourier coefficient
         # of exp(jwt).
-        force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
+        force = 2j * burst_spectrum(harmonic, burst_rate_hz * burst_length_s)
         return np.asarray(force[:, None] * self.interpolation(np.asarray(burst_rate_hz * harmonic)))
 
 

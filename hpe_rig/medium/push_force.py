@@ -97,6 +97,14 @@ class PushForce:
         return replace(self, weights=_rows(weights))
 
 
+def burst_spectrum(frequency: FloatArray, burst_length: float) -> ComplexArray:
+    """Return the Fourier transform (frequency,) of a rectangular burst of area 1 that begins at time zero.
+
+    ``frequency`` in Hz and ``burst_length`` in s, or in units of the burst rate and of its period.
+    """
+    return np.asarray(np.sinc(frequency * burst_length) * np.exp(-1j * np.pi * frequency * burst_length))
+
+
 @lru_cache(maxsize=16)
 def aperture_force(
     diameter_m: float,

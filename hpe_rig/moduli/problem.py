@@ -201,11 +201,6 @@ class Problem:
         ``deviations``: nuisances by kind and vibration.
         """
         push, first = self.push, self.vibrations[group[0]]
-
-        def of_group(kind: str) -> FloatArray:
-            """Return the nuisances of one kind for the vibrations of the group."""
-            return np.array([deviations.get((kind, i), 0.0) for i in group])
-
         # Medium at the law's parameters, and derivatives of its modulus by the law's coordinates.
         omega = 2 * np.pi * first.frequency_hz
         values = self.law.values(unknown[: self.coordinate_count])
@@ -216,28 +211,17 @@ class Problem:
         width_factors = (float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along"))
         force = push.force.changed({kind: value for (kind, _), value in deviations.items()}).scaled(*width_factors)
         mean_area_m2 = np.array([self.vibrations[i].tracking_m2[0] for i in group])
-        area_m2 = mean_area_m2 * np.exp(of_group("area"))
+        area_m2 = mean_area_m2 * np.exp(_values(deviations, "area", group))
         stage_m = np.array([deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group])
-        lateral_m = np.array([self.vibrations[i].lateral_m for i in group]) + (of_group("lateral") + stage_m)
+        deviation_m = _values(deviations, "lateral", group) + stage_m
+        lateral_m = np.array([self.vibrations[i].lateral_m for i in group]) + deviation_m
         region = TrackedRegion(lateral_m, first.axial_m, across_m2=area_m2, along_m2=first.tracking_m2[1])
         field = shear_motion(medium, force, region, self.quick)
-        # Amplitude of the force (vibration,) with its gains and phases. With ln amplitude 0 the motion is ``unit_m`` in
-        # a medium of 10 kPa, where a static unit force moves the focus by half its squared width over the modulus.
-        static_m = 0.5 * push.force.across_m[0] ** 2 / 10e3
-        amplitude = (
-            self.unit_m
-            / static_m
-            * np.exp(unknown[self.coordinate_count] + (of_group("gain") + 1j * of_group("phase")))
-        )
-        # Spectrum of the bursts and their onset. Phases count from the sound's arrival at the gate; the force starts
-        # there before that arrival.
-        onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
-        lead_s = first.travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
-        spectrum = push.spectrum(first.frequency_hz) * onset * np.exp(1j * omega * lead_s)
-        drive = spectrum[:, None] * amplitude
+        drive = self._drive(unknown, deviations, group)
         # Speckle changes the tracked region: its area and depth, and its shape by weight that moves to centre and edge.
         by_shape = drive * field.by_across_twice * mean_area_m2**2 / 2
-        phasors_m = drive * (field.value + of_group("axial") * field.by_axial) + of_group("shape") * by_shape
+        axial_m, shape = (_values(deviations, kind, group) for kind in ("axial", "shape"))
+        phasors_m = drive * (field.value + axial_m * field.by_axial) + shape * by_shape
         return phasors_m, {
             "gain": phasors_m,
             "phase": 1j * phasors_m,
@@ -256,6 +240,24 @@ class Problem:
                 for i, slopes in enumerate(modulus_by_coordinates.T)
             },
         }
+
+    def _drive(
+        self, unknown: FloatArray, deviations: dict[tuple[str, int], float], group: tuple[int, ...]
+    ) -> ComplexArray:
+        """Return the complex amplitude of the force (frequency, vibration) for the vibrations of ``group``."""
+        push, first = self.push, self.vibrations[group[0]]
+        # Gains and phases (vibration,). With ln amplitude 0 the motion is ``unit_m`` in a medium of 10 kPa, where a
+        # static unit force moves the focus by half its squared width over the modulus.
+        static_m = 0.5 * push.force.across_m[0] ** 2 / 10e3
+        gain, phase_rad = (_values(deviations, kind, group) for kind in ("gain", "phase"))
+        amplitude = self.unit_m / static_m * np.exp(unknown[self.coordinate_count] + (gain + 1j * phase_rad))
+        # Spectrum of the bursts and their onset. Phases count from the sound's arrival at the gate; the force starts
+        # there before that arrival.
+        omega = 2 * np.pi * first.frequency_hz
+        onset = np.exp(-1j * omega * deviations.get(("onset", COMMON), 0.0))
+        lead_s = first.travel_s * (1 - TRAVEL_FRACTION - deviations.get(("travel", COMMON), 0.0))
+        spectrum = push.spectrum(first.frequency_hz) * onset * np.exp(1j * omega * lead_s)
+        return np.asarray(spectrum[:, None] * amplitude)
 
     def _slopes_by_unknown(self, slopes_by_kind: dict[str, ComplexArray], vibration: int) -> ComplexArray:
         """Return the derivatives (frequency, unknown) of the phasors of the vibration with index ``vibration``.
@@ -317,6 +319,11 @@ def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, .
             Nuisance("shape", index, vibration.area_uncertainty),
         ]
     return tuple(nuisance for nuisance in nuisances if nuisance.uncertainty > 0)
+
+
+def _values(deviations: dict[tuple[str, int], float], kind: str, vibrations: tuple[int, ...]) -> FloatArray:
+    """Return the nuisances of one ``kind`` (vibration,), zero where a vibration has none."""
+    return np.array([deviations.get((kind, vibration), 0.0) for vibration in vibrations])
 
 
 def _data_covariance_m2(vibration: Vibration, push: Push) -> FloatArray:

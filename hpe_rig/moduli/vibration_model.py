@@ -2,7 +2,7 @@
 
 The complex amplitude y_pn of sin(w_n t + phase) at the point p and the harmonic n is modelled as
 
-    y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; G, A_p, B) + noise,    |S_n| = 2 sinc(n f_r T_b)
+    y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; G, A_p, B) + noise,    |S_n| = 2 f_r T_b |sinc(n f_r T_b)|
 
 S is the spectrum of the tonebursts (rate f_r, length T_b), tau their onset, U the displacement per body force
 (``hpe_rig.medium.shear_motion``) in a medium of modulus G. r_p and z_p are the distances from axis and focus, g_p is
@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
-from hpe_rig.medium import PushForce
+from hpe_rig.medium import PushForce, burst_spectrum
 
 APERTURE_SHAPE = 0.005
 """Relative error of each amplitude: difference of two sums of Gaussians for one aperture, to 4 mm off the axis."""
@@ -50,11 +50,10 @@ class Push:
 
         A and phase are those of A sin(wt + phase), with t from the onset of a burst.
         """
-        # The Fourier coefficient c of exp(jwt) is a sinc, delayed by half of the burst length. A real force is
-        # 2 Re[c exp(jwt)]; the sine convention A sin(wt + phase) then has A exp(j phase) = 2j c.
-        phase_cycles = frequency_hz * self.burst_length_s
+        # A real force is 2 Re[c exp(jwt)] with the Fourier coefficient c of exp(jwt); the sine convention A sin(wt +
+        # phase) then has A exp(j phase) = 2j c.
         duty = self.burst_rate_hz * self.burst_length_s
-        return np.asarray(2j * duty * np.sinc(phase_cycles) * np.exp(-1j * np.pi * phase_cycles))
+        return 2j * duty * burst_spectrum(frequency_hz, self.burst_length_s)
 
 
 @dataclass(frozen=True, slots=True)

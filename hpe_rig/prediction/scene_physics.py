@@ -12,6 +12,7 @@ from hpe_rig.medium import (
     PushForce,
     TrackingGate,
     aperture_force,
+    burst_spectrum,
     scanned_force,
     tracked_motion,
 )
@@ -31,8 +32,7 @@ def force_spectrum(
     rate has the peak 2 |F_n|. Source: eq. (18) of the paper.
     """
     duty = burst_rate_hz * burst_length_s
-    n = np.asarray(harmonic)
-    return np.asarray(amplitude * duty * np.sinc(n * duty) * np.exp(-1j * np.pi * n * duty))
+    return np.asarray(amplitude * duty * burst_spectrum(np.asarray(harmonic, np.float64), duty))
 
 
 def medium_of(scene: Scene, frequency_hz: FloatArray, simulated: bool = True) -> HarmonicMedium | None:

@@ -68,9 +68,6 @@ def empty_run(
     }
     axes = _axes(scene, bench, plan)
     condition_unit = ", ".join(condition.unit or "1" for condition in conditions)
-    units = {name.rpartition("/")[2]: layout.unit for name, layout in DATASETS.items()}
-    units |= {"before": condition_unit, "after": condition_unit, "burst_length_s": "s"}
-    units |= {"lateral_offset_m": "m", "axial_offset_m": "m"}
 
     def write(file: h5py.File) -> None:
         """Write the content of the file."""
@@ -81,18 +78,32 @@ def empty_run(
                 _create(file, name, axes, capture, compress)
         _describe_codes(file, capture, bench.bench.digitizer.board_model.code_limits)
         _write_planned_values(file["records"], plan)
-        for name in ("started", "host", "user", "drivers") if provenance is not None else ():
-            file[f"provenance/{name}"] = _fixed(printable(getattr(provenance, name)))
-        for group in (file, *(item for item in file.values() if isinstance(item, h5py.Group))):
-            names = [item.name[1:] for item in group.values()]
-            used = {axis for name in names if name in DATASETS for axis in DATASETS[name].axes}
-            name_axes(group, {axis: values for axis, values in axes.items() if axis in used}, units)
-        file["records/sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})
-        if "true_harmonics" in file:
-            file["true_harmonics/frequency"].attrs["units"] = "Hz"
+        _write_provenance(file, provenance)
+        _name_all_axes(file, axes, condition_unit)
         add_checksums(file)
 
     return sealed_file(write)
+
+
+def _write_provenance(file: h5py.File, provenance: Provenance | None) -> None:
+    """Write when, where and by whom the run was started; a run without ``provenance`` has no such texts."""
+    if provenance is not None:
+        for name in ("started", "host", "user", "drivers"):
+            file[f"provenance/{name}"] = _fixed(printable(getattr(provenance, name)))
+
+
+def _name_all_axes(file: h5py.File, axes: Mapping[str, NDArray[Any]], condition_unit: str) -> None:
+    """Attach to the datasets of the file and of its groups those ``axes`` that they have, and write the units."""
+    units = {name.rpartition("/")[2]: layout.unit for name, layout in DATASETS.items()}
+    units |= {"before": condition_unit, "after": condition_unit, "burst_length_s": "s"}
+    units |= {"lateral_offset_m": "m", "axial_offset_m": "m"}
+    for group in (file, *(item for item in file.values() if isinstance(item, h5py.Group))):
+        names = [item.name[1:] for item in group.values()]
+        used = {axis for name in names if name in DATASETS for axis in DATASETS[name].axes}
+        name_axes(group, {axis: values for axis, values in axes.items() if axis in used}, units)
+    file["records/sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})
+    if "true_harmonics" in file:
+        file["true_harmonics/frequency"].attrs["units"] = "Hz"
 
 
 def _axes(scene: SceneText, bench: BenchText, plan: Plan) -> dict[str, NDArray[Any]]:

@@ -36,7 +36,7 @@ def test_two_places_give_the_references_uncertainty() -> None:
 
 
 @pytest.mark.parametrize("draws", [60, pytest.param(600, marks=pytest.mark.slow)])
-def test_stated_uncertainties_of_speed_and_moduli_are_true(draws: int) -> None:
+def test_the_stated_uncertainty_of_the_speed_is_true_and_the_moduli_have_no_bias(draws: int) -> None:
     generator = np.random.default_rng(1)
     places = np.array([1e-3, 2e-3, 3e-3, 4e-3])
     speed = voigt_speed(FREQUENCY_HZ, 4.0e3, 1.0)

@@ -1,6 +1,6 @@
 """Examples of every command: message, query, and the reply expected from the manual.
 
-the page of the command tree (docs/_build_tools/command_tree.py) shows them with the forms.
+The page of the command tree (docs/_build_tools/command_tree.py) shows them with the forms.
 """
 
 from __future__ import annotations
