@@ -322,7 +322,11 @@ class World:
         return self._recorded(until_ps).peak_v(count)
 
     def _recorded(self, until_ps: int) -> Recording:
-        """Return the records of the last capture, with its signals up to ``until_ps``."""
+        """Return the records of the last capture that are sampled by now.
+
+        Triggers and bursts before ``until_ps`` count. The object is the same at every call for one capture, because it
+        stores the voltages that it has computed.
+        """
         if self._recording is None:
             self._recording = Recording(self._acoustics().record_volts)
         self._recording.update(self._last_capture(until_ps), self.clock.now_ps)

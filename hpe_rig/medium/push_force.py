@@ -115,8 +115,8 @@ def aperture_force(
 ) -> PushForce:
     """Return the force of a focused bowl driven at ``frequency_hz``, as a sum of Gaussians.
 
-    The force has the shape of the intensity, so that absorbed momentum is proportional to it.
-    The default attenuation is that of soft tissue. Raises ``ValueError`` for a bowl wider than its sphere.
+    It is proportional to the intensity at each point. The default attenuation is that of soft tissue. Raises
+    ``ValueError`` for a bowl wider than its sphere.
     """
     if diameter_m >= 2 * focal_length_m:
         raise ValueError(f"a bowl {diameter_m:g} m across cannot focus at {focal_length_m:g} m")

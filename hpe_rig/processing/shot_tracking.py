@@ -94,7 +94,7 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
     margin, block_statistics = margin_needed(scene, shot), list[GateStatistics]()
     assignment = assign_pulses(shot, stored)
     placement = assignment.placement
-    records = stored.records.shot_blocks(
+    records = stored.records.gated_or_stored(
         shot.index,
         samples_needed(scene, shot),
         margin=margin,
@@ -110,7 +110,7 @@ def read_shot(scene: Scene, shot: Shot, stored: StoredRun) -> ShotRecords:
         statistics=concatenate_statistics(block_statistics) if block_statistics else gate_statistics(records),
         reference=None
         if gate is None
-        else stored.records.shot_blocks(shot.index, gate, margin=margin, placement=placement),
+        else stored.records.gated_or_stored(shot.index, gate, margin=margin, placement=placement),
         assignment=assignment,
         tracking_rate=measured_rate(
             stored.records.arrival(shot.index).trigger_time_s,

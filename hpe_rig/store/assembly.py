@@ -92,9 +92,10 @@ _views: dict[tuple[object, ...], tuple[CheckedFile, Frames]] = {}
 
 
 def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
-    """Return the content of the log ``path``, open as ``stream``; raise ``InvalidContentError`` if it is damaged.
+    """Return the log ``path``, open as ``stream``, as if it were the finished HDF5 file, with its checked content.
 
-    The HDF5 file in memory has everything but the echoes.
+    An HDF5 file in memory has everything but the echoes, which are read from ``stream``. The last ``MAX_VIEWS`` of
+    these files are kept until their log changes. Raises ``InvalidContentError`` for a damaged log.
     """
     status = os.fstat(stream.fileno())
     key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
@@ -105,7 +106,7 @@ def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
         checked = _empty_run(CheckedFile(_open_image(log.image), log.size, log.damaged_bytes))
         view = checked, _fill(checked, log.frames, stream, STATUSES[0])
         while len(_views) >= MAX_VIEWS:
-            # Another thread may still read it: it is closed with its last reference.
+            # Not closed, as another thread may still read it: it closes with its last reference.
             _views.pop(next(iter(_views)), None)
         _views[key] = view
     checked, frames = _views[key]
@@ -146,19 +147,19 @@ def assemble(
 def recover(path: Path) -> None:
     """Replace ``path`` by its run file in HDF5 if it is the log of a run whose program was killed.
 
-    Does nothing if another program is writing it, if it holds no records, and if it cannot be replaced.
+    Does nothing if another program is writing the log, if it holds no records, and if it cannot be replaced.
     """
     with contextlib.suppress(*LIBRARY_ERRORS, StoreError, InvalidContentError, DamagedLogError):
         if not is_log(path):
             return
         with path.open("rb", buffering=0) as stream:
             log = read_log(stream)
-        # A new run locks its log before it writes the second frame: it must not find the log locked here.
+        # A log without frames may be that of a run that is just starting and has not locked it yet: do not lock it.
         if log is None or not log.frames:
             return
         writer = LogWriter(path)
         try:
-            if writer.locked:
+            if writer.has_lock:
                 assemble(path, writer.close)
         finally:
             writer.close()
@@ -167,19 +168,24 @@ def recover(path: Path) -> None:
 def _write_draft(
     draft: BinaryIO, log: Log, stream: IO[bytes], proceed: Callable[[], None], cancelled: threading.Event
 ) -> None:
-    """Write the run file with the frames of ``log``, open as ``stream``, to ``draft``."""
+    """Write the run file in HDF5 to ``draft``, from the ``log`` of an ended or killed run, open as ``stream``.
+
+    Frames that a power loss has left incomplete are omitted. ``proceed`` is called before each chunk of echoes and may
+    raise to stop. The first error of the disk is raised between chunks and at the end, because the HDF5 library must
+    not meet it. If ``cancelled`` is set, a disk that does not answer is not waited for.
+    """
     draft.write(log.image)
     draft.flush()
     output = _Output(draft.fileno(), cancelled)
 
-    def step() -> None:
+    def refuse_failure_and_proceed() -> None:
         output.refuse_failure()
         proceed()
 
     with h5py.File("draft", "r+", libver=LIBVER, driver="fileobj", fileobj=output) as file:
         checked = _empty_run(CheckedFile(file))
         frames = _without_torn_frames(log, stream, checked.chunk_records)
-        _write_codes(checked, _fill(checked, frames, stream, KILLED), stream, step)
+        _write_codes(checked, _fill(checked, frames, stream, KILLED), stream, refuse_failure_and_proceed)
     output.finish()
 
 

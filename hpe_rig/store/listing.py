@@ -24,17 +24,17 @@ from hpe_rig.store.validation import CheckedFile
 MAX_JSON_BYTES = 64_000_000
 """Maximum size of a result's JSON that the listing reads."""
 
-LEAD_VALUES = {
+EARLIER_NAMES = {
     "amplitude_m": "corrected_amplitude_m",
     "amplitude_uncertainty_m": "corrected_uncertainty_m",
     "phase_rad": "corrected_phase_rad",
     "phase_uncertainty_rad": "corrected_phase_uncertainty_rad",
 }
-"""Values of a ``Lead``, and what result files of version 1 called them."""
+"""Names of the values of a harmonic, and those in single shots of result files of version 1."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lead:
+class Harmonic:
     """One harmonic of a result; the listing shows the strongest one."""
 
     estimator: str
@@ -65,7 +65,7 @@ class RunEntry:
     user: str
     host: str
     notes: Mapping[str, Any]
-    lead: Lead | None
+    lead: Harmonic | None
     shots_marked_bad: int = 0
     conditions: Mapping[str, float] = field(default_factory=dict)
 
@@ -186,7 +186,7 @@ def _date(stored: StoredRun) -> datetime:
         return datetime.fromtimestamp(stored.path.stat().st_mtime).astimezone()
 
 
-def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
+def _lead(run: Path, marks: Mapping[int, str]) -> Harmonic | None:
     """Return the strongest harmonic of the latest result of the run file ``run``; None without a result.
 
     Also None if shots were marked bad, or unmarked, after that result. ``marks``: the reason by shot. Raises
@@ -216,17 +216,15 @@ def _lead(run: Path, marks: Mapping[int, str]) -> Lead | None:
     raise StoreError(f"{latest} is no readable result file ({why}). Try: hpe-rig process {run}.")
 
 
-def _harmonics(result: Mapping[str, Any], is_earlier: bool) -> Iterator[Lead]:
+def _harmonics(result: Mapping[str, Any], is_earlier: bool) -> Iterator[Harmonic]:
     """Yield every harmonic of a result, given as its parsed JSON: of the means over repeats, or else of all shots.
 
-    A value that is null in the JSON is NaN. In an earlier version (``is_earlier``) single shots called the corrected
-    values by other names.
+    A value that is null in the JSON is NaN. In an earlier version (``is_earlier``) an estimate with a corrected value
+    calls its values by ``EARLIER_NAMES``.
     """
     estimator, means = str(result["estimator"]), result.get("means", ())
-    names = {name: name for name in LEAD_VALUES}
     for estimate in means or [estimate for shot in result["shots"] for estimate in shot["estimates"]]:
-        if is_earlier and estimate.get("corrected_amplitude_m") is not None:
-            names = LEAD_VALUES
-        values = {name: estimate[stored] for name, stored in names.items()}
+        has_earlier_names = is_earlier and estimate.get("corrected_amplitude_m") is not None
+        values = {name: estimate[old if has_earlier_names else name] for name, old in EARLIER_NAMES.items()}
         numbers = {name: math.nan if value is None else float(value) for name, value in values.items()}
-        yield Lead(estimator=estimator, frequency_hz=float(estimate["frequency_hz"]), **numbers)
+        yield Harmonic(estimator=estimator, frequency_hz=float(estimate["frequency_hz"]), **numbers)

@@ -66,7 +66,7 @@ class Frame:
 
 @final
 class LogWriter:
-    """Open log of a run; ``locked`` is False if its file system has no locks.
+    """Open log of a run; ``has_lock`` is False if its file system has no locks.
 
     After an error the last frame may be incomplete; ``cut_back`` removes it.
     """
@@ -76,7 +76,7 @@ class LogWriter:
         self.path = path
         self._file = path.open("r+b", buffering=0)
         try:
-            self.locked = lock.acquire(self._file)
+            self.has_lock = lock.acquire(self._file)
         except BlockingIOError:
             self._file.close()
             raise StoreError(

@@ -110,7 +110,11 @@ class StoredRun:
         return "[recording]" in self.bench_toml.splitlines()
 
     def rows(self, shot: int) -> dict[str, Any]:
-        """Return the values of ``shot`` by dataset, except its records, to copy them; blank if missing or damaged."""
+        """Return the values of ``shot``, by name of the dataset, so that another run can copy them.
+
+        Echoes, marks and trigger times of records are left out, and whether the shot is complete. Values that were not
+        written or fail their checksum are blank: zeros, NaN or an empty text.
+        """
         names = [name for name in BY_SHOT if name != "records/shot_complete"]
         with self.records.open() as checked:
             return {name: checked_row(checked, name, shot)[0] for name in names if checked.has(name)}

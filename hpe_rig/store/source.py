@@ -33,11 +33,14 @@ def open_checked(path: Path) -> Iterator[CheckedFile]:
 
 @contextlib.contextmanager
 def _open_unchecked(path: Path) -> Iterator[CheckedFile]:
-    """Yield the log or HDF5 file ``path`` without a check of its format."""
+    """Yield the log or HDF5 file ``path`` before it is known to be a run.
+
+    Each dataset is checked when it is read (`CheckedFile`); format and shape of the run are checked by ``checked_run``.
+    """
     if is_log(path):
         with path.open("rb", buffering=0) as stream:
             yield view_of(path, stream)
         return
     declared, size = declared_size(path), path.stat().st_size
     with open_hdf5(path) as file:
-        yield CheckedFile(file, size, declared - size)
+        yield CheckedFile(file, size, missing_bytes=declared - size)

@@ -148,7 +148,7 @@ class StoredRecords(Sequence[ShotRecords]):
         records = ShotRecords(codes, time_s, scale, offset, limits, read.margin, damaged | damaged_marks)
         return records.placed(read.placement)
 
-    def shot_blocks(
+    def gated_or_stored(
         self,
         shot: int,
         gate: slice,
@@ -159,8 +159,9 @@ class StoredRecords(Sequence[ShotRecords]):
     ) -> GatedRecords:
         """Return the echoes of ``shot`` in ``gate``; if they exceed ``max_samples`` their codes stay in the file.
 
-        Codes that stay in the file are compared with their checksums. Meanwhile ``visit`` is called with the codes in
-        the gate, block by block, but only if every record has the number of its pulse.
+        Codes that stay in the file are read once here, block by block, and compared with their checksums. ``visit`` is
+        called with each block, the codes in the gate (record, sample). It is not called if the codes are in memory, nor
+        if records and pulses have different numbers.
         """
         if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= max_samples:
             return self.gated(shot, gate, margin=margin, placement=placement)
@@ -169,7 +170,9 @@ class StoredRecords(Sequence[ShotRecords]):
             read = self._gate(checked, shot, gate, "echo", margin, placement)
         damaged = self.damaged(shot, visit if read.placement.is_identity else None, gate)
         intact, record = read.arrival.recorded & ~damaged, read.placement.record
-        valid, damaged_pulses = ((record >= 0) & values[np.maximum(record, 0)] for values in (intact, damaged))
+        # From records to pulses; a pulse without a record, -1, is neither valid nor damaged.
+        has_record, record_index = record >= 0, np.maximum(record, 0)
+        valid, damaged_pulses = has_record & intact[record_index], has_record & damaged[record_index]
         return StoredShot(
             records=self,
             shot=shot,

@@ -247,8 +247,9 @@ def checked_run(checked: CheckedFile) -> CheckedFile:
     version = checked.attribute("format_version", int)
     if not OLDEST_VERSION <= version <= FORMAT_VERSION:
         newer = f"this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
-        why = newer if version > FORMAT_VERSION else "which predates the promises of run files"
+        why = newer if version > FORMAT_VERSION else f"older than the first supported version, {OLDEST_VERSION}"
         raise InvalidContentError(f"it has format version {version}, {why}")
+    # Only files of version 2, written during the run, may lack checksums: early releases had none.
     if checked.is_written_once and not checked.has_checksums:
         raise InvalidContentError("its checksums are absent")
     echo = checked.dataset("records/echo")

@@ -129,15 +129,24 @@ def _verified_text(path: Path) -> Verification:
 
 
 def _verified_result(path: Path, kind: str) -> Verification:
-    """Return the damage in a result file or map; raise ``StoreError`` if it cannot be read."""
+    """Return content and damage of a result file or map; raise ``StoreError`` if it cannot be read."""
     try:
         with open_bounded(path) as file:
             shots = int(file["results/shot"].shape[0]) if kind == "result" else 0
-            lead = file["results/amplitude_m" if kind == "result" else "amplitude_m"]
-            checksums = ATTRIBUTE in lead.attrs
+            amplitudes = file["results/amplitude_m" if kind == "result" else "amplitude_m"]
+            has_checksums = ATTRIBUTE in amplitudes.attrs
             damage = tuple(_damaged_datasets(file, path))
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, InvalidContentError) as error:
         raise StoreError(
             f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."
         ) from error
-    return Verification(path, kind, "complete", shots, shots, 0, checksums, damage)
+    return Verification(
+        path=path,
+        kind=kind,
+        status="complete",
+        shots=shots,
+        shots_complete=shots,
+        records=0,
+        checksums=has_checksums,
+        damage=damage,
+    )

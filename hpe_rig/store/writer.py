@@ -108,7 +108,7 @@ class RunWriter:
         except (OSError, RuntimeError, MemoryError) as error:
             # An error of the library, or of Python if memory for a thread is missing.
             raise StoreError(f"{path} cannot be created ({reason(error)}). Try: again, with fewer programs.") from error
-        if not self._log.locked:
+        if not self._log.has_lock:
             logging.getLogger("hpe_rig").warning("%s: its disk has no locks. Let no other run write it.", path)
 
     def __enter__(self) -> RunWriter:

@@ -165,8 +165,8 @@ class Acoustics:
         self._add_leak(noise(), tonebursts, capture)
         return noise()
 
-    def _add_tracking_echoes(self, volts: NoiseSource, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
-        """Add the echoes of the tracking pulses to the records that ``volts`` returns, one carrier after another."""
+    def _add_tracking_echoes(self, noise: NoiseSource, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
+        """Add the echoes of the tracking pulses to the records that ``noise`` returns, one carrier after another."""
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
         strength_v *= transmitted_fraction(pulses.amplitude_vpp, self._settings)
         # Sets instead of np.unique, which loads NumPy's masked arrays.
@@ -175,12 +175,13 @@ class Acoustics:
             passage = self._passage(pulses.onset_ps[selected], capture)
             pulse = echo_pulse(self._settings, carrier_hz)
             beam = self._beam(pulse, self._field.tracking_weight)
-            self._add_echoes(volts, capture, pulse, beam, passage, strength_v[selected], tonebursts)
+            self._add_echoes(noise, capture, pulse, beam, passage, strength_v[selected], tonebursts)
 
-    def _add_toneburst_echoes(self, volts: NoiseSource, tonebursts: Bursts, capture: Capture) -> None:
-        """Add the echoes of the tonebursts to the records that ``volts`` returns.
+    def _add_toneburst_echoes(self, noise: NoiseSource, tonebursts: Bursts, capture: Capture) -> None:
+        """Add the echoes of the tonebursts to the records that ``noise`` returns.
 
-        The motion of a scatterer during its burst is neglected.
+        The motion of a scatterer while a burst passes it is neglected. ``tonebursts`` contains the earlier ones too,
+        which still move the scatterers; only those near ``capture`` echo.
         """
         bursts = near(tonebursts, capture)
         strength_v = self._gain_v * toneburst_echo_strength(bursts, self._settings.receiver)
@@ -191,7 +192,7 @@ class Acoustics:
             # A separate pushing transducer changes only the time of the echoes.
             passage = self._passage(bursts.onset_ps[selected] + to_ps(self._push_delay_s), capture)
             beam = self._beam(pulse, self._field.excitation_weight, of_push=True)
-            self._add_echoes(volts, capture, pulse, beam, passage, strength_v[selected], tonebursts)
+            self._add_echoes(noise, capture, pulse, beam, passage, strength_v[selected], tonebursts)
 
     def _beam(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> BeamResponse:
         """Return the weight and, unless the beam is Gaussian, the response of every scatterer's echo for ``pulse``.
@@ -251,7 +252,7 @@ class Acoustics:
 
     def _add_echoes(
         self,
-        volts: NoiseSource,
+        noise: NoiseSource,
         capture: Capture,
         pulse: Pulse,
         beam: BeamResponse,
@@ -259,7 +260,7 @@ class Acoustics:
         strength_v: FloatArray,
         tonebursts: Bursts,
     ) -> None:
-        """Add the echoes of a train of equal bursts to the records that ``volts`` returns.
+        """Add the echoes of a train of equal bursts to the records that ``noise`` returns.
 
         ``pulse``: echo of a scatterer at the focus. ``beam``: its weight and change for every scatterer. ``passage``:
         when the bursts pass the focus. ``strength_v`` (burst,): volts of a scatterer of weight 1. ``tonebursts`` move
@@ -271,9 +272,9 @@ class Acoustics:
             return
         train = self._echo_train(pulse, beam, relevant, passage, strength_v, motion_m)
         if passage.background_delay_s is None:
-            self._add_aligned_echoes(volts, capture, train)
+            self._add_aligned_echoes(noise, capture, train)
         else:
-            self._add_shifted_echoes(volts(), capture, train, passage.background_delay_s)
+            self._add_shifted_echoes(noise(), capture, train, passage.background_delay_s)
 
     def _echo_train(
         self,
@@ -310,7 +311,7 @@ class Acoustics:
             end_ps=math.ceil(end_s * PS_PER_S),
         )
 
-    def _add_aligned_echoes(self, volts: NoiseSource, capture: Capture, train: _EchoTrain) -> None:
+    def _add_aligned_echoes(self, noise: NoiseSource, capture: Capture, train: _EchoTrain) -> None:
         """Add echoes to the records, for records that sample them at nearly the same times after the onset of a burst.
 
         Those times differ by some ns at most, so all echoes are computed on one grid of sample times.
@@ -327,7 +328,7 @@ class Acoustics:
         shift_s = (age_ps - age_ps[0]) / PS_PER_S
         block, group = self._grouped_echoes(train, burst, shift_s, sample_ps)
         echo_v = block[group] * train.strength_v[burst, None]
-        out = volts()
+        out = noise()
         if np.array_equal(record, np.arange(len(out))):
             out[:, span] += echo_v
         else:

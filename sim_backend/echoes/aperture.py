@@ -44,17 +44,21 @@ def beam_response(
 ) -> BeamResponse:
     """Return the response of the aperture to echoes of ``pulse`` from ``offset_m`` (scatterer, 3) from the focus.
 
-    ``of_push``: the pulse is a toneburst, centred on the axis of the push instead of that of the tracking.
+    It is split into a weight, the largest magnitude over the frequencies, which selects the scatterers that matter, and
+    the response relative to it. ``of_push``: the pulse is a toneburst, centred on the axis of the push instead of that
+    of the tracking.
     """
-    # Imported here, so that Gaussian beams do not load the package.
+    # Imported in the function: a Gaussian beam does not need this package, which takes long to load.
     from sim_backend.transducer import pulse_echo_beam
 
     x, y = (0.0, 0.0) if of_push else settings.beams.lateral_offset_m
     lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
-    # The beam is computed at a few frequencies, tabulated, and interpolated to the exponentials of the pulse.
+    # The beam is computed at a few frequencies, tabulated, and interpolated to the exponentials of the pulse. With a
+    # ``mixture`` each table is a weighted sum over these frequencies.
     computed_hz, mixture, from_tables = _frequency_interpolation(pulse)
     reach_m = float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
     beam = pulse_echo_beam(settings, computed_hz, *reach_m, mixture, of_push)
+    # ``delay_ratio``: delay by a displacement u over 2 u / c; oblique waves make it differ from 1.
     tabulated, delay_ratio = beam.at(lateral_m, axial_m)
     response = from_tables @ tabulated
     weight = np.abs(response).max(axis=0)

@@ -119,11 +119,12 @@ def depth_loss(scatterers: Scatterers, depth_m: FloatArray) -> FloatArray | None
 def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, FloatArray]:
     """Return offsets (point, 3), m, and reflectivities (point,) of the scatterers that represent a reflector.
 
-    A plane is the Gauss-Hermite rule of its integral over the tracking beam, so its motion may vary across the plane.
+    The reflectivities of a plane's points add up to an echo of its ``strength`` for the whole plane. The points are the
+    Gauss-Hermite nodes of the integral over the tracking beam, so each point may move differently.
     """
     if reflector.kind == "point":
         return np.array([reflector.position_m]), np.array([reflector.strength])
-    # Nodes across the tracking beam; the beam's own Gaussian weight, applied later, is divided out.
+    # Nodes across the tracking beam. The echo model multiplies each point by the beam: the weights are divided by it.
     node, weight = np.polynomial.hermite_e.hermegauss(_PLANE_NODES)
     weight = weight / weight.sum() * np.exp(node**2 / 2)
     (tx, ty, _), (ox, oy) = beams.tracking_width_m, beams.lateral_offset_m

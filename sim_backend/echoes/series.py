@@ -417,18 +417,21 @@ def _significant_edges(
 
 
 def _pulse_bound_near_edge(response: ComplexArray | None, taylor: ComplexArray, reach_s: FloatArray) -> FloatArray:
-    """Return a bound on each scatterer's pulse within ``reach_s`` (scatterer,) of an edge of its support, (scatterer,).
+    """Return a bound (scatterer,) on the magnitude of each scatterer's pulse within ``reach_s`` of its start or end.
 
+    Only pulses with a large enough bound need a correction of the samples that their start or end crosses. ``reach_s``
+    (scatterer,): how far motion shifts it.
     ``taylor`` (frequency, order): Taylor coefficients about the edge of each frequency component of the envelope.
     ``response`` (frequency, scatterer): factor of each component, None for 1.
     """
     # Coefficients (order, scatterer or 1). Sums that cancel to rounding error count as zero.
     coefficient = taylor.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, taylor)
-    size, parts_size = np.abs(coefficient), np.abs(taylor).sum(axis=0)
+    magnitude, summed_magnitudes = np.abs(coefficient), np.abs(taylor).sum(axis=0)
     # Horner's rule over the orders.
     bound = np.zeros(len(reach_s))
-    for order in range(len(size) - 1, -1, -1):
-        bound = bound * reach_s + np.where(size[order] < _CANCELLATION * parts_size[order], 0.0, size[order])
+    for order in range(len(magnitude) - 1, -1, -1):
+        cancels = magnitude[order] < _CANCELLATION * summed_magnitudes[order]
+        bound = bound * reach_s + np.where(cancels, 0.0, magnitude[order])
     return bound
 
 

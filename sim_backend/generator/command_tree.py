@@ -250,7 +250,7 @@ ON_LAN: Mapping[str, Action] = {
 """Commands of the models with a network connector."""
 
 Entry = SettingCommand | Action
-REMOTE = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())
+ALLOWED_IN_LOCAL = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())
 """Commands that an instrument on RS-232 accepts in local mode."""
 
 

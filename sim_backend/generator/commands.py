@@ -168,7 +168,7 @@ def _text() -> SettingCommand:
 MAX_TEXT = 40
 
 
-def _range() -> SettingCommand:
+def _auto_range_setting() -> SettingCommand:
     """Return the setting of automatic ranging: on, off, or once, which counts as off."""
 
     def write_auto(state: Registers, arguments: tuple[str, ...]) -> Coerced:
@@ -221,7 +221,7 @@ SETTINGS: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
         lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), "low_v", levels.set_low
     ),
-    "[SOURce<n>:]VOLTage:RANGe:AUTO": _range(),
+    "[SOURce<n>:]VOLTage:RANGe:AUTO": _auto_range_setting(),
     "[SOURce<n>:]VOLTage[:LEVel][:IMMediate]:UNIT[:VOLTage]": choice("VPP VRMS DBM", "unit", levels.set_unit),
     "[SOURce<n>:]BURSt:STATe": switch("burst", timing.set_burst),
     "[SOURce<n>:]BURSt:MODE": choice("TRIGgered GATed", "burst_mode", timing.set_burst_mode),

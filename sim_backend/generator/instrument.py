@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from sim_backend.generator.arbitrary import WaveformMemory
-from sim_backend.generator.command_tree import REMOTE, Action, Entry, table_of
+from sim_backend.generator.command_tree import ALLOWED_IN_LOCAL, Action, Entry, table_of
 from sim_backend.generator.emission import changes_output, is_endless, respond, with_clock_error
 from sim_backend.generator.headers import Command
 from sim_backend.generator.kinds import SettingCommand
@@ -170,7 +170,7 @@ class Generator33250A:
     def _execute(self, command: Command[Entry]) -> str | None:
         """Execute a command, or return the reply to a query; raise ``ScpiError`` 550 in local mode."""
         entry, arguments = command.entry, command.arguments
-        if self._over_serial and self._local and not command.query and entry not in REMOTE:
+        if self._over_serial and self._local and not command.query and entry not in ALLOWED_IN_LOCAL:
             raise ScpiError(550, "Command not allowed in local")
         if isinstance(entry, Action):
             return entry.execute(self, command.query, arguments)

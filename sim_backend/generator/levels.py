@@ -110,7 +110,10 @@ def _rms_per_vpp(state: Registers) -> float:
 
 
 def to_vpp(state: Registers, value: float, unit: str) -> float:
-    """Return an amplitude in ``unit`` (empty: the set one) as volts peak to peak at the load."""
+    """Return an amplitude as volts peak to peak at the load.
+
+    ``unit`` of ``value``: VPP, VRMS or DBM; empty or V: the unit that is set. Raises ``ScpiError`` for DBM at high-Z.
+    """
     unit = state.unit if unit in ("", "V") else unit
     if unit == "DBM":
         if math.isinf(state.load_ohm):

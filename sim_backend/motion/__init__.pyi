@@ -19,7 +19,7 @@ from .prescribed import background_at as background_at, motion_at as motion_at
 from .specimen import (
     StepResponse as StepResponse,
     frequency_response as frequency_response,
-    memory_s as memory_s,
+    settling_time_s as settling_time_s,
     shear_modulus as shear_modulus,
     transfer as transfer,
     transient_displacement as transient_displacement,

@@ -33,8 +33,8 @@ from sim_backend.motion.specimen import (
     force_volume,
     frequency_response,
     legendre,
-    memory_s,
     polar_nodes,
+    settling_time_s,
     shear_modulus,
     tabulate_step_response,
     transients,
@@ -157,7 +157,7 @@ def focus_field(
     matrices = chebyshev_matrix(lateral_count), chebyshev_matrix(axial_count)
     shape = np.einsum("li,aj,mij->mla", *matrices, values, optimize=True)
     # Changes below the tolerance are errors of the quadrature, so a response has ended there.
-    response = StepResponse(memory_s(specimen, responses, 0.1 * tolerance), responses)
+    response = StepResponse(settling_time_s(specimen, responses, 0.1 * tolerance), responses)
     return FocusField(
         lateral_reach_m=lateral_reach_m,
         axial_reach_m=axial_reach_m,
@@ -177,7 +177,7 @@ def focus_response(specimen: Specimen, force: Force) -> StepResponse:
     if not isinstance(force, GaussianSum):
         return tabulate_step_response(specimen, force)
     panels = _focus_spectrum(force).step_response(specimen)
-    return StepResponse(memory_s(specimen, panels), panels)
+    return StepResponse(settling_time_s(specimen, panels), panels)
 
 
 def focus_transfer(specimen: Specimen, force: Force, frequency_hz: FloatArray) -> ComplexArray:
@@ -195,11 +195,11 @@ def _focus_spectrum(force: GaussianSum) -> _Spectrum:
 
 
 def _error_scale(specimen: Specimen, panels: Panels) -> FloatArray:
-    """Return the displacement to which errors in each panel of time are relative, (panel,), up to a common factor.
+    """Return the scale of the permitted error in each interval of time, (panel,); only ratios between panels matter.
 
-    ``panels``: displacement after a step of force, a Chebyshev series in each interval of time (panel). The scale is
-    constant, except for a medium that creeps without end: there it is the displacement so far. Relative to the
-    displacement of the last panel, hours later, all motion under a toneburst would be below the tolerance.
+    ``panels``: displacement after a step of force, a Chebyshev series in each panel. The scale is 1, except for a
+    medium that creeps without end: there it is the largest displacement so far. If it were the final displacement,
+    hours later, the motion during a toneburst would be smaller than the permitted error.
     """
     if not creeps_for_ever(specimen):
         return np.ones(panels.coefficient.shape[1])
@@ -233,7 +233,7 @@ class MediumMotion:
         # modes. Summed before the time course is computed, it has to be computed once only.
         shapes_at_point = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1)).T
         response = self.field.response
-        at_point = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shapes_at_point))
+        at_point = StepResponse(response.settling_time_s, Panels(response.panels.coefficient @ shapes_at_point))
         return self._transients(at_point, tonebursts, time_ps)[:, 0]
 
     def _transients(self, response: StepResponse, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:

@@ -130,10 +130,11 @@ def harmonic_v(drive_vpp: FloatArray, transmitter: Transmitter, harmonic: int = 
 def _distorted_v(amplitude_v: FloatArray, transmitter: Transmitter, harmonic: int) -> FloatArray:
     """Return the amplitude of a harmonic of a sine after hybrid, amplifier and diodes, V, shape of ``amplitude_v``.
 
-    Hybrid and amplifier saturate by the Rapp law v / (1 + |v / ceiling|^2p)^(1/2p). The diodes subtract their
-    threshold. The amplitude is a Fourier sine coefficient.
+    ``amplitude_v``: at the amplifier's output if nothing saturated. ``harmonic`` is odd: the distortion is the same for
+    both signs, so there are no even ones. Hybrid and amplifier saturate by the Rapp law v / (1 + |v / ceiling|^2p)^(1 /
+    2p). The diodes subtract their threshold. The amplitude is a Fourier sine coefficient.
     """
-    # The midpoint rule over a half period; the other half has the same odd harmonics.
+    # The midpoint rule over the positive half period; the negative half is its mirror image and contributes as much.
     phases = _PHASES if transmitter.diode_threshold_v == 0 else _PHASES_WITH_DIODES
     phase = (np.arange(phases) + 0.5) * np.pi / phases
     wave_v = amplitude_v[..., None] * np.sin(phase)

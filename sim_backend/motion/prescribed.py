@@ -57,7 +57,8 @@ def cycles_at(frequency_hz: float, time_ps: Int64Array) -> FloatArray:
     whole_s, remainder_ps = np.divmod(time_ps, PS_PER_S)
     whole_hz = int(frequency_hz)
     fraction_hz = frequency_hz - whole_hz
-    # The upper 26 bits of the fraction times up to 2^17 seconds are an exact product; the lower bits are small.
+    # The upper 26 bits of the fraction times whole seconds, 17 bits, have 43 bits: a double holds the product exactly.
+    # The product with the lower bits is below 1e-3 cycles, so that its rounding does not matter.
     upper_hz = np.round(fraction_hz * 2**26) / 2**26
     cycles_of_seconds = np.mod(upper_hz * whole_s, 1.0) + (fraction_hz - upper_hz) * whole_s
     cycles_of_remainder = np.mod(whole_hz * remainder_ps, PS_PER_S) / PS_PER_S + fraction_hz * (remainder_ps / PS_PER_S)

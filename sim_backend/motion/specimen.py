@@ -37,7 +37,7 @@ Triple = tuple[float, float, float]
 # Gauss-Legendre nodes over the cosine of the direction.
 _DIRECTION_NODES = 64
 # A response has ended when it changes by less than this fraction of the static displacement.
-_MEMORY_TOLERANCE = 1e-11
+_SETTLING_TOLERANCE = 1e-11
 # Times under several pulses that are looked up together, so that they stay in the cache.
 _TIMES_PER_CHUNK = 1 << 12
 # From this |z| on, a continued fraction of so many terms is as exact as the difference that it replaces (8e-13).
@@ -149,7 +149,7 @@ def legendre(count: int) -> tuple[FloatArray, FloatArray]:
 class StepResponse:
     """Displacement at the focus, m per N/m³, after a unit force is switched on."""
 
-    memory_s: float
+    settling_time_s: float
     """Time after which the displacement is static; for a medium that creeps without end, the end of the table."""
     panels: Panels
 
@@ -167,10 +167,10 @@ def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
     """
     contour, degrees = (AXIS_CONTOUR, DEGREES) if specimen.sphere is None else (SPHERE_CONTOUR, SPHERE_DEGREES)
     panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], contour, degrees)
-    return StepResponse(memory_s=memory_s(specimen, panels), panels=panels)
+    return StepResponse(settling_time_s=settling_time_s(specimen, panels), panels=panels)
 
 
-def memory_s(specimen: Specimen, panels: Panels, tolerance: float = _MEMORY_TOLERANCE) -> float:
+def settling_time_s(specimen: Specimen, panels: Panels, tolerance: float = _SETTLING_TOLERANCE) -> float:
     """Return the time (s) after a step of force at which every response has reached its static displacement.
 
     From then on it stays within ``tolerance`` of it, relative to the largest static displacement among the responses in
@@ -181,10 +181,10 @@ def memory_s(specimen: Specimen, panels: Panels, tolerance: float = _MEMORY_TOLE
     # Responses at the begin of every panel and at the end of the table, where they are static.
     value = panels.at(np.append(panels.begins_s, panels.end_s))
     static = value[-1]
-    changes = np.abs(value - static).max(axis=1) > tolerance * np.abs(static).max()
-    # The first panel after the last change; the end of the table, the last time of ``value``, begins no panel.
-    first_static_panel = int(np.flatnonzero(changes)[-1]) + 1
-    last_panel = len(changes) - 2
+    unsettled = np.abs(value - static).max(axis=1) > tolerance * np.abs(static).max()
+    # The panel after the last unsettled one; the end of the table, the last time of ``value``, begins no panel.
+    first_static_panel = int(np.flatnonzero(unsettled)[-1]) + 1
+    last_panel = len(unsettled) - 2
     return float(panels.begins_s[min(first_static_panel, last_panel)])
 
 
@@ -196,17 +196,17 @@ def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: 
 def transients(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
     """Return the motion at ``time_ps`` (time,) under all pulses of ``force``, one column for each tabulated response.
 
-    A pulse is a step up and a step down. They cancel once both are older than the medium's memory, so a pulse is only
-    evaluated at the times between its onset and the end of its memory.
+    A pulse is a step up and a step down. They cancel once the responses to both have settled, so a pulse is only
+    evaluated at the times between its onset and the settling of its end.
     """
-    # For each pulse, the range of times between its onset and the end of its memory.
+    # For each pulse, the range of times between its onset and the settling of its end.
     order = np.argsort(time_ps, kind="stable")
     ascending_ps = time_ps[order]
-    memory_ps = math.ceil(response.memory_s * PS_PER_S)
+    settling_ps = math.ceil(response.settling_time_s * PS_PER_S)
     displacement = np.zeros((len(time_ps), response.panels.coefficient.shape[2]))
     first = np.searchsorted(ascending_ps, force.onset_ps)
-    last = np.searchsorted(ascending_ps, force.end_ps + memory_ps, side="right")
-    # Pulses with any time in their memory, in groups that fill a chunk of times.
+    last = np.searchsorted(ascending_ps, force.end_ps + settling_ps, side="right")
+    # Pulses with any time in that range, in groups that fill a chunk of times.
     active = np.flatnonzero(first < last)
     total = np.cumsum(last[active] - first[active])
     groups = np.split(active, np.flatnonzero(np.diff(total // _TIMES_PER_CHUNK)) + 1) if active.size else ()

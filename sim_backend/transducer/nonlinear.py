@@ -51,7 +51,7 @@ class Accuracy:
 
     harmonics: int = 32
     """Largest number of harmonics."""
-    step: float = 0.06
+    relative_step: float = 0.06
     """Step relative to the distance from the focus."""
     min_step_m: float = 0.2e-3
     """Smallest step, around the focus."""
@@ -213,7 +213,8 @@ class _March:
         """March to ``depth_m`` in steps that shrink towards the focus."""
         while depth_m - self.depth_m > 1e-9:
             to_focus_m = abs(self.transducer.focal_length_m - self.depth_m)
-            self._step(min(max(self.accuracy.step * to_focus_m, self.accuracy.min_step_m), depth_m - self.depth_m))
+            step_m = max(self.accuracy.relative_step * to_focus_m, self.accuracy.min_step_m)
+            self._step(min(step_m, depth_m - self.depth_m))
 
     def _step(self, step_m: float) -> None:
         """Advance by ``step_m``: half of the diffraction, the steepening of the wave, the other half of diffraction.
@@ -250,24 +251,25 @@ class _March:
         self.depth_m += step_m
 
     def _set_nodes_across_beam(self) -> None:
-        """Set the nodes across the beam at the present depth, and the tables of J0 from spectra to pressures there.
+        """Set the nodes across the beam at the present depth, and the tables that transform spectra to pressures there.
 
         The nodes fill a window around the beam: ``radius_m`` with quadrature weights ``radius_weight_m2`` (of r dr) and
-        ``taper``, 1 inside and falling to 0 at the window's edge. ``j0_fundamental`` and ``j0_higher`` (node, wave
-        number) are the tables of the fundamental and of the higher harmonics. Nothing changes while the window stays
-        the same.
+        ``taper``, 1 inside and falling to 0 at the window's edge. The transform from wave numbers q to radii r is a
+        Hankel transform: its tables ``j0_fundamental`` and ``j0_higher`` (node, wave number) hold J0(q r) of the
+        fundamental and of the higher harmonics. Nothing changes while the window stays the same.
         """
         from scipy.special import j0
 
         bowl = self.transducer
         edge_m = abs(1 - self.depth_m / bowl.focal_length_m) * bowl.diameter_m / 2
         reach_m = max(edge_m + _WINDOW_MARGIN_M, _MIN_WINDOW_M)
-        # Rounded up, so that few windows are computed.
+        # Rounded up, so that the tables change only a few times on the way to the focus and behind it.
         grid_m = 0.75e-3 if reach_m < 6e-3 else 3e-3
         window_m = grid_m * math.ceil(reach_m / grid_m)
         if self._window == (window_m, self.active_harmonics):
             return
         self._window = (window_m, self.active_harmonics)
+        # Harmonic n has wave numbers across the beam up to n times ``panel_per_m``.
         largest_wave_number = max(self.active_harmonics * self.panel_per_m, abs(self.k[0]))
         count = _nodes(window_m * largest_wave_number) + _WINDOW_MARGIN_NODES
         self.radius_m, weight = _gauss(0, window_m, count)

@@ -54,17 +54,20 @@ class Reservation:
         Raises ``EOFError`` if ``peer`` closes its connection meanwhile.
         """
         with self._free:
-            if not self._available(owner, timeout_s, peer):
+            if not self._wait_available(owner, timeout_s, peer):
                 return False
             self._owner = owner
             return True
 
     def wait_until_unlocked(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
-        """Wait at most ``timeout_s`` until no client other than ``owner`` holds the lock; return whether that is so."""
+        """Wait at most ``timeout_s`` until no client other than ``owner`` holds the lock; return whether that is so.
+
+        Raises ``EOFError`` if ``peer``, the connection of ``owner``, closes meanwhile.
+        """
         if self._owner in (None, owner):
             return True
         with self._free:
-            return self._available(owner, timeout_s, peer)
+            return self._wait_available(owner, timeout_s, peer)
 
     def release(self, owner: object) -> bool:
         """Release the lock and return whether ``owner`` held it."""
@@ -79,7 +82,7 @@ class Reservation:
         """Return whether ``owner`` holds the lock."""
         return self._owner == owner
 
-    def _available(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
+    def _wait_available(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
         """Wait until no other owner has the lock; return False after ``timeout_s``.
 
         Raises ``EOFError`` if ``peer`` closes its connection.

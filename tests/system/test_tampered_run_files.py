@@ -171,7 +171,7 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "absent": (lambda path: path.unlink(), "does not exist"),
     "another program's": (attribute("format", "NeXus"), "another program"),
     "a newer version": (attribute("format_version", 99), "newer hpe-rig"),
-    "an older version": (attribute("format_version", 1), "predates"),
+    "an older version": (attribute("format_version", 1), "older than the first supported version, 2"),
     "a version in words": (attribute("format_version", "two"), "is not of type int"),
     "a version in a list": (attribute("format_version", np.arange(5)), "not a single value"),
     "an unknown status": (attribute("status", "perfect"), "status is 'perfect'"),

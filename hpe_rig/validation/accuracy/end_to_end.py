@@ -189,8 +189,8 @@ def displacement(nodes: int, degrees: int) -> FloatArray:
         Contour,
         ForcePulses,
         StepResponse,
-        memory_s,
         panels_of,
+        settling_time_s,
         transfer,
         transient_displacement,
     )
@@ -207,7 +207,7 @@ def displacement(nodes: int, degrees: int) -> FloatArray:
     # Rectangular force pulses at the onset of each burst.
     force = ForcePulses(onset_ps, onset_ps + to_ps(BURST_LENGTH_S), np.full(BURSTS, FORCE_N_PER_M3))
     pulse_ps = np.round((_pulse_s() + FIRST_PULSE_S) * 1e12).astype(np.int64)
-    return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, pulse_ps)
+    return transient_displacement(StepResponse(settling_time_s(specimen, panels), panels), force, pulse_ps)
 
 
 def _rows_of(varied: str, variant: Variant, realisations: Sequence[int], seed: int) -> Iterator[EndToEnd]:

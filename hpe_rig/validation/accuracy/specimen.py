@@ -40,8 +40,8 @@ def _transient_points(case: str, specimen: object) -> Iterator[Point]:
         ForcePulses,
         Panels,
         StepResponse,
-        memory_s,
         panels_of,
+        settling_time_s,
         transfer,
         transient_displacement,
     )
@@ -54,7 +54,7 @@ def _transient_points(case: str, specimen: object) -> Iterator[Point]:
 
     def by_panels(contour: Contour, degrees: int) -> FloatArray:
         panels: Panels = panels_of(lambda s: transfer(specimen, WIDTH_M, s)[:, None], contour, degrees)
-        return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, time_ps)
+        return transient_displacement(StepResponse(settling_time_s(specimen, panels), panels), force, time_ps)
 
     # Reference: more than twice the nodes and degrees of the default setting.
     exact = by_panels(Contour(72, 5.2, 1.5, 0.5), 48)

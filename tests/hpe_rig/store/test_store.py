@@ -158,7 +158,7 @@ def test_blocks_of_a_long_shot_follow_the_placement(setup: Setup, tmp_path: Path
     early, late = block_of(setup, 0, 12, 0.5), block_of(setup, 14, 30, 0.5)
     stored = read_run(written(setup, tmp_path / "run.h5", early, replace(late, first_record=12))).records
     gate, visited = slice(100, 130), list[np.ndarray]()
-    held, by_block = stored.gated(0, gate, margin=5), stored.shot_blocks(0, gate, 5, 0, visited.append)
+    held, by_block = stored.gated(0, gate, margin=5), stored.gated_or_stored(0, gate, 5, 0, visited.append)
     np.testing.assert_array_equal(held.valid, by_block.valid)
     assert np.flatnonzero(~held.valid).tolist() == [12, 13, 44, 45, 46, 47]
     for pulses in (slice(0, 48), slice(10, 15), slice(12, 14), slice(44, 48)):
@@ -176,7 +176,7 @@ def test_an_error_in_the_processing_of_a_block_is_not_called_damage(
         raise error
 
     with pytest.raises(type(error)) as caught:
-        stored.shot_blocks(0, slice(100, 130), 5, 0, fail)
+        stored.gated_or_stored(0, slice(100, 130), 5, 0, fail)
     assert caught.value is error
 
 

@@ -161,9 +161,9 @@ def test_damage_is_listed_by_shot(path: Path) -> None:
 
 def test_echoes_of_a_long_shot_that_change_after_their_verification_are_refused(path: Path) -> None:
     records = read_run(path).records
-    shot = records.shot_blocks(1, slice(100, 120), 5, max_samples=0)
+    shot = records.gated_or_stored(1, slice(100, 120), 5, max_samples=0)
     expected = shot.block(slice(None))
-    np.testing.assert_array_equal(expected, records.shot_blocks(1, slice(100, 120), 5).block(slice(None)))
+    np.testing.assert_array_equal(expected, records.gated_or_stored(1, slice(100, 120), 5).block(slice(None)))
     flipped(path, "records/echo", (1, 130, 7))
     np.testing.assert_array_equal(shot.block(slice(0, 123)), expected[:123])
     with pytest.raises(StoreError, match="shot 2 was changed while it was read"):

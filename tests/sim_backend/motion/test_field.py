@@ -219,8 +219,8 @@ def test_the_tabulated_bessel_function_is_the_libraries(ray, farthest):
 
 def test_a_pulse_of_force_is_over_when_its_response_is(gelatin):
     step = gelatin.response
-    assert step.memory_s < 0.1
-    late_s = np.geomspace(step.memory_s, 1.0, 50)
+    assert step.settling_time_s < 0.1
+    late_s = np.geomspace(step.settling_time_s, 1.0, 50)
     rest = step.panels.at(np.array([1e3]))
     # to a tenth of the tolerance of 1e-5
     assert np.abs(step.panels.at(late_s) - rest).max() < 1e-6 * np.abs(rest).max()

@@ -69,7 +69,9 @@ def test_the_loss_of_a_shock_is_the_missing_energy() -> None:
 
 
 def test_a_weak_beam_is_the_linear_field_to_1e_6_of_its_focus() -> None:
-    beam = nonlinear_beam(BOWL, [LOSSLESS], FREQUENCY_HZ, 1.0, Accuracy(harmonics=4, step=0.2, min_step_m=2e-3))
+    beam = nonlinear_beam(
+        BOWL, [LOSSLESS], FREQUENCY_HZ, 1.0, Accuracy(harmonics=4, relative_step=0.2, min_step_m=2e-3)
+    )
     there = beam.depth_m > 50e-3
     axial_m = beam.depth_m[there] - BOWL.focal_length_m
     exact = bowl_pressure(BOWL, 2 * np.pi * FREQUENCY_HZ / SPEED + 0j, np.zeros(1), axial_m)[:, 0]
@@ -78,7 +80,7 @@ def test_a_weak_beam_is_the_linear_field_to_1e_6_of_its_focus() -> None:
 
 def test_an_interface_and_attenuation_act_as_on_a_plane_wave() -> None:
     heavy = replace(LOSSLESS, density_kg_per_m3=1500.0, attenuation_db_per_cm_mhz=0.5, attenuation_power=1.0)
-    coarse = Accuracy(harmonics=4, step=0.2, min_step_m=2e-3)
+    coarse = Accuracy(harmonics=4, relative_step=0.2, min_step_m=2e-3)
     water = replace(LOSSLESS, thickness_m=60e-3)
     plain = nonlinear_beam(BOWL, [water, LOSSLESS], FREQUENCY_HZ, 1.0, coarse)
     layered = nonlinear_beam(BOWL, [water, heavy], FREQUENCY_HZ, 1.0, coarse)
@@ -93,7 +95,7 @@ def test_a_weak_push_is_equivalent_to_its_own_gaussian() -> None:
     """A beam that is a Gaussian force on the nodes gives back that force."""
     specimen = Specimen(preset="bovine_muscle")
     layers = path(specimen, Propagation(), SPEED, 70e-3)
-    coarse = Accuracy(harmonics=4, step=0.1, min_step_m=0.4e-3)
+    coarse = Accuracy(harmonics=4, relative_step=0.1, min_step_m=0.4e-3)
     beam = nonlinear_beam(BOWL, layers, FREQUENCY_HZ, 1e3, coarse)
     depth_m, lateral_m, volume, _ = beam.force_at
     width_m = (0.34e-3, 0.34e-3, 3.6e-3)
@@ -142,7 +144,7 @@ def test_the_force_of_a_carrier_is_the_push_of_that_carrier_computed_once(monkey
 
     def counted(*given: Any) -> Beam:
         marched.append(given[2])
-        return nonlinear_beam(*given[:4], Accuracy(harmonics=8, step=0.2, min_step_m=2e-3))
+        return nonlinear_beam(*given[:4], Accuracy(harmonics=8, relative_step=0.2, min_step_m=2e-3))
 
     monkeypatch.setattr("sim_backend.transducer.push.nonlinear_beam", counted)
     specimen = Specimen(force_density_n_per_m3=2.345e6)

@@ -50,8 +50,8 @@ def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
     shot, records = run.plan.shots[0], run.stored.records
     gate, margin = shot.gate, margin_needed(run.scene, shot)
     checked: list[np.ndarray] = []
-    held = records.shot_blocks(0, gate, margin)
-    blocked = records.shot_blocks(0, gate, margin, max_samples=0, visit=lambda codes: checked.append(codes.copy()))
+    held = records.gated_or_stored(0, gate, margin)
+    blocked = records.gated_or_stored(0, gate, margin, max_samples=0, visit=lambda codes: checked.append(codes.copy()))
     gated = records.gated(0, gate)
     np.testing.assert_array_equal(np.concatenate(checked), gated.codes)
     of_codes, of_blocks = (conditioning.code_statistics(gated.codes), conditioning.gate_statistics(blocked))
@@ -78,8 +78,8 @@ def test_volts_in_blocks_give_the_same_motion_as_volts_in_memory(
 def test_codes_of_a_long_shot_in_the_file_equal_those_in_memory(tmp_path: Path) -> None:
     run = measure(load_scene("table-1").with_({"tracking.pulse_count": 300}), path=tmp_path / "run.h5")
     gate, margin = run.plan.shots[0].gate, margin_needed(run.scene, run.plan.shots[0])
-    expected = run.stored.records.shot_blocks(0, gate, margin).block(slice(None))
-    stored = run.stored.records.shot_blocks(0, gate, margin, max_samples=0)
+    expected = run.stored.records.gated_or_stored(0, gate, margin).block(slice(None))
+    stored = run.stored.records.gated_or_stored(0, gate, margin, max_samples=0)
     for pulses in (slice(None), slice(3, 17), slice(290, 400), slice(5, 5)):
         np.testing.assert_array_equal(stored.block(pulses), expected[pulses])
 
@@ -88,7 +88,7 @@ def test_spectra_in_a_temporary_file_give_the_same_motion(tmp_path: Path, monkey
     settings = {"tracking.pulse_count": 400, "processing.window_start_s": 2e-3}
     run = measure(load_scene("table-1").with_(settings), path=tmp_path / "run.h5")
     shot = run.plan.shots[0]
-    records = run.stored.records.shot_blocks(0, shot.gate, margin_needed(run.scene, shot), max_samples=0)
+    records = run.stored.records.gated_or_stored(0, shot.gate, margin_needed(run.scene, shot), max_samples=0)
     echoes = shot_echoes(run.scene, shot, records, select(run.scene, shot))
     # invalid pulses in every block of volts
     echoes = echoes.without(np.arange(echoes.valid.size) % 7 == 3)
