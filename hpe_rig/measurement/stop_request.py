@@ -36,7 +36,7 @@ def request_stop(run_file: Path) -> None:
     """
     stored = read_run(run_file)
     if stored.status != "running" or is_locked(run_file) is False:
-        how = "without a status, its program was killed" if stored.status == "running" else stored.status
+        how = "its program was killed" if stored.status in ("running", "killed") else stored.status
         raise StoreError(f"the run in {run_file} has ended ({how}): there is nothing to stop. Try: reload the page.")
     write_stop(run_file, stored.run_id)
 

@@ -44,7 +44,8 @@ def time_base_uncertainty(scene: Scene, bench: BenchFile, shot: Shot) -> tuple[f
         slope_m_per_s = 2 * np.pi * wanted_hz * amplitude_m
         information = float(slope_m_per_s @ slope_m_per_s) * time_s.size * float(np.var(time_s)) / (2 * noise_m**2)
         posterior_u = 1 / math.sqrt(1 / prior_u**2 + information)
-    posterior_u = predicted_uncertainty(shot, posterior_u) or posterior_u
+    if _second_input_is_connected(bench):
+        posterior_u = predicted_uncertainty(shot, posterior_u) or posterior_u
     # The phase is stated at time zero, the rate acts about the mean time of the pulses.
     mean_s = float(time_s.mean()) if time_s.size else 0.0
     return prior_u, posterior_u, np.asarray(2 * np.pi * wanted_hz * abs(mean_s) * posterior_u)
@@ -62,3 +63,13 @@ def time_base_text(scene: Scene, bench: BenchFile, shot: Shot) -> Iterator[str]:
         f"time base: clocks of {prior_u * 1e6:.2g} ppm, {posterior_u * 1e6:.2g} ppm after the fit, add u of the phase "
         f"of {phases}"
     )
+    if shot.capture.monitor_range_v is not None and shot.toneburst and not _second_input_is_connected(bench):
+        yield (
+            "time base: digitizer.monitor_range_v is set, but no cable leads the tonebursts to the second input, which "
+            'would measure their rate; add a [[wiring]] with source = "toneburst.output" and target = '
+            '"digitizer.channel_b" to the bench file'
+        )
+
+
+def _second_input_is_connected(bench: BenchFile) -> bool:
+    return not math.isnan(bench.path_delay_s("toneburst.output", "digitizer.channel_b"))

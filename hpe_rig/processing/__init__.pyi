@@ -62,6 +62,7 @@ from .shot_fitting import (
     shot_prior as shot_prior,
 )
 from .shot_tracking import (
+    DAMAGED as DAMAGED,
     NO_RECORDS as NO_RECORDS,
     margin_needed as margin_needed,
     samples_needed as samples_needed,

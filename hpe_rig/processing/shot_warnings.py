@@ -190,6 +190,17 @@ def clock_warnings(
             "clock_accuracy and common_reference of the two explain: correct them in the bench file, or check the "
             "10 MHz reference"
         )
+    # The correction depends on the clocks of motion and pulses alone. The rate by a third clock, the digitizer's, helps
+    # to find the wrong one.
+    also = ""
+    if (by_digitizer := time_base.by_digitizer) is not None:
+        also = f" ({_ppm_text(by_digitizer.value, by_digitizer.uncertainty)} of the digitizer's)"
+    if time_base.bursts_differ:
+        yield (
+            f"the burst generator's clock is {_ppm_text(error.value, error.uncertainty)} of the tracking train's{also}"
+            ", more than clock_accuracy and common_reference of the two explain: correct them in the bench file, or "
+            "check the 10 MHz reference"
+        )
     if not time_base.is_uncertain or abs(error.value) <= SIGNIFICANT * error.uncertainty:
         return
     # Times that are wrong by e t shift a phase by 2 pi f e t, on average that of the mean time.
@@ -197,14 +208,9 @@ def clock_warnings(
     worst = max(estimates, key=lambda item: item.frequency_hz / max(item.headline.phase_uncertainty_rad, 1e-300))
     shift_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
     if shift_rad > u_rad:
-        # The correction depends on the clocks of motion and pulses alone. The rate by a third clock, the digitizer's,
-        # helps to find the wrong one.
-        also = ""
-        if (by_digitizer := time_base.by_digitizer) is not None:
-            also = f" ({_ppm_text(by_digitizer.value, by_digitizer.uncertainty)} of the digitizer's)"
         subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
         beyond = ""
-        if time_base.exceeds_accuracy:
+        if time_base.exceeds_accuracy and not time_base.bursts_differ:
             beyond = ", more than clock_accuracy explains"
             if time_base.by_tonebursts is None:
                 beyond += ", unless its delay grows as in tissue that warms"

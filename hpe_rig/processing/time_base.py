@@ -53,7 +53,8 @@ class TimeBase:
     ``by_pulses``: all that is known of it. ``by_clocks``: what is known before the displacement is analysed.
     ``tracking_rate``: rate of the pulses measured with the digitizer's clock, None if it was not measured.
     ``differs_from_bench``: that rate is off by more than the clocks' accuracies explain. ``by_tonebursts``: the rate
-    error that the second input measured, None if it did not.
+    error that the second input measured, None if it did not. ``bursts_differ``: that error is larger than the stated
+    accuracies explain.
     """
 
     by_pulses: RateError
@@ -61,6 +62,7 @@ class TimeBase:
     tracking_rate: TrackingRate | None
     differs_from_bench: bool = False
     by_tonebursts: RateError | None = None
+    bursts_differ: bool = False
 
     @property
     def exceeds_accuracy(self) -> bool:
@@ -164,7 +166,12 @@ def timed_motion(
         window = replace(window, tracked=with_rate_error(window.tracked, error.value), coherent=coherent)
     rate = records.tracking_rate
     differs = rate is not None and clocks is not None and differs_from_bench(clocks, rate)
-    return window, TimeBase(error, by_clocks, rate, differs, by_tonebursts)
+    # The accuracies alone: ``by_clocks`` is wider if the pulses already differ from the digitizer.
+    stated_u = prior_rate_error(scene, clocks, None).uncertainty
+    bursts_differ = by_tonebursts is not None and abs(error.value) > SIGNIFICANT * math.hypot(
+        stated_u, error.uncertainty
+    )
+    return window, TimeBase(error, by_clocks, rate, differs, by_tonebursts, bursts_differ)
 
 
 def measured_error(tonebursts: ToneburstPhases, by_clocks: RateError, by_displacement: RateError) -> RateError | None:

@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Sequence
 
+from hpe_rig.result.repeats import setting_of
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.values import Estimate, Headline, ShotResult
 
@@ -17,7 +18,8 @@ PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"), (1e-12, "p"))
 def headline_sentence(result: ResultData) -> str:
     """Return the result in one sentence, at the frequency with the largest amplitude.
 
-    One setting: its mean over repeats, or its only shot. Several settings: the range of their amplitudes.
+    One setting: its mean over repeats, or its only shot. Several settings, or shots without a mean: the range of their
+    amplitudes.
     """
     kind = result.origin.partition(", SHA")[0].replace("SIMULATED", "simulated").replace("IMPORTED", "imported")
     shots = [shot for shot in result.shots if shot.estimates]
@@ -42,7 +44,9 @@ def headline_sentence(result: ResultData) -> str:
     span = " to ".join(
         with_u(item.amplitude_m / scale, item.amplitude_uncertainty_m / scale) for item in (smallest, largest)
     )
-    return f"{span} {unit} at {frequency_hz:g} Hz ({quantity}) over {len(values)} settings{source}"
+    settings = len({setting_of(shot) for shot in shots})
+    over = f" over {settings} settings" if settings > 1 else ""
+    return f"{span} {unit} at {frequency_hz:g} Hz ({quantity}){over}{source}"
 
 
 def _single_sentence(value: Headline, frequency_hz: float, quantity: str) -> str:

@@ -60,7 +60,12 @@ def estimate_shots(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estim
 
 def no_estimate(stored: StoredRun, why: str) -> StoreError:
     """Return the error of a run without estimates."""
-    return StoreError(f"{stored.path} cannot be estimated ({why}). Try: another estimator, or more records.")
+    from hpe_rig.processing import DAMAGED
+
+    remedy = "another estimator, or more records"
+    if DAMAGED in why:
+        remedy = "another copy of the file, or hpe-rig resume, which measures damaged shots again"
+    return StoreError(f"{stored.path} cannot be estimated ({why}). Try: {remedy}.")
 
 
 def estimate_profile(

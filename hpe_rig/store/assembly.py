@@ -31,6 +31,7 @@ from hpe_rig.store.checksum import blank, crc
 from hpe_rig.store.datasets import AT_ONCE, BY_SHOT
 from hpe_rig.store.foreign_hdf5 import InvalidContentError
 from hpe_rig.store.format import LIBVER, STATUS_BYTES, STATUSES, StoreError
+from hpe_rig.store.lock import is_locked
 from hpe_rig.store.log import (
     CODES,
     STATUS,
@@ -95,16 +96,21 @@ def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
     """Return the log ``path``, open as ``stream``, as if it were the finished HDF5 file, with its checked content.
 
     An HDF5 file in memory has everything but the echoes, which are read from ``stream``. The last ``MAX_VIEWS`` of
-    these files are kept until their log changes. Raises ``InvalidContentError`` for a damaged log.
+    these files are kept until their log changes. A log with records that no program has locked is that of a killed run.
+    Raises ``InvalidContentError`` for a damaged log.
     """
+    # Before the log is read: a run that ends in between has written its status.
+    is_unlocked = is_locked(path) is False
     status = os.fstat(stream.fileno())
-    key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+    key = (path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, is_unlocked)
     if key not in _views:
         log = read_log(stream)
         if log is None:
             raise InvalidContentError("the start of the log is damaged")
         checked = _empty_run(CheckedFile(_open_image(log.image), log.size, log.damaged_bytes))
-        view = checked, _fill(checked, log.frames, stream, STATUSES[0])
+        # A log without frames may be that of a run that is just starting and has not locked it yet.
+        status_without_frame = KILLED if is_unlocked and log.frames else STATUSES[0]
+        view = checked, _fill(checked, log.frames, stream, status_without_frame)
         while len(_views) >= MAX_VIEWS:
             # Not closed, as another thread may still read it: it closes with its last reference.
             _views.pop(next(iter(_views)), None)

@@ -207,7 +207,7 @@ def test_a_run_that_was_killed_cannot_be_asked_to_stop_and_goes_on_at_once(setup
     if not pid:
         during(setup, path, lambda: os.kill(os.getpid(), signal.SIGKILL))
     os.waitpid(pid, 0)
-    assert read_run(path).status == "running"
+    assert read_run(path).status == "killed"
     with pytest.raises(StoreError, match="its program was killed"):
         request_stop(path)
     # The system has released its lock.

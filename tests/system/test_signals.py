@@ -115,7 +115,7 @@ main()
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, cwd=tmp_path, check=False)
     assert done.returncode == -signal.SIGKILL
     left = read_run(tmp_path / "run.h5")
-    assert left.status == "running"
+    assert left.status == "killed"
     assert not left.records[0].valid.all()
     again = subprocess.run(
         [sys.executable, "-m", "hpe_rig", "run", "table-1", "--output", "run.h5"],

@@ -15,6 +15,13 @@ from hpe_rig.prediction.linear_fit import echo_noise_m
 from hpe_rig.prediction.time_base import time_base_uncertainty
 from hpe_rig.processing import Motion, RateError, estimate_rate_error, spec_of
 
+MONITORED = "[digitizer]\nmonitor_range_v = 4.0"
+CHANNEL_B = """
+[[wiring]]
+source = "toneburst.output"
+target = "digitizer.channel_b"
+"""
+
 
 def test_the_predicted_rate_uncertainty_is_that_of_the_fit() -> None:
     scene = hpe.load_scene("free-running-clocks")
@@ -49,7 +56,7 @@ def test_tonebursts_at_the_second_input_leave_far_less_if_pulses_fall_into_them(
     tmp_path: Path, pulse_rate_hz: float
 ) -> None:
     file = tmp_path / "bench.toml"
-    file.write_text(read_bench().text.replace("[digitizer]", "[digitizer]\nmonitor_range_v = 4.0"), encoding="utf-8")
+    file.write_text(read_bench().text.replace("[digitizer]", MONITORED) + CHANNEL_B, encoding="utf-8")
     scene = hpe.load_scene("free-running-clocks").with_({"tracking.pulse_rate_hz": pulse_rate_hz})
     without, monitored = (
         time_base_uncertainty(scene, bench, make_plan(scene, bench).shots[0])[1]
@@ -61,3 +68,18 @@ def test_tonebursts_at_the_second_input_leave_far_less_if_pulses_fall_into_them(
         # 40 records, uniform over 1 s, rounded to 10 ns.
         assert monitored == pytest.approx(10e-9 / np.sqrt(12) * np.sqrt(12) / np.sqrt(40), rel=0.03)
         assert monitored < without / 100
+
+
+def test_a_second_input_without_a_cable_promises_nothing_and_its_cable_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    scene = hpe.load_scene("free-running-clocks")
+    lines = []
+    for cable in ("", CHANNEL_B):
+        file.write_text(read_bench().text.replace("[digitizer]", MONITORED) + cable, encoding="utf-8")
+        bench = read_bench(file).bench
+        lines.append(list(time_base_text(scene, bench, make_plan(scene, bench).shots[0])))
+    shipped = read_bench().bench
+    assert lines[0][:1] == list(time_base_text(scene, shipped, make_plan(scene, shipped).shots[0]))
+    assert 'target = "digitizer.channel_b"' in lines[0][1]
+    assert len(lines[1]) == 1
+    assert lines[1] != lines[0][:1]

@@ -16,7 +16,7 @@ from hpe_rig.bench import read_bench
 from hpe_rig.processing.estimators import spec_of
 from hpe_rig.processing.harmonics.rate_error import RateError
 from hpe_rig.processing.shot_tracking import read_shot
-from hpe_rig.processing.shot_warnings import toneburst_warnings
+from hpe_rig.processing.shot_warnings import clock_warnings, toneburst_warnings
 from hpe_rig.processing.time_base import TimeBase, clocks_of, measured_error, timed_motion
 from hpe_rig.processing.toneburst_phases import (
     ToneburstPhases,
@@ -213,3 +213,19 @@ def test_with_a_linear_drift_a_rate_within_the_accuracies_is_no_contradiction(ru
     assert time_base.by_tonebursts is not None
     assert time_base.by_pulses.value == pytest.approx(TRUE_ERROR, abs=0.1 * PPM)
     assert not time_base.exceeds_accuracy
+
+
+def test_bursts_beyond_the_stated_accuracies_are_named_also_if_the_pulses_are(run: hpe.Run) -> None:
+    scene, shot, (found,) = run.scene, run.plan.shots[0], run.estimate().shots
+    records, motion = read_shot(scene, shot, run.stored), spec_of("coherent").motion
+    texts = []
+    for clocks in (np.eye(3) * (0.05 * PPM) ** 2, clocks_of(scene, run.stored)):
+        _, time_base = timed_motion(scene, shot, records, motion, clocks, None)
+        assert time_base.by_tonebursts is not None
+        warnings = clock_warnings(time_base, found.estimates, shot.timeline.pulse_onset_s, True)
+        texts.append([text for text in warnings if "clock_accuracy" in text])
+    by_digitizer, bursts = texts[0]
+    assert by_digitizer.startswith("by the digitizer's clock the tracking train is 6.0")
+    assert bursts.startswith("the burst generator's clock is 5.799 +- 0.022 ppm fast")
+    # 5.8 ppm between clocks of 2 ppm are 2.05 u.
+    assert not texts[1]

@@ -82,7 +82,7 @@ WHOLE = [(100 * shot + np.arange(RECORDS) + 1).tolist() for shot in range(3)]
 def test_the_log_of_a_killed_run_is_read_and_becomes_a_run_file_when_it_is_opened(path: Path) -> None:
     assert path.read_bytes().startswith(SIGNATURE)
     stored = read_run(path)
-    assert (stored.status, stored.shot_complete.tolist(), codes(path)) == ("running", [True, True, False], WHOLE)
+    assert (stored.status, stored.shot_complete.tolist(), codes(path)) == ("killed", [True, True, False], WHOLE)
     assert not verify(path).damage
     assert is_log(path)
     assert open_run(path).stored.status == "killed"
@@ -122,6 +122,7 @@ def test_damaged_records_of_a_log_are_reported_and_it_stays_a_log(path: Path) ->
     assert any("fail their checksums" in str(damage) and damage.shot == 1 for damage in verify(path).damage)
     recover(path)
     assert is_log(path)
+    assert verify(path).status == open_run(path).stored.status == "killed"
     assert codes(path)[0] == WHOLE[0]
     assert prepare_resumption(path).complete == 1
 

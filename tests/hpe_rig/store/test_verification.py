@@ -5,6 +5,7 @@ Bits are flipped in the file's bytes, behind the back of everything that knows o
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -202,6 +203,13 @@ def test_a_file_that_is_cut_short_says_so_and_its_end_counts_as_missing(
     assert any("fail their checksums" in text for shot in result.shots for text in shot.warnings) or any(
         "fail their checksums" in why for _, why in result.shots_without_result
     )
+
+
+def test_a_run_of_which_every_record_is_damaged_asks_for_another_copy(path: Path) -> None:
+    for shot, record in itertools.product(range(3), range(0, 400, 123)):
+        flipped(path, "records/echo", (shot, record, 7))
+    with pytest.raises(StoreError, match=r"fail their checksums.*Try: another copy of the file, or hpe-rig resume"):
+        process(path)
 
 
 def test_a_file_of_an_earlier_release_is_read_and_said_to_have_no_checksums(tmp_path: Path) -> None:
