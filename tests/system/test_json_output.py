@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
+
+PrintedBy = Callable[[str], Any]
 
 SCENE = """
 title = "One line"
@@ -37,7 +40,7 @@ keys = {"tracking.pulse_rate_hz" = [2000.0]}
 SMALL = ["table-1", "--set", "tracking.pulse_count=48", "--set", "acquisition.record_samples=256"]
 SERIES = ["--scene", "s.toml", "--set", "pulse_rate_hz=4e3"]
 ECHOES = [*SERIES, "--set", "axes=pulse,sample", "--set", "sample_rate_hz=50e6", "--set", "carrier_hz=9e6"]
-MOTION = [*SERIES, "--set", "axes=line,pulse", "--set", "quantity=displacement_m", "--figure", "map.png"]
+MOTION = [*SERIES, "--set", "axes=line,pulse", "--set", "quantity=displacement_m", "-o", "map.nc"]
 COMMANDS = {
     "run": [*SMALL, "-o", "second.h5"],
     "process": ["run.h5"],
@@ -81,6 +84,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
+@pytest.fixture(scope="module")
+def printed_by(folder: Path) -> PrintedBy:
+    """Return the JSON document of a command, which is run once for all tests."""
+
+    @cache
+    def run(command: str) -> Any:
+        done = CliRunner().invoke(app, [command, *COMMANDS[command], "--json"])
+        assert done.exit_code == 0, done.output
+        # JSON has neither NaN nor infinity.
+        return json.loads(done.stdout, parse_constant=pytest.fail)
+
+    return run
+
+
 def test_every_command_with_json_is_tried() -> None:
     commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
     options = {name: {text for item in command.params for text in item.opts} for name, command in commands.items()}
@@ -88,27 +105,22 @@ def test_every_command_with_json_is_tried() -> None:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_standard_output_is_one_json_document(command: str, folder: Path) -> None:
-    done = CliRunner().invoke(app, [command, *COMMANDS[command], "--json"])
-    assert done.exit_code == 0, done.output
-    # JSON has neither NaN nor infinity.
-    printed = json.loads(done.stdout, parse_constant=pytest.fail)
+def test_standard_output_is_one_json_document(command: str, printed_by: PrintedBy) -> None:
+    printed = printed_by(command)
     assert printed
     if command in EXPECTED_KEYS:
         assert set(printed) == EXPECTED_KEYS[command]
 
 
-def test_json_states_the_values_of_the_table(folder: Path) -> None:
-    (run,) = json.loads(CliRunner().invoke(app, ["queue", "table-1", "-o", "again", "--json"]).stdout)["runs"]
-    (row,) = json.loads(CliRunner().invoke(app, ["list", "again", "--json"]).stdout)
+def test_json_states_the_values_of_the_table(printed_by: PrintedBy) -> None:
+    (run,) = printed_by("queue")["runs"]
+    (row,) = json.loads(CliRunner().invoke(app, ["list", "night", "--json"]).stdout)
     assert (run["scene"], run["state"], run["frequency_hz"]) == ("table-1", "done", 200.0)
     assert run["amplitude_m"] == row["lead"]["amplitude_m"]
-    (text,) = CliRunner().invoke(app, ["import", "rf.npy", *ECHOES, "-o", "text.h5"]).stdout.splitlines()[-1:]
-    inferred = CliRunner().invoke(app, ["import", "rf.npy", *ECHOES, "-o", "2.h5"]).stdout.splitlines()[:-1]
-    printed = json.loads(CliRunner().invoke(app, ["import", "rf.npy", *ECHOES, "-o", "3.h5", "--json"]).stdout)
-    assert (printed["inferred"], printed["run_file"]) == (inferred, "3.h5")
+    *inferred, text = CliRunner().invoke(app, ["import", "rf.npy", *ECHOES, "-o", "text.h5"]).stdout.splitlines()
+    assert printed_by("import") == {"inferred": inferred, "run_file": "rf.h5"}
     assert text.startswith("text.h5: ")
-    (pixels,) = json.loads(CliRunner().invoke(app, ["map", "u.npy", *MOTION, "--json"]).stdout)["frequencies"]
+    (pixels,) = printed_by("map")["frequencies"]
     assert pixels["median_amplitude_m"] == pytest.approx(1e-6)
     assert pixels["frequency_hz"] == 200.0
 
