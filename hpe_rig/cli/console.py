@@ -159,9 +159,9 @@ def print_version(requested: bool) -> None:
 
 def print_json(value: Any) -> None:
     """Print ``value`` as JSON."""
-    import json
+    from hpe_rig.result import json_text
 
-    typer.echo(json.dumps(value, indent=2))
+    typer.echo(json_text(value, indent=2))
 
 
 def show(result: Result, options: ResultOptions) -> None:

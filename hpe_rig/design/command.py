@@ -63,16 +63,19 @@ def write_design(
     comparison = compare(design, request.draws, request.seed)
     show(json.dumps(comparison.as_dict(), indent=2) if request.json else "\n".join(comparison.lines()))
     show_file = announce if request.json else show
-    command = f"hpe-rig design {request.scene} --minimise {request.minimise} --over {request.over}"
+    bench = "" if request.bench is None else f" --bench {request.bench}"
+    command = f"hpe-rig design {request.scene}{bench} --minimise {request.minimise} --over {request.over}"
     if request.report:
         from hpe_rig.design.page import write_page
 
         announce("computing the goal over each number")
         page = write_page(design, comparison, request.scene, command, report_progress)
         show_file(f"{page}: open it in any browser")
-    if request.output is not None:
+    if request.output is not None and design.best.values:
         write_file(request.output, f"# {command}\n{edited_text(text, design.best.values)}", overwrite=False)
-        show_file(f"{request.output}: hpe-rig check {request.output}")
+        show_file(f"{request.output}: hpe-rig check {request.output}{bench}")
+    elif request.output is not None:
+        show_file(f"{request.output}: not written, {request.scene} stays the best scene")
 
 
 def _problem(request: Request) -> tuple[Problem, str]:

@@ -65,15 +65,14 @@ def write_page(
     )
     sections = (_before_and_after(comparison), curves)
     facts = {"command": command, **versions()}
-    title = f"A better scene: {scene.title}"
-    write_file(path, render_sections(title, _introduction(design, comparison), sections, facts))
+    write_file(path, render_sections(f"Design: {scene.title}", _introduction(design, comparison), sections, facts))
     return path
 
 
 def _introduction(design: DesignResult, comparison: Comparison) -> tuple[str, ...]:
     row = GOAL_LABELS[design.problem.goal].row
     before, after = next((before, after) for name, before, after in comparison.outcome_rows() if name == row)
-    headline = f"{_capitalised(row)}: {after} instead of {before}."
+    headline = f"{_capitalised(row)}: {f'{after} instead of {before}' if design.best.values else before}."
     return (
         headline,
         f"{_capitalised(comparison.request)}.",

@@ -159,8 +159,10 @@ class RecordingSettings(Section):
             raise ValueError("an axis is named twice: each of line, shot, pulse, sample, iq at most once")
         if self.quantity is not None and "pulse" in axes:
             return self
-        if "sample" not in axes or ("pulse" not in axes and self.record_samples is None):
-            raise ValueError('axes lacks pulse or sample: both are needed, such as axes = "line,pulse,sample"')
+        consecutive = self.record_samples is not None
+        needed = {"pulse": not consecutive, "sample": consecutive or self.quantity is None}
+        if missing := [axis for axis, is_needed in needed.items() if is_needed and axis not in axes]:
+            raise ValueError(f'axes lacks {" and ".join(missing)}, such as axes = "line,pulse,sample"')
         return self
 
     @model_validator(mode="after")

@@ -144,13 +144,15 @@ class Comparison:
         largest = max(self.results, key=lambda row: row.change_over_u)
         settings = self.varied_settings()[largest.setting]
         where = "".join(f", {name} = {value}" for name, value in settings.items())
-        alike = f", {if_alike} if position, beams and specimen are the same" if if_alike else ""
-        return (
-            f"{differing or 'none'} of {plural(len(verdicts), 'result')} {'differ' if differing > 1 else 'differs'}"
-            f"{alike}; most changed at {largest.frequency_hz:g} Hz{where}: amplitude "
+        text = (
+            f"{_differ(differing, len(verdicts))}; most changed at {largest.frequency_hz:g} Hz{where}: amplitude "
             f"{100 * largest.amplitude_change:+z.1f} % ({abs(largest.amplitude_change_over_u):.1f} u), phase "
             f"{math.degrees(largest.phase_change_rad):+z.2f} deg ({abs(largest.phase_change_over_u):.1f} u)"
         )
+        if if_alike:
+            count_if_alike = _differ(differing + if_alike, len(verdicts))
+            text += f". If position, beams and specimen are the same in both runs, {count_if_alike}"
+        return text
 
     def varied_settings(self) -> dict[str, dict[str, str]]:
         """Return, for the text of every setting, the values by name that differ between the settings."""
@@ -175,6 +177,13 @@ class Comparison:
         ``ax``: four axes, amplitude and phase above their differences; ``figsize`` of a new figure, inches.
         """
         return _figure(self, ax, figsize)
+
+
+def _differ(count: int, total: int) -> str:
+    """Return that ``count`` of ``total`` results differ."""
+    if not count:
+        return "the only result does not differ" if total == 1 else f"none of {total} results differs"
+    return f"{count} of {plural(total, 'result')} {'differs' if count == 1 else 'differ'}"
 
 
 def comparison_schema() -> dict[str, Any]:
@@ -348,8 +357,12 @@ def _single(value: Any) -> Any:
 
 
 def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every value of nested tables by its path; a list of plain values is one value."""
-    if isinstance(value, Mapping):
+    """Yield every value of nested tables by its path; a list of plain values is one value, a cable is another."""
+    if isinstance(value, Mapping) and value.keys() >= {"source", "target"}:
+        # By its two ends and not its number, so that a removed cable does not change those after it.
+        properties = (f"{name} = {item}" for name, item in value.items() if name not in ("source", "target"))
+        yield f"cable {value['source']} -> {value['target']}", ", ".join(properties) or "delay_s = 0.0"
+    elif isinstance(value, Mapping):
         for name, item in value.items():
             yield from _flat(item, f"{path}.{name}" if path else name)
     elif isinstance(value, list) and any(isinstance(item, Mapping | list) for item in value):

@@ -31,7 +31,7 @@ from .repeats import (
     repeat_means as repeat_means,
 )
 from .result import Result as Result
-from .result_data import json_values as json_values, shot_warnings as shot_warnings
+from .result_data import json_text as json_text, json_values as json_values, shot_warnings as shot_warnings
 from .rows import result_csv as result_csv
 from .sentence import (
     estimate_at as estimate_at,

@@ -12,7 +12,7 @@ import numpy as np
 from hpe_rig.arrays import ByteArray, FloatArray
 from hpe_rig.result.sentence import scale_of
 from hpe_rig.result.tables import package_of_extra
-from hpe_rig.scene import engineering, plural
+from hpe_rig.scene import MIN_LENGTH_M, engineering, plural
 
 if TYPE_CHECKING:
     import xarray
@@ -69,10 +69,13 @@ class MotionMap:
             if count := numbers["pixels_excluded"][kind.name.lower()]:
                 yield f"{plural(count, 'pixel')} excluded: {why}"
         for row in numbers["frequencies"]:
+            u_m = row["median_amplitude_uncertainty_m"]
+            # Values that were computed instead of measured have a residual of rounding errors.
+            u_text = "below 1 fm" if u_m < MIN_LENGTH_M else engineering(u_m, "m", 3)
             yield (
                 f"{row['frequency_hz']:g} Hz: amplitude {engineering(row['median_amplitude_m'], 'm')} in the median of "
                 f"the pixels, {engineering(row['amplitude_at_95_percent_m'], 'm')} at 95 %, "
-                f"median u {engineering(row['median_amplitude_uncertainty_m'], 'm', 3)}"
+                f"median u {u_text}"
             )
 
     def summary(self) -> dict[str, Any]:

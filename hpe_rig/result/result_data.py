@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -112,6 +113,11 @@ def _merged_warning(by_shot: dict[int, str], shots: int) -> str:
     first, text = next(iter(by_shot.items()))
     example = "" if len(set(by_shot.values())) == 1 else f"such as in shot {first}, "
     return f"shot {numbers}: {example}{text}"
+
+
+def json_text(value: Any, indent: int | None = None) -> str:
+    """Return ``value`` as JSON text, with null for infinite numbers and NaN."""
+    return json.dumps(json_values(value), indent=indent, allow_nan=False)
 
 
 def json_values(value: Any) -> Any:

@@ -55,12 +55,12 @@ def export_run(
     gaps = [f"shot {shot + 1}: {plural(count, 'missing record')}" for shot, count in missing.items() if count]
     lateral_offset_m = np.array([shot.lateral_offset_m for shot in selected])
     if key := differing_setting(echoes.pulse_time_s, lateral_offset_m):
-        again = f"for other programs only: its shots differ in {key}, and hpe-rig import needs one value of it. "
-        again += f"Try: hpe-rig export {run.path} --shot for shots of one {key}"
+        advice = f"for other programs only: its shots differ in {key}, and hpe-rig import needs one value of it. "
+        advice += f"Try: hpe-rig export {run.path} --shot for shots of one {key}"
     else:
         option = " --set not_finite=missing" if gaps else ""
-        again = f"hpe-rig import {path} --scene SCENE{option} reads it again"
-    return (*omitted, *gaps, f"{path}: {again}")
+        advice = f"hpe-rig import {path} --scene SCENE{option} reads it again"
+    return (*omitted, *gaps, f"{path}: {advice}")
 
 
 def _format_of(path: Path, file_format: ExportFormat | None) -> ExportFormat:

@@ -75,7 +75,12 @@ from .settings_file import (
     read_settings_text as read_settings_text,
     unreadable as unreadable,
 )
-from .units import engineering as engineering, length_m as length_m, plural as plural
+from .units import (
+    MIN_LENGTH_M as MIN_LENGTH_M,
+    engineering as engineering,
+    length_m as length_m,
+    plural as plural,
+)
 from .usual_values import forgotten_units as forgotten_units, shipped_scenes as shipped_scenes
 from .validation import (
     Section as Section,

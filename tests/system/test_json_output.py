@@ -40,7 +40,7 @@ keys = {"tracking.pulse_rate_hz" = [2000.0]}
 SMALL = ["table-1", "--set", "tracking.pulse_count=48", "--set", "acquisition.record_samples=256"]
 SERIES = ["--scene", "s.toml", "--set", "pulse_rate_hz=4e3"]
 ECHOES = [*SERIES, "--set", "axes=pulse,sample", "--set", "sample_rate_hz=50e6", "--set", "carrier_hz=9e6"]
-MOTION = [*SERIES, "--set", "axes=line,pulse", "--set", "quantity=displacement_m", "-o", "map.nc"]
+MOTION = [*SERIES, "--set", "axes=line,pulse", "--set", "quantity=displacement_m", "--figure", "map.png"]
 COMMANDS = {
     "run": [*SMALL, "-o", "second.h5"],
     "process": ["run.h5"],

@@ -108,8 +108,21 @@ def resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     needed_s = 1 / float(gaps_hz.min()) if gaps_hz.min() > 0 else math.inf
     good = window_s >= needed_s * (1 - 1e-9) and window_s * rate_hz >= 2 * len(frequencies_hz) + 2
     text += f", the closest frequencies are {gaps_hz.min():g} Hz apart"
-    remedy = f"a window of at least {needed_s * 1e3:.4g} ms (tracking.pulse_count), or frequencies further apart"
+    keys = _keys_of_window(scene, window_s, train_s, needed_s)
+    remedy = f"a window of at least {needed_s * 1e3:.4g} ms ({keys}), or frequencies further apart"
     yield pass_or_refuse("resolution", good, text, remedy)
+
+
+def _keys_of_window(scene: Scene, window_s: float, train_s: float, needed_s: float) -> str:
+    """Return the keys that lengthen the processing window of ``window_s`` to ``needed_s``."""
+    start_s = scene.processing.window_start_s
+    if window_s < train_s - start_s:
+        return "processing.window_length_s"
+    bursts = scene.excitation is not None and scene.tracking.pulse_count is None
+    train = "more excitation.burst_count" if bursts else "more tracking.pulse_count"
+    if start_s > 0 and needed_s <= train_s:
+        return f"processing.window_start_s of at most {(train_s - needed_s) * 1e3:.4g} ms, or {train}"
+    return train
 
 
 def fit_size(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

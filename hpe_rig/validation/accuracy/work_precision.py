@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import csv_text, figure_bytes, label_decades, mappings, mark, text_table
+from hpe_rig.result import csv_text, figure_bytes, json_text, label_decades, mappings, mark, text_table
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable, write_file
 
@@ -129,7 +128,7 @@ def write_rows(
         if output is None:
             show(as_text(computed).rstrip("\n"))
         else:
-            text = json.dumps(mappings(computed), indent=1) + "\n" if output.suffix == ".json" else csv_text(computed)
+            text = json_text(mappings(computed), indent=1) + "\n" if output.suffix == ".json" else csv_text(computed)
             write_file(output, text)
             show(f"{output}: {len(computed)} rows")
     if figure is not None:

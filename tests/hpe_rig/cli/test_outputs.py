@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from hpe_rig.cli import stored
 from hpe_rig.cli.app import app
+from hpe_rig.cli.console import print_json
 from hpe_rig.store import StoreError, result_path
 
 SCENE = """
@@ -146,3 +149,9 @@ def test_the_figure_is_written_if_the_map_cannot_be(folder: Path, monkeypatch: p
     assert done.exit_code != 0
     assert "No space left on device" in done.output
     assert (folder / "a.png").stat().st_size > 1000
+
+
+def test_numbers_that_are_not_finite_are_null_in_json(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json({"change_over_u": math.inf, "rows": [(math.nan, -math.inf, 1.5)]})
+    printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert printed == {"change_over_u": None, "rows": [[None, None, 1.5]]}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from hpe_rig.bench import read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, write_design
 from hpe_rig.design.comparison import _Outcome, _unconfirmed_gains, compare
@@ -319,13 +320,26 @@ def test_pulses_are_worth_what_the_fit_makes_of_them() -> None:
 
 
 def test_the_command_writes_a_scene_that_check_passes(tmp_path: Path) -> None:
-    output = tmp_path / "better.toml"
+    output, bench = tmp_path / "better.toml", tmp_path / "bench.toml"
+    bench.write_text(read_bench(None).text, encoding="utf-8")
     words = ["design", "table-1", "--over", "pulse_count", "--longest-s", "0.03", "--draws", "32"]
+    words += ["--bound", "pulse_count=40:60", "--bench", str(bench)]
     result = CliRunner().invoke(app, [*words, "--output", str(output)])
     assert result.exit_code == 0, result.output
     assert "jitter, simulated" in result.output
     assert "pulse_length_m = 1.32e-3    # 1.71 us" in output.read_text(encoding="utf-8")
     assert prepare(str(output)).plan.duration_s <= 0.03
+    assert result.output.endswith(f"hpe-rig check {output} --bench {bench}\n")
+    assert f" --bench {bench} " in output.read_text(encoding="utf-8").splitlines()[0]
+
+
+def test_without_a_better_scene_none_is_written_or_suggested(tmp_path: Path) -> None:
+    output, shown = tmp_path / "better.toml", list[str]()
+    request = Request(scene="table-1", over="pulse_count", bounds=("pulse_count=99:101",), draws=0, output=output)
+    write_design(request, shown.append, print, print)
+    assert "no scene within the limits is better than the starting scene" in shown[0]
+    assert shown[-1] == f"{output}: not written, table-1 stays the best scene"
+    assert not output.exists()
 
 
 def test_a_predicted_gain_that_the_simulation_lacks_is_said() -> None:

@@ -429,7 +429,7 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "three axes of two": ("a.npy", RF, GOOD, "are 2 axes, 'a' has 3"),
     "unstated order": ("a.npy", RF[0], _without("axes"), "the order of axes"),
     "axis twice": ("a.npy", RF[0], {**GOOD, "axes": "pulse,pulse"}, "named twice"),
-    "no pulse axis": ("a.npy", RF[0], {**GOOD, "axes": "line,sample"}, "lacks pulse or sample"),
+    "no pulse axis": ("a.npy", RF[0], {**GOOD, "axes": "line,sample"}, "axes lacks pulse, such as"),
     "unknown axis": ("a.npy", RF[0], {**GOOD, "axes": "pulse,depth"}, "not one of the choices"),
     "iq of three": ("a.npy", RF[0][..., :3, None].repeat(3, -1), {**GOOD, "axes": "pulse,sample,iq"}, "length of 3"),
     "one pulse": ("a.npy", RF[0, :1], GOOD, "1 pulses of 160 samples carry no motion"),

@@ -102,6 +102,12 @@ def test_lengths_of_the_summary_have_a_fitting_prefix(scene: Path) -> None:
     assert "median u " in text
 
 
+def test_a_residual_of_rounding_errors_is_no_length_in_the_summary(scene: Path) -> None:
+    assert str(hpe.map_motion(displacement_m(), scene, quantity="displacement_m", **SETTINGS)).endswith(
+        "median u below 1 fm"
+    )
+
+
 def test_pixels_without_values_are_marked(scene: Path) -> None:
     values = displacement_m()
     values[0, 0, 3], values[1, 1] = np.nan, 0.0
@@ -132,7 +138,7 @@ def refusals() -> list[tuple[dict[str, Any], NDArray[Any], str]]:
         (good, motion * 1j, "the values are complex"),
         (without_step, motion, "depth_step_m: the distance of the samples in depth is not stated"),
         ({key: value for key, value in good.items() if key != "quantity"}, motion, "depth_step_m belongs to a motion"),
-        (good | {"axes": "line,sample,iq"}, motion, "axes lacks pulse or sample"),
+        (good | {"axes": "line,sample,iq"}, motion, "axes lacks pulse, such as"),
         (good | {"pulse_rate_hz": 300.0}, motion, "pulse rate"),
     ]
 

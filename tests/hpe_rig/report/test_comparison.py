@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.report import compare_runs
-from hpe_rig.report.comparison import _probability
+from hpe_rig.report.comparison import _flat, _probability
 from hpe_rig.result.svg import ON_DARK
 
 
@@ -63,6 +63,9 @@ def test_other_speckle_differs_only_if_the_place_were_the_same(runs: tuple[Path,
     (row,) = found.results
     assert row.verdict == "differs if alike"
     assert row.p_noise < 1e-6 < 0.01 < row.p_all
+    first, second = found.sentence().split(". If ")
+    assert first.startswith("the only result does not differ; most changed at 200 Hz: amplitude ")
+    assert second == "position, beams and specimen are the same in both runs, 1 of 1 result differs"
 
 
 def test_half_the_motion_is_told_from_chance_whatever_else_differs(runs: tuple[Path, Path, Path]) -> None:
@@ -101,6 +104,13 @@ def test_the_probability_is_that_of_chi_square_with_two_degrees_of_freedom(ampli
     assert found == pytest.approx(chdtrc(2, amplitude**2 + phase**2), rel=1e-12)
     assert _probability((0.0, 0.0), (0.0, 0.0)) == 1.0
     assert _probability((1.0, 0.0), (0.0, 1.0)) == 0.0
+
+
+def test_a_removed_cable_is_one_difference_and_leaves_the_others_as_they_are() -> None:
+    cables = [{"source": f"a{index}.output", "target": "b.trigger", "delay_s": 5e-9} for index in range(3)]
+    before, after = dict(_flat({"wiring": cables})), dict(_flat({"wiring": cables[1:]}))
+    assert before.items() - after.items() == {("cable a0.output -> b.trigger", "delay_s = 5e-09")}
+    assert after.items() <= before.items()
 
 
 def test_repeats_are_compared_by_their_means_and_what_has_no_partner_is_named(

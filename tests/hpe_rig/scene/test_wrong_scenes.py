@@ -69,6 +69,8 @@ WRONG = [
     ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 4050.0", ["synchronous", "40.5", "tracking.pulse_rate_hz = 4000"]),
     ("[processing]", "[processing]\nfrequencies_hz = [100.0, 2000.0]", ["aliasing", "2000 Hz", "4000 Hz"]),
     ("[processing]", "[processing]\nfrequencies_hz = [100.0, 101.0]", ["resolution", "1 Hz apart", "1000 ms"]),
+    ("window_start_s = 50e-3", "window_start_s = 195e-3", ["window_start_s of at most 190 ms, or more excitation."]),
+    ("[processing]", "[processing]\nwindow_length_s = 5e-3", ["resolution", "10 ms (processing.window_length_s)"]),
     ("[processing]", "[processing]\nwindow_length_s = 0.5", ["window", "200 ms", "tracking.pulse_count"]),
     ("[processing]", '[processing]\nestimator = "fast"', ["processing.estimator", "'fast'", "'coherent'"]),
     ("synchronous = true", 'synchronous = "yes"', ["processing.synchronous", "'yes'", "true or false"]),
