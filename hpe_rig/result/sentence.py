@@ -38,15 +38,19 @@ def headline_sentence(result: ResultData) -> str:
     quantity = "corrected" if values[0].corrected else "as tracked"
     if len(values) == 1:
         return _single_sentence(values[0], frequency_hz, quantity) + source
+    settings = len({setting_of(shot) for shot in shots})
+    over = f" over {settings} settings" if settings > 1 else ""
+    return _range_sentence(values, frequency_hz, quantity) + over + source
+
+
+def _range_sentence(values: Sequence[Headline], frequency_hz: float, quantity: str) -> str:
     by_amplitude = operator.attrgetter("amplitude_m")
     smallest, largest = min(values, key=by_amplitude), max(values, key=by_amplitude)
     scale, unit = scale_of(largest.amplitude_m)
     span = " to ".join(
         with_u(item.amplitude_m / scale, item.amplitude_uncertainty_m / scale) for item in (smallest, largest)
     )
-    settings = len({setting_of(shot) for shot in shots})
-    over = f" over {settings} settings" if settings > 1 else ""
-    return f"{span} {unit} at {frequency_hz:g} Hz ({quantity}){over}{source}"
+    return f"{span} {unit} at {frequency_hz:g} Hz ({quantity})"
 
 
 def _single_sentence(value: Headline, frequency_hz: float, quantity: str) -> str:
