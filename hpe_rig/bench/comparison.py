@@ -82,9 +82,9 @@ def _differences(where: str, before: Mapping[str, Any], after: Mapping[str, Any]
 
 
 def _equal(first: Any, second: Any) -> bool:
-    if not isinstance(first, int | float) or not isinstance(second, int | float) or bool in (type(first), type(second)):
-        return bool(first == second)
-    return math.isclose(first, second, rel_tol=RELATIVE_TOLERANCE)
+    if isinstance(first, int | float) and isinstance(second, int | float):
+        return math.isclose(first, second, rel_tol=RELATIVE_TOLERANCE)
+    return bool(first == second)
 
 
 def _words_and_unit(key: str) -> tuple[str, str]:

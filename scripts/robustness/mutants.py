@@ -1,8 +1,8 @@
 """Faults for `mutation.py`: which nodes of the source can be mutated and how, and which mutants a run tries.
 
 A mutant is a comparison at equality or inverted, `+` for `-`, `*` for `/`, `and` for `or`, a `not` or a sign removed,
-another number (integers by 1, others by 10 %), another truth value, or None returned. Messages, log calls, annotations,
-decorators and `__all__` are not mutated.
+another number (integers by 1, others by 10 %), another truth value, None returned, or a call removed that is a
+statement. Messages, log calls, annotations, decorators and `__all__` are not mutated.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _is_skipped(node: ast.AST) -> bool:
     match node:
         case ast.JoinedStr() | ast.Return(ast.JoinedStr()) | ast.Assign([ast.Name("__all__")]):
             return True
-        case ast.Call(ast.Attribute(ast.Name("_LOG"))):
+        case ast.Call(ast.Attribute(ast.Name("_LOG"))) | ast.Expr(ast.Call(ast.Attribute(ast.Name("_LOG")))):
             return True
         case ast.keyword(arg=name):
             return name in SKIPPED_KEYWORDS
@@ -171,6 +171,8 @@ def _replacements(node: ast.AST) -> Iterator[ast.AST]:
             yield ast.Constant(value - 1)
         case ast.Constant(float() as value):
             yield ast.Constant(value * 1.1 or 1.0)
+        case ast.Expr(ast.Call()):
+            yield ast.Pass()
         case ast.Return(ast.expr() as value) if not (isinstance(value, ast.Constant) and value.value is None):
             yield ast.Return(ast.Constant(None))
 

@@ -7,14 +7,16 @@ import re
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import lock
-from hpe_rig.bench.lock import BenchInUseError, holder_of, lock_folder, locked
+from hpe_rig.bench import hold, lock, parse_bench, read_bench, resources
+from hpe_rig.bench.lock import BenchInUseError, exclusive, holder_of, lock_folder, locked
 
 NAME = "An instrument of this test"
 CHILD = f"from hpe_rig.bench.lock import locked\nwith locked([{NAME!r}]): pass"
@@ -178,3 +180,53 @@ def test_a_lock_without_room_for_its_holder_excludes_others(path: Path, monkeypa
     monkeypatch.setattr(os, "write", full)
     with locked([NAME]), pytest.raises(BenchInUseError, match="another program"), locked([NAME]):
         pass
+
+
+def test_a_real_bench_locks_each_generator_by_name_and_text_each_serial_number_and_its_board(
+    real_bench: Callable[..., Path],
+) -> None:
+    path = real_bench(("board_id = 1", "board_id = 2"), address="TCPIP::127.0.0.1::{}::SOCKET")
+    bench = parse_bench("metal", path.read_text("utf-8").replace('serial = "none"', 'serial = "MY7"', 1)).bench
+    names = [f"TCPIP::127.0.0.1:{port}" for port in range(10, 15)]
+    assert resources(bench) == sorted([*names, "serial number MY7", "Alazar system 1 board 2"])
+    assert resources(bench, resolve=False) == resources(bench)
+    assert resources(read_bench().bench) == []
+    with exclusive(bench):
+        assert all(holder_of(name) for name in resources(bench))
+    assert not any(holder_of(name) for name in resources(bench))
+    with locked([names[0]]), exclusive(read_bench().bench):
+        pass
+    with locked([names[0]]), pytest.raises(BenchInUseError) as refused, exclusive(bench):
+        pass
+    assert (refused.value.resource, refused.value.role) == (names[0], "bench")
+    assert f"process {os.getpid()} " in refused.value.holder
+    # A lock that was taken before the refused one is released.
+    assert holder_of("Alazar system 1 board 2") is None
+
+
+def test_locks_held_for_several_runs_are_taken_once_and_released_by_the_one_that_took_them() -> None:
+    with hold([NAME]):
+        with hold([NAME, "another"]), locked([NAME, "another"]):
+            assert holder_of("another")
+        assert holder_of("another") is None
+        assert holder_of(NAME)
+    assert holder_of(NAME) is None
+    with locked([NAME]), pytest.raises(BenchInUseError), locked([NAME]):
+        pass
+
+
+def test_a_lock_left_by_a_crashed_program_is_taken_over_with_an_announcement(path: Path, capsys: Any) -> None:
+    announced = list[str]()
+    path.write_text("process 1 (hpe-rig run), since yesterday", "utf-8")
+    words = "the bench was left locked by process 1 (hpe-rig run), since yesterday, which has ended: taken over"
+    with locked([NAME], announced.append):
+        assert announced == [words]
+        assert f"process {os.getpid()} " in path.read_text("utf-8")
+    assert path.read_text("utf-8") == ""
+    with locked([NAME], announced.append):
+        pass
+    assert announced == [words]
+    path.write_text("process 1", "utf-8")
+    with locked([NAME]):
+        pass
+    assert capsys.readouterr().err == "hpe-rig: the bench was left locked by process 1, which has ended: taken over\n"

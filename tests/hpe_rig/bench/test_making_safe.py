@@ -11,9 +11,17 @@ import pytest
 from typer.testing import CliRunner
 
 from drivers.agilent.generator import Agilent33250A
+from drivers.interfaces import InstrumentError
 from drivers.visa import PrologixAdapter, VisaConnection
-from hpe_rig.bench import TRANSPORTS
-from hpe_rig.bench.instruments import UnsafeBenchError, make_safe
+from hpe_rig.bench import TRANSPORTS, open_bench, read_bench
+from hpe_rig.bench.instruments import (
+    SAFE_ORDER,
+    DigitizerNotIdleError,
+    UnsafeBenchError,
+    has_tried,
+    make_safe,
+    proven_off,
+)
 from hpe_rig.cli.app import app
 from sim_backend.generator.instrument import Generator33250A
 from sim_backend.transports import Emulator
@@ -113,3 +121,96 @@ def test_only_outputs_are_named_as_driving() -> None:
     assert first_line == "THE BENCH MAY STILL BE DRIVING: not proven off: master"
     assert caught.value.roles == ("master", "digitizer")
     assert "no answer" in str(caught.value)
+
+
+class AnsweringInstrument(DeadInstrument):
+    """An instrument whose answers are ``proof`` or, from the first call on, exceptions; counts the calls."""
+
+    def __init__(self, role: str, *answers: Any, bus: str = "") -> None:
+        super().__init__(role)
+        self.bus, self.calls = bus, list[str]()
+        self._answers = iter(answers)
+
+    def _answer(self, call: str) -> Any:
+        self.calls.append(call)
+        answer = next(self._answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def switch_off(self) -> None:
+        self._answer("switch_off")
+
+    def prove_off(self) -> str:
+        return str(self._answer("prove_off"))
+
+    def make_safe(self) -> str:  # type: ignore[override]
+        return str(self._answer("make_safe"))
+
+
+@pytest.mark.parametrize("bus", ["", "GPIB0"])
+def test_an_instrument_without_proof_is_made_safe_once_more_whatever_the_first_attempts_raised(bus: str) -> None:
+    lost, proof = InstrumentError("master", "lost", "why", "what"), "read back as off"
+    sure = AnsweringInstrument("toneburst", None, proof, bus=bus)
+    again = AnsweringInstrument("master", OSError("gone"), lost, proof, bus=f"{bus}2" if bus else "")
+    proofs = make_safe([sure, again])  # type: ignore[list-item]
+    assert proofs == {"toneburst": proof, "master": proof}
+    assert sure.calls == ["switch_off", "prove_off"]
+    assert again.calls == ["switch_off", "prove_off", "make_safe"]
+    never = AnsweringInstrument("master", None, OSError("first"), lost, bus=bus)
+    board = AnsweringInstrument("digitizer", None, "idle", bus=bus)
+    with pytest.raises(UnsafeBenchError) as caught:
+        make_safe([never, board])  # type: ignore[list-item]
+    error = caught.value
+    assert (error.roles, error.reasons, error.proven) == (("master",), {"master": str(lost)}, {"digitizer": "idle"})
+    assert error.tried == (never, board)
+    assert str(error).splitlines()[1:] == [
+        "  master: lost. Why. Try: what.",
+        "Switch these outputs off by hand, now; programmed trains are finite and end by themselves.",
+        "Known to be off: digitizer idle.",
+    ]
+
+
+def test_a_board_that_is_busy_does_not_hide_that_outputs_are_off_and_a_retry_of_others_is_known() -> None:
+    board = AnsweringInstrument("digitizer", None, OSError("a"), OSError("busy"))
+    sure = AnsweringInstrument("toneburst", None, "read back as off")
+    with pytest.raises(DigitizerNotIdleError) as caught:
+        make_safe([sure, board])  # type: ignore[list-item]
+    error = caught.value
+    assert "it is not verified to be idle (busy)" in str(error)
+    assert "it drives nothing; off, verified: toneburst read back as off" in str(error)
+    assert (error.proven, list(error.reasons)) == ({"toneburst": "read back as off"}, ["digitizer"])
+    instruments: Any = [sure, board, AnsweringInstrument("master")]
+    assert has_tried(error, instruments[:2])
+    assert not has_tried(error, instruments)
+    assert not has_tried(OSError(), [])
+
+
+def test_outputs_without_an_identified_instrument_are_named_and_the_digitizer_is_not() -> None:
+    proof = "read back as off"
+    roles = ("master", "toneburst", "digitizer")
+    both = {"master": proof, "toneburst": proof}
+    assert proven_off(roles, both) == f"every output is off, verified: master, toneburst {proof}"
+    assert proven_off(roles, {"master": proof}) == (
+        f"not identified, so not proven off: toneburst: look whether it is on; the others are off, verified: "
+        f"master {proof}"
+    )
+    assert proven_off(roles, {}) == (
+        "not identified, so not proven off: master, toneburst: look whether they are on; there are no others"
+    )
+
+
+def test_changes_of_settings_errors_and_instruments_without_answer_are_named_after_a_shot() -> None:
+    with open_bench(None, read_bench().bench, SAFE_ORDER) as bench:
+        settings = {item.role: item.snapshot() for item in bench.instruments}
+        assert bench.world is not None
+        assert bench.changed_since(settings) == ()
+        bench.world.connect("toneburst").write("OUTP:SYNC 0;NONSENSE")
+        assert bench.changed_since(settings) == (
+            "toneburst generator: sync output on in the settings before the shot, off in those after it",
+            "toneburst: error queue: -113 Undefined header",
+        )
+        assert [item.role for item in bench.generators] == [
+            "master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"
+        ]  # fmt: skip
+        assert [item.role for item in bench.instruments] == list(SAFE_ORDER)

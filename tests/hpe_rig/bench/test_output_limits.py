@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import read_bench
 from hpe_rig.bench.opening import open_bench
-from hpe_rig.bench.output_limits import setting_mistakes
+from hpe_rig.bench.output_limits import Drive, drive_mistakes, require_within_limits, setting_mistakes
 from hpe_rig.measurement import prepare, program_shot
 
 BENCH = read_bench().bench
@@ -74,3 +75,47 @@ def test_an_excess_is_refused_before_any_output_is_enabled() -> None:
             program_shot(setup.plan.shots[0], bench)
         assert bench.world is not None
         assert not any(bench.world.outputs_on().values())
+
+
+def test_a_value_at_its_limit_is_within_it_and_the_next_percent_is_not() -> None:
+    """Limits of the shipped bench: duty 0.05, 250 us, 200 bursts, 2 Vpp; 300 cycles of 3 MHz last 100 us."""
+    toneburst = BENCH.generators.by_role["toneburst"].model_copy(update={"carrier_band_hz": (1e6, 4e6)})
+    bench = BENCH.model_copy(update={"generators": BENCH.generators.model_copy(update={"toneburst": toneburst})})
+    usual = Drive("toneburst", 3e6, 300, 1.0, 100.0, 50)
+    assert usual.duty == pytest.approx(0.01)
+    at_limits = [
+        ({"trigger_rate_hz": 500.0}, "max_duty"),
+        ({"cycles": 750.0}, "max_burst_length_s"),
+        ({"bursts": 200.0}, "max_bursts"),
+        ({"amplitude_vpp": 2.0}, "max_drive_vpp or max_vpp"),
+        ({"carrier_hz": 4e6}, "carrier_band_hz"),
+    ]
+    for changes, key in at_limits:
+        ((name, value),) = changes.items()
+        assert list(drive_mistakes(bench, replace(usual, **changes))) == []
+        # A rounding of the setting is no excess.
+        assert list(drive_mistakes(bench, replace(usual, **{name: value * (1 + 5e-7)}))) == []
+        beyond = list(drive_mistakes(bench, replace(usual, **{name: value * 1.01})))
+        assert [(found, text.partition(":")[0]) for found, text in beyond] == [(key, "toneburst")]
+    assert list(drive_mistakes(bench, replace(usual, carrier_hz=1e6 * (1 - 5e-7), cycles=10))) == []
+    low = [key for key, _ in drive_mistakes(bench, replace(usual, carrier_hz=0.99e6, cycles=10))]
+    assert low == ["carrier_band_hz"]
+    weaker = toneburst.model_copy(update={"max_vpp": 0.5, "carrier_band_hz": None})
+    bench = BENCH.model_copy(update={"generators": BENCH.generators.model_copy(update={"toneburst": weaker})})
+    assert [key for key, _ in drive_mistakes(bench, usual)] == ["max_drive_vpp or max_vpp"]
+    unlimited = BENCH.model_copy(update={"limits": BENCH.limits.model_copy(update={"max_drive_vpp": None})})
+    assert list(drive_mistakes(unlimited, replace(usual, amplitude_vpp=1e3))) == []
+
+
+def test_only_outputs_at_a_transducer_are_limited_and_a_missing_trigger_has_rate_zero(settings: dict[str, Any]) -> None:
+    master = settings | {"master": {**settings["master"], "burst_on": False}}
+    assert list(setting_mistakes(BENCH, master)) == []
+    alone = {"tracking_pulser": settings["tracking_pulser"]}
+    assert list(setting_mistakes(BENCH, alone)) == []
+    endless = {"toneburst": {**settings["toneburst"], "burst_mode": "GAT"}}
+    assert list(setting_mistakes(BENCH, endless)) == [
+        "toneburst: its output reads back as no counted burst on an external trigger"
+    ]
+    with pytest.raises(InstrumentError, match="toneburst: its output reads back") as refused:
+        require_within_limits(BENCH, endless)
+    assert refused.value.role == "bench"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
-from hpe_rig.bench import open_bench
-from hpe_rig.measurement import Progress, Setup, ShotBlock, Step, acquire, prepare_text, program_shot
+from drivers.interfaces import InstrumentError
+from hpe_rig.bench import Bench, open_bench
+from hpe_rig.measurement import Progress, Setup, ShotBlock, Step, acquire, prepare_text, program_shot, sequencer
+from hpe_rig.measurement.sequencer import ShotReady
 from hpe_rig.scene import shipped_scenes
 
 # Two tonebursts and 16 pulses on prescribed motion: every instrument is used, the physics costs nothing.
@@ -135,3 +138,89 @@ def test_outputs_and_settings_are_read_back_once_after_a_short_train(
         for _ in acquire(replace(setup.plan, shots=setup.plan.shots[:1]), bench):
             pass
     assert len(looked) == 1
+
+
+def events_of(
+    setup: Setup, at: Step, commands: Mapping[str, str], records: bool = False, **changes: object
+) -> tuple[list[str], int]:
+    """Return the events of one shot and its number of records; another program sends ``commands`` at the step ``at``.
+
+    ``records``: after the first records of that step instead of at its start.
+    """
+    events, count = list[str](), 0
+    plan = replace(setup.plan, shots=setup.plan.shots[:1], **changes)  # type: ignore[arg-type]
+    with open_bench(setup.scene.scene, setup.bench.bench, plan.roles) as bench:
+
+        def observe(progress: Progress) -> None:
+            if progress.step is at and bool(progress.records) == records and bench.world is not None:
+                for role, command in commands.items():
+                    bench.world.connect(role).write(command)
+
+        try:
+            for event in acquire(plan, bench, observe):
+                events.append(type(event).__name__)
+                count += event.block.codes.shape[0] if isinstance(event, ShotBlock) else 0
+                assert bench.world is not None
+                if not isinstance(event, ShotBlock | ShotReady):
+                    assert not any(bench.world.outputs_on().values())
+        except InstrumentError as error:
+            events.append(str(error))
+        assert not any(bench.world.outputs_on().values())
+    return events, count
+
+
+def test_a_setting_that_another_program_changes_during_a_shot_makes_it_untrusted(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = {"toneburst": "VOLT 0.3"}
+    names = ["ShotReady", "ShotBlock", "ShotSettingsChanged", "ShotUntrusted"]
+    events, count = events_of(setup, Step.COLLECT, changed)
+    assert (list(dict.fromkeys(events))[:-1], count) == (names, 16)
+    assert events[-1].startswith("bench: shot 1 is not to be trusted: toneburst: settings after the shot: ")
+    assert 'acquisition.changed_settings = "continue" accepts changes' in events[-1]
+    events, _ = events_of(setup, Step.COLLECT, changed, stops_on_changed_settings=False)
+    assert list(dict.fromkeys(events)) == [*names, "ShotDone"]
+    # In a long shot the settings are read back between records, and a change ends it.
+    monkeypatch.setattr(sequencer, "RECHECK_INTERVAL_S", 0.0)
+    assert events_of(setup, Step.COLLECT, {}) == (["ShotReady", *["ShotBlock"] * 8, "ShotDone"], 16)
+    events, count = events_of(setup, Step.COLLECT, changed, records=True)
+    assert (events[:-1], count) == (names, 2)
+
+
+def test_missing_records_are_an_error_unless_some_came_or_a_change_explains_it(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    off = {"tracking_train": "OUTP 0"}
+    events, count = events_of(setup, Step.FIRE, off)
+    assert (events[:-1], count) == (["ShotReady", "ShotUntrusted"], 0)
+    assert "tracking_train" in events[-1]
+    monkeypatch.setattr(Bench, "recheck", lambda bench: ())
+    events, count = events_of(setup, Step.FIRE, off)
+    assert (events[0], count) == ("ShotReady", 0)
+    assert "0 of 16 records delivered by the deadline" in events[-1]
+    shots = setup.plan.shots
+    longer = replace(shots[0], capture=replace(shots[0].capture, record_count=24))
+    longer_setup = replace(setup, plan=replace(setup.plan, shots=(longer,)))
+    events, count = events_of(longer_setup, Step.FIRE, {})
+    assert (list(dict.fromkeys(events)), count) == (["ShotReady", "ShotBlock", "ShotDone"], 16)
+
+
+def test_a_control_shot_has_its_toneburst_off_and_the_transducer_moves_once_for_each_offset(setup: Setup) -> None:
+    first, second, third = setup.plan.shots
+    shots = (first, replace(second, is_control=True, lateral_offset_m=1e-3), replace(third, lateral_offset_m=1e-3))
+    moves, outputs = list[tuple[float, bool]](), list[bool]()
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        assert bench.world is not None
+        world = bench.world
+
+        def observe(progress: Progress) -> None:
+            if progress.step is Step.FIRE:
+                outputs.append(world.outputs_on()["toneburst"])
+
+        def move(lateral_offset_m: float) -> None:
+            moves.append((lateral_offset_m, any(world.outputs_on().values())))
+
+        for _ in acquire(replace(setup.plan, shots=shots, shot_period_s=0.0), bench, observe, move):
+            pass
+    assert moves == [(first.lateral_offset_m, False), (1e-3, False)]
+    assert outputs == [True, False, True]

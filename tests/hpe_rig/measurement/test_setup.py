@@ -113,3 +113,35 @@ def test_the_calibration_has_to_be_valid_on_a_stated_day_only() -> None:
         return [finding.level for finding in plan_and_check(scene, expired, day)[1] if "valid_until" in finding.text]
 
     assert (expiries(date(2026, 3, 5)), expiries(date(2026, 3, 6)), expiries(None)) == (["passed"], ["warning"], [])
+
+
+def test_changes_of_settings_are_part_of_the_text_that_is_stored_and_mistakes_are_those_of_the_text_as_written() -> (
+    None
+):
+    setup = prepare("table-1", changes={"tracking.pulse_rate_hz": 5000.0, "acquisition.repeats": 3})
+    assert (setup.scene.scene.tracking.pulse_rate_hz, len(setup.plan.shots)) == (5000.0, 3)
+    assert parse_scene("again", setup.scene.text).scene == setup.scene.scene
+    with pytest.raises(SettingsError, match=r"tracking\.pulse_rate_hz"):
+        prepare("table-1", changes={"tracking.pulse_rate_hz": -1.0})
+
+
+def test_numbers_that_lead_to_no_plan_are_a_mistake_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, bench = prepare("table-1").scene.scene, read_bench().bench
+    for error, words in (
+        (OverflowError("too large"), r"lead to no plan \(too large\)"),
+        (MemoryError(), r"lead to no plan \(more memory than is available\)"),
+    ):
+
+        def fail(scene: object, bench: object, error: Exception = error) -> None:
+            raise error
+
+        monkeypatch.setattr("hpe_rig.measurement.setup.make_plan", fail)
+        with pytest.raises(SettingsError, match=words):
+            plan_and_check(scene, bench)
+
+
+def test_an_imported_recording_is_no_bench_to_measure_on(tmp_path: Path) -> None:
+    recording = f'[recording]\nsource = "a"\nsha256 = "{"0" * 64}"\nformat = "npy"\nfirst_sample_s = 0.0\n'
+    (path := tmp_path / "bench.toml").write_text(f"{read_bench().text}\n{recording}", "utf-8")
+    with pytest.raises(SettingsError, match="describes an imported recording, without instruments"):
+        prepare("table-1", path)

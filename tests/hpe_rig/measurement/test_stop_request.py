@@ -8,8 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.measurement.stop_request import clear_stop, stop_path, stop_requested, write_stop
-from hpe_rig.store import StoreError
+from hpe_rig.measurement import (
+    Progress,
+    Step,
+    StopRequested,
+    clear_stale_stop,
+    prepare,
+    prepare_text,
+    record_run,
+    request_stop,
+    stop_path,
+    stop_requested,
+)
+from hpe_rig.measurement.stop_request import clear_stop, with_stop_requests, write_stop
+from hpe_rig.scene import shipped_scenes
+from hpe_rig.store import StoreError, WriteOptions, new_run_id, read_run
 
 
 def test_a_request_applies_to_its_run_and_an_empty_one_to_any_run(tmp_path: Path) -> None:
@@ -42,3 +55,60 @@ def test_a_name_that_cannot_be_cleared_refuses_the_run_with_its_path(tmp_path: P
     stop_path(tmp_path / "run.h5").mkdir()
     with pytest.raises(StoreError, match=r"run\.h5\.stop has the name of a request to stop this run"):
         clear_stop(tmp_path / "run.h5")
+
+
+def test_a_request_is_looked_for_ten_times_a_second_but_not_once_the_records_of_a_shot_have_arrived(
+    tmp_path: Path,
+) -> None:
+    path, shot, now_s, steps = tmp_path / "run.h5", prepare("table-1").plan.shots[0], [5.0], list[Step]()
+    observe = with_stop_requests(lambda progress: steps.append(progress.step), path, "one", lambda: now_s[0])
+    observe(Progress(Step.COLLECT, shot))
+    write_stop(path, "other")
+    now_s[0] = 6.0
+    observe(Progress(Step.COLLECT, shot))
+    write_stop(path, "one")
+    for later_s in (6.0, 6.09):
+        now_s[0] = later_s
+        observe(Progress(Step.COLLECT, shot))
+    now_s[0] = 6.125
+    observe(Progress(Step.SAFE, shot))
+    with pytest.raises(StopRequested):
+        observe(Progress(Step.COLLECT, shot))
+    assert steps == [Step.COLLECT] * 4 + [Step.SAFE, Step.COLLECT]
+    # The first call looks, however early the clock is.
+    with pytest.raises(StopRequested):
+        with_stop_requests(steps.append, path, clock=lambda: 0.0)(Progress(Step.MOVE, shot))  # type: ignore[arg-type]
+    now_s[0] = 0.0
+    observe = with_stop_requests(lambda progress: None, tmp_path / "none.h5", clock=lambda: now_s[0])
+    observe(Progress(Step.MOVE, shot))
+    write_stop(tmp_path / "none.h5")
+    now_s[0] = 0.1
+    with pytest.raises(StopRequested):
+        observe(Progress(Step.MOVE, shot))
+
+
+def test_a_running_run_is_stopped_after_its_shot_and_one_that_has_ended_cannot_be(tmp_path: Path) -> None:
+    path, run_id = tmp_path / "run.h5", new_run_id()
+    text = shipped_scenes()["table-1"].replace("[acquisition]", "[acquisition]\nrepeats = 2\nrecord_samples = 256")
+
+    def stop(progress: Progress) -> None:
+        if progress.step is Step.SAFE:
+            write_stop(path, "another run")
+            # A program that starts meanwhile leaves the request of a run in progress alone.
+            clear_stale_stop(path)
+            assert stop_requested(path, "another run")
+            request_stop(path)
+
+    with pytest.raises(StopRequested):
+        record_run(
+            prepare_text("two", text), path, with_stop_requests(stop, path, run_id), options=WriteOptions(run_id=run_id)
+        )
+    assert read_run(path).shot_complete.tolist() == [True, False]
+    clear_stop(path, "another run")
+    assert stop_requested(path, run_id)
+    with pytest.raises(StoreError, match=r"run\.h5 has ended \(aborted\): there is nothing to stop"):
+        request_stop(path)
+    clear_stale_stop(path)
+    assert not stop_path(path).exists()
+    with pytest.raises(StoreError, match=r"request to stop cannot be written beside .*Try: Ctrl-C where"):
+        write_stop(tmp_path / "absent" / "run.h5")
