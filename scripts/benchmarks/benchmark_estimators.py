@@ -57,8 +57,7 @@ def compare_harmonic_filters(pulses: int, series: int, repeats: int) -> None:
     columns = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
     filters: dict[str, Compute] = {
         "hpe_rig least_squares": lambda: least_squares(motion, [FREQUENCY_HZ]).state[:, :2],
-        "hpe_rig kalman": lambda: kalman(motion, [FREQUENCY_HZ], innovations=False).state[:, :2],
-        "hpe_rig kalman with innovations": lambda: kalman(motion, [FREQUENCY_HZ]).state[:, :2],
+        "hpe_rig kalman": lambda: kalman(motion, [FREQUENCY_HZ]).state[:, :2],
         "statsmodels": lambda: _statsmodels(columns, data),
         "statsmodels with innovations": lambda: _statsmodels(columns, data, innovations=True),
         "filterpy": lambda: _filterpy(columns, data),

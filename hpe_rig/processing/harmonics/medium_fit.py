@@ -30,7 +30,7 @@ from hpe_rig.processing.harmonics.harmonic_fit import (
     fit_from_state,
     step_covariance,
 )
-from hpe_rig.processing.harmonics.kalman_filter import filter_constant, innovation_correlation
+from hpe_rig.processing.harmonics.kalman_filter import filter_states, innovation_correlation
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.prior_evidence import Evidence, evidence_of
 from hpe_rig.processing.harmonics.projected_prior import ProjectedPrior, project_prior
@@ -257,7 +257,7 @@ def medium_kalman(
         # In units of the noise, with columns scaled by the initial standard deviations.
         prior_sd = PRIOR_WIDENING * scale_m / noise_m
         matrix = np.hstack([prior_sd * projected.factor[projected.repeats], DIFFUSE_STD * projected.background])
-        filtered = filter_constant(matrix, displacement_m / noise_m, 1.0, innovations=True)
+        filtered = filter_states(matrix, displacement_m / noise_m, 1.0)
         coordinates = filtered.state[: projected.wanted_factor.shape[1]]
         states.append(PRIOR_WIDENING * scale_m * projected.wanted_factor @ coordinates)
         innovations.append(filtered.innovations * noise_m)

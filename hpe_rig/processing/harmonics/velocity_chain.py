@@ -21,7 +21,6 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.processing.echo.conditioning import hann
 from hpe_rig.processing.harmonics.harmonic_fit import FitQuality, HarmonicFit, fit_from_state
-from hpe_rig.processing.harmonics.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.harmonics.model import MAX_CONDITION, LinearModel, harmonic_columns, linear_model
 from hpe_rig.processing.motion.displacement import Velocity
 
@@ -140,7 +139,8 @@ def _one_frequency(
     to_displacement = np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
     correction = to_displacement @ np.linalg.inv(response) / (2 * np.pi * f)
     windowed = (band_passed(filled) * window)[..., valid]
-    state = filter_constant(columns[valid], windowed, PRIOR).state @ correction.T
+    # A Kalman filter with a diffuse prior and constant states is least squares.
+    state = windowed @ solver.T @ correction.T
     # Weights of the filled velocities: solver, window and band-pass in reverse order. The band-pass is a symmetric
     # matrix.
     weights = np.zeros((2, valid.size))

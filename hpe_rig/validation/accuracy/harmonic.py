@@ -29,10 +29,9 @@ REALISATIONS = 200
 
 METHODS: dict[str, Callable[[Motion, list[float]], HarmonicFit]] = {
     "least_squares": least_squares,
-    "kalman": lambda motion, f: kalman(motion, f, innovations=False),
-    "kalman_with_nis": kalman,
+    "kalman": kalman,
     "kalman_process_noise": lambda motion, f: kalman(motion, f, process_noise=1e-6),
-    "kalman_acceleration": lambda motion, f: kalman(motion, f, background_order=2, innovations=False),
+    "kalman_acceleration": lambda motion, f: kalman(motion, f, background_order=2),
     "velocity_kalman": lambda motion, f: _fit_velocity(motion, f, with_band_pass=False, with_hann=False),
     "velocity_hann_kalman": lambda motion, f: _fit_velocity(motion, f, with_band_pass=False),
     "velocity_band_pass_hann_kalman": lambda motion, f: _fit_velocity(motion, f),
