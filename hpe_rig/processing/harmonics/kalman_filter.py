@@ -100,7 +100,8 @@ def filter_states(matrix: FloatArray, data: FloatArray, prior: float, change_sd:
     for k, h in enumerate(matrix):
         if change_sd is not None and k:
             # Time update: P + Q has the root [S, sqrt Q]; QR makes it square again.
-            root = np.linalg.qr(np.vstack([root.T, np.diag(change_sd[k])]), mode="r").T
+            triangle: FloatArray = np.asarray(np.linalg.qr(np.vstack([root.T, np.diag(change_sd[k])]), mode="r"))
+            root = triangle.T
         a = root.T @ h
         alpha = 1.0 + a @ a
         gain = root @ a / alpha
