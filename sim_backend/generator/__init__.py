@@ -6,11 +6,9 @@ models           limits of the 33250A and its siblings
 registers        all settings
 levels, timing   settings that change other settings
 kinds            settings as numbers, keywords, switches
-inactive         settings of modulation, sweep and arbitrary waveforms, which have no output in the twin
 commands         the settings by header
 apply            APPLy
-arbitrary        waveforms in memory
-stored_states    states in memory
+state_names      names of the memory locations
 status           error queue and status registers
 machine          the generator as its commands see it
 command_tree     every header of every model

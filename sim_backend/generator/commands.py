@@ -8,7 +8,6 @@ from dataclasses import replace
 from operator import attrgetter
 
 from sim_backend.generator import levels, registers, timing
-from sim_backend.generator.inactive import INACTIVE, INACTIVE_OF_SERIES, off
 from sim_backend.generator.kinds import (
     LimitsOf,
     SettingCommand,
@@ -188,10 +187,6 @@ def _without_argument(**settings: object) -> SettingCommand:
     return SettingCommand(store_settings, None)
 
 
-def _sources(state: Registers) -> list[str]:
-    return ["IMMediate", "EXTernal", "BUS", *(["TIMer"] if state.model.channels else [])]
-
-
 FREQUENCY = numeric("HZ", timing.frequency_limits_hz, "frequency_hz", _put_frequency)
 AMPLITUDE = _amplitude()
 OFFSET = _level(_offset_limits, "offset_v", levels.set_offset)
@@ -232,7 +227,6 @@ SETTINGS: Mapping[str, SettingCommand] = {
         "S", attrgetter("model.burst_period_limits_s"), "burst_period_s", timing.set_burst_period
     ),
     "[SOURce<n>:]BURSt:PHASe": _phase("burst_phase_deg", "burst phase"),
-    "[SOURce<n>:]BURSt:GATE:POLarity": choice("NORMal INVerted", "gate_polarity"),
     "[SOURce<n>:]PHASe[:ADJust]": _phase("phase_deg", "phase"),
     "[SOURce<n>:]PHASe:REFerence": _without_argument(phase_deg=0.0),
     "OUTPut<n>[:STATe]": switch("output"),
@@ -243,19 +237,15 @@ SETTINGS: Mapping[str, SettingCommand] = {
     "OUTPut:SYNC[:STATe]": switch("sync"),
     "OUTPut:TRIGger[:STATe]": switch("trigger_output", timing.set_trigger_output),
     "OUTPut:TRIGger:SLOPe": choice("POSitive NEGative", "trigger_output_slope"),
-    "TRIGger<n>[:SEQuence]:SOURce": choice_of_model(
-        "IMMediate, EXTernal, BUS, and TIMer if the model has one", _sources, "trigger_source", timing.set_source
-    ),
+    "TRIGger<n>[:SEQuence]:SOURce": choice("IMMediate EXTernal BUS", "trigger_source", timing.set_source),
     "TRIGger<n>[:SEQuence]:SLOPe": choice("POSitive NEGative", "trigger_slope"),
     "TRIGger<n>[:SEQuence]:DELay": clipping(
         "S", attrgetter("model.delay_limits_s"), "delay_s", "trigger delay", timing.settle_burst
     ),
     "UNIT:ANGLe": choice("DEGree RADian", "angle_unit"),
-    "DISPlay[:WINDow][:STATe]": switch("display"),
     "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
     "DISPlay[:WINDow]:TEXT:CLEar": _without_argument(display_text=""),
     "SYSTem:BEEPer:STATe": switch("beeper"),
-    **INACTIVE,
 }
 """Settings of every model, by header (docs/explanation/instruments.md, 1.4)."""
 
@@ -263,7 +253,6 @@ OF_33250A: Mapping[str, SettingCommand] = {
     "[SOURce:]PULSe:PERiod": PERIOD,
     "[SOURce:]PULSe:WIDTh": WIDTH,
     "[SOURce:]PULSe:TRANsition": EDGES,
-    "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
 }
 PULSE: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]FUNCtion:PULSe:WIDTh": WIDTH,
@@ -276,14 +265,11 @@ OF_33220A: Mapping[str, SettingCommand] = {
     **PULSE,
     "[SOURce:]PULSe:PERiod": PERIOD,
     "[SOURce:]FUNCtion:PULSe:TRANsition": EDGES,
-    "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
 }
 OF_SERIES: Mapping[str, SettingCommand] = {
     **PULSE,
     "[SOURce<n>:]FUNCtion:PULSe:PERiod": PERIOD,
     "[SOURce<n>:]FUNCtion:PULSe:TRANsition[:BOTH]": EDGES,
-    "TRIGger<n>:TIMer": clipping("S", attrgetter("model.burst_period_limits_s"), "timer_s", "trigger timer"),
-    **INACTIVE_OF_SERIES,
 }
 
 

@@ -3,9 +3,8 @@
 Assumed, no source found:
 - Trig In is a 10 kohm TTL input that switches at 2.0 V;
 - triggers are ignored until the burst of the previous one has ended;
-- a change of a setting that affects the output cuts a running or pending burst;
-- when a gate closes, the running cycle is completed (sibling).
-Not modelled: ramps, triangles and noise (no output), phases, jitter.
+- a change of a setting that affects the output cuts a running or pending burst.
+Not modelled: ramps, triangles, noise and gated bursts (no output), phases, jitter.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from sim_backend.arrays import FloatArray, Int64Array
+from sim_backend.arrays import Int64Array
 from sim_backend.generator.registers import Registers
-from sim_backend.generator.timing import INTERNAL
 from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
@@ -37,7 +35,7 @@ MAX_STEPS = 20_000_000
 FAR_PS = 1 << 61
 WITHOUT_EFFECT = frozenset(
     {"unit", "load_ohm", "sync", "trigger_output", "trigger_output_slope", "range_auto", "angle_unit"}
-    | {"display", "display_text", "beeper", "inactive", "phase_deg", "pulse_hold"}
+    | {"display_text", "beeper", "phase_deg", "pulse_hold"}
 )
 """Registers that do not affect the output; the declared load changes displayed values alone."""
 
@@ -61,7 +59,6 @@ def with_clock_error(registers: Registers, clock_error: float) -> Registers:
         width_s=registers.width_s / rate,
         burst_period_s=registers.burst_period_s / rate,
         delay_s=registers.delay_s / rate,
-        timer_s=registers.timer_s / rate,
     )
 
 
@@ -69,8 +66,7 @@ def is_endless(registers: Registers) -> bool:
     """Return whether the output continues without further triggers."""
     if not registers.output:
         return False
-    gated = registers.burst_mode == "GAT"
-    return not registers.burst or gated or registers.trigger_source in INTERNAL or math.isinf(registers.cycles)
+    return not registers.burst or registers.trigger_source == "IMM" or math.isinf(registers.cycles)
 
 
 def respond(history: History, software_ps: Sequence[int], arriving: Steps, latency_ps: int, until_ps: int) -> Emission:
@@ -83,21 +79,17 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
     following = [*((start_ps, _idle_v(registers)) for start_ps, registers in history[1:]), (FAR_PS, 0.0)]
     steps, bursts, ignored, idle_v = [], [], 0, 0.0
     for (start_ps, registers), (stop_ps, next_idle_v) in zip(history, following, strict=True):
-        if registers.burst and registers.burst_mode == "GAT":
-            onset_ps, cycles = _gated(registers, start_ps, stop_ps, arriving, latency_ps)
-        else:
-            onset_ps, ignored_here = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
-            cycles = np.full(onset_ps.size, registers.cycles if registers.burst else math.inf)
-            ignored += ignored_here
+        onset_ps, ignored_here = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
+        ignored += ignored_here
         if _idle_v(registers) != idle_v:
             steps.append(_steps(np.array([start_ps]), idle_v, _idle_v(registers)))
         idle_v = _idle_v(registers)
         # An endless output is computed up to the horizon only.
         limit_ps = min(stop_ps, until_ps) if is_endless(registers) else stop_ps
         if onset_ps.size and registers.function == "SIN":
-            bursts.append(_sines(registers, onset_ps, cycles, limit_ps))
+            bursts.append(_sines(registers, onset_ps, limit_ps))
         elif onset_ps.size and registers.function in ("PULS", "SQU"):
-            train, cut = _pulses(registers, onset_ps, cycles, limit_ps, next_idle_v)
+            train, cut = _pulses(registers, onset_ps, limit_ps, next_idle_v)
             steps.append(train)
             idle_v = next_idle_v if cut else idle_v
     return Emission(joined_steps(steps), joined_bursts(bursts), ignored)
@@ -117,7 +109,7 @@ def _onsets(
     The settings hold from ``start_ps`` to ``stop_ps``. Triggers come by command (``software_ps``), at Trig In
     (``arriving``) or from the internal timer.
     """
-    if not registers.output:
+    if not registers.output or (registers.burst and registers.burst_mode == "GAT"):
         return np.empty(0, np.int64), 0
     if not registers.burst:
         return np.array([start_ps]), 0
@@ -125,9 +117,8 @@ def _onsets(
     if registers.trigger_source == "EXT":
         edges = crossings(arriving, TRIGGER_LEVEL_V, registers.trigger_slope == "POS", TRIGGER_INPUT_OHM)
         triggers.append(edges[(edges >= start_ps) & (edges < stop_ps)])
-    elif registers.trigger_source in INTERNAL:
-        period_s = registers.burst_period_s if registers.trigger_source == "IMM" else registers.timer_s
-        last_ps, period_ps = min(stop_ps, until_ps), to_ps(period_s)
+    elif registers.trigger_source == "IMM":
+        last_ps, period_ps = min(stop_ps, until_ps), to_ps(registers.burst_period_s)
         triggers.append(np.arange(start_ps, last_ps, period_ps, dtype=np.int64))
     trigger_ps = np.sort(np.concatenate(triggers))
     # The instrument is busy from the trigger to the end of the burst.
@@ -146,54 +137,18 @@ def _idle_v(registers: Registers) -> float:
     return registers.low_v if registers.polarity == "NORM" else registers.high_v
 
 
-def _gated(
-    registers: Registers, start_ps: int, stop_ps: int, arriving: Steps, latency_ps: int
-) -> tuple[Int64Array, FloatArray]:
-    """Return the onsets of gated bursts, and their cycles until the gate has closed: (burst,).
-
-    The output runs while the voltage at Trig In (``arriving``) is high, or low with inverted polarity. The settings
-    hold from ``start_ps`` to ``stop_ps``.
-    """
-    if not registers.output:
-        return np.empty(0, np.int64), np.empty(0)
-    normal = registers.gate_polarity == "NORM"
-    openings = crossings(arriving, TRIGGER_LEVEL_V, normal, TRIGGER_INPUT_OHM)
-    closings = crossings(arriving, TRIGGER_LEVEL_V, not normal, TRIGGER_INPUT_OHM)
-    # Before the first edge the input is low.
-    opening_count, closing_count = (
-        np.searchsorted(openings, start_ps, "right"),
-        np.searchsorted(closings, start_ps, "right"),
-    )
-    if opening_count > closing_count or (opening_count == closing_count and not normal):
-        openings = np.insert(openings, opening_count, start_ps)
-    openings = openings[(openings >= start_ps) & (openings < stop_ps)]
-    ends = np.append(closings, FAR_PS)[np.searchsorted(closings, openings, "right")]
-    # The cycle that runs when the gate closes is completed.
-    open_s = (ends - openings) / PS_PER_S
-    cycles = np.where(ends == FAR_PS, math.inf, np.ceil(open_s * registers.frequency_hz * (1 - 1e-12)))
-    onset_ps = openings + latency_ps
-    end_ps = onset_ps + _length_ps(registers, cycles)
-    # Assumed: a gate that opens again within the last cycle is ignored, as a trigger is.
-    accepted_indices, idle_ps = [], start_ps
-    for index in np.flatnonzero(onset_ps < stop_ps):
-        if onset_ps[index] >= idle_ps:
-            accepted_indices.append(index)
-            idle_ps = end_ps[index]
-    return onset_ps[accepted_indices], cycles[accepted_indices]
+def _cycles(registers: Registers) -> float:
+    """Return the cycles of a burst; infinite for a continuous output."""
+    return registers.cycles if registers.burst else math.inf
 
 
-def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
-    """Return the duration of bursts with these cycles (burst,), at most 1e6 s."""
-    length_s: FloatArray = np.minimum(cycles / registers.frequency_hz, 1e6)
-    return np.rint(length_s * PS_PER_S).astype(np.int64)
-
-
-def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int) -> Bursts:
-    """Return the sine bursts with these onsets and cycles, cut at ``stop_ps``."""
+def _sines(registers: Registers, onset_ps: Int64Array, stop_ps: int) -> Bursts:
+    """Return the sine bursts with these onsets, cut at ``stop_ps``."""
     # A burst that the end of the segment cuts has a fraction of its cycles.
-    full_ps = onset_ps + _length_ps(registers, cycles)
+    cycles = _cycles(registers)
+    full_ps = onset_ps + round(min(cycles / registers.frequency_hz, 1e6) * PS_PER_S)
     end_ps = np.minimum(full_ps, stop_ps)
-    is_complete = np.isfinite(cycles) & (end_ps == full_ps)
+    is_complete = math.isfinite(cycles) & (end_ps == full_ps)
     emitted = np.where(is_complete, cycles, (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
     ones = np.ones(onset_ps.size)
     return Bursts(
@@ -205,17 +160,15 @@ def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_
     )
 
 
-def _pulses(
-    registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int, after_cut_v: float
-) -> tuple[Steps, bool]:
-    """Return the voltage steps of all pulses in bursts with these onsets and cycles, (burst,).
+def _pulses(registers: Registers, onset_ps: Int64Array, stop_ps: int, after_cut_v: float) -> tuple[Steps, bool]:
+    """Return the voltage steps of all pulses in bursts with these onsets, (burst,).
 
     The second value is whether ``stop_ps`` cuts a pulse, which then ends at ``after_cut_v``.
     """
     period_ps = PS_PER_S / registers.frequency_hz
     square_s = registers.duty_percent / 100 / registers.frequency_hz
     high_s = registers.width_s if registers.function == "PULS" else square_s
-    counts = np.minimum(cycles, np.ceil((stop_ps - onset_ps) / period_ps)).astype(np.int64)
+    counts = np.minimum(_cycles(registers), np.ceil((stop_ps - onset_ps) / period_ps)).astype(np.int64)
     if counts.sum() > MAX_STEPS:
         raise ValueError(
             f"the programmed output has {counts.sum()} pulses, more than the twin simulates ({MAX_STEPS}); "

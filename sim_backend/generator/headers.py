@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from sim_backend.generator.scpi_text import ScpiError, short_form, split_outside_quotes
+from sim_backend.generator.scpi_text import ScpiError, not_simulated, short_form, split_outside_quotes
 
 Entry = TypeVar("Entry")
 Branch = tuple[str, ...]
@@ -16,8 +16,7 @@ Branch = tuple[str, ...]
 _FORM_NODE = re.compile(r"\[:?([A-Za-z]+)(<n>)?:?\]|:?([A-Za-z]+)(<n>)?")
 _MNEMONIC = re.compile(r"\*?[A-Z][A-Z_]*([0-9]*)", re.IGNORECASE | re.ASCII)
 MAX_MNEMONIC = 12
-MAX_ARGUMENTS = 70_000
-"""Room for the longest arbitrary waveform."""
+MAX_ARGUMENTS = 100
 MAX_CACHED = 2_000
 """Size of the cache of spellings; a program uses some dozens."""
 
@@ -49,8 +48,11 @@ class HeaderTable(Generic[Entry]):
     ``channels`` is above 0.
     """
 
-    def __init__(self, entries: Mapping[str, Entry], channels: int = 0) -> None:
-        """Store every spelling of the headers in ``entries``; ``channels`` is the number of channels, 0 for none."""
+    def __init__(self, entries: Mapping[str, Entry], not_simulated: Iterable[str], channels: int = 0) -> None:
+        """Store every spelling of the headers in ``entries``; ``channels`` is the number of channels, 0 for none.
+
+        ``not_simulated``: beginnings of headers that the instrument knows and the twin does not simulate.
+        """
         self._channels = channels
         self._short: dict[str, str] = {}
         self._entries: dict[Branch, tuple[Entry, Branch]] = {}
@@ -60,6 +62,8 @@ class HeaderTable(Generic[Entry]):
                 # The nodes with <n>, which a number may follow, are stored with the entry.
                 numbered = tuple(node for node, may_have_number in nodes if may_have_number)
                 self._entries[tuple(node for node, _ in nodes)] = entry, numbered
+        variants = itertools.chain.from_iterable(map(self._variants, not_simulated))
+        self._not_simulated = {tuple(node for node, _ in nodes) for nodes in variants}
 
     def _variants(self, form: str) -> Iterable[tuple[tuple[str, bool], ...]]:
         """Return all spellings of a header's form: optional nodes present or absent, each node in its short form.
@@ -95,13 +99,6 @@ class HeaderTable(Generic[Entry]):
             arguments = _arguments(words[1]) if len(words) > 1 else ()
             yield Command(header.entry, header.channel, header.query, arguments)
 
-    def find(self, header: str) -> Entry | None:
-        """Return the entry of a complete header without ``?``; None if there is none."""
-        try:
-            return self._look_up((), header).entry
-        except ScpiError:
-            return None
-
     def _look_up(self, branch: Branch, header: str) -> _Header[Entry]:
         """Return the entry of ``header``, which continues in ``branch``; raise ``ScpiError`` if there is none."""
         nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
@@ -131,6 +128,9 @@ class HeaderTable(Generic[Entry]):
         # An entry is stored with those of its nodes that a channel number may follow. Digits elsewhere, or at an
         # instrument without channels, make the header undefined.
         stored = self._entries.get(tuple(short_nodes))
+        beginnings = (tuple(short_nodes[:length]) for length in range(1, len(nodes) + 1))
+        if stored is None and not self._not_simulated.isdisjoint(beginnings):
+            raise not_simulated(":".join(nodes))
         if stored is None or not all(self._channels and node in stored[1] for node, _ in numbered):
             raise ScpiError(-113, "Undefined header")
         entry, _ = stored

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 
-from sim_backend.generator.arbitrary import WaveformMemory
 from sim_backend.generator.command_tree import ALLOWED_IN_LOCAL, Action, Entry, table_of
 from sim_backend.generator.emission import changes_output, is_endless, respond, with_clock_error
 from sim_backend.generator.headers import Command
-from sim_backend.generator.kinds import SettingCommand
 from sim_backend.generator.models import AGILENT_33250A, Model
 from sim_backend.generator.registers import Coerced, Registers, power_on
 from sim_backend.generator.scpi_text import ScpiError
+from sim_backend.generator.state_names import StateNames
 from sim_backend.generator.status import Status
-from sim_backend.generator.stored_states import StoredStates, learn_string
 from sim_backend.wiring import Emission, SimulatedClock, Steps, to_ps
 
 MAX_REPLY = 1 << 16
@@ -46,9 +44,7 @@ class Generator33250A:
         self.registers: Registers = power_on(model)
         # Channels beyond the first are wired on no bench: they have settings but no output.
         self._other_channels = (self.registers,) * (model.channels - 1)
-        self.states: StoredStates = StoredStates()
-        self.waveforms: WaveformMemory = WaveformMemory()
-        self.byte_order: str = "NORM"
+        self.states: StateNames = StateNames()
         self._history: list[tuple[int, Registers]] = [(clock.now_ps, self.registers)]
         self._software_ps: list[int] = []
         self._over_serial = False
@@ -119,27 +115,11 @@ class Generator33250A:
         self._history = [(self._clock.now_ps, self.registers)]
         self._software_ps = []
 
-    def program(self, *channels: Registers) -> None:
-        """Replace the state of the first channels; the others keep theirs."""
-        self._set_registers(channels[0])
-        self._other_channels = channels[1:] or self._other_channels
-
     def reset(self) -> None:
         """Return to the power-on state; the beeper keeps its setting."""
         state = power_on(self.registers.model, self.registers.beeper)
-        self.program(state, *(state for _ in self._other_channels))
-
-    def save(self, location: int) -> None:
-        """Store the state of every channel."""
-        self.states.save(location, self._channels)
-
-    def recall(self, location: int) -> None:
-        """Recall a stored state; raise ``ScpiError`` 810 if there is none. Assumed: it includes the output switch."""
-        self.program(*self.states.recall(location))
-
-    def learn_string(self) -> str:
-        """Return the commands that restore the present state."""
-        return learn_string(self._channels, bool(self._other_channels), self._reply_to_setting)
+        self._set_registers(state)
+        self._other_channels = (state,) * len(self._other_channels)
 
     def trigger(self) -> None:
         """Start a burst by command, whatever the trigger source; raise ``ScpiError`` -211 if bursts are off."""
@@ -162,11 +142,6 @@ class Generator33250A:
         if self._software_ps and self.registers.trigger_source == "BUS" and math.isfinite(length_s):
             self._clock.advance_to(self._software_ps[-1] + self._latency_ps + to_ps(length_s))
 
-    @property
-    def _channels(self) -> tuple[Registers, ...]:
-        """Registers of every channel, from channel 1."""
-        return (self.registers, *self._other_channels)
-
     def _execute(self, command: Command[Entry]) -> str | None:
         """Execute a command, or return the reply to a query; raise ``ScpiError`` 550 in local mode."""
         entry, arguments = command.entry, command.arguments
@@ -174,7 +149,7 @@ class Generator33250A:
             raise ScpiError(550, "Command not allowed in local")
         if isinstance(entry, Action):
             return entry.execute(self, command.query, arguments)
-        state = self._channels[command.channel - 1]
+        state = self.registers if command.channel == 1 else self._other_channels[command.channel - 2]
         if command.query:
             return entry.answer(state, arguments)
         self._apply(entry.execute(state, arguments), command.channel)
@@ -190,13 +165,6 @@ class Generator33250A:
             self._other_channels = tuple(channels)
         for number, text in coerced.errors:
             self.status.queue(number, text)
-
-    def _reply_to_setting(self, header: str, channel: int) -> str | None:
-        """Return the reply to the query of a setting; None if ``header`` is unknown or not a setting."""
-        entry = self._table.find(header)
-        if not isinstance(entry, SettingCommand):
-            return None
-        return entry.answer(self._channels[channel - 1], ())
 
     def _set_registers(self, registers: Registers) -> None:
         """Replace the registers of channel 1, and add them to the history if they change the output."""

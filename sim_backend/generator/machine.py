@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sim_backend.generator.arbitrary import WaveformMemory
 from sim_backend.generator.registers import Registers
+from sim_backend.generator.state_names import StateNames
 from sim_backend.generator.status import Status
-from sim_backend.generator.stored_states import StoredStates
 
 
 class Machine(Protocol):
@@ -18,27 +17,14 @@ class Machine(Protocol):
 
     registers: Registers
     status: Status
-    states: StoredStates
-    waveforms: WaveformMemory
-    byte_order: str
+    states: StateNames
 
     @property
     def message_waiting(self) -> bool:
         """Whether a reply waits to be read."""
         ...
 
-    def program(self, *channels: Registers) -> None:
-        """Replace the state of the first channels."""
-
     def reset(self) -> None: ...
-
-    def save(self, location: int) -> None: ...
-
-    def recall(self, location: int) -> None: ...
-
-    def learn_string(self) -> str:
-        """Return the commands that restore the present state."""
-        ...
 
     def trigger(self) -> None:
         """Start a burst, whatever the trigger source."""

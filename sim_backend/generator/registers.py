@@ -7,8 +7,8 @@ The instrument clips or substitutes a number and queues an error; it never refus
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from sim_backend.generator.models import AGILENT_33250A, Model
 
@@ -61,19 +61,14 @@ class Registers:
     cycles: float = 1.0
     burst_period_s: float = 10e-3
     burst_phase_deg: float = 0.0
-    gate_polarity: str = "NORM"
     phase_deg: float = 0.0
     pulse_hold: str = "WIDT"
     trigger_source: str = "IMM"
     trigger_slope: str = "POS"
     delay_s: float = 0.0
-    timer_s: float = 1.0
     angle_unit: str = "DEG"
-    display: bool = True
     display_text: str = ""
     beeper: bool = True
-    inactive: Mapping[str, float | str] = field(default_factory=dict)
-    """Settings of inactive functions that were changed (see `inactive`)."""
 
     @property
     def amplitude_v(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 QUEUE_DEPTH = 20
-STB_ERRORS, STB_MESSAGE, STB_EVENT, STB_SUMMARY = 4, 16, 32, 64
+STB_ERRORS, STB_MESSAGE, STB_EVENT = 4, 16, 32
 ESR_COMPLETE, ESR_QUERY, ESR_DEVICE, ESR_EXECUTION, ESR_COMMAND, ESR_POWER_ON = 1, 4, 8, 16, 32, 128
 _EVENT_BY_HUNDREDS = {1: ESR_COMMAND, 2: ESR_EXECUTION, 3: ESR_DEVICE, 4: ESR_QUERY}
 
@@ -12,11 +12,10 @@ class Status:
     """The status of one instrument since power-on."""
 
     def __init__(self) -> None:
-        """Start with the state after power-on: no errors, all masks zero."""
+        """Start with the state after power-on: no errors, no event enabled."""
         self._errors: list[tuple[int, str]] = []
         self._events = ESR_POWER_ON
-        self._enabled = {"ESE": 0, "SRE": 0, "QUES": 0}
-        self.cleared_at_power_on = True
+        self.event_mask = 0
         self.has_external_reference = False
 
     def queue(self, number: int, text: str) -> None:
@@ -52,17 +51,7 @@ class Status:
         return "+512" if self.has_external_reference else "+0"
 
     def byte(self, message_waiting: bool) -> str:
-        """Return the status byte (*STB?): the presence of errors, replies and events, and the request for service."""
+        """Return the status byte (*STB?): the presence of errors, replies and enabled events."""
         value = (STB_ERRORS if self._errors else 0) | (STB_MESSAGE if message_waiting else 0)
-        value |= STB_EVENT if self._events & self._enabled["ESE"] else 0
-        value |= STB_SUMMARY if value & self._enabled["SRE"] else 0
+        value |= STB_EVENT if self._events & self.event_mask else 0
         return f"{value:+d}"
-
-    def enable(self, register: str, value: int) -> None:
-        """Set an enable register, "ESE", "SRE" or "QUES"."""
-        # The summary bit cannot request service itself (IEEE 488.2, 11.3.2).
-        self._enabled[register] = value & ~STB_SUMMARY if register == "SRE" else value
-
-    def enabled(self, register: str) -> str:
-        """Return an enable register."""
-        return f"{self._enabled[register]:+d}"

@@ -17,8 +17,6 @@ from sim_backend.generator.registers import (
 )
 from sim_backend.generator.scpi_text import not_simulated
 
-INTERNAL = ("IMM", "TIM")
-"""Trigger sources inside the instrument."""
 NOT_SIMULATED = {
     "USER": "arbitrary waveforms",
     "ARB": "arbitrary waveforms",
@@ -147,7 +145,7 @@ def set_cycles(registers: Registers, cycles: float) -> Coerced:
     if cycles != math.inf:
         cycles, errors = clipped(round(max(cycles, 0.0)), 1, registers.model.max_cycles, "burst count")
     state = Coerced(replace(registers, cycles=cycles), errors)
-    if math.isinf(cycles) and registers.trigger_source in INTERNAL:
+    if math.isinf(cycles) and registers.trigger_source == "IMM":
         state = state.changed("trigger source changed to BUS due to infinite burst", trigger_source="BUS")
     return settle_burst(state)
 
@@ -161,7 +159,7 @@ def set_source(registers: Registers, source: str) -> Coerced:
     state = Coerced(replace(registers, trigger_source=source))
     if source == "EXT" and registers.trigger_output:
         state = state.changed("trigger output turned off by external trigger", trigger_output=False)
-    if source in INTERNAL and math.isinf(registers.cycles):
+    if source == "IMM" and math.isinf(registers.cycles):
         state = state.changed("burst count changed due to immediate trigger", cycles=float(registers.model.max_cycles))
     return settle_burst(state)
 

@@ -219,55 +219,12 @@ def test_output_off_cuts_a_running_burst_and_drops_a_pending_one():
         sine(output=False),
         sine(trigger_source="BUS"),
         sine(function="RAMP"),
+        sine(burst_mode="GAT"),
     ],
 )
 def test_unprogrammed_instruments_emit_nothing(registers):
     emission = respond([(0, registers)], [], ttl([0]), LATENCY_PS, FAR_PS)
     assert emission.bursts.onset_ps.size == emission.steps.time_ps.size == 0
-
-
-def test_a_gate_completes_the_cycle_that_runs_when_it_closes() -> None:
-    gate = ttl([1_000_000, 50_000_000], width_ps=10_400_000)
-    gated = sine(burst_mode="GAT", frequency_hz=1e6, trigger_source="IMM")
-    bursts = respond([(0, gated)], [], gate, LATENCY_PS, FAR_PS).bursts
-    assert bursts.onset_ps.tolist() == [1_100_000, 50_100_000]
-    assert (bursts.cycles.tolist(), bursts.end_ps.tolist()) == ([11.0, 11.0], [12_100_000, 61_100_000])
-    pulses = respond(
-        [(0, replace(gated, function="PULS", width_s=1e-7, high_v=4.0))], [], gate, LATENCY_PS, FAR_PS
-    ).steps
-    assert len(rises(pulses)) == 22
-    assert rises(pulses)[:2] == [1_100_000, 2_100_000]
-
-
-def test_an_inverted_gate_is_open_without_a_signal_and_closes_at_a_high_level() -> None:
-    gated = sine(burst_mode="GAT", frequency_hz=1e6, gate_polarity="INV")
-    bursts = respond([(0, gated)], [], ttl([5_000_000], width_ps=5_000_000), 0, 20_000_000).bursts
-    assert bursts.onset_ps.tolist() == [0, 10_000_000]
-    assert bursts.cycles.tolist() == pytest.approx([5.0, 10.0])
-
-
-@given(times, st.integers(1, 5_000_000), st.sampled_from([1e6, 3e5, 1.7e6]))
-def test_gated_bursts_equal_a_plain_loop(edge_ps, width_ps, frequency_hz):
-    edge_ps = np.unique(edge_ps // 5_500_000) * 5_500_000
-    gated = sine(burst_mode="GAT", frequency_hz=frequency_hz)
-    expected, idle_ps = [], -1
-    for rise in edge_ps.tolist():
-        if rise < idle_ps:
-            continue
-        cycles = math.ceil(width_ps * 1e-12 * frequency_hz * (1 - 1e-12))
-        idle_ps = rise + round(cycles / frequency_hz * 1e12)
-        expected.append((rise, cycles))
-    bursts = respond([(-1, gated)], [], ttl(edge_ps, width_ps), 0, FAR_PS).bursts
-    assert list(zip(bursts.onset_ps.tolist(), bursts.cycles.tolist(), strict=True)) == expected
-
-
-def test_a_gate_that_opens_again_within_the_last_cycle_is_ignored_but_not_at_its_end() -> None:
-    gated = sine(burst_mode="GAT", frequency_hz=1e6)
-    # 0.4 us open is a cycle of 1 us.
-    for second_ps, expected in ((900_000, [0, 2_000_000]), (1_000_000, [0, 1_000_000, 2_000_000])):
-        gate = ttl([0, second_ps, 2_000_000], width_ps=400_000)
-        bursts = respond([(-1, gated)], [], gate, 0, FAR_PS).bursts
-        assert bursts.onset_ps.tolist() == expected
 
 
 def test_falling_slope_triggers_on_the_falling_edge():

@@ -29,7 +29,6 @@ def refused(message: str, query: str = "", reply: str = "0") -> Example:
 SOURCE = "[SOURce<n>:]"
 VOLTAGE = f"{SOURCE}VOLTage[:LEVel][:IMMediate]"
 TRIGGER = "TRIGger<n>[:SEQuence]"
-RAMP = "VOLATILE, 1, 0, -1, 0"
 
 COMMON = {
     "*IDN": Example("", "*IDN?", "Agilent Technologies,33250A,0,2.01-1.01-2.00-03-2"),
@@ -42,11 +41,6 @@ COMMON = {
     "*ESR": Example("", "*ESR?", "+128"),
     "*STB": Example("", "*STB?", "+0"),
     "*ESE": Example("*ESE 60", "*ESE?", "+60"),
-    "*SRE": Example("*SRE 96", "*SRE?", "+32"),
-    "*PSC": Example("*PSC 0", "*PSC?", "0"),
-    "*SAV": Example("FREQ 5E3;*SAV 2;*RST;*RCL 2", "FREQ?", real(5e3)),
-    "*RCL": Example("*RCL 3", error=810),
-    "*LRN": Example("", "*LRN?"),
     "*OPT": Example("", "*OPT?", "0"),
 }
 APPLIED = "FREQ?;VOLT?;VOLT:OFFS?;:OUTP?"
@@ -88,7 +82,6 @@ WAVEFORM = {
     f"{SOURCE}PHASe[:ADJust]": Example("PHAS 90", "PHAS?", real(90)),
     f"{SOURCE}PHASe:REFerence": Example("PHAS 90;:PHAS:REF", "PHAS?", real(0)),
     f"{SOURCE}PHASe:SYNChronize": Example("PHAS:SYNC", "*ESR?", "+128"),
-    "[SOURce:]PHASe:UNLock:ERRor:STATe": refused("PHAS:UNL:ERR:STAT ON", "PHAS:UNL:ERR:STAT?"),
     "UNIT:ANGLe": Example("UNIT:ANGL RAD", "UNIT:ANGL?", "RAD"),
 }
 BURST_AND_TRIGGER = {
@@ -97,14 +90,10 @@ BURST_AND_TRIGGER = {
     f"{SOURCE}BURSt:NCYCles": Example("TRIG:SOUR BUS;:BURS:NCYC INF", "BURS:NCYC?", real(9.9e37)),
     f"{SOURCE}BURSt:INTernal:PERiod": Example("BURS:INT:PER 20 MS", "BURS:INT:PER?", real(20e-3)),
     f"{SOURCE}BURSt:PHASe": Example("BURS:PHAS -90", "BURS:PHAS?", real(-90)),
-    f"{SOURCE}BURSt:GATE:POLarity": Example("BURS:GATE:POL INV", "BURS:GATE:POL?", "INV"),
     TRIGGER + ":SOURce": Example("TRIG:SOUR EXTernal", "TRIG:SOUR?", "EXT"),
     TRIGGER + ":SLOPe": Example("TRIG:SLOP NEG", "TRIG:SLOP?", "NEG"),
     TRIGGER + ":DELay": Example("TRIG:SOUR EXT;DEL 300 US", "TRIG:DEL?", real(300e-6)),
     TRIGGER + "[:IMMediate]": Example("TRIG", error=-211),
-    "TRIGger<n>:TIMer": Example("TRIG:SOUR TIM;TIM 2 MS", "TRIG:SOUR?;TIM?", f"TIM;{real(2e-3)}"),
-    "TRIGger<n>:COUNt": Example("TRIG:COUN 5", "TRIG:COUN?", real(5)),
-    "INITiate<n>:CONTinuous": refused("INIT:CONT OFF", "INIT:CONT?", "1"),
 }
 OUTPUT = {
     "OUTPut<n>[:STATe]": Example("OUTP ON", "OUTP:STAT?", "1"),
@@ -113,57 +102,6 @@ OUTPUT = {
     "OUTPut:SYNC[:STATe]": Example("OUTP:SYNC OFF", "OUTP:SYNC?", "0"),
     "OUTPut:TRIGger[:STATe]": Example("OUTP:TRIG ON", "OUTP:TRIG?", "1"),
     "OUTPut:TRIGger:SLOPe": Example("OUTP:TRIG:SLOP NEG", "OUTP:TRIG:SLOP?", "NEG"),
-}
-INACTIVE = {
-    f"{SOURCE}AM:STATe": refused("AM:STAT ON", "AM:STAT?"),
-    f"{SOURCE}AM:SOURce": Example("AM:SOUR EXT", "AM:SOUR?", "EXT"),
-    f"{SOURCE}AM:INTernal:FREQuency": Example("AM:INT:FREQ 1 KHZ", "AM:INT:FREQ?", real(1e3)),
-    f"{SOURCE}AM:INTernal:FUNCtion[:SHAPe]": Example("AM:INT:FUNC NRAMp", "AM:INT:FUNC:SHAP?", "NRAM"),
-    f"{SOURCE}AM:DEPTh": Example("AM:DEPT 80", "AM:DEPT?", real(80)),
-    f"{SOURCE}FM:STATe": refused("FM:STAT ON", "FM:STAT?"),
-    f"{SOURCE}FM:SOURce": Example("FM:SOUR EXT", "FM:SOUR?", "EXT"),
-    f"{SOURCE}FM:INTernal:FREQuency": Example("FM:INT:FREQ 1 KHZ", "FM:INT:FREQ?", real(1e3)),
-    f"{SOURCE}FM:INTernal:FUNCtion[:SHAPe]": Example("FM:INT:FUNC SQU", "FM:INT:FUNC?", "SQU"),
-    f"{SOURCE}FM:DEViation": Example("FM:DEV 500", "FM:DEV?", real(500)),
-    f"{SOURCE}FSKey:STATe": refused("FSK:STAT ON", "FSK:STAT?"),
-    f"{SOURCE}FSKey:SOURce": Example("FSK:SOUR EXT", "FSK:SOUR?", "EXT"),
-    f"{SOURCE}FSKey:FREQuency": Example("FSK:FREQ 3 KHZ", "FSK:FREQ?", real(3e3)),
-    f"{SOURCE}FSKey:INTernal:RATE": Example("FSK:INT:RATE 50", "FSK:INT:RATE?", real(50)),
-    f"{SOURCE}SWEep:STATe": refused("SWE:STAT ON", "SWE:STAT?"),
-    f"{SOURCE}SWEep:SPACing": Example("SWE:SPAC LOG", "SWE:SPAC?", "LOG"),
-    f"{SOURCE}SWEep:TIME": Example("SWE:TIME 2", "SWE:TIME?", real(2)),
-    f"{SOURCE}FREQuency:STARt": Example("FREQ:STAR 300", "FREQ:CENT?", real(650)),
-    f"{SOURCE}FREQuency:STOP": Example("FREQ:STOP 2000", "FREQ:SPAN?", real(1900)),
-    f"{SOURCE}FREQuency:CENTer": Example("FREQ:CENT 1000", "FREQ:STAR?;STOP?", f"{real(550)};{real(1450)}"),
-    f"{SOURCE}FREQuency:SPAN": Example("FREQ:SPAN 100", "FREQ:STAR?;STOP?", f"{real(500)};{real(600)}"),
-    f"{SOURCE}MARKer[:STATe]": refused("MARK ON", "MARK:STAT?"),
-    f"{SOURCE}MARKer:FREQuency": Example("MARK:FREQ 700", "MARK:FREQ?", real(700)),
-    "[SOURce:]FUNCtion[:SHAPe]:USER": Example("FUNC:USER SINC", "FUNC:USER?", "SINC"),
-    "FORMat:BORDer": Example("FORM:BORD SWAP", "FORM:BORD?", "SWAP"),
-    "DATA[:DATA]": Example(f"DATA {RAMP}", "DATA:ATTR:POIN? VOLATILE", "+4"),
-    "DATA[:DATA]:DAC": Example("DATA:DAC VOLATILE, 2047, -2047", "DATA:ATTR:PTP? VOLATILE", real(2)),
-    "DATA:COPY": Example(f"DATA {RAMP};:DATA:COPY MINE", "DATA:NVOL:CAT?", '"MINE"'),
-    "DATA:CATalog": Example("", "DATA:CAT?", '"EXP_RISE","EXP_FALL","NEG_RAMP","SINC","CARDIAC"'),
-    "DATA:NVOLatile:CATalog": Example("", "DATA:NVOL:CAT?", '""'),
-    "DATA:NVOLatile:FREE": Example("", "DATA:NVOL:FREE?", "+4"),
-    "DATA:DELete[:NAME]": Example("DATA:DEL SINC", error=786),
-    "DATA:DELete:ALL": Example(f"DATA {RAMP};:DATA:DEL:ALL", "DATA:NVOL:FREE?", "+4"),
-    "DATA:ATTRibute:POINts": Example(f"DATA {RAMP}", "DATA:ATTR:POIN? VOLATILE", "+4"),
-    "DATA:ATTRibute:AVERage": Example(f"DATA {RAMP}", "DATA:ATTR:AVER? VOLATILE", real(0)),
-    "DATA:ATTRibute:CFACtor": Example(f"DATA {RAMP}", "DATA:ATTR:CFAC? VOLATILE", real(2**0.5)),
-    "DATA:ATTRibute:PTPeak": Example(f"DATA {RAMP}", "DATA:ATTR:PTP? VOLATILE", real(2)),
-    f"{SOURCE}FUNCtion:ARBitrary": Example("FUNC:ARB SINC", "FUNC:ARB?", '"SINC"'),
-    f"{SOURCE}FUNCtion:ARBitrary:SRATe": Example("FUNC:ARB:SRAT 1E6", "FUNC:ARB:SRAT?", real(1e6)),
-    f"{SOURCE}FUNCtion:ARBitrary:FILTer": Example("FUNC:ARB:FILT STEP", "FUNC:ARB:FILT?", "STEP"),
-    f"{SOURCE}FUNCtion:ARBitrary:ADVance": Example("FUNC:ARB:ADV TRIG", "FUNC:ARB:ADV?", "TRIG"),
-    f"{SOURCE}DATA:ARBitrary": Example("DATA:ARB MINE, 0, 1, 0, -1, 0, 1, 0, -1;:FUNC:ARB MINE", "FUNC:ARB?", '"MINE"'),
-    f"{SOURCE}DATA:ARBitrary:DAC": Example(
-        "DATA:ARB:DAC MINE, 0, 1, 0, -1, 0, 1, 0, 32767;:FUNC:ARB MINE", "FUNC:ARB?", '"MINE"'
-    ),
-    f"{SOURCE}DATA:VOLatile:CLEar": Example(
-        "DATA:VOL:CLE", "DATA:VOL:CAT?", '"EXP_RISE","EXP_FALL","NEG_RAMP","SINC","CARDIAC"'
-    ),
-    f"{SOURCE}DATA:VOLatile:CATalog": Example("", "DATA:VOL:CAT?", '"EXP_RISE","EXP_FALL","NEG_RAMP","SINC","CARDIAC"'),
 }
 SYSTEM = {
     "SYSTem:ERRor[:NEXT]": Example("NONSENSE", "SYST:ERR?", '-113,"Undefined header"'),
@@ -174,21 +112,10 @@ SYSTEM = {
     "SYSTem:REMote": Example("SYST:REM", error=514),
     "SYSTem:RWLock": Example("SYST:RWL", error=514),
     "SYSTem:COMMunicate:RLSTate": Example("SYST:COMM:RLST REM", "*ESR?", "+128"),
-    "DISPlay[:WINDow][:STATe]": Example("DISP OFF", "DISP?", "0"),
     "DISPlay[:WINDow]:TEXT[:DATA]": Example('DISP:TEXT "A;B"', "DISP:TEXT?", '"A;B"'),
     "DISPlay[:WINDow]:TEXT:CLEar": Example('DISP:TEXT "A";TEXT:CLE', "DISP:TEXT?", '""'),
     "STATus:QUEStionable:CONDition": Example("", "STAT:QUES:COND?", "+0"),
-    "STATus:QUEStionable[:EVENt]": Example("", "STAT:QUES?", "+0"),
-    "STATus:QUEStionable:ENABle": Example("STAT:QUES:ENAB 33", "STAT:QUES:ENAB?", "+33"),
-    "STATus:PRESet": Example("STAT:QUES:ENAB 33;:STAT:PRES", "STAT:QUES:ENAB?", "+0"),
-    "CALibration:COUNt": Example("", "CAL:COUN?", "+0"),
-    "CALibration:STRing": Example("", "CAL:STR?", '""'),
-    "CALibration:SECure:STATe": Example("", "CAL:SEC:STAT?", "1"),
-    "MEMory:NSTates": Example("", "MEM:NST?", "+5"),
     "MEMory:STATe:NAME": Example("MEM:STAT:NAME 1,BENCH", "MEM:STAT:NAME? 1", '"BENCH"'),
-    "MEMory:STATe:DELete": Example("*SAV 1;:MEM:STAT:DEL 1", "MEM:STAT:VAL? 1", "0"),
-    "MEMory:STATe:VALid": Example("*SAV 1", "MEM:STAT:VAL? 1", "1"),
-    "MEMory:STATe:RECall:AUTO": Example("MEM:STAT:REC:AUTO ON", "MEM:STAT:REC:AUTO?", "1"),
 }
 GROUPS = {
     "Common commands": COMMON,
@@ -197,6 +124,5 @@ GROUPS = {
     "Bursts and triggers": BURST_AND_TRIGGER,
     "Output": OUTPUT,
     "Status, system, display, memory": SYSTEM,
-    "Modulation, sweep and arbitrary waveforms: kept and answered, never switched on": INACTIVE,
 }
 EXAMPLES = {form: example for group in GROUPS.values() for form, example in group.items()}
