@@ -9,6 +9,8 @@ import re
 import pytest
 
 from drivers.agilent.generator import Agilent33250A
+from drivers.agilent.limits import mistakes
+from drivers.agilent.models import AGILENT_33250A
 from drivers.agilent.programs import READABLE
 from drivers.interfaces import (
     Identity,
@@ -472,3 +474,220 @@ def test_a_swing_of_exactly_max_vpp_is_programmed(scripted, role_type, program) 
 @pytest.mark.parametrize("reply", ["", "STATE_4", '"STATE_4"'])
 def test_an_unnamed_state_is_no_label(scripted, reply: str) -> None:
     assert Agilent33250A(scripted(replies={"MEM:STAT:NAME": reply}), "toneburst").serial_number() == ""
+
+
+def fails_once(connection, query: str, error: Exception) -> None:
+    """Let the next reply to a message with ``query`` be ``error``; later ones come as usual."""
+    read = connection.read
+
+    def read_or_fail() -> str:
+        if query not in connection.messages[-1]:
+            return read()
+        connection.read = read
+        connection.outbox.clear()
+        raise error
+
+    connection.read = read_or_fail
+
+
+@pytest.mark.parametrize(
+    ("condition", "locked"), [("512", True), ("+512", True), ("0", False), ("544", False), ("32", False), ("513", True)]
+)
+def test_the_clock_must_be_locked_to_its_reference_if_that_is_asked_for(scripted, condition: str, locked: bool) -> None:
+    """Bit 9: the external reference is used. Bit 5: the loop is unlocked."""
+    connection = scripted(replies={"STAT:QUES:COND": condition})
+    generator = Agilent33250A(connection, "toneburst", external_reference=True)
+    if locked:
+        generator.configure(BURST)
+        connection.replies["STAT:QUES:COND"] = "0"
+    for act in (generator.configure, lambda task: generator.recheck()):
+        with pytest.raises(
+            InstrumentError, match=rf"not locked to the 10 MHz input .*{condition if not locked else 0}"
+        ):
+            act(BURST)
+    connection.replies["STAT:QUES:COND"] = "x"
+    with pytest.raises(InstrumentError, match=r"STAT:QUES:COND\? was answered with 'x', which is no questionable"):
+        generator.configure(BURST)
+    free = Agilent33250A(scripted(), "toneburst")
+    free.configure(BURST)
+
+
+def test_a_recheck_asks_once_more_for_a_missing_reply_and_over_a_new_connection(scripted) -> None:
+    connection = scripted()
+    connection.timeout_s, connection.bus, reopened = 1.5, "GPIB0", list[str]()
+    connection.reopen = lambda: reopened.append("GPIB0")
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    generator.enable_output()
+    for error, count in ((TimeoutError("nothing"), 0), (ConnectionResetError("closed"), 1)):
+        fails_once(connection, "OUTP?", error)
+        generator.recheck()
+        assert len(reopened) == count
+    connection.held["OUTP"] = "0"
+    with pytest.raises(InstrumentError, match=r"output_on \(OUTP\) programmed 1, read back 0"):
+        generator.recheck()
+    generator = Agilent33250A(scripted(), "toneburst")
+    for act in (generator.recheck, generator.enable_output, generator.fire, generator.verify):
+        with pytest.raises(InstrumentError, match=rf"{act.__name__} came before configure"):
+            act()
+
+
+def test_time_outs_are_short_while_an_output_is_switched_off_or_checked_and_as_before_afterwards(scripted) -> None:
+    connection, waits_s = scripted(), list[float]()
+    connection.timeout_s, connection.bus, connection.reopen = 1.5, "GPIB0", lambda: None
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    read = connection.read
+    connection.read = lambda: (waits_s.append(connection.timeout_s), read())[1]
+    generator.make_safe()
+    generator.enable_output()
+    generator.recheck()
+    assert waits_s == [0.4, 1.5, 0.4, 0.4]
+    assert connection.timeout_s == 1.5
+    connection.timeout_s = 0.2
+    generator.make_safe()
+    assert (waits_s[-1], connection.timeout_s) == (0.2, 0.2)
+    assert generator.bus == "GPIB0"
+    assert Agilent33250A(scripted()).bus == ""
+
+
+@pytest.mark.parametrize(
+    ("loss", "proof"),
+    [
+        (TimeoutError("nothing"), "read back as off, answered late"),
+        (ConnectionResetError("closed"), "read back as off, over the connection opened again"),
+        ("1", "read back as off, after the instrument was taken back from local mode"),
+    ],
+)
+def test_an_output_is_proven_off_at_the_second_attempt_with_the_way_in_words(scripted, loss, proof: str) -> None:
+    connection = scripted()
+    connection.timeout_s, connection.bus, connection.reopen = 1.5, "GPIB0", lambda: None
+    if isinstance(loss, Exception):
+        fails_once(connection, "OUTP?", loss)
+    else:
+        connection.replies["OUTP"] = "1"
+        write = connection.write
+
+        def end_local_mode(message: str) -> None:
+            if message == "SYST:REM":
+                del connection.replies["OUTP"]
+            write(message)
+
+        connection.write = end_local_mode
+    generator = Agilent33250A(connection, "toneburst")
+    assert generator.make_safe() == proof
+    assert connection.commands.count("OUTP 0") == 2
+    assert generator.make_safe() == "read back as off"
+    lost = scripted()
+    fails_once(lost, "OUTP?", ConnectionResetError("closed"))
+    # A connection that cannot be opened again.
+    with pytest.raises(InstrumentError, match="The connection is lost: closed"):
+        Agilent33250A(lost, "toneburst").make_safe()
+
+
+def test_a_lost_connection_is_opened_again_only_for_the_same_instrument_with_the_same_label(scripted) -> None:
+    connection = scripted(replies={"MEM:STAT:NAME": '"BOX_1"'})
+    connection.timeout_s, connection.bus = 1.5, "GPIB0"
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    connection.reopen = lambda: None
+    fails_once(connection, "SYST:ERR?", TimeoutError("nothing"))
+    generator.configure(dataclasses.replace(BURST, cycles=10))
+    assert "*RST" in connection.commands
+    assert connection.held["BURS:NCYC"] == "10"
+    assert generator.serial_number() == "BOX_1"
+    # Another box of the same model and firmware.
+    connection.replies["MEM:STAT:NAME"] = '"BOX_2"'
+    fails_once(connection, "SYST:ERR?", TimeoutError("nothing"))
+    with pytest.raises(InstrumentError, match="Instruments or their addresses were exchanged"):
+        generator.configure(dataclasses.replace(BURST, cycles=11))
+
+    def refuse() -> None:
+        raise ConnectionRefusedError("no answer")
+
+    connection.reopen = refuse
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    fails_once(connection, "SYST:ERR?", TimeoutError("nothing"))
+    with pytest.raises(InstrumentError, match="no reply to"):
+        generator.configure(dataclasses.replace(BURST, cycles=10))
+    with pytest.raises(InstrumentError, match="verify came before configure"):
+        generator.verify()
+
+
+def test_a_label_is_stored_for_a_model_without_serial_number_and_one_that_is_not_kept_is_an_error(scripted) -> None:
+    connection = scripted(replies={"MEM:STAT:NAME": '"HPE_1"'})
+    generator = Agilent33250A(connection, "toneburst")
+    generator.store_label("HPE_1")
+    assert "MEM:STAT:NAME 4,HPE_1" in connection.commands
+    assert "MEM:STAT:NAME? 4" in connection.commands
+    with pytest.raises(InstrumentError, match=r"label HPE_2 was stored, and reads back as 'HPE_1'.*serial = \"none\""):
+        generator.store_label("HPE_2")
+    sibling = scripted(replies={"*IDN": "Agilent Technologies,33220A,MY44012345,2.00-2.00-22-2,more"})
+    known = Agilent33250A(sibling, "toneburst")
+    assert known.serial_number() == "MY44012345"
+    assert known.identify().firmware == "2.00-2.00-22-2,more"
+    assert "MEM:STAT:NAME? 4" not in sibling.commands
+    refusing = scripted(errors=['-224,"Illegal parameter value"'])
+    with pytest.raises(InstrumentError, match="-224 Illegal parameter value"):
+        Agilent33250A(refusing, "toneburst").store_label("HPE_1")
+    for text, command in (("MASTER", 'DISP:TEXT "MASTER"'), ("", "DISP:TEXT:CLE")):
+        Agilent33250A(connection, "toneburst").display(text)
+        assert connection.commands[-2] == command
+        with pytest.raises(InstrumentError, match="-113"):
+            Agilent33250A(scripted(errors=['-113,"Undefined header"']), "toneburst").display(text)
+
+
+def test_a_burst_by_command_ends_with_the_output_off_and_errors_after_a_shot_are_listed(scripted) -> None:
+    connection = scripted()
+    master = Agilent33250A(connection, "master")
+    master.configure(PULSE)
+    master.enable_output()
+    connection.messages.clear()
+    master.fire()
+    assert connection.messages == ["OUTP?;:SYST:ERR?", "*TRG", "OUTP 0", "OUTP?;:SYST:ERR?"]
+    # The output is expected off afterwards.
+    master.recheck()
+    answer_everything(connection)
+    connection.errors.extend(['-221,"Settings conflict"', '-410,"Query INTERRUPTED"'])
+    settings, errors = master.snapshot_and_errors()
+    assert errors == ("-221 Settings conflict", "-410 Query INTERRUPTED")
+    assert settings == master.snapshot()
+    assert settings["output_on"] is False
+    assert master.snapshot_and_errors()[1] == ()
+
+
+def test_a_sine_is_programmed_without_burst_into_its_load_and_switched_on(scripted) -> None:
+    connection = scripted()
+    Agilent33250A(connection, "generator").sine(1e6, 0.5, 75.0)
+    sent = [command for command in connection.commands if "?" not in command]
+    assert sent == [
+        "OUTP 0", "*CLS", "*RST",
+        "OUTP:LOAD 7.500000000000E+01", "VOLT:UNIT VPP", "OUTP:POL NORM",
+        "BURS:STAT 0",
+        "FUNC SIN", "FREQ 1.000000000000E+06", "VOLT 5.000000000000E-01", "VOLT:OFFS 0.000000000000E+00",
+        "OUTP 1",
+    ]  # fmt: skip
+
+
+def test_levels_and_loads_at_their_limits_are_accepted_and_beyond_them_refused() -> None:
+    """The source has 50 ohm: 10 V peak without load are 5 V into 50 ohm, and 2 mVpp without load 1 mVpp."""
+    at_limits = [
+        (BURST, {"amplitude_vpp": 1e-3}, 0.999e-3), (BURST, {"amplitude_vpp": 10.0}, 10.01),
+        (BURST, {"load_ohm": 1.0, "amplitude_vpp": 0.1}, None), (BURST, {"load_ohm": 10_000.0}, 10_001.0),
+        (PULSE, {"high_v": 10.0}, 10.01), (PULSE, {"high_v": 2e-3}, 1.99e-3),
+    ]  # fmt: skip
+    for task, changes, beyond in at_limits:
+        assert mistakes(dataclasses.replace(task, **changes)) == []
+        if beyond is not None:
+            (key,) = changes
+            (text,) = mistakes(dataclasses.replace(task, **{key: beyond}))
+            assert text.startswith(f"{key} = {beyond:.10g} is outside")
+    assert len(mistakes(dataclasses.replace(BURST, load_ohm=0.99))) == 1
+    assert mistakes(dataclasses.replace(PULSE, load_ohm=50.0, high_v=5.01))[0].endswith("5 into 50 ohm")
+    # The edges of 5 ns take 1.6 times that of a period, and the gap at least the least width, 8 ns.
+    assert mistakes(dataclasses.replace(TRAIN, rate_hz=10e6, width_s=91.9e-9)) == []
+    assert mistakes(dataclasses.replace(TRAIN, rate_hz=10e6, width_s=92.1e-9))
+    slow_edges = dataclasses.replace(AGILENT_33250A, edge_s=10e-9)
+    assert mistakes(dataclasses.replace(TRAIN, rate_hz=10e6, width_s=83.9e-9), slow_edges) == []
+    assert mistakes(dataclasses.replace(TRAIN, rate_hz=10e6, width_s=84.1e-9), slow_edges)
