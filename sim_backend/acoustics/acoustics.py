@@ -37,12 +37,11 @@ from sim_backend.echoes import (
     rectangular_burst,
 )
 from sim_backend.receiver import (
-    NoiseSource,
-    RecordNoise,
     RecordStream,
     echo_gain_v,
     leak_per_vpp_v,
     leak_v,
+    noise_v,
     pulse_strength,
     toneburst_echo_strength,
 )
@@ -118,7 +117,7 @@ class Acoustics:
         scatterers = settings.scatterers.model_copy(update=loss)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
         self._field = draw_field(scatterers, settings.beams, rng, lateral_offset_m, self._box_rng)
-        self._noise = RecordNoise(settings.receiver, RecordStream(settings.seed, _NOISE_STREAM))
+        self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._aperture_beams: dict[Pulse, BeamResponse] = {}
         # For each pulse the echoes of the latest records, if they were few, with the numbers that define them.
@@ -159,14 +158,18 @@ class Acoustics:
         depends only on the seed, ``capture.index`` and the record's number in the capture, the scatterers only on the
         seed. Records must ascend in time; ``pulses`` may omit pulses without an echo in a record.
         """
-        noise = self._noise.source_for(capture)
-        self._add_tracking_echoes(noise, tonebursts, pulses, capture)
-        self._add_toneburst_echoes(noise, tonebursts, capture)
-        self._add_leak(noise(), tonebursts, capture)
-        return noise()
+        receiver, records = self._settings.receiver, len(capture.first_sample_ps)
+        if receiver.snr_db is None:
+            volts = np.zeros((records, capture.samples))
+        else:
+            volts = noise_v(receiver, records, capture.samples, self._noise.generator_for(capture, capture.samples))
+        self._add_tracking_echoes(volts, tonebursts, pulses, capture)
+        self._add_toneburst_echoes(volts, tonebursts, capture)
+        self._add_leak(volts, tonebursts, capture)
+        return volts
 
-    def _add_tracking_echoes(self, noise: NoiseSource, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
-        """Add the echoes of the tracking pulses to the records that ``noise`` returns, one carrier after another."""
+    def _add_tracking_echoes(self, volts: FloatArray, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
+        """Add the echoes of the tracking pulses to the records, one carrier after another."""
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
         strength_v *= transmitted_fraction(pulses.amplitude_vpp, self._settings)
         # Sets instead of np.unique, which loads NumPy's masked arrays.
@@ -175,10 +178,10 @@ class Acoustics:
             passage = self._passage(pulses.onset_ps[selected], capture)
             pulse = echo_pulse(self._settings, carrier_hz)
             beam = self._beam(pulse, self._field.tracking_weight)
-            self._add_echoes(noise, capture, pulse, beam, passage, strength_v[selected], tonebursts)
+            self._add_echoes(volts, capture, pulse, beam, passage, strength_v[selected], tonebursts)
 
-    def _add_toneburst_echoes(self, noise: NoiseSource, tonebursts: Bursts, capture: Capture) -> None:
-        """Add the echoes of the tonebursts to the records that ``noise`` returns.
+    def _add_toneburst_echoes(self, volts: FloatArray, tonebursts: Bursts, capture: Capture) -> None:
+        """Add the echoes of the tonebursts to the records.
 
         The motion of a scatterer while a burst passes it is neglected. ``tonebursts`` contains the earlier ones too,
         which still move the scatterers; only those near ``capture`` echo.
@@ -192,7 +195,7 @@ class Acoustics:
             # A separate pushing transducer changes only the time of the echoes.
             passage = self._passage(bursts.onset_ps[selected] + to_ps(self._push_delay_s), capture)
             beam = self._beam(pulse, self._field.excitation_weight, of_push=True)
-            self._add_echoes(noise, capture, pulse, beam, passage, strength_v[selected], tonebursts)
+            self._add_echoes(volts, capture, pulse, beam, passage, strength_v[selected], tonebursts)
 
     def _beam(self, pulse: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> BeamResponse:
         """Return the weight and, unless the beam is Gaussian, the response of every scatterer's echo for ``pulse``.
@@ -252,7 +255,7 @@ class Acoustics:
 
     def _add_echoes(
         self,
-        noise: NoiseSource,
+        volts: FloatArray,
         capture: Capture,
         pulse: Pulse,
         beam: BeamResponse,
@@ -260,7 +263,7 @@ class Acoustics:
         strength_v: FloatArray,
         tonebursts: Bursts,
     ) -> None:
-        """Add the echoes of a train of equal bursts to the records that ``noise`` returns.
+        """Add the echoes of a train of equal bursts to the records.
 
         ``pulse``: echo of a scatterer at the focus. ``beam``: its weight and change for every scatterer. ``passage``:
         when the bursts pass the focus. ``strength_v`` (burst,): volts of a scatterer of weight 1. ``tonebursts`` move
@@ -272,9 +275,9 @@ class Acoustics:
             return
         train = self._echo_train(pulse, beam, relevant, passage, strength_v, motion_m)
         if passage.background_delay_s is None:
-            self._add_aligned_echoes(noise, capture, train)
+            self._add_aligned_echoes(volts, capture, train)
         else:
-            self._add_shifted_echoes(noise(), capture, train, passage.background_delay_s)
+            self._add_shifted_echoes(volts, capture, train, passage.background_delay_s)
 
     def _echo_train(
         self,
@@ -311,7 +314,7 @@ class Acoustics:
             end_ps=math.ceil(end_s * PS_PER_S),
         )
 
-    def _add_aligned_echoes(self, noise: NoiseSource, capture: Capture, train: _EchoTrain) -> None:
+    def _add_aligned_echoes(self, volts: FloatArray, capture: Capture, train: _EchoTrain) -> None:
         """Add echoes to the records, for records that sample them at nearly the same times after the onset of a burst.
 
         Those times differ by some ns at most, so all echoes are computed on one grid of sample times.
@@ -328,12 +331,11 @@ class Acoustics:
         shift_s = (age_ps - age_ps[0]) / PS_PER_S
         block, group = self._grouped_echoes(train, burst, shift_s, sample_ps)
         echo_v = block[group] * train.strength_v[burst, None]
-        out = noise()
-        if np.array_equal(record, np.arange(len(out))):
-            out[:, span] += echo_v
+        if np.array_equal(record, np.arange(len(volts))):
+            volts[:, span] += echo_v
         else:
             # Records without an echo, or with several.
-            np.add.at(out[:, span], record, echo_v)
+            np.add.at(volts[:, span], record, echo_v)
 
     def _grouped_echoes(
         self, train: _EchoTrain, burst: Int64Array, shift_s: FloatArray, sample_ps: Int64Array

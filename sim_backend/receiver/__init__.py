@@ -1,7 +1,6 @@
 """Receiver: from the sum over scatterers to volts at the digitizer's input.
 
     echo gain, noise, toneburst leak              eq. (16)             front_end.py
-    noise, drawn one block ahead                                       record_noise.py
     random numbers of each record                                      streams.py
     trigger jitter, sample clock                                       timing.py
     notch, T/R switch, noise, band-pass, log      paper, Sec. III.B    chain.py, elements.py
