@@ -350,7 +350,7 @@ class World:
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
             return self._evaluated[1]
         # Endless emissions are evaluated up to the next whole second, others to their end.
-        is_endless = self.board.times_out or any(generator.endless for generator in self._generators.values())
+        is_endless = any(generator.endless for generator in self._generators.values())
         next_second_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S
         evaluation = self._propagate(next_second_ps if is_endless else FAR_PS)
         self._evaluated = (version, evaluation)
@@ -362,7 +362,7 @@ class World:
 
         def digitizer(arriving: Steps) -> Emission:
             """Return the digitizer's AUX output, and keep the triggers of each arming."""
-            emission, by_arming = self.board.respond(arriving, until_ps)
+            emission, by_arming = self.board.respond(arriving)
             triggers.extend(by_arming)
             return emission
 

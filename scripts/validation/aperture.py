@@ -18,7 +18,7 @@ from scipy.special import j1
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from sim_backend.acoustics import Acoustics
-from sim_backend.echoes import EchoDelays, beam_response, draw_field, drawn_echoes, echo_pulse, echoes
+from sim_backend.echoes import EchoDelays, beam_response, draw_field, drawn_echoes, echo_pulse, synthesise
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
 from sim_backend.wiring import Bursts, Capture, no_bursts
@@ -220,7 +220,7 @@ def _ratio(settings: SimulationSettings, seed: int) -> float:
     delay_s = 2 * field.offset_m[:, 2] / SPEED
     displacement_m = np.array([0.0, 200e-9])
     delays = EchoDelays.of_motion(delay_s, shape * delay_ratio, displacement_m, SPEED, response)
-    volts = echoes(delays, weight, pulse, GATE_S, 1e-9)
+    volts = synthesise(delays, weight, pulse, GATE_S, 1e-9).echo
     # Displacement from the phase between analytic echoes, scaled by the mean frequency of the echo.
     analytic = [_analytic(echo) for echo in volts]
     phase = np.angle(np.vdot(analytic[1], analytic[0]))

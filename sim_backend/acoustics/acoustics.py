@@ -31,10 +31,10 @@ from sim_backend.echoes import (
     distinct_echoes,
     draw_field,
     echo_pulse,
-    echoes,
     gaussian_weight,
     noticeable,
     rectangular_burst,
+    synthesise,
 )
 from sim_backend.receiver import (
     RecordStream,
@@ -360,7 +360,7 @@ class Acoustics:
             return stored, group
         sample_s = _after_arrival_s(sample_ps, 2 * self._travel_s)
         distinct = replace(delays, amplitude_s=definition[0]).shifted(definition[1])
-        block = echoes(distinct, train.weight, train.pulse, sample_s, tolerance)
+        block = synthesise(distinct, train.weight, train.pulse, sample_s, tolerance).echo
         if len(first) <= _MAX_STORED_ECHOES:
             self._stored_echoes[train.pulse] = definition, block
             if len(self._stored_echoes) > _MAX_STORED_PULSES:
@@ -390,7 +390,7 @@ class Acoustics:
         periods = np.arange(train.start_ps // period_ps, train.end_ps // period_ps + 2)
         delays = replace(train.delays, amplitude_s=train.delays.amplitude_s[burst]).shifted(shift_s)
         sample_s = _after_arrival_s(periods * period_ps, 2 * self._travel_s)
-        block = echoes(delays, train.weight, train.pulse, sample_s, _FIELD_ECHO_TOLERANCE)
+        block = synthesise(delays, train.weight, train.pulse, sample_s, _FIELD_ECHO_TOLERANCE).echo
         block *= train.strength_v[burst, None]
         first_samples = (periods[0] - age_periods).tolist()
         for echo, target, first in zip(block, record.tolist(), first_samples, strict=True):

@@ -180,16 +180,14 @@ def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: s
     """
     settings = arming.settings
     record_number = np.arange(records.start, records.stop)
-    cause = triggers.cause[records]
-    external, timed_out = (
-        (cause == code).astype(np.int64) for code in (codes.TRIGGERED_BY_EXTERNAL, codes.TRIGGERED_BY_TIMEOUT)
-    )
+    external = (~triggers.is_forced[records]).astype(np.int64)
     rate_id = next(
         rate_id for rate_id, rate_hz in settings.board.rates_hz.items() if rate_hz == settings.sample_rate_hz
     )
     channel_input = settings.inputs[channel]
     range_id = next(key for key, mv in MILLIVOLTS_BY_ID.items() if mv / 1000 == channel_input.range_v)
-    # Each field is shifted to its lowest bit. Fields that are not set here are 0: rising edge, triggered by B, by A.
+    # Each field is shifted to its lowest bit. Fields that are not set here are 0: rising edge, triggered by B, by A or by
+    # a time-out.
     words32 = np.empty((stamps.size, 4), np.int64)
     serial_number, resolution = codes.SERIAL_NUMBER & 0x3FFFF, RESOLUTION_CODES[settings.board.bits]
     words32[:, 0] = serial_number | SYSTEM_NUMBER << 18 | channel << 22 | BOARD_NUMBER << 23 | resolution << 27
@@ -198,7 +196,7 @@ def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: s
     # Low and high part of the time stamp.
     words32[:, 2] = stamps & 0xFFFFFFFF
     words32[:, 3] = stamps >> 32 | codes.INTERNAL_CLOCK << 8 | rate_id << 11 | range_id << 18
-    words32[:, 3] |= codes.COUPLING_DC << 23 | channel_input.impedance << 25 | external << 27 | timed_out << 30
+    words32[:, 3] |= codes.COUPLING_DC << 23 | channel_input.impedance << 25 | external << 27
     on_channel_a = 1 - channel
     words32[:, 3] |= on_channel_a << 31
     return words32.astype("<u4").view(np.uint8)

@@ -5,7 +5,8 @@ Assumed, no source found:
 - the board accepts the next trigger once a record, and the pre-trigger part of the next one, is complete;
 - the AUX trigger output is 5 V behind 50 ohm. It rises at the sample clock's first tick after the trigger (by default
   regardless of the trigger delay) and falls at the end of the record.
-Not modelled: triggers from an input channel or two engines at once, AC coupling, bandwidth limit, other AUX outputs.
+Not modelled: triggers from an input channel or two engines at once, time-outs, AC coupling, bandwidth limit, other AUX
+outputs.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.arrays import FloatArray, Int64Array
+from sim_backend.arrays import BoolArray, FloatArray, Int64Array
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.boards import BOARDS, IMPEDANCE_50_OHM, BoardType
 from sim_backend.settings import TriggerFaults
@@ -36,7 +37,6 @@ from sim_backend.wiring import (
 
 TRIGGER_INPUT_OHM = 1e6
 AUX_HIGH_V = 5.0
-TIMEOUT_TICK_PS = 10_000_000
 NO_FAULTS = TriggerFaults()
 _LOG = logging.getLogger("sim_backend")
 _SAMPLES_AT_ONCE = 1 << 15
@@ -70,7 +70,6 @@ class BoardSettings:
     engines: tuple[Engine, Engine] = (Engine(), Engine())
     external_range_v: float = 5.0
     delay_samples: int = 0
-    timeout_ticks: int = 0
     aux_mode: int = codes.AUX_OUT_TRIGGER
     pre_samples: int = 0
     post_samples: int = 0
@@ -133,14 +132,14 @@ class Arming:
 class AcceptedTriggers:
     """Triggers that an arming accepted, one record each; arrays (record,).
 
-    ``tick_ps`` is the clock tick of the trigger, ``clock_ps`` the same by the board's own clock, ``cause`` a
-    ``codes.TRIGGERED_BY_...``; ``ignored`` counts triggers during a record.
+    ``tick_ps`` is the clock tick of the trigger, ``clock_ps`` the same by the board's own clock, ``is_forced``
+    whether it came by command; ``ignored`` counts triggers during a record.
     """
 
     tick_ps: Int64Array
     first_sample_ps: Int64Array
     end_ps: Int64Array
-    cause: Int64Array
+    is_forced: BoolArray
     ignored: int
     clock_ps: Int64Array
 
@@ -159,7 +158,7 @@ class Latencies:
 
 
 def accepted_triggers(
-    arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int, faults: TriggerFaults = NO_FAULTS
+    arming: Arming, arriving: Steps, latencies: Latencies, faults: TriggerFaults = NO_FAULTS
 ) -> AcceptedTriggers:
     """Return the triggers that the board accepts while it is armed, and the times of their records.
 
@@ -169,9 +168,7 @@ def accepted_triggers(
     # All times are those of the board's clock, up to the accepted triggers.
     edge_ps = arming.by_clock(_trigger_edges(settings, arriving))
     forced_ps = arming.by_clock(np.array(arming.forced_ps, np.int64))
-    start_ps, stop_ps, horizon_ps = arming.by_clock(
-        np.array([arming.start_ps, arming.stop_ps, min(until_ps, arming.stop_ps)])
-    ).tolist()
+    start_ps, stop_ps = arming.by_clock(np.array([arming.start_ps, arming.stop_ps])).tolist()
     # Edges count while the board is armed and has its pre-trigger samples.
     ready_ps = start_ps + settings.pre_samples * period_ps
     edge_ps = _with_faults(edge_ps[edge_ps >= ready_ps], faults)
@@ -180,16 +177,12 @@ def accepted_triggers(
     tick_ps = settings.next_ticks_ps(edge_ps)
     to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
     busy_ps = to_end_ps + settings.pre_samples * period_ps
-    if settings.timeout_ticks:
-        accepted_ps, cause = _with_timeout(tick_ps, ready_ps, busy_ps, settings, horizon_ps)
-    else:
-        accepted_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
-        forced = np.isin(accepted_ps, settings.next_ticks_ps(forced_ps))
-        cause = np.where(forced, codes.TRIGGERED_BY_SOFTWARE, codes.TRIGGERED_BY_EXTERNAL)
+    accepted_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
+    is_forced = np.isin(accepted_ps, settings.next_ticks_ps(forced_ps))
     # Triggers after the last record are not counted as ignored.
     is_full = accepted_ps.size == settings.record_count
     during_ps = tick_ps[tick_ps < accepted_ps[-1] + to_end_ps] if is_full else tick_ps
-    ignored = during_ps.size - int(np.count_nonzero(cause != codes.TRIGGERED_BY_TIMEOUT))
+    ignored = during_ps.size - accepted_ps.size
     if ignored:
         _LOG.info("digitizer: %d of %d triggers came while it was busy, and are ignored", ignored, during_ps.size)
     true_ps = arming.true_ps(accepted_ps)
@@ -197,7 +190,12 @@ def accepted_triggers(
     to_first_ps = latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
     first_ps, end_ps = (true_ps + arming.elapsed_ps(interval_ps) for interval_ps in (to_first_ps, to_end_ps))
     return AcceptedTriggers(
-        tick_ps=true_ps, first_sample_ps=first_ps, end_ps=end_ps, cause=cause, ignored=ignored, clock_ps=accepted_ps
+        tick_ps=true_ps,
+        first_sample_ps=first_ps,
+        end_ps=end_ps,
+        is_forced=is_forced,
+        ignored=ignored,
+        clock_ps=accepted_ps,
     )
 
 
@@ -277,30 +275,6 @@ def _with_faults(edge_ps: Int64Array, faults: TriggerFaults) -> Int64Array:
     return np.sort(np.concatenate([np.delete(edge_ps, lost), stray_ps]))
 
 
-def _with_timeout(
-    tick_ps: Int64Array, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
-) -> tuple[Int64Array, Int64Array]:
-    """Return the times of accepted triggers and their causes, for a board that triggers itself after a time-out.
-
-    ``tick_ps`` (trigger,): clock ticks that register the triggers. ``ready_ps``: when the board is first ready.
-    ``busy_ps``: how long a record keeps it busy. ``last_ps``: end of the arming.
-    """
-    accepted_ps: list[int] = []
-    cause: list[int] = []
-    while len(accepted_ps) < settings.record_count:
-        # The first trigger after the board is ready, or the time-out, whichever is earlier.
-        index = int(np.searchsorted(tick_ps, ready_ps))
-        timeout_ps = ready_ps + settings.timeout_ticks * TIMEOUT_TICK_PS
-        timed_out = index == tick_ps.size or tick_ps[index] > timeout_ps
-        trigger_ps = timeout_ps if timed_out else int(tick_ps[index])
-        if trigger_ps >= last_ps:
-            break
-        accepted_ps.append(int(settings.next_ticks_ps(np.array(trigger_ps))))
-        cause.append(codes.TRIGGERED_BY_TIMEOUT if timed_out else codes.TRIGGERED_BY_EXTERNAL)
-        ready_ps = accepted_ps[-1] + busy_ps
-    return np.array(accepted_ps, np.int64), np.array(cause, np.int64)
-
-
 @dataclass(slots=True)
 class Board:
     """State of the board: present settings, and the armings since the world last forgot its past."""
@@ -315,11 +289,6 @@ class Board:
     faults: TriggerFaults = NO_FAULTS
     clock_error: float = 0.0
     serial_number: int | None = None
-
-    @property
-    def times_out(self) -> bool:
-        """Whether a running capture triggers itself after a time-out."""
-        return self.running and self.armings[-1].settings.timeout_ticks > 0
 
     def arm(self, now_ps: int, settings: BoardSettings) -> None:
         """Start a capture with ``settings``."""
@@ -342,14 +311,12 @@ class Board:
             self.armings[-1] = replace(arming, forced_ps=(*arming.forced_ps, now_ps))
             self.changes += 1
 
-    def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[AcceptedTriggers]]:
+    def respond(self, arriving: Steps) -> tuple[Emission, list[AcceptedTriggers]]:
         """Return the board's AUX output, and the triggers accepted in each arming.
 
         ``arriving``: voltage steps at its trigger input.
         """
-        triggers = [
-            accepted_triggers(arming, arriving, self.latencies, until_ps, self.faults) for arming in self.armings
-        ]
+        triggers = [accepted_triggers(arming, arriving, self.latencies, self.faults) for arming in self.armings]
         pairs = zip(self.armings, triggers, strict=True)
         steps = [aux_steps(arming, accepted, self.latencies) for arming, accepted in pairs]
         ignored = sum(accepted.ignored for accepted in triggers)

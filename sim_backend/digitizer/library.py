@@ -113,7 +113,8 @@ class AlazarLibrary:
 
     @_with_handle()
     def AlazarSetTriggerTimeOut(self, handle: Any, ticks: int) -> int:
-        return self._set(settings.changes_within("timeout_ticks", ticks, 0, 0xFFFFFFFF))
+        """Accept 0, no time-out; a board that triggers itself is not simulated."""
+        return Code.UNSUPPORTED_FUNCTION if ticks else Code.SUCCESS
 
     @_with_handle()
     def AlazarConfigureAuxIO(self, handle: Any, mode: int, parameter: int) -> int:

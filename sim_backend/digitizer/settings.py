@@ -80,13 +80,8 @@ def record_size_changes(board: BoardType, pre: int, post: int, samples_per_chann
     return {"pre_samples": pre, "post_samples": post}
 
 
-def changes_within(field: str, value: int, lowest: int, highest: int) -> Changes | None:
-    """Return the change of the setting ``field`` to ``value``; None if that is not within its limits."""
-    return {field: value} if lowest <= value <= highest else None
-
-
 def trigger_delay_changes(board: BoardType, samples: int) -> Changes | None:
     """Return the change of the trigger delay; None if it is refused."""
-    if samples % board.delay_multiple:
+    if samples % board.delay_multiple or not 0 <= samples <= codes.MAX_DELAY_SAMPLES:
         return None
-    return changes_within("delay_samples", samples, 0, codes.MAX_DELAY_SAMPLES)
+    return {"delay_samples": samples}

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Protocol
 
-import numpy as np
-
 from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_status, timestamps
@@ -145,15 +143,11 @@ class AlazarState:
         return self._is_busy()
 
     def status(self) -> int:
-        """Return the status bits of the last capture: time-outs and clipped channels; 0 without complete records."""
+        """Return the status bits of the last capture: clipped channels; 0 without complete records."""
         complete = self._complete()
         if not complete:
             return 0
-        timed_out = self._arming.settings.timeout_ticks and np.any(
-            self._recorder.triggers(self._clock.now_ps).cause[:complete] == codes.TRIGGERED_BY_TIMEOUT
-        )
-        peak_v = self._recorder.peak_v(self._clock.now_ps, complete)
-        return int(timed_out) | clipped_status(self._arming, peak_v)
+        return clipped_status(self._arming, self._recorder.peak_v(self._clock.now_ps, complete))
 
     def record_refusal(self, record: int) -> Code:
         """Return success if ``record``, counted from 1, can be read from the board's memory, else the error code."""

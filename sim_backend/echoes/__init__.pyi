@@ -1,7 +1,7 @@
 from .aperture import BeamResponse as BeamResponse, beam_response as beam_response
 from .choice import Method as Method, method_times_s as method_times_s
 from .delays import EchoDelays as EchoDelays, distinct_echoes as distinct_echoes
-from .engine import echoes as echoes, synthesise as synthesise
+from .engine import synthesise as synthesise
 from .exact_sums import direct_sum as direct_sum, running_sum as running_sum
 from .many_draws import DRAWS_AT_ONCE as DRAWS_AT_ONCE, batch as batch, drawn_echoes as drawn_echoes
 from .pulse import (

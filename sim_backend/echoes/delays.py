@@ -1,4 +1,4 @@
-"""Delays of the echoes of moving scatterers, eq. (10) and (11) of the paper, and checks of their arrays.
+"""Delays of the echoes of moving scatterers, eq. (10) and (11) of the paper.
 
 tau_kn = tau_n + sum_r b_kr g_rn        b_kr = 2 A_kr / c
 
@@ -129,46 +129,6 @@ def distinct_echoes(
     group = np.empty(len(order), dtype=np.int64)
     group[order] = np.cumsum(is_new) - 1
     return order[is_new], group
-
-
-def check_delays(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for arrays of delays that do not fit each other or hold unusable numbers."""
-    axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
-    arrays = {name: getattr(delays, name) for name in axes} | {"weight": weight}
-    check_axes(arrays, axes | {"weight": "scatterer"})
-    check_numbers(arrays, sample_time_s, tolerance)
-
-
-def check_axes(arrays: dict[str, FloatArray], axes: dict[str, str]) -> None:
-    """Raise ValueError if an array lacks the axes that ``axes`` lists, or two arrays differ along a shared axis.
-
-    ``axes``: maps the name of each array to the names of its axes, such as "shape, scatterer".
-    """
-    # For each axis, the name of the first array that has it and the length of that axis.
-    first_use: dict[str, tuple[str, int]] = {}
-    for name, array in arrays.items():
-        axis_names = axes[name].split(", ")
-        if array.ndim != len(axis_names):
-            raise ValueError(f"{name} has shape {array.shape}: its axes must be ({axes[name]})")
-        for axis, size in zip(axis_names, array.shape, strict=True):
-            first, expected = first_use.setdefault(axis, (name, size))
-            if size != expected:
-                raise ValueError(
-                    f"{name} has length {size} along its axis '{axis}' and {first} has {expected}: make them equal"
-                )
-
-
-def check_numbers(arrays: dict[str, FloatArray], sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for a number that is not finite, a negative tolerance, or sample times that do not ascend."""
-    for name, array in (arrays | {"sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}).items():
-        finite = np.isfinite(array)
-        if not finite.all():
-            index = tuple(np.argwhere(~finite)[0].tolist())
-            raise ValueError(f"{name}{list(index)} is {array[index]}: every number that makes an echo must be finite")
-    if tolerance < 0:
-        raise ValueError(f"tolerance is {tolerance}: take 0 for exact sums or a relative error such as 1e-6")
-    if (np.diff(sample_time_s) <= 0).any():
-        raise ValueError("sample_time_s must ascend: sort the sample times")
 
 
 def check_sample_rate(pulse: Pulse, sample_time_s: FloatArray) -> None:

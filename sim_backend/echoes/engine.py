@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 
@@ -35,7 +34,7 @@ from sim_backend.echoes.choice import (
     negligible_weight,
     reachable_scatterers,
 )
-from sim_backend.echoes.delays import EchoDelays, check_delays, check_sample_rate
+from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.exact_sums import blocks, local_origin_s, running_sum
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.echoes.series import ScattererRows, series, series_exponents, shape_angles_rad
@@ -75,45 +74,9 @@ def synthesise(
 
     Each scatterer adds a delayed and weighted pulse. The rms error is at most ``tolerance`` times the rms of the
     echoes. ``weight`` (scatterer,), any sign. ``sample_time_s`` (sample,), ascending, counted from the same instant as
-    the delays. Without ``method`` the faster evaluation is used, at tolerance 0 the exact one. Raises ValueError, with
-    the argument's name, for numbers that are not finite, arrays that do not fit, sample times that do not ascend or
-    undersample the pulse, and a method that cannot meet the tolerance.
-    """
-    weight, sample_time_s = np.asarray(weight), np.asarray(sample_time_s, dtype=np.float64)
-    check_delays(delays, weight, sample_time_s, tolerance)
-    check_sample_rate(pulse, sample_time_s)
-    if method is not None and method not in get_args(Method):
-        raise ValueError(f"method {method!r} is unknown: take one of {', '.join(get_args(Method))}")
-    return _synthesise(delays, weight, pulse, sample_time_s, tolerance, method)
-
-
-def echoes(
-    delays: EchoDelays,
-    weight: FloatArray,
-    pulse: Pulse,
-    sample_time_s: FloatArray,
-    tolerance: float = DEFAULT_TOLERANCE,
-) -> FloatArray:
-    """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), without checks.
-
-    ``delays`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,). The result is within the
-    relative error ``tolerance`` of the sum. Samples may be too far apart for the pulse, since a digitizer may alias.
-    """
-    return _synthesise(delays, weight, pulse, sample_time_s, tolerance, None).echo
-
-
-def _synthesise(
-    delays: EchoDelays,
-    weight: FloatArray,
-    pulse: Pulse,
-    sample_time_s: FloatArray,
-    tolerance: float,
-    method: Method | None,
-) -> Synthesis:
-    """Return the sum of the echoes (echo, sample) of all scatterers that matter to the tolerance, without checks.
-
-    ``weight`` (scatterer,), ``sample_time_s`` (sample,); ``method``: None for the faster one. Scatterers are left out
-    if their echoes miss the gate or are too weak together.
+    the delays; samples may be too far apart for the pulse, since a digitizer may alias. Scatterers are left out if
+    their echoes miss the gate or are too weak together. Without ``method`` the faster evaluation is used, at tolerance
+    0 the exact one. Raises ValueError for a method that cannot meet the tolerance.
     """
     if min(delays.echo_count, len(weight), len(sample_time_s)) == 0:
         return Synthesis(np.zeros((delays.echo_count, len(sample_time_s))), method or "running_sum", 0, 0)

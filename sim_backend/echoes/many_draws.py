@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_backend.arrays import FloatArray
 from sim_backend.echoes.aperture import BeamResponse, beam_response
-from sim_backend.echoes.delays import EchoDelays, check_axes, check_numbers, check_sample_rate
+from sim_backend.echoes.delays import EchoDelays, check_sample_rate
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
 from sim_backend.echoes.exact_sums import blocks
 from sim_backend.echoes.pulse import Pulse
@@ -29,11 +29,9 @@ def batch(
 
     A row is a draw, a gate (its start subtracted from ``rest_s``) or a parameter value (its own weights or
     ``amplitude_s``). The rms error of all is within ``tolerance``. Scatterers must ascend in row and within a row in
-    delay. Raises ValueError, with the argument's name, for numbers that are not finite, arrays that do not fit, and
-    scatterers out of order.
+    delay. Raises ValueError for samples too far apart for the pulse.
     """
     sample_time_s = np.asarray(sample_time_s, dtype=np.float64)
-    _check_rows(scatterer_rows, sample_time_s, tolerance)
     check_sample_rate(pulse, sample_time_s)
     out = np.empty((*scatterer_rows.amplitude_s.shape[:2], len(sample_time_s)))
     if out.size == 0:
@@ -89,29 +87,3 @@ def drawn_echoes(
         shape = field.motion_weight if beam.delay_ratio is None else beam.delay_ratio * field.motion_weight
         rows = ScattererRows(field.row, field.delay_s, beam.weight, shape[None], amplitude_s[row], beam.response)
         yield batch(rows, pulse, sample_time_s, tolerance)[: draws - first]
-
-
-def _check_rows(scatterer_rows: ScattererRows, sample_time_s: FloatArray, tolerance: float) -> None:
-    """Raise ValueError for unusable numbers, arrays that do not fit, and scatterers not sorted by row and delay."""
-    axes = {
-        "rest_s": "scatterer",
-        "weight": "scatterer",
-        "shape": "shape, scatterer",
-        "amplitude_s": "row, echo, shape",
-    }
-    arrays = {name: getattr(scatterer_rows, name) for name in axes}
-    check_axes(arrays | {"row": scatterer_rows.row}, axes | {"row": "scatterer"})
-    check_numbers(arrays, sample_time_s, tolerance)
-    if len(scatterer_rows.row) == 0:
-        return
-    step, rows = np.diff(scatterer_rows.row), len(scatterer_rows.amplitude_s)
-    if (
-        scatterer_rows.row[0] < 0
-        or scatterer_rows.row[-1] >= rows
-        or (step < 0).any()
-        or (np.diff(scatterer_rows.rest_s)[step == 0] < 0).any()
-    ):
-        raise ValueError(
-            f"row must ascend from 0 to less than the {rows} rows of amplitude_s and rest_s within each row: order the "
-            "scatterers by numpy.lexsort((rest_s, row))"
-        )

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
-from sim_backend.echoes import EchoDelays, echo_pulse, echoes
+from sim_backend.echoes import EchoDelays, echo_pulse, synthesise
 from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts
 
@@ -43,7 +43,7 @@ def echo_gain_v(
     pulse = echo_pulse(settings, receiver.reference_carrier_hz)
     gate_s = reference_gate_s(receiver, settings.sound_speed_m_per_s)
     at_rest = EchoDelays(depth_delay_s, np.zeros((1, len(weight))), np.zeros((1, 1)), response)
-    resting = echoes(at_rest, weight, pulse, gate_s, _GAIN_TOLERANCE)
+    resting = synthesise(at_rest, weight, pulse, gate_s, _GAIN_TOLERANCE).echo
     rms = float(np.sqrt(np.mean(np.square(resting))))
     return receiver.echo_rms_v / rms if rms > 0 else 0.0
 

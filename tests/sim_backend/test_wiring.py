@@ -114,14 +114,14 @@ def test_records_equal_a_plain_loop(trigger_ps, samples, delay, count, period_ps
         if time_ps >= arming.start_ps and tick_ps >= idle_from and len(expected) < count:
             expected.append(tick_ps + 7 + delay * period_ps)
             idle_from = tick_ps + 7 + (delay + samples) * period_ps
-    triggers = accepted_triggers(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0), FAR_PS)
+    triggers = accepted_triggers(arming, ttl(np.unique(trigger_ps), width_ps=1), Latencies(7, 0))
     assert triggers.first_sample_ps.tolist() == expected
 
 
 def test_a_stray_trigger_after_the_end_of_a_capture_makes_no_record():
     arming = Arming(0, 0, BoardSettings(engines=(Engine(2, 1, 166), Engine()), record_count=9), stop_ps=2_000_000)
     faults = TriggerFaults(stray_s=(0.5e-6, 5e-6))
-    triggers = accepted_triggers(arming, ttl([1_000_000]), Latencies(0, 0), FAR_PS, faults)
+    triggers = accepted_triggers(arming, ttl([1_000_000]), Latencies(0, 0), faults)
     assert triggers.tick_ps.tolist() == [1_000_000, 1_500_000]
 
 

@@ -63,30 +63,17 @@ def test_gates_longer_than_the_pulse_and_gates_shifted_by_row_are_exact_too():
         assert rms_error(ours[row], exact) < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("wrong", "says"),
-    [
-        ({"weight": np.ones(5)}, r"weight has length 5 along its axis 'scatterer' and rest_s has \d+"),
-        ({"shape": np.ones(5)}, r"shape has shape \(5,\): its axes must be \(shape, scatterer\)"),
-        ({"amplitude_s": np.full((3, 2, 1), np.nan)}, r"amplitude_s\[0, 0, 0\] is nan"),
-        ({"amplitude_s": np.zeros((2, 4, 1))}, "row must ascend from 0 to less than the 2 rows"),
-    ],
-)
-def test_rows_that_do_not_fit_are_refused_by_name(wrong, says):
-    with pytest.raises(ValueError, match=says):
-        batch(replace(three_rows(), **wrong), PULSE, GATE_S, 1e-8)
-
-
 def test_scatterers_of_no_weight_are_silent():
     scene = three_rows()
     assert not batch(replace(scene, weight=0 * scene.weight), PULSE, GATE_S).any()
 
 
-def test_scatterers_out_of_order_are_refused():
-    scene = three_rows()
-    reversed_order = replace(scene, rest_s=scene.rest_s[::-1])
-    with pytest.raises(ValueError, match=r"numpy\.lexsort\(\(rest_s, row\)\)"):
-        batch(reversed_order, PULSE, GATE_S)
+@pytest.mark.parametrize("bandwidth", [0.065, 0.75])
+def test_sample_rate_below_nyquist_is_refused_with_both_rates(bandwidth: float) -> None:
+    highest = 9.0 * (1 + bandwidth)
+    slow_s = np.arange(20) / (1.9e6 * highest)
+    with pytest.raises(ValueError, match=f"highest frequency of {highest:.4g} MHz, so echoes would alias"):
+        batch(three_rows(), hann_pulse(9.0e6, bandwidth), slow_s)
 
 
 def test_times_in_single_precision_give_the_same_echoes():

@@ -232,55 +232,6 @@ def test_beam_ratios_from_a_thousandth_to_infinite(ratio):
         assert g.max() < 1e-3
 
 
-@pytest.mark.parametrize("bandwidth", [0.065, 0.75])
-def test_sample_rate_below_nyquist_is_refused_with_both_rates(bandwidth):
-    highest = 9.0 * (1 + bandwidth)
-    slow_s = np.arange(20) / (1.9e6 * highest)
-    with pytest.raises(ValueError, match=f"highest frequency of {highest:.4g} MHz, so echoes would alias"):
-        synthesise(resting(np.zeros(1)), np.ones(1), hann_pulse(9.0e6, bandwidth), slow_s)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["rest_s", "weight", "shape", "amplitude_s", "sample_time_s", "tolerance"])
-def test_numbers_that_are_not_finite_are_refused_by_name(name, bad):
-    value = {
-        "rest_s": np.zeros(3),
-        "weight": np.ones(3),
-        "shape": np.ones((1, 3)),
-        "amplitude_s": np.zeros((2, 1)),
-        "sample_time_s": np.arange(4) * 1e-8,
-        "tolerance": np.array([1e-6]),
-    }
-    value[name].flat[0] = bad
-    motion = EchoDelays(value["rest_s"], value["shape"], value["amplitude_s"])
-    with pytest.raises(ValueError, match=rf"^{name}\[0(, 0)?\] is {bad}"):
-        synthesise(
-            motion,
-            value["weight"],
-            HANN,
-            value["sample_time_s"],
-            float(value["tolerance"][0]),
-        )
-
-
-def test_arrays_that_do_not_fit_are_refused_by_name_and_axis():
-    motion = EchoDelays(np.zeros(3), np.ones((1, 3)), np.zeros((2, 1)))
-    with pytest.raises(ValueError, match="weight has length 2 along its axis 'scatterer' and rest_s has 3"):
-        synthesise(motion, np.ones(2), HANN, GATE_S)
-    with pytest.raises(ValueError, match=r"amplitude_s has shape \(2,\): its axes must be \(echo, shape\)"):
-        synthesise(replace(motion, amplitude_s=np.zeros(2)), np.ones(3), HANN, GATE_S)
-
-
-def test_times_that_do_not_ascend_negative_tolerance_and_unknown_method_are_refused():
-    delays = resting(np.zeros(1))
-    with pytest.raises(ValueError, match="sample_time_s must ascend"):
-        synthesise(delays, np.ones(1), HANN, np.array([0.0, 1e-8, 1e-8]))
-    with pytest.raises(ValueError, match=r"tolerance is -1\.0: take 0"):
-        synthesise(delays, np.ones(1), HANN, GATE_S, -1.0)
-    with pytest.raises(ValueError, match="method 'nufft' is unknown"):
-        synthesise(delays, np.ones(1), HANN, GATE_S, 1e-6, "nufft")
-
-
 def test_omitted_scatterers_stay_within_the_tolerance_even_if_the_strong_ones_cancel():
     """Two strong scatterers half a wavelength apart all but cancel: the rms the bound hoped for is not there."""
     rng = np.random.default_rng(11)
