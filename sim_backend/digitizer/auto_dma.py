@@ -186,8 +186,8 @@ def headers(arming: Arming, triggers: AcceptedTriggers, channel: int, records: s
     )
     channel_input = settings.inputs[channel]
     range_id = next(key for key, mv in MILLIVOLTS_BY_ID.items() if mv / 1000 == channel_input.range_v)
-    # Each field is shifted to its lowest bit. Fields that are not set here are 0: rising edge, triggered by B, by A or by
-    # a time-out.
+    # Each field is shifted to its lowest bit. Fields that are not set here are 0: rising edge, triggered by B, A or a
+    # time-out.
     words32 = np.empty((stamps.size, 4), np.int64)
     serial_number, resolution = codes.SERIAL_NUMBER & 0x3FFFF, RESOLUTION_CODES[settings.board.bits]
     words32[:, 0] = serial_number | SYSTEM_NUMBER << 18 | channel << 22 | BOARD_NUMBER << 23 | resolution << 27

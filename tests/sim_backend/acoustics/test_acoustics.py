@@ -5,7 +5,7 @@ import pytest
 
 from sim_backend.acoustics.acoustics import Acoustics, transmitted_fraction
 from sim_backend.echoes.delays import EchoDelays, distinct_echoes
-from sim_backend.echoes.engine import echoes
+from sim_backend.echoes.engine import synthesise
 from sim_backend.echoes.pulse import echo_pulse, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.receiver.front_end import echo_gain_v
@@ -240,7 +240,8 @@ def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
     field, speed = draw_field(settings.scatterers, settings.beams, rng), settings.sound_speed_m_per_s
     delay_s = depth_delay_s(field, settings.scatterers.axial_delay, speed)
     weight, moves, pulse = field.tracking_weight, field.motion_weight, echo_pulse(settings, 9.0e6)
-    return echoes(EchoDelays.of_motion(delay_s, moves, displacement_m, speed), weight, pulse, gate_s, tolerance)
+    delays = EchoDelays.of_motion(delay_s, moves, displacement_m, speed)
+    return synthesise(delays, weight, pulse, gate_s, tolerance).echo
 
 
 def test_echoes_of_a_draw_are_the_plain_sum_with_time_counted_from_the_focus_echo():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim_backend.echoes.delays import EchoDelays
-from sim_backend.echoes.engine import echoes
+from sim_backend.echoes.engine import synthesise
 from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.many_draws import DRAWS_AT_ONCE, batch, drawn_echoes
 from sim_backend.echoes.pulse import echo_pulse, hann_pulse
@@ -119,7 +119,9 @@ def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
     field, speed = draw_field(settings.scatterers, settings.beams, rng), settings.sound_speed_m_per_s
     delay_s = depth_delay_s(field, settings.scatterers.axial_delay, speed)
     weight, moves, pulse = field.tracking_weight, field.motion_weight, echo_pulse(settings, 9.0e6)
-    return echoes(EchoDelays.of_motion(delay_s, moves, displacement_m, speed), weight, pulse, gate_s, tolerance)
+    return synthesise(
+        EchoDelays.of_motion(delay_s, moves, displacement_m, speed), weight, pulse, gate_s, tolerance
+    ).echo
 
 
 @pytest.mark.parametrize(
