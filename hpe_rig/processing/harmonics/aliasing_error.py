@@ -33,14 +33,14 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.processing.harmonics.harmonic_fit import AliasingCauses, HarmonicFit, corrected_by, with_aliasing
 from hpe_rig.processing.harmonics.medium_fit import (
-    media_influences_m,
+    error_covariance,
+    influences_m,
     medium_fit,
     medium_posterior,
     posterior_of_states,
 )
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import PulseTimes
-from hpe_rig.processing.harmonics.prior_evidence import Evidence
 from hpe_rig.processing.motion.displacement import Motion
 
 FitFunction = Callable[[Motion], HarmonicFit]
@@ -61,30 +61,17 @@ def with_aliasing_error(
     evidence = fit_with_prior.evidence
     pulses = PulseTimes.of(motion.time_s, motion.valid)
     error_matrix = _error_matrix(prior, pulses, tuple(fit.frequency_hz.tolist()), fit_function)
-    # The error given the data: its mean, its covariance, and its remainder for every medium of the ensemble.
-    mean_m, causes, member_errors = posterior_of_states(fit_with_prior, prior, error_matrix)
+    # The error given the data: its mean and its covariance.
+    mean_m, causes = posterior_of_states(fit_with_prior, prior, error_matrix)
     corrected = corrected_by(fit, mean_m)
-    medium = medium_posterior(prior, evidence, corrected, member_errors)
+    medium = medium_posterior(prior, evidence, corrected, causes.media_influences_m)
     corrected = with_aliasing(corrected, causes, fit_with_prior.fit, medium)
-    # Before the correction the error has a larger covariance, that over the media of the ensemble.
-    ensemble_causes = _ensemble_causes(error_matrix, prior, evidence)
+    # Before the correction the error has a larger covariance: the error M x in all samples of the prior.
+    errors = prior.sample_responses @ error_matrix.T
+    deviations_m2 = np.full(len(errors) - prior.members, evidence.scale_m**2)
+    ensemble_causes = AliasingCauses(error_covariance(errors, evidence, deviations_m2), influences_m(evidence, errors))
     uncorrected = with_aliasing(fit, ensemble_causes, fit_with_prior.fit, medium)
     return replace(uncorrected, aliasing_corrected=corrected)
-
-
-def _ensemble_causes(error_matrix: FloatArray, prior: MediumPrior, evidence: Evidence) -> AliasingCauses:
-    """Return the aliasing error over the media of the ensemble, before correction.
-
-    ``error_matrix`` (state, response component): the fit's error for each component of a medium's response.
-    """
-    # First term: the error in each member, (member, state), with its posterior probability and its own scale.
-    member_errors = prior.member_responses @ error_matrix.T
-    member_weights = evidence.probability * evidence.member_scale_m2
-    members_m2 = (member_errors.T * member_weights) @ member_errors
-    # Second term: media outside the span of the members, scaled like the whole ensemble.
-    deviation_errors = prior.response_deviation[:, None] * error_matrix.T
-    total_m2 = members_m2 + evidence.scale_m**2 * deviation_errors.T @ deviation_errors
-    return AliasingCauses(total_m2, media_influences_m(evidence, member_errors))
 
 
 @functools.lru_cache(maxsize=8)

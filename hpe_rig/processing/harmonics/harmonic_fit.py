@@ -31,23 +31,31 @@ class MediumPosterior:
 
     ``significance`` (...): probability that a medium of the ensemble gives data as improbable as these.
     ``peak_over_tracked``, complex (..., frequency): peak displacement over tracked displacement.
-    ``peak_covariance`` (..., frequency, 2, 2): covariance of its relative amplitude and its phase.
-    ``steepness`` (..., frequency, 2): root mean square change of the tracked motion with the logarithm of the tracking
-    beam's area and with its offset, in relative amplitude and in phase. ``aliasing_covariance``, same shape: covariance
-    of the errors of ``peak_over_tracked`` and of aliasing, as both depend on the medium.
+    ``aliasing_covariance`` (..., frequency, 2): covariance of the errors of ``peak_over_tracked`` and of aliasing, as
+    both depend on the medium; in relative amplitude and in phase.
 
     Influences of the medium, complex, for each member of the ensemble times the root of its probability:
     ``ratio_influences`` (..., member, frequency), deviation of the logarithm of ``peak_over_tracked`` from its mean;
-    ``steepness_influences`` (..., effect and member, frequency), change with area (first all members) and offset.
+    ``steepness_influences`` (..., effect and member, frequency), relative change of the tracked motion with the
+    logarithm of the tracking beam's area (first all members) and with its offset.
     """
 
     significance: FloatArray
     peak_over_tracked: ComplexArray
-    peak_covariance: FloatArray
-    steepness: FloatArray
     aliasing_covariance: FloatArray
     ratio_influences: ComplexArray
     steepness_influences: ComplexArray
+
+    @property
+    def peak_covariance(self) -> FloatArray:
+        """Covariance (..., frequency, 2, 2) of the relative amplitude and the phase of ``peak_over_tracked``."""
+        errors = real_imaginary(self.ratio_influences)
+        return np.asarray(np.einsum("...mfi,...mfj->...fij", errors, errors))
+
+    @property
+    def steepness(self) -> FloatArray:
+        """Root mean square change (..., frequency, 2) of the tracked motion with beam area and offset."""
+        return np.asarray(np.sqrt(np.sum(real_imaginary(self.steepness_influences) ** 2, axis=-3)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +77,7 @@ class AliasingCauses:
 
         It is the total minus the part of the ensemble and, after a correction, minus that of its noise.
         """
-        influences = np.stack([self.media_influences_m.real, self.media_influences_m.imag], axis=-1)
+        influences = real_imaginary(self.media_influences_m)
         influences = influences.reshape(*influences.shape[:-2], -1)
         return np.asarray(self.total_m2 - self.noise_m2 - np.swapaxes(influences, -1, -2) @ influences)
 
@@ -118,6 +126,11 @@ class HarmonicFit:
     medium: MediumPosterior | None = None
     aliasing_corrected: HarmonicFit | None = None
     drift_m2: FloatArray | None = None
+
+
+def real_imaginary(values: ComplexArray) -> FloatArray:
+    """Return real and imaginary parts along a new last axis."""
+    return np.stack([values.real, values.imag], axis=-1)
 
 
 def least_squares(

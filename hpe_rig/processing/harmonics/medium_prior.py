@@ -48,9 +48,9 @@ class MediumPrior:
 
     A response component is the real or imaginary part of a medium's complex response at one frequency node: real parts
     of all nodes first, then imaginary parts. ``node_to_harmonic``, complex (harmonic, node): converts responses to A
-    exp(j phase) of every harmonic of the bursts. ``member_responses`` (member, component): the media of the ensemble.
-    ``response_deviation`` (component,): standard deviation of a medium from the ensemble's span. ``response_root``
-    (component, component): root of the covariance, deviations included.
+    exp(j phase) of every harmonic of the bursts. ``sample_responses`` (sample, component): the ``members`` media of the
+    ensemble, then one standard deviation of each component from the ensemble's span. ``response_root`` (component,
+    component): root of the covariance, deviations included.
 
     ``peak_over_tracked``, complex (member, harmonic): peak over tracked motion. ``amplitude_m`` (member, harmonic):
     tracked amplitude. ``steepness``, complex (effect, member, harmonic): relative change of the tracked motion with the
@@ -60,11 +60,15 @@ class MediumPrior:
     burst_rate_hz: float
     node_to_harmonic: ComplexArray
     response_root: FloatArray
-    member_responses: FloatArray
-    response_deviation: FloatArray
+    sample_responses: FloatArray
     peak_over_tracked: ComplexArray
     amplitude_m: FloatArray
     steepness: ComplexArray
+
+    @property
+    def members(self) -> int:
+        """Number of media in the ensemble."""
+        return len(self.amplitude_m)
 
     @property
     def frequency_hz(self) -> FloatArray:
@@ -91,8 +95,7 @@ class MediumPrior:
         """
         # Computed once for each distinct instant of the burst period, then repeated for the pulses at that instant.
         first, repeats = self.distinct_instants(time_s)
-        # exp(jwt) of every harmonic as powers of one exponential, which is faster than a sine for each.
-        phasors = _powers(self._burst_phasor(time_s[first]), len(self.node_to_harmonic))
+        phasors = self._harmonic_phasors(time_s[first])
         # The displacement is Im(weights @ response), (instant, node): the response's real part has the factor
         # Im(weights), its imaginary part Re(weights).
         weights = phasors @ self.node_to_harmonic
@@ -105,7 +108,7 @@ class MediumPrior:
     def velocity_m_per_s(self, time_s: FloatArray, phasor_m: ComplexArray) -> FloatArray:
         """Return the velocity (pulse,) at ``time_s`` of the motion with ``phasor_m`` A exp(j phase), (harmonic,)."""
         first, repeats = self.distinct_instants(time_s)
-        phasors = _powers(self._burst_phasor(time_s[first]), len(self.node_to_harmonic))
+        phasors = self._harmonic_phasors(time_s[first])
         velocity: FloatArray = (phasors @ (2j * np.pi * self.frequency_hz * phasor_m)).imag
         return velocity[repeats]
 
@@ -126,6 +129,12 @@ class MediumPrior:
         """Return exp(j 2 pi f t) at the burst rate."""
         sin, cos = harmonic_columns(time_s, np.array([self.burst_rate_hz])).T
         return np.asarray(cos + 1j * sin)
+
+    def _harmonic_phasors(self, time_s: FloatArray) -> ComplexArray:
+        """Return exp(jwt) of every harmonic, (pulse, harmonic)."""
+        # Powers of the first are faster than an exponential for each. Rounding adds up to 1e-13 at the 400th.
+        first = self._burst_phasor(time_s)[:, None]
+        return np.cumprod(np.broadcast_to(first, (time_s.size, len(self.node_to_harmonic))), axis=1)
 
     def instant_count(self, time_s: FloatArray) -> float:
         """Return the effective number of different instants of the burst period that the pulses at ``time_s`` sample.
@@ -183,20 +192,19 @@ def medium_prior(
     # the real and imaginary part.
     mean_square = (weight @ member_responses**2).reshape(2, -1).mean(axis=0)
     deviation = ENSEMBLE_RESIDUAL * np.sqrt(np.tile(mean_square, 2))
-    # Root L of the covariance L L' = weighted second moment of the members + squared deviation. A QR decomposition of
-    # both roots, stacked, gives it.
-    stacked_roots = np.vstack([np.sqrt(weight)[:, None] * member_responses, np.diag(deviation)])
+    sample_responses = np.vstack([member_responses, np.diag(deviation)])
+    # Root L of the covariance L L' = sum of weight * response * response' over the samples, by a QR decomposition.
+    root_weight = np.sqrt(np.concatenate([weight, np.ones(deviation.size)]))
     prior = MediumPrior(
         burst_rate_hz=burst_rate_hz,
         node_to_harmonic=node_to_harmonic,
-        response_root=np.asarray(np.linalg.qr(stacked_roots, mode="r")).T,
-        member_responses=member_responses,
-        response_deviation=deviation,
+        response_root=np.asarray(np.linalg.qr(root_weight[:, None] * sample_responses, mode="r")).T,
+        sample_responses=sample_responses,
         peak_over_tracked=peak / tracked,
         amplitude_m=scale * np.abs(tracked),
         steepness=ensemble.steepness @ node_to_harmonic.T / tracked,
     )
-    for array in (node_to_harmonic, prior.response_root, member_responses, deviation):
+    for array in (node_to_harmonic, prior.response_root, sample_responses):
         array.flags.writeable = False
     for array in (prior.peak_over_tracked, prior.amplitude_m, prior.steepness):
         array.flags.writeable = False
@@ -206,14 +214,3 @@ def medium_prior(
 def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
     """Return the lowest and highest harmonic of the bursts in the model."""
     return burst_rate_hz, burst_rate_hz * max(1, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)))
-
-
-def _powers(phasor: ComplexArray, count: int) -> ComplexArray:
-    """Return the powers 1 to ``count`` of ``phasor`` (pulse,), as (pulse, power).
-
-    They are products of two tables of about sqrt(count) powers, so that rounding errors add up over fewer products.
-    """
-    size = int(np.ceil(np.sqrt(count)))
-    low = np.cumprod(np.broadcast_to(phasor[:, None], (phasor.size, size)), axis=1)
-    high = np.cumprod(np.broadcast_to(low[:, -1:], (phasor.size, size)), axis=1) / low[:, -1:]
-    return np.asarray((high[:, :, None] * low[:, None, :]).reshape(phasor.size, -1)[:, :count])

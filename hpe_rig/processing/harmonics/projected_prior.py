@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpe_rig.arrays import BoolArray, FloatArray, IndexArray
+from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
 from hpe_rig.processing.harmonics.model import PulseTimes, background_columns
 
@@ -35,31 +35,35 @@ class ProjectedPrior:
 
     ``patterns`` (pulse, pattern), U: the orthonormal displacements of which observable motions consist.
     ``pattern_sd`` (pattern,), l: standard deviation of a motion's coefficient of each, for 1 m rms.
-    ``pattern_coordinates`` (pattern, coordinate), V'. ``wanted_per_pattern`` (wanted state, pattern), F V: in-phase and
-    quadrature states of the wanted harmonics in a motion with one standard deviation of a pattern.
+    ``response_per_pattern`` (response component, pattern), L V: response of a medium whose motion has one standard
+    deviation of a pattern. ``wanted_per_pattern`` (wanted state, pattern), F V: in-phase and quadrature states of the
+    wanted harmonics in that motion.
 
-    ``member_coefficients`` (member, pattern) and ``member_states`` (member, wanted state): motion of each medium of the
-    ensemble. ``deviation_coefficients`` and ``deviation_states``: as these, for each independent deviation from the
-    ensemble's span. ``background`` (pulse, order + 1): orthonormal columns of the background.
+    Sample motions of the prior: ``members`` media of the ensemble, then independent deviations from them, those of the
+    wanted harmonics last. ``sample_coefficients`` (sample, pattern): of the patterns in each motion. ``sample_states``
+    (sample, wanted state). ``background`` (pulse, order + 1): orthonormal columns of the background.
     ``hidden_variance_factor``: see ``hidden_variance_factor()``.
-
-    For the Kalman filter: ``factor`` (instant, coordinate) is A F with its background, ``repeats`` (pulse,) its row
-    for each pulse, ``wanted_factor`` (wanted state, coordinate) is F of the wanted states.
     """
 
     patterns: FloatArray
     pattern_sd: FloatArray
-    pattern_coordinates: FloatArray
+    response_per_pattern: FloatArray
     wanted_per_pattern: FloatArray
-    member_coefficients: FloatArray
-    member_states: FloatArray
-    deviation_coefficients: FloatArray
-    deviation_states: FloatArray
+    members: int
+    sample_coefficients: FloatArray
+    sample_states: FloatArray
     background: FloatArray
     hidden_variance_factor: float
-    factor: FloatArray
-    repeats: IndexArray
-    wanted_factor: FloatArray
+
+    @property
+    def member_coefficients(self) -> FloatArray:
+        """Coefficients (member, pattern) of the media of the ensemble."""
+        return self.sample_coefficients[: self.members]
+
+    @property
+    def deviation_coefficients(self) -> FloatArray:
+        """Coefficients (deviation, pattern) of the deviations from the ensemble."""
+        return self.sample_coefficients[self.members :]
 
     def without_background(self, displacement_m: FloatArray) -> FloatArray:
         """Return ``displacement_m`` (..., valid pulse) minus its projection onto the background."""
@@ -104,7 +108,6 @@ def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[i
     harmonic_root = response_to_states @ prior.response_root
     mean_square = np.sum(harmonic_root**2, axis=1).reshape(-1, 2).mean(axis=1)
     wanted_deviation = np.diag(HARMONIC_DEVIATION * np.sqrt(np.repeat(mean_square, 2)))
-    wanted_factor = np.hstack([harmonic_root, wanted_deviation])
     sampled_deviation = of_states @ wanted_deviation
     factor = np.hstack([of_response @ prior.response_root, sampled_deviation])
     # A F: one row for each instant; ``count`` pulses share it.
@@ -113,28 +116,26 @@ def _projected(prior: MediumPrior, pulses: PulseTimes, harmonic_indices: tuple[i
     # it.
     _, singular_values, right_vectors = np.linalg.svd(np.linalg.qr(np.sqrt(count) * centred, mode="r"))
     observed = singular_values > RANK_TOLERANCE * singular_values[0]
-    pattern_sd, pattern_coordinates = singular_values[observed], right_vectors[: observed.size][observed]
-    patterns = centred @ (pattern_coordinates.T / pattern_sd)
-    # Coefficients of the patterns, (response component, pattern), in the motion of each response component.
-    component_coefficients = of_response.T @ (count * patterns)
+    pattern_sd, v = singular_values[observed], right_vectors[: observed.size][observed].T
+    patterns = centred @ (v / pattern_sd)
+    # V has a row for each column of F: components of the response first, then deviations of the wanted harmonics.
+    v_response, v_deviation = np.split(v, [len(prior.response_root)])
+    # Coefficients of the patterns in each sample motion, U' A x, and its wanted states.
+    response_coefficients = of_response.T @ (count * patterns)
     return ProjectedPrior(
         patterns=patterns[repeats],
         pattern_sd=pattern_sd,
-        pattern_coordinates=pattern_coordinates,
-        wanted_per_pattern=wanted_factor @ pattern_coordinates.T,
-        member_coefficients=prior.member_responses @ component_coefficients,
-        member_states=prior.member_responses @ response_to_states.T,
-        deviation_coefficients=np.vstack(
-            [prior.response_deviation[:, None] * component_coefficients, sampled_deviation.T @ (count * patterns)]
+        response_per_pattern=prior.response_root @ v_response,
+        wanted_per_pattern=harmonic_root @ v_response + wanted_deviation @ v_deviation,
+        members=prior.members,
+        sample_coefficients=np.vstack(
+            [prior.sample_responses @ response_coefficients, sampled_deviation.T @ (count * patterns)]
         ),
-        deviation_states=np.vstack([prior.response_deviation[:, None] * response_to_states.T, wanted_deviation]),
+        sample_states=np.vstack([prior.sample_responses @ response_to_states.T, wanted_deviation]),
         background=background,
         hidden_variance_factor=hidden_variance_factor(
             int(valid.sum()), prior.instant_count(time_s[valid]), pattern_sd.size
         ),
-        factor=factor,
-        repeats=repeats,
-        wanted_factor=wanted_factor,
     )
 
 

@@ -35,8 +35,8 @@ def phasors(fit: HarmonicFit) -> ComplexArray:
 
 def medium_motion(prior: MediumPrior) -> ComplexArray:
     """Return the phasors of the member of the ensemble with the median amplitude at 1 kHz, scaled to 0.5 um rms."""
-    member = np.argsort(prior.amplitude_m[:, 9])[len(prior.member_responses) // 2]
-    real, imaginary = np.split(prior.member_responses[member], 2)
+    member = np.argsort(prior.amplitude_m[:, 9])[prior.members // 2]
+    real, imaginary = np.split(prior.sample_responses[member], 2)
     return np.asarray(0.5e-6 * (prior.node_to_harmonic @ (real + 1j * imaginary)))
 
 
