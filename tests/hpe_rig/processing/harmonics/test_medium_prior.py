@@ -227,8 +227,8 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(train: Puls
         largest = np.abs(estimate).max()
         np.testing.assert_allclose(result.fit.state[index], estimate, atol=1e-9 * largest)
         np.testing.assert_allclose(result.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
-        # innovations: differences from the first pulse, free of the background, whitened by the Cholesky factor of their
-        # covariance, pulse by pulse
+        # innovations: differences from the first pulse, free of the background, whitened by the Cholesky factor of
+        # their covariance, pulse by pulse
         moving = columns[1:] - columns[0]
         lower = np.linalg.cholesky(moving @ prior @ moving.T + variance * (1 + np.eye(len(moving))))
         displacement_m = motion.displacement_m[index, used]
