@@ -117,7 +117,7 @@ def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumP
     pulses = select(scene, shot)
     projected = project_prior(prior, pulses.time_s, pulses.used, pulses.wanted_hz, scene.processing.background_order)
     # Rms amplitude of the prior's media at the first wanted frequency, in the unit of the prior.
-    prior_amplitude = math.sqrt(float(np.mean(np.sum(projected.member_states[:, :2] ** 2, axis=1))))
+    prior_amplitude = math.sqrt(float(np.mean(np.sum(projected.sample_states[: projected.members, :2] ** 2, axis=1))))
     noise_m = math.hypot(echo_noise_m(scene, spec), trigger_noise_m(scene))
     # The fit does not distinguish amplitudes below its noise.
     min_amplitude_m = noise_m * math.sqrt(2 / len(projected.patterns))

@@ -276,7 +276,7 @@ def medium_posterior(
     # Logarithm of the ratio of peak to tracked motion in each medium, minus its mean: relative amplitude and phase.
     log_ratio = np.log(prior.peak_over_tracked[:, indices])
     mean_log_ratio = probability @ log_ratio
-    ratio_influences = root * (log_ratio - mean_log_ratio[..., None, :])
+    ratio_influences = np.asarray(root * (log_ratio - mean_log_ratio[..., None, :]), np.complex128)
     # Relative change of the motion with area and offset of the tracking beam, bounded where a medium hardly moves.
     power_m2 = evidence.member_scale_m2[..., None] * prior.amplitude_m[:, indices] ** 2
     # The lower bound avoids 0/0 if nothing moves.
@@ -285,7 +285,8 @@ def medium_posterior(
     effects = [bounded_steepness(effect[:, indices], relative_power) for effect in prior.steepness]
     # Aliasing error relative to the fitted phasor; zero amplitudes have no relative error.
     phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
-    relative_aliasing = aliasing_influences_m / np.where(phasor_m == 0, np.inf, phasor_m)[..., None, :]
+    divisor_m = np.where(phasor_m == 0, np.inf, phasor_m)[..., None, :]
+    relative_aliasing = np.asarray(aliasing_influences_m / divisor_m, np.complex128)
     return MediumPosterior(
         significance=evidence.significance,
         peak_over_tracked=np.exp(mean_log_ratio),

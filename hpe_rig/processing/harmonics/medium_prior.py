@@ -134,7 +134,7 @@ class MediumPrior:
         """Return exp(jwt) of every harmonic, (pulse, harmonic)."""
         # Powers of the first are faster than an exponential for each. Rounding adds up to 1e-13 at the 400th.
         first = self._burst_phasor(time_s)[:, None]
-        return np.cumprod(np.broadcast_to(first, (time_s.size, len(self.node_to_harmonic))), axis=1)
+        return np.asarray(np.cumprod(np.broadcast_to(first, (time_s.size, len(self.node_to_harmonic))), axis=1))
 
     def instant_count(self, time_s: FloatArray) -> float:
         """Return the effective number of different instants of the burst period that the pulses at ``time_s`` sample.
