@@ -195,7 +195,7 @@ class World:
             BoardSettings(board_type),
             count=first_capture,
             faults=instruments.trigger_faults,
-            clock_error=instruments.digitizer_clock_error,
+            clock_error=instruments.clock_error.digitizer,
             serial_number=int(board_serial) if board_serial.isdecimal() else None,
         )
         # The last evaluation, and the instruments' counters of changes for which it is valid.

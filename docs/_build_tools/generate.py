@@ -96,8 +96,6 @@ EXAMPLES = {
     "simulation.scatterers.echo_tolerance": "1e-3",
     "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
     "simulation.specimen.preset": '"gelatin_8"',
-    "simulation.transmitter.saturation_v": "100.0",
-    "simulation.transmitter.hybrid_saturation_v": "2.0",
     "simulation.specimen.depth_m": "12.5e-3",
     "title": '"Gelatin, 100 us at 200 Hz"',
     "tracking.pulse_count": "800",

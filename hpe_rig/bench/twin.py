@@ -105,7 +105,7 @@ class TwinDeclaration:
     def has_clock_errors(self) -> bool:
         """Whether the rates of the instruments' clocks differ; False: all share one reference."""
         instruments = self.settings.instruments
-        return bool(instruments.sample_clock_offset) or any(instruments.clock_error.model_dump().values())
+        return any(instruments.clock_error.model_dump().values())
 
     @property
     def burst_clock_rate(self) -> float:
@@ -156,11 +156,6 @@ class TwinDeclaration:
         receiver = self.settings.receiver
         # The echo is proportional to the pulse's amplitude and length, ...
         relative_v = amplitude_vpp / receiver.reference_pulse_vpp * cycles / REFERENCE_CYCLES
-        # ... to the fraction that a saturating transmitter passes, ...
-        if not self.settings.transmitter.linear:
-            from sim_backend.acoustics import transmitted_fraction
-
-            relative_v *= float(transmitted_fraction(np.array([amplitude_vpp]), self.settings)[0])
         # Loss relative to the reference pulse, for which ``echo_rms_v`` is stated.
         loss_db = self.settings.loss_to_focus_db(carrier_hz)
         loss_db -= self.settings.loss_to_focus_db(receiver.reference_carrier_hz)
@@ -209,7 +204,7 @@ class TwinDeclaration:
         bursts = Bursts(onset_ps, onset_ps + length_ps, carrier_hz, burst_length_s * carrier_hz, amplitude_vpp)
         response = focus_response(specimen, force_shape(settings))
         travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
-        force = radiation_force(bursts, specimen, travel_s, settings.transmitter)
+        force = radiation_force(bursts, specimen, travel_s)
         return np.asarray(transient_displacement(response, force, time_ps))
 
     def background_m(self, time_s: FloatArray) -> FloatArray | None:

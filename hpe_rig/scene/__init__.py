@@ -4,6 +4,7 @@
     units.py             units of keys, numbers with a unit, lengths on the command line
     settings_file.py     text and TOML of a settings file
     estimator_table.py   estimators that a scene can name, with their properties
+    removed_keys.py      keys of earlier versions
     validation.py        all mistakes in the settings of a model
     quantities.py        types of values, each with its bounds
     sections.py          the sections of a scene

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from hpe_rig.scene.mistakes import MAX_SHOWN_CHARACTERS, KeyPath, Mistake, SettingsError, dotted, shortened
+from hpe_rig.scene.removed_keys import REMOVED_KEYS
 from hpe_rig.scene.units import unit_of_path
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -86,7 +87,10 @@ def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], pr
     # Each type of mistake has a function for its words.
     if kind == "extra_forbidden":
         key = str(path[-1])
-        words = _unknown_key(key, _keys_at(model, path[:-1]), list(_paths_to(key, model, prefix)))
+        if remedy := REMOVED_KEYS.get(dotted(prefix + path)):
+            words: Words = "this key of an earlier version was removed", remedy
+        else:
+            words = _unknown_key(key, _keys_at(model, path[:-1]), list(_paths_to(key, model, prefix)))
     elif kind in _BOUNDS:
         words = _out_of_bounds(entry, path, hint)
     elif kind in _WORDS:

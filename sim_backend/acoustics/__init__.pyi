@@ -1,1 +1,1 @@
-from .acoustics import Acoustics as Acoustics, transmitted_fraction as transmitted_fraction
+from .acoustics import Acoustics as Acoustics

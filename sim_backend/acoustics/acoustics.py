@@ -171,7 +171,6 @@ class Acoustics:
     def _add_tracking_echoes(self, volts: FloatArray, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
         """Add the echoes of the tracking pulses to the records, one carrier after another."""
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
-        strength_v *= transmitted_fraction(pulses.amplitude_vpp, self._settings)
         # Sets instead of np.unique, which loads NumPy's masked arrays.
         for carrier_hz in sorted(set(pulses.carrier_hz.tolist())):
             selected = pulses.carrier_hz == carrier_hz
@@ -400,25 +399,6 @@ class Acoustics:
                 volts[target, start:end] += echo[start - first : end - first]
 
 
-def transmitted_fraction(amplitude_vpp: FloatArray, settings: SimulationSettings) -> FloatArray:
-    """Return the gain of the transmit path for tracking pulses (burst,), over its gain for the reference pulse.
-
-    The path is hybrid, amplifier and diodes, which saturate: its gain depends on the amplitude. The gain is that of the
-    carrier, since its harmonics are outside the receive band. A separate tracking transducer has a linear path. Zeros
-    if the reference pulse does not pass the diodes.
-    """
-    if settings.transmitter.linear or settings.beams.tracking_focus_depth_m is not None:
-        return np.ones_like(amplitude_vpp)
-    from sim_backend.motion import harmonic_v
-
-    reference_vpp = settings.receiver.reference_pulse_vpp
-    # By default ``harmonic_v`` returns the amplitude of the carrier itself.
-    gain, reference_gain = (
-        harmonic_v(vpp, settings.transmitter) / vpp for vpp in (amplitude_vpp, np.array([reference_vpp]))
-    )
-    return gain / reference_gain if reference_gain[0] > 0 else np.zeros_like(amplitude_vpp)
-
-
 def burst_record_pairs(start_ps: Int64Array, end_ps: Int64Array, capture: Capture) -> tuple[Int64Array, Int64Array]:
     """Return the burst and the record of every pair with a sample between start and end (burst,), ends included.
 
@@ -453,7 +433,7 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
         specimen, scale = settings.specimen, motion.force_scale(settings)
         response = motion.focus_response(specimen, motion.force_shape(settings))
         return lambda tonebursts, time_ps, _origin_ps: motion.transient_displacement(
-            response, motion.radiation_force(tonebursts, specimen, travel_s, settings.transmitter, scale), time_ps
+            response, motion.radiation_force(tonebursts, specimen, travel_s, scale), time_ps
         )
     if settings.motion:
         from sim_backend.motion import motion_at

@@ -10,9 +10,7 @@ from .field import (
 from .force import (
     ForcePulses as ForcePulses,
     force_scale as force_scale,
-    harmonic_v as harmonic_v,
     radiation_force as radiation_force,
-    transmit_response as transmit_response,
 )
 from .inverse_laplace import AXIS_CONTOUR as AXIS_CONTOUR, Contour as Contour, Panels as Panels, panels_of as panels_of
 from .prescribed import background_at as background_at, motion_at as motion_at

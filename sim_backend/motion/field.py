@@ -39,7 +39,7 @@ from sim_backend.motion.specimen import (
     tabulate_step_response,
     transients,
 )
-from sim_backend.settings import SimulationSettings, Specimen, Transmitter
+from sim_backend.settings import SimulationSettings, Specimen
 from sim_backend.transducer import GaussianSum, push_intensity
 from sim_backend.wiring import Bursts
 
@@ -219,7 +219,6 @@ class MediumMotion:
     """(mode, scatterer)"""
     field: FocusField
     specimen: Specimen
-    transmitter: Transmitter
     travel_s: float
     force_scale: ForceScale | None = None
 
@@ -238,7 +237,7 @@ class MediumMotion:
 
     def _transients(self, response: StepResponse, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:
         """Return the tabulated responses to the force of ``tonebursts`` as they pass, (time, response)."""
-        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.force_scale)
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.force_scale)
         return transients(response, force, time_ps)
 
 
@@ -270,7 +269,6 @@ def medium_motion(
         shape=field.shapes(lateral_m, axial_m).T,
         field=field,
         specimen=specimen,
-        transmitter=settings.transmitter,
         travel_s=travel_s,
         force_scale=force_scale(settings),
     )

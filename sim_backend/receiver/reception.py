@@ -11,12 +11,10 @@ import math
 from dataclasses import replace
 from typing import Protocol
 
-import numpy as np
-
 from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.receiver.streams import RecordStream
 from sim_backend.receiver.timing import SLOPE_MARGIN, has_clock_error, jittered, sampled_with_clock_error
-from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
+from sim_backend.settings import ReceiveChain, SimulationSettings
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, joined_bursts, no_bursts
 
 # Numbers of the streams of random numbers, above those of the acoustics; every stream comes from the scene's seed.
@@ -90,7 +88,7 @@ class Reception:
         from sim_backend.receiver.elements import switch_gain
 
         # ``volts`` lacks the third harmonics of the tonebursts, which leak and echo too: add them.
-        harmonic_bursts = third_harmonics(tonebursts, self._settings)
+        harmonic_bursts = third_harmonics(tonebursts, chain.third_harmonic)
         if harmonic_bursts.onset_ps.size:
             volts = volts + self._acoustics.record_volts(harmonic_bursts, no_bursts(), padded_capture)
         # The transmit/receive switch recovers after each burst and pulse.
@@ -140,30 +138,16 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
     return padded_capture, slice(before, before + fine_samples, oversampling)
 
 
-def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
-    """Return the third harmonics of the tonebursts, of transmitter and chain, as separate bursts; none if zero.
+def third_harmonics(tonebursts: Bursts, ratio: float) -> Bursts:
+    """Return the third harmonics of the tonebursts as separate bursts, ``ratio`` of their amplitude; none if zero.
 
     They leak and echo like the tonebursts; their force is neglected.
     """
-    chain, transmitter = settings.receive_chain, settings.transmitter
-    # ``relative``: third harmonic over fundamental at the transducer, (burst,).
-    relative = np.full(tonebursts.onset_ps.shape, 0.0 if chain is None else chain.third_harmonic)
-    if not transmitter.linear:
-        from sim_backend.motion import harmonic_v, transmit_response
-
-        fundamental_v, third_v = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))
-        specimen = settings.specimen or Specimen()
-        fundamental_response, third_response = (
-            transmit_response(n * tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
-            for n in (1, 3)
-        )
-        voltage_ratio = np.abs(third_v / np.where(fundamental_v > 0, fundamental_v, 1.0))
-        relative += voltage_ratio * third_response / fundamental_response
-    if not relative.any():
+    if ratio == 0:
         return no_bursts()
     return replace(
         tonebursts,
         carrier_hz=3 * tonebursts.carrier_hz,
         cycles=3 * tonebursts.cycles,
-        amplitude_vpp=relative * tonebursts.amplitude_vpp,
+        amplitude_vpp=ratio * tonebursts.amplitude_vpp,
     )

@@ -57,7 +57,7 @@ def _hashed(word: UInt64Array) -> UInt64Array:
 
 def has_clock_error(instruments: Instruments) -> bool:
     """Return whether the sample clock has jitter or a rate error."""
-    return instruments.sample_clock_jitter_s > 0 or instruments.digitizer_clock_error != 0
+    return instruments.sample_clock_jitter_s > 0 or instruments.clock_error.digitizer != 0
 
 
 def sampled_with_clock_error(
@@ -77,7 +77,7 @@ def sampled_with_clock_error(
     exact = volts[:, selected]
     step = selected.step or 1
     # Lateness in sample periods: the clock's rate error adds up over the record.
-    clock_error = instruments.digitizer_clock_error
+    clock_error = instruments.clock_error.digitizer
     lateness = np.arange(exact.shape[1]) * (-step * clock_error / (1 + clock_error))
     if instruments.sample_clock_jitter_s:
         lateness = lateness + rng.standard_normal(exact.shape) * (instruments.sample_clock_jitter_s / period_s)

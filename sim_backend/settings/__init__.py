@@ -6,7 +6,7 @@ installed_media   media of other packages, by entry points
 section           base of all tables
 instruments       generators and digitizer, their clocks and faults
 receiver          level and noise of the echoes, receive chain
-specimen          medium, push and power stage, prescribed and background motion
+specimen          medium, push, prescribed and background motion
 simulation        beams and scatterers; checks between all tables
 
 Each description states the source of the default: *paper* (Table I or Sec. III of the source paper), *manual*

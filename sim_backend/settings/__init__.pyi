@@ -1,5 +1,5 @@
 from .installed_media import BUILT_IN_MEDIA as BUILT_IN_MEDIA, creeps as creeps, modulus_of as modulus_of
-from .instruments import Instruments as Instruments, TriggerFaults as TriggerFaults
+from .instruments import ClockErrors as ClockErrors, Instruments as Instruments, TriggerFaults as TriggerFaults
 from .receiver import (
     BandFilter as BandFilter,
     LogAmplifier as LogAmplifier,
@@ -20,5 +20,4 @@ from .specimen import (
     Propagation as Propagation,
     Specimen as Specimen,
     Sphere as Sphere,
-    Transmitter as Transmitter,
 )

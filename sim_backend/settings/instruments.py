@@ -62,7 +62,7 @@ class ClockErrors(Section):
     tracking_pulser: ClockError = 0.0
     """Clock of the tracking pulser, which sets the pulses' carrier and length."""
     digitizer: ClockError = 0.0
-    """Clock of the digitizer, which sets its samples and time stamps; excludes ``sample_clock_offset``."""
+    """Clock of the digitizer, which sets its samples and time stamps."""
 
 
 class Instruments(Section):
@@ -90,25 +90,7 @@ class Instruments(Section):
     """Root-mean-square jitter of each 33250A from trigger to output."""
     sample_clock_jitter_s: JitterS = 0.0
     """Root-mean-square aperture jitter of the digitizer."""
-    sample_clock_offset: ClockError = 0.0
-    """Relative error of the digitizer's sample period, positive if too long: another form of clock_error.digitizer."""
     clock_error: ClockErrors = ClockErrors()
     """Relative error of each instrument's clock rate."""
     trigger_faults: TriggerFaults = TriggerFaults()
     """Faults of the digitizer's triggers and of their times."""
-
-    @property
-    def digitizer_clock_error(self) -> float:
-        """Relative error of the digitizer's clock rate, from either of its two keys."""
-        # A period longer by a factor 1 + offset is a rate of 1 / (1 + offset).
-        return self.clock_error.digitizer or -self.sample_clock_offset / (1 + self.sample_clock_offset)
-
-    @model_validator(mode="after")
-    def _check_clock(self) -> Instruments:
-        """Refuse two statements of the digitizer's clock."""
-        if self.sample_clock_offset and self.clock_error.digitizer:
-            raise ValueError(
-                f"sample_clock_offset is {self.sample_clock_offset:g} and clock_error.digitizer "
-                f"{self.clock_error.digitizer:g}: both state the digitizer's clock, remove sample_clock_offset"
-            )
-        return self

@@ -81,7 +81,7 @@ class ReceiveChain(Section):
     second_band_pass: BandFilter | None = None
     """Second band-pass (paper: 9.0 MHz; its width is assumed to be the first's)."""
     third_harmonic: Annotated[Strength, Field(ge=0)] = 0.0
-    """Third harmonic of a toneburst over its carrier at the transducer, in addition to the amplifier's saturation."""
+    """Third harmonic of a toneburst over its carrier at the transducer (assumed: none)."""
     oversampling: Literal[1, 2, 5, 10] = 1
     """Computed samples for one sample of the digitizer."""
     tail_tolerance: Annotated[float, Field(ge=1e-14, lt=1, strict=True)] = 1e-6

@@ -20,7 +20,7 @@ from sim_backend.settings.quantities import (
 )
 from sim_backend.settings.receiver import ReceiveChain, Receiver
 from sim_backend.settings.section import Section
-from sim_backend.settings.specimen import BackgroundMotion, MotionComponent, Propagation, Specimen, Transmitter
+from sim_backend.settings.specimen import BackgroundMotion, MotionComponent, Propagation, Specimen
 
 Widths = tuple[LengthM, LengthM, LengthM]
 
@@ -174,8 +174,6 @@ class SimulationSettings(Section):
     """Longitudinal sound speed c (paper, Table I)."""
     specimen: Specimen | None = None
     """A medium moved by the tonebursts; excludes ``motion``."""
-    transmitter: Transmitter = Transmitter()
-    """Elements between the generators and the transducer."""
     propagation: Propagation | None = None
     """Nonlinear propagation of the tonebursts; absent: linear."""
     motion: tuple[MotionComponent, ...] | None = None
@@ -353,14 +351,6 @@ class SimulationSettings(Section):
                 )
             if self.beams.width_ratio is not None:
                 raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
-        if self.specimen is not None and self.transmitter.diode_threshold_v > 0:
-            # Half of the peak-to-peak drive, amplified.
-            amplitude_v = self.specimen.reference_drive_vpp / 2 * self.transmitter.amplifier_gain
-            if amplitude_v <= self.transmitter.diode_threshold_v:
-                raise ValueError(
-                    f"specimen.reference_drive_vpp leaves the amplifier with {amplitude_v:.3g} V, which does not pass "
-                    "transmitter.diode_threshold_v: a larger drive, or a lower threshold"
-                )
         if self.specimen is not None and self.motion is not None:
             raise ValueError(
                 "specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]"

@@ -1,4 +1,4 @@
-"""Settings of what moves the scatterers: specimen, power stage, propagation, prescribed and background motion."""
+"""Settings of what moves the scatterers: specimen, propagation, prescribed and background motion."""
 
 from __future__ import annotations
 
@@ -16,9 +16,7 @@ from sim_backend.settings.quantities import (
     FrequencyHz,
     LengthM,
     ModulusPa,
-    NonNegativeVoltageV,
     PhaseRad,
-    RatioDb,
     Strength,
     VibrationHz,
     ViscosityPaS,
@@ -114,35 +112,6 @@ class Specimen(Section):
         if self.medium == "maxwell" and self.shear_viscosity_pa_s == 0:
             raise ValueError("a maxwell medium without viscosity resists nothing: raise shear_viscosity_pa_s above 0")
         return self
-
-
-class Transmitter(Section):
-    """Hybrid junction, power amplifier and matching transformer between generators and the transducer that pushes."""
-
-    gain_db: RatioDb = 40.0
-    """Gain of the power amplifier (paper: 40 dB)."""
-    hybrid_loss_db: Annotated[RatioDb, Field(ge=0)] = 3.0
-    """Loss of the hybrid junction from either generator: half the power goes to its other port (assumed)."""
-    hybrid_saturation_v: VoltageV | None = None
-    """Saturation amplitude at the hybrid's input, by the law below; absent: it is linear."""
-    matching_gain_db: RatioDb = 0.0
-    """Voltage gain of diode bridge and matching transformer (assumed)."""
-    saturation_v: VoltageV | None = None
-    """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
-    saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
-    """Exponent p of both ceilings, the Rapp law (assumed)."""
-    diode_threshold_v: NonNegativeVoltageV = 0.0
-    """Forward voltage of the diode bridge behind the amplifier, which reduces every burst (assumed: none)."""
-
-    @property
-    def linear(self) -> bool:
-        """Whether its output is proportional to the drive, without harmonics."""
-        return self.saturation_v is None and self.hybrid_saturation_v is None and self.diode_threshold_v == 0
-
-    @property
-    def amplifier_gain(self) -> float:
-        """Voltage gain from the hybrid's input to the amplifier's output."""
-        return float(10 ** ((self.gain_db - self.hybrid_loss_db) / 20))
 
 
 class Propagation(Section):

@@ -529,21 +529,6 @@ def test_samples_and_the_trigger_delay_follow_the_digitizers_clock():
     assert len(set(since_pulse_ps.tolist())) == 1
 
 
-def test_the_older_key_of_the_sample_clock_moves_the_time_stamps():
-    """A period that is too long by 1e-5 gives 50 ticks less for 50 ms, up to one tick of rounding for each stamp."""
-    bench, _ = fired({"sample_clock_offset": 1e-5})
-    perfect, _ = fired({})
-    change = (np.array(stamps_of(bench)) - np.array(stamps_of(perfect))) / 1e8
-    np.testing.assert_allclose(change, -1e-5 * np.array(stamps_of(perfect)) / 1e8, rtol=0, atol=2.1e-8)
-    assert change[0] < -4e-6
-
-
-def test_two_statements_of_the_digitizers_clock_are_refused():
-    instruments = {"sample_clock_offset": 1e-5, "clock_error": {"digitizer": 1e-5}}
-    with pytest.raises(ValueError, match="both state the digitizer's clock"):
-        SimulationSettings.model_validate({"instruments": instruments})
-
-
 def test_samples_of_the_second_input_follow_the_digitizers_clock():
     """A fast clock counts 121 periods in 1.2 us: the 120 of a perfect one, and 1 % more."""
     plugs = [("tracking_train.output", "digitizer.channel_b", 1205e-9)]

@@ -97,18 +97,6 @@ def test_a_depth_that_a_scene_itself_says_is_not_overruled() -> None:
         SimulationSettings.model_validate(given)
 
 
-def test_the_echo_level_falls_as_the_twins_echo_does_where_diodes_take_their_threshold() -> None:
-    threshold = ("[simulation]\n", "[simulation.transmitter]\ndiode_threshold_v = 4.0\n\n[simulation]\n")
-    linear, diodes = twin_of(scene("table-1")), twin_of(scene("table-1", threshold))
-    assert linear is not None
-    assert diodes is not None
-    reference_vpp = linear.settings.receiver.reference_pulse_vpp
-    assert diodes.echo_v(reference_vpp, 3.0, 9e6) == pytest.approx(linear.echo_v(reference_vpp, 3.0, 9e6))
-    # 37 dB behind a tenth of a volt peak to peak stand 3.5 V: nothing passes.
-    assert diodes.echo_v(0.1, 3.0, 9e6) == 0.0
-    assert linear.echo_v(0.1, 3.0, 9e6) > 0.0
-
-
 def test_noise_without_a_receive_chain_follows_from_the_echo_and_its_ratio() -> None:
     noisy, silent = twin_of(scene("table-1")), twin_of(scene("table-1", ("snr_db", "# snr_db")))
     assert noisy is not None
@@ -156,8 +144,12 @@ def test_scatterers_or_reflectors_make_echoes_up_to_the_farthest_of_them() -> No
     assert [twin.echo_reach_m for twin in (nothing, reflectors, scatterers, both)] == [0.0, 4e-3, 2.5e-3, 4e-3]
 
 
-def test_clock_errors_are_those_of_any_instrument_or_of_the_sampling_clock() -> None:
-    settings: tuple[dict[str, Any], ...] = ({}, {"clock_error": {"toneburst": 1e-6}}, {"sample_clock_offset": 1e-6})
+def test_clock_errors_are_those_of_any_instrument() -> None:
+    settings: tuple[dict[str, Any], ...] = (
+        {},
+        {"clock_error": {"toneburst": 1e-6}},
+        {"clock_error": {"digitizer": 1e-6}},
+    )
     assert [declared("table-1", {"instruments": errors}).has_clock_errors for errors in settings] == [False, True, True]
     slow = declared("table-1", {"instruments": {"clock_error": {"burst_train": -2e-6}}})
     assert slow.burst_clock_rate == pytest.approx(1 - 2e-6, abs=1e-12)

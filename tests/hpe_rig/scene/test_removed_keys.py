@@ -1,0 +1,40 @@
+"""Keys of earlier versions: a new scene that has them is refused with what to do, a stored one is read without them."""
+
+from __future__ import annotations
+
+import pytest
+
+from hpe_rig.bench import check_simulation, twin_of
+from hpe_rig.scene import SettingsError, named_text, parse_scene, shipped_scenes
+from sim_backend.settings import SimulationSettings
+
+OLD = """
+[simulation.transmitter]
+saturation_v = 30.0
+
+[simulation.instruments]
+sample_clock_offset = 1e-6
+trigger_jitter_s = 1e-9
+"""
+
+
+def text_of_earlier_version() -> str:
+    return named_text("table-1", shipped_scenes(), "scene")[1] + OLD
+
+
+def test_a_removed_key_is_a_mistake_that_says_what_to_do() -> None:
+    with pytest.raises(SettingsError) as caught:
+        parse_scene("old", text_of_earlier_version(), check_simulation)
+    remedies = {mistake.path: mistake.remedy for mistake in caught.value.mistakes}
+    assert set(remedies) == {"simulation.transmitter", "simulation.instruments.sample_clock_offset"}
+    assert "linear" in remedies["simulation.transmitter"]
+    assert "clock_error.digitizer" in remedies["simulation.instruments.sample_clock_offset"]
+
+
+def test_the_scene_of_a_run_file_is_read_without_its_removed_keys() -> None:
+    scene = parse_scene("old", text_of_earlier_version(), stored=True).scene
+    twin = twin_of(scene)
+    assert twin is not None
+    assert isinstance(twin.settings, SimulationSettings)
+    assert twin.settings.instruments.trigger_jitter_s == 1e-9
+    assert "transmitter" not in (scene.simulation or {})
