@@ -94,7 +94,6 @@ EXAMPLES = {
     "simulation.receive_chain.preset": '"paper"',
     "simulation.receive_chain.recovery_time_s": "5e-6",
     "simulation.scatterers.echo_tolerance": "1e-3",
-    "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
     "simulation.specimen.preset": '"gelatin_8"',
     "simulation.specimen.depth_m": "12.5e-3",
     "title": '"Gelatin, 100 us at 200 Hz"',

@@ -141,10 +141,8 @@ class TwinDeclaration:
         return tuple((motion.frequency_hz, motion.amplitude_m) for motion in self.settings.motion or ())
 
     def echo_pulse_s(self, carrier_hz: float) -> float:
-        """Return the approximate length of one scatterer's echo: measured, or the reciprocal of its bandwidth."""
+        """Return the approximate length of one scatterer's echo, the reciprocal of its bandwidth."""
         scatterers = self.settings.scatterers
-        if scatterers.measured_pulse is not None:
-            return len(scatterers.measured_pulse) / scatterers.measured_pulse_rate_hz
         centre_hz = scatterers.band_centre_hz if scatterers.pulse == "burst" else carrier_hz
         return 1 / (scatterers.bandwidth * centre_hz)
 

@@ -8,6 +8,8 @@ from typing import Any, Final
 REMOVED_KEYS: Final[Mapping[str, str]] = {
     "simulation.transmitter": "remove it; the power stage of the twin is linear",
     "simulation.instruments.sample_clock_offset": "simulation.instruments.clock_error.digitizer, of the opposite sign",
+    "simulation.scatterers.measured_pulse": 'simulation.scatterers.pulse = "gaussian", with its bandwidth',
+    "simulation.scatterers.measured_pulse_rate_hz": "remove it, with measured_pulse",
 }
 """Remedy by the full path of a key or table."""
 

@@ -4,8 +4,8 @@
 
     c_m, w_m    amplitude and angular frequency of exponential m, 1 and rad/s
 
-The Hann pulse of eq. (9) has three exponentials. A Gaussian, a burst through a transducer's band and a measured pulse
-are the Fourier series of their support, without the terms below a tolerance.
+The Hann pulse of eq. (9) has three exponentials. A Gaussian and a burst through a transducer's band are the
+Fourier series of their support, without the terms below a tolerance.
 """
 
 from __future__ import annotations
@@ -46,10 +46,6 @@ def echo_pulse(settings: SimulationSettings, carrier_hz: float) -> Pulse:
     """
     scatterers = settings.scatterers
     pulse = _ideal_pulse(scatterers.pulse, carrier_hz, scatterers.bandwidth, scatterers.band_centre_hz)
-    # A measured pulse replaces it; the middle of its samples is time 0.
-    if scatterers.measured_pulse is not None:
-        rate_hz, samples = scatterers.measured_pulse_rate_hz, scatterers.measured_pulse
-        pulse = sampled_pulse(np.array(samples), rate_hz, -(len(samples) - 1) / 2 / rate_hz)
     return attenuated_to_focus(settings, pulse)
 
 
@@ -146,34 +142,12 @@ def from_spectrum(
         if size[-count // 8 :].sum() < 0.1 * tolerance * size.sum() or count >= 1 << 16:
             break
         count *= 2
-    return _strong_terms(start_s, end_s, frequency_hz, amplitude, tolerance)
-
-
-def sampled_pulse(value: FloatArray, sample_rate_hz: float, start_s: float, tolerance: float = 1e-10) -> Pulse:
-    """Return the band-limited pulse through measured samples ``value`` (sample,), the first at ``start_s``.
-
-    The samples are one period of a Fourier series and should begin and end near zero. Raises ValueError if a sample is
-    not finite, all are zero, or an end is above a tenth of the peak.
-    """
-    if not np.isfinite(value).all():
-        bad = int(np.flatnonzero(~np.isfinite(value))[0])
-        raise ValueError(f"pulse sample {bad} is {value[bad]}: remove it from the measured pulse")
-    peak = float(np.abs(value).max(initial=0.0))
-    if peak == 0.0:
-        raise ValueError("every sample of the measured pulse is 0: record it with the transducer connected")
-    if max(abs(value[0]), abs(value[-1])) > 0.1 * peak:
-        raise ValueError(
-            f"the measured pulse ends at {max(abs(value[0]), abs(value[-1])):.3g} with a peak of {peak:.3g}: it is cut "
-            "off; record more before and after it, or taper its ends"
-        )
-    # One-sided Fourier series: all terms but the constant, and the highest of an even number, count twice.
-    count = len(value)
-    frequency_hz = np.arange(count // 2 + 1) * sample_rate_hz / count
-    amplitude = np.fft.rfft(value) * np.exp(-2j * np.pi * frequency_hz * start_s) * (2 / count)
-    amplitude[0] /= 2
-    if count % 2 == 0:
-        amplitude[-1] /= 2
-    return _strong_terms(start_s, start_s + count / sample_rate_hz, frequency_hz, amplitude, tolerance)
+    # Consecutive terms that hold all but ``tolerance`` of the summed amplitude.
+    budget = tolerance * size.sum() / 2
+    first = int(np.searchsorted(np.cumsum(size), budget))
+    last = len(size) - int(np.searchsorted(np.cumsum(size[::-1]), budget))
+    terms = slice(first, max(last, first + 1))
+    return Pulse(start_s, end_s, tuple(frequency_hz[terms].tolist()), tuple(amplitude[terms].tolist()))
 
 
 def attenuated(pulse: Pulse, loss_db: Sequence[float]) -> Pulse:
@@ -229,18 +203,3 @@ def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
     step = float(rate[-1] - rate[0]) / max(1, len(rate) - 1)
     even = len(rate) < 3 or bool(np.abs(np.diff(rate) - step).max() <= 1e-14 * np.abs(rate).max())
     return tuple(rate.tolist()), step if even else None
-
-
-def _strong_terms(
-    start_s: float, end_s: float, frequency_hz: FloatArray, amplitude: ComplexArray, tolerance: float
-) -> Pulse:
-    """Return a pulse of consecutive exponentials that hold all but ``tolerance`` of the summed amplitude.
-
-    ``frequency_hz`` and ``amplitude`` (exponential,): those of the complete Fourier series.
-    """
-    size = np.abs(amplitude)
-    budget = tolerance * size.sum() / 2
-    first = int(np.searchsorted(np.cumsum(size), budget))
-    last = len(size) - int(np.searchsorted(np.cumsum(size[::-1]), budget))
-    terms = slice(first, max(last, first + 1))
-    return Pulse(start_s, end_s, tuple(frequency_hz[terms].tolist()), tuple(amplitude[terms].tolist()))

@@ -136,10 +136,6 @@ class Scatterers(Section):
     """Echo pulse: Hann of eq. (9), Gaussian, or a 3-cycle burst through a Gaussian band about ``band_centre_hz``."""
     band_centre_hz: FrequencyHz = 9.0e6
     """Centre of the receive band of ``pulse = "burst"`` (paper: band-pass filter at 9.0 MHz)."""
-    measured_pulse: Annotated[tuple[Strength, ...], Field(min_length=1, max_length=100_000)] | None = None
-    """Samples of a measured echo pulse, centred on its arrival; replaces ``pulse`` at any carrier."""
-    measured_pulse_rate_hz: FrequencyHz = 100.0e6
-    """Sample rate of ``measured_pulse``."""
     reflectivity: Literal["unit", "sign", "normal"] = "unit"
     """Reflectivity of each scatterer: 1 (paper), +1 or -1, or standard normal."""
     reflectors: tuple[Reflector, ...] = ()

@@ -49,7 +49,7 @@ def _echo_length(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
     if pulse_s > period_s:
         text = f"simulation.scatterers make an echo {pulse_s * 1e3:.3g} ms long, from one tracking pulse "
         text += f"to the next are {period_s * 1e3:.3g} ms"
-        remedy = "a larger bandwidth, a shorter measured_pulse, or a lower tracking.pulse_rate_hz"
+        remedy = "a larger bandwidth, or a lower tracking.pulse_rate_hz"
         yield CheckResult("echo length", "refused", text, remedy)
 
 

@@ -155,17 +155,16 @@ def test_clock_errors_are_those_of_any_instrument() -> None:
     assert slow.burst_clock_rate == pytest.approx(1 - 2e-6, abs=1e-12)
 
 
-def test_the_length_of_an_echo_is_that_of_its_measured_pulse_or_of_its_bandwidth() -> None:
-    measured, burst, hann = (
+def test_the_length_of_an_echo_is_that_of_its_bandwidth() -> None:
+    burst, hann = (
         declared("table-1", {"scatterers": settings}).echo_pulse_s(5e6)
         for settings in (
-            {"measured_pulse": [0.0, 1.0, -1.0, 0.0], "measured_pulse_rate_hz": 40e6},
             {"pulse": "burst", "band_centre_hz": 8e6, "bandwidth": 0.5},
             {"bandwidth": 0.5},
         )
     )
-    # Four samples at 40 MHz; half of the transducer's 8 MHz; half of the carrier's 5 MHz.
-    assert (measured, burst, hann) == pytest.approx((100e-9, 250e-9, 400e-9), rel=1e-12)
+    # Half of the transducer's 8 MHz; half of the carrier's 5 MHz.
+    assert (burst, hann) == pytest.approx((250e-9, 400e-9), rel=1e-12)
 
 
 def test_the_echo_level_follows_amplitude_length_distance_and_loss() -> None:

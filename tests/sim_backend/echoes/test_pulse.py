@@ -12,7 +12,6 @@ from sim_backend.echoes.pulse import (
     gaussian_pulse,
     hann_pulse,
     phasors,
-    sampled_pulse,
     waveform,
 )
 from sim_backend.settings import SimulationSettings
@@ -52,27 +51,6 @@ def test_burst_through_a_band_is_the_convolution_of_both():
         z = [(s * (time_s - edge) + 1j * d / s) / np.sqrt(2) for edge in (0.0, length_s)]
         total += (np.exp(1j * w0 * time_s) * np.exp(-(d**2) / (2 * s**2)) * (erf(z[0]) - erf(z[1])) / 2).imag
     assert waveform(pulse, time_s) == pytest.approx(total, abs=1e-9)
-
-
-def test_measured_pulse_passes_through_its_samples_and_is_band_limited_between():
-    source = gaussian_pulse(9.0e6, 0.3, 1e-12)
-    time_s = np.arange(-150, 150) * 1e-8
-    pulse = sampled_pulse(waveform(source, time_s), 100.0e6, time_s[0])
-    finer_s = np.linspace(-1e-6, 1e-6, 3001)
-    assert waveform(pulse, finer_s) == pytest.approx(waveform(source, finer_s), abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("value", "reason"),
-    [
-        ([0.0, np.nan, 0.0], "pulse sample 1 is nan"),
-        ([0.0, 0.0], "every sample of the measured pulse is 0"),
-        ([1.0, 2.0, 0.0], "cut off"),
-    ],
-)
-def test_measured_pulse_that_cannot_be_one_is_refused(value, reason):
-    with pytest.raises(ValueError, match=reason):
-        sampled_pulse(np.array(value), 1e8, 0.0)
 
 
 def test_attenuation_lowers_the_centre_frequency_of_a_gaussian_by_alpha_sigma_squared():

@@ -111,8 +111,6 @@ def test_pulse_kinds_of_the_settings_are_the_pulses_by_name():
     assert pulse() == hann_pulse(9.0e6, 0.065)
     assert pulse(pulse="gaussian", bandwidth=0.5) == gaussian_pulse(9.0e6, 0.5)
     assert pulse(pulse="burst", bandwidth=0.5).start_s < 0 < 3 / 9.0e6 < pulse(pulse="burst", bandwidth=0.5).end_s
-    measured = pulse(measured_pulse=(0.0, 0.5, -1.0, 0.5, 0.0), measured_pulse_rate_hz=5.0e7)
-    assert measured.start_s == pytest.approx(-4e-8)
 
 
 def test_attenuation_weakens_deeper_scatterers_and_lowers_the_pulse_s_centre():
