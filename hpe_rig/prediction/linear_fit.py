@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import lru_cache
 
 import numpy as np
 
@@ -206,23 +205,12 @@ def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexAr
     # The sinusoid A sin(w t + phase) has A exp(j phase) = j times the coefficient of exp(j w t).
     phasor_m = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
     quadratures_m = np.stack([phasor_m.real, phasor_m.imag], axis=-1).ravel()
-    displacement_m = _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), quadratures_m.tobytes())
-    return np.asarray(phasor_m[wanted_index - 1]), displacement_m
+    return np.asarray(phasor_m[wanted_index - 1]), summed_harmonics_m(time_s, frequency_hz, quadratures_m)
 
 
-@lru_cache(maxsize=4)
-def _displacement_m(time_bytes: bytes, frequency_bytes: bytes, quadrature_bytes: bytes) -> FloatArray:
-    """Return the displacement (pulse,), m, of a sum of harmonics at the pulses' times.
-
-    The arguments are the bytes of float arrays, because arrays cannot be cache keys: times (pulse,), s; frequencies
-    (frequency,), Hz; and A cos(phase), A sin(phase) of each harmonic (2 * frequency,), m. Cached, because the forecast
-    of every estimator needs the same motion.
-    """
-    time_s, frequency_hz = np.frombuffer(time_bytes), np.frombuffer(frequency_bytes)
-    quadratures_m = np.frombuffer(quadrature_bytes)
+def summed_harmonics_m(time_s: FloatArray, frequency_hz: FloatArray, quadratures_m: FloatArray) -> FloatArray:
+    """Return the displacement (pulse,) at ``time_s`` of harmonics with A cos(phase), A sin(phase) (2 * frequency,)."""
     # In blocks: with hundreds of harmonics the columns of a long train take gigabytes.
     starts = range(0, time_s.size, PULSES_PER_BLOCK)
     blocks = (harmonic_columns(time_s[start : start + PULSES_PER_BLOCK], frequency_hz) for start in starts)
-    displacement_m = np.concatenate([columns @ quadratures_m for columns in blocks])
-    displacement_m.setflags(write=False)
-    return displacement_m
+    return np.concatenate([columns @ quadratures_m for columns in blocks])

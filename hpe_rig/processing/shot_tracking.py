@@ -14,7 +14,6 @@ from hpe_rig.plan import Selection, Shot, reference_gate
 from hpe_rig.processing.echo.conditioning import (
     CodedVolts,
     GateStatistics,
-    centred_volts,
     code_statistics,
     concatenate_statistics,
     deviating_pulses,
@@ -178,15 +177,11 @@ def shot_echoes(
     window = selection.window
     valid = records.valid[window] & selection.used
     unclipped = valid & ~statistics.at_full_scale(records.code_limits)[window]
-    gate = slice(records.margin[0], records.shape[1] - records.margin[1])
     first = int(np.argmax(window))
     pulses = slice(first, first + valid.size)
     # Records of long shots stay in the file: their volts are computed block by block.
-    volts = (
-        centred_volts(records.block(pulses), records.volts_per_code, unclipped, gate)
-        if isinstance(records, RecordsInMemory)
-        else CodedVolts(records, pulses, unclipped, statistics)
-    )
+    coded = CodedVolts(records, pulses, unclipped, statistics)
+    volts = coded[...] if isinstance(records, RecordsInMemory) else coded
     echoes = EchoGate(
         volts=volts,
         sample_rate_hz=shot.capture.sample_rate_hz,

@@ -156,10 +156,12 @@ def line_warnings(line: Line | None, pulse_rate_hz: float, max_probability: floa
 
 
 def toneburst_warnings(tonebursts: ToneburstPhases | None, time_base: TimeBase) -> Iterator[str]:
-    """Yield a warning if records of the second input lie within tonebursts but do not measure their rate.
+    """Yield warnings of damaged records of the second input, and if its tonebursts do not measure their rate.
 
     ``tonebursts``: their phases, None if the second input was not recorded.
     """
+    if tonebursts is not None and tonebursts.damaged:
+        yield f"{tonebursts.damaged} records of the second input {DAMAGED}"
     is_needed = time_base.is_uncertain and time_base.by_tonebursts is None
     if tonebursts is None or not is_needed or tonebursts.expected < MIN_RECORDS:
         return

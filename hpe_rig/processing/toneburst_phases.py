@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray, IndexArray
+from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
 from hpe_rig.plan import Shot
 from hpe_rig.processing.echo.conditioning import code_statistics
 from hpe_rig.processing.echo.gate import BLOCK_SAMPLES
@@ -55,7 +55,8 @@ class ToneburstPhases:
     """Phases of the carrier in the records of one shot that lie within tonebursts.
 
     ``pulse`` (record,): number of the pulse. ``phase_rad`` (record,): measured phase less that of nominal times.
-    ``expected``: number of such records by nominal times. The rates and the carrier are nominal.
+    ``expected``: number of such records by nominal times. The rates and the carrier are nominal. ``damaged``: number of
+    records of the second input that fail their checksums, which are left out.
     """
 
     pulse: FloatArray
@@ -65,6 +66,7 @@ class ToneburstPhases:
     burst_rate_hz: float
     carrier_hz: float
     sample_rate_hz: float
+    damaged: int = 0
 
     def rate_error(self, prior_error: RateError) -> RateError | None:
         """Return the rate error of the tonebursts by the clock of the pulses; None if the phases do not determine it.
@@ -200,17 +202,12 @@ def _record_length_s(shot: Shot) -> float:
 def toneburst_phases(shot: Shot, stored: StoredRun, placement: Placement) -> ToneburstPhases | None:
     """Return the phases of the tonebursts that the second input recorded; None if it did not.
 
-    ``placement``: pulse of each record. None also if records are damaged.
+    ``placement``: pulse of each record.
     """
-    from hpe_rig.store import StoreError
-
     tone, train = shot.toneburst, shot.burst_train
     if tone is None or train is None or not _records_tonebursts(shot):
         return None
-    try:
-        phasor, purity = _carrier_phasors(shot, stored, tone.carrier_hz)
-    except StoreError:
-        return None
+    phasor, purity, damaged = _carrier_phasors(shot, stored, tone.carrier_hz)
     is_pure = (purity > MIN_PURITY) & (placement.pulse >= 0)
     largest = float(np.max(np.abs(phasor[is_pure]), initial=0.0))
     record = np.flatnonzero(is_pure & (np.abs(phasor) > MIN_AMPLITUDE * largest))
@@ -225,22 +222,27 @@ def toneburst_phases(shot: Shot, stored: StoredRun, placement: Placement) -> Ton
         burst_rate_hz=train.rate_hz,
         carrier_hz=tone.carrier_hz,
         sample_rate_hz=shot.capture.sample_rate_hz,
+        damaged=damaged,
     )
 
 
-def _carrier_phasors(shot: Shot, stored: StoredRun, carrier_hz: float) -> tuple[np.ndarray, FloatArray]:
-    """Return the phasor of the carrier in each record of the second input, and its part of the energy, (record,)."""
+def _carrier_phasors(shot: Shot, stored: StoredRun, carrier_hz: float) -> tuple[ComplexArray, FloatArray, int]:
+    """Return the phasor of the carrier in each record of the second input, and its part of the energy, (record,).
+
+    The energy of damaged records counts as 0; the third value is their number.
+    """
     records, samples = stored.records.shape[1:]
     angle_rad = 2 * np.pi * carrier_hz * np.arange(samples) / shot.capture.sample_rate_hz
     columns = np.stack([np.cos(angle_rad), -np.sin(angle_rad)], axis=1)
     # Columns without a mean are blind to the input's offset.
     columns = (columns - columns.mean(axis=0)).astype(np.float32)
-    phasor, purity = np.zeros(records, np.complex128), np.zeros(records)
-    for first, codes in stored.records.chunks(shot.index, max(1, BLOCK_SAMPLES // samples), "monitor"):
+    phasor, purity, damaged_count = np.zeros(records, np.complex128), np.zeros(records), 0
+    for first, codes, damaged in stored.records.blocks(shot.index, max(1, BLOCK_SAMPLES // samples), "monitor"):
         block, statistics = slice(first, first + len(codes)), code_statistics(codes)
         components = codes.astype(np.float32) @ columns
         phasor[block] = components[:, 0] + 1j * components[:, 1]
         # Rounding has a variance of 1/12 code²; without it constant codes would have no energy.
         energy = samples * (np.maximum(statistics.mean_square - statistics.mean**2, 0.0) + 1 / 12)
-        purity[block] = 2 / samples * np.abs(phasor[block]) ** 2 / energy
-    return phasor, purity
+        purity[block] = np.where(damaged, 0.0, 2 / samples * np.abs(phasor[block]) ** 2 / energy)
+        damaged_count += int(damaged.sum())
+    return phasor, purity, damaged_count

@@ -208,15 +208,15 @@ class StoredRecords(Sequence[ShotRecords]):
         A block has as many whole chunks as ``max_records`` allow, at least one. ``name``: the input, "echo" or
         "monitor".
         """
-        for first, codes, damaged in self._blocks(shot, max_records, name, slice(None)):
+        for first, codes, damaged in self.blocks(shot, max_records, name):
             if damaged.any():
                 raise StoreError(
                     f"{self.path}: records of shot {shot + 1} fail their checksums. Try: hpe-rig verify {self.path}."
                 )
             yield first, codes
 
-    def _blocks(
-        self, shot: int, max_records: int, name: str, samples: slice
+    def blocks(
+        self, shot: int, max_records: int, name: str, samples: slice = slice(None)
     ) -> Generator[tuple[int, Int16Array, BoolArray], None, None]:
         """Yield first record, codes of ``samples`` (record, sample) and which are damaged, in blocks as ``chunks``."""
         samples = slice(*samples.indices(self.shape[2]))
@@ -241,7 +241,7 @@ class StoredRecords(Sequence[ShotRecords]):
             names = ("echo", *(["monitor"] if checked.has("records/monitor") else []))
         for name in names:
             # An error of ``visit`` does not pass through ``open_checked``, which would report a damaged file.
-            with closing(self._blocks(shot, MAX_SAMPLES_PER_STEP // self.shape[2], name, samples)) as blocks:
+            with closing(self.blocks(shot, MAX_SAMPLES_PER_STEP // self.shape[2], name, samples)) as blocks:
                 for first, codes, damaged_records in blocks:
                     damaged[first : first + damaged_records.size] |= damaged_records
                     if visit is not None and name == "echo":

@@ -13,7 +13,7 @@ import pytest
 from scipy.io import savemat
 
 import hpe_rig as hpe
-from hpe_rig.prediction.linear_fit import PULSES_PER_BLOCK, _displacement_m
+from hpe_rig.prediction.linear_fit import PULSES_PER_BLOCK, summed_harmonics_m
 from hpe_rig.processing.harmonics.model import harmonic_columns
 from hpe_rig.recordings.importers import read_contents
 from hpe_rig.recordings.settings import RecordingSettings
@@ -159,7 +159,7 @@ def test_the_check_of_a_refused_scene_with_millions_of_pulses_predicts_nothing()
 def test_the_motion_of_a_long_train_is_summed_in_blocks() -> None:
     time_s, frequency_hz = np.arange(PULSES_PER_BLOCK + 900) / 4e3, 100.0 * np.arange(1, 5)
     quadratures_m = np.arange(1.0, 9.0)
-    summed_m = _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), quadratures_m.tobytes())
+    summed_m = summed_harmonics_m(time_s, frequency_hz, quadratures_m)
     # The rounding of a phase of 1e4 cycles, times the sum of the amplitudes.
     expected_m = harmonic_columns(time_s, frequency_hz) @ quadratures_m
     np.testing.assert_allclose(summed_m, expected_m, atol=36 * 1e4 * 2 * np.pi * np.finfo(float).eps)

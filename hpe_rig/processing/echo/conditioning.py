@@ -18,23 +18,6 @@ MAX_ENERGY_DEVIATION = 8.0
 """Robust standard deviations of the logarithmic energy beyond which a pulse deviates; always at least a factor of 2."""
 
 
-def centred_volts(
-    codes: Int16Array, volts_per_code: float, usable: BoolArray, gate: slice = slice(None)
-) -> SingleArray:
-    """Return the records (pulse, sample) in volts without their offset, float32: 1/1000 of a code step is lost.
-
-    The offset is the mean in the ``gate`` over the ``usable`` records (pulse,), those present and within full scale. It
-    is one number for all: the mean of a record would add its noise to that record, and a mean over pulses at each
-    sample would remove the resting echo, which carries the phase. Without a usable record no offset is removed.
-    """
-    volts = codes.astype(np.float32)
-    if usable.any():
-        gated = volts[:, gate]
-        volts -= (gated @ np.full(gated.shape[-1], 1 / gated.shape[-1], np.float32))[usable].mean()
-    volts *= np.float32(volts_per_code)
-    return volts
-
-
 @dataclass(frozen=True, slots=True)
 class GateStatistics:
     """Statistics of each record's codes in the gate, (pulse,); undefined for a missing record."""
@@ -76,8 +59,10 @@ def concatenate_statistics(blocks: Sequence[GateStatistics]) -> GateStatistics:
 class CodedVolts:
     """Volts of a shot's ``records`` without their offset, converted from codes on demand: see `gate.BlockedVolts`.
 
-    ``pulses`` are the pulses of the window. ``usable`` (pulse,) marks those that determine the offset, as in
-    `centred_volts`.
+    ``pulses`` are the pulses of the window. The offset is the mean in the gate over the ``usable`` records (pulse,),
+    those present and within full scale. It is one number for all: the mean of a record would add its noise to that
+    record, and a mean over pulses at each sample would remove the resting echo, which carries the phase. Without a
+    usable record no offset is removed.
     """
 
     def __init__(self, records: GatedRecords, pulses: slice, usable: BoolArray, statistics: GateStatistics) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import mmap
 import tempfile
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -24,8 +23,6 @@ FFT_COST = 6.0
 """Cost of an FFT per point and doubling, in products of a matrix multiplication; measured."""
 BLOCK_PULSES = 64
 """Pulses transformed together: few enough that volts and spectra stay in the cache."""
-TWO_THREADS_POINTS = 1 << 20
-"""Minimum FFT points of a train for which two threads share its blocks."""
 MAX_MEMORY_BYTES = 1 << 25
 """Size above which a spectrum is kept in a temporary file."""
 _WRITE_BYTES = 1 << 20
@@ -103,29 +100,14 @@ def _transform(volts: Volts, band: Band, fft_points: int, spectrum: ComplexArray
     taper = band.taper.astype(volts.dtype)
     phasor, constant = (values.astype(spectrum.dtype) for values in (band.fft_phasor, band.constant_spectrum))
 
-    @np.errstate(invalid="ignore")
-    def transform(train: tuple[int, ...], firsts: Iterator[int]) -> None:
-        """Transform the blocks of one train that begin at the pulses ``firsts``, which two threads may share."""
-        for first in firsts:
-            block = slice(first, min(first + BLOCK_PULSES, pulses))
+    for train in np.ndindex(volts.shape[:-2]):
+        for first in range(0, pulses, BLOCK_PULSES):
+            block = slice(first, first + BLOCK_PULSES)
             records = volts[train][block]
             in_band = rfft(records * taper, fft_points)[:, start : start + count] * phasor
             # The mean is removed in the band, which has fewer bins than the record has samples.
             in_band -= np.outer(records.mean(axis=-1), constant)
             spectrum[train][:, block] = in_band.T
-
-    for train in np.ndindex(volts.shape[:-2]):
-        firsts = iter(range(0, pulses, BLOCK_PULSES))
-        if pulses * fft_points < TWO_THREADS_POINTS:
-            transform(train, firsts)
-        else:
-            from concurrent.futures import ThreadPoolExecutor
-
-            with ThreadPoolExecutor(1) as pool:
-                # Each thread takes the next block, so that a thread on a busy core takes fewer.
-                second = pool.submit(transform, train, firsts)
-                transform(train, firsts)
-                second.result()
 
 
 def _project(volts: Volts, analysis: ComplexArray, spectrum: ComplexArray) -> None:

@@ -176,37 +176,29 @@ def difference_noise_moments(
     """Return the expected energy (...) of a residual's pulse-to-pulse differences, and their degrees of freedom.
 
     They are needed to estimate the noise of a displacement that is a sum of noisy steps: white noise plus a random
-    walk, with ``step_noise_ratio`` (...) times the white variance in every step. The energy is relative to the white
-    variance of one pulse. The residual is that of a fit which has removed the fraction ``shrinkage`` (..., column) of
-    each of the orthonormal ``columns`` (pulse, column) in the displacement; 1 for least squares.
+    walk, with r = ``step_noise_ratio`` (...) times the white variance in every step. The energy is relative to the
+    white variance of one pulse. The residual is that of a fit which has removed the fraction h = ``shrinkage`` (...,
+    column) of each of the orthonormal ``columns`` Q (pulse, column) in the displacement; 1 for least squares. With D
+    the difference of neighbours, L the running sum (D L = 1), n differences and g = h (2 - h),
 
-    With D the difference of neighbours, L the running sum (D L = 1), Q the columns and h the shrinkage, the covariance
-    of the differences is A = D (1 - Q g Q') D', g = h (2 - h), for white noise. Degrees of freedom of a sum of squares:
-    (tr A)² / tr A² (Satterthwaite, 1946), times a factor for the random walk, 1 without a walk.
+        E = W + r |D (1 - Q h Q') L|²,    W = |D (1 - Q h Q')|² = 2 n - sum g |D q|²
+        nu = W / 2 (2 + r)² / ((2 + r)² + 2)
+
+    nu is (tr A)² / tr A² (Satterthwaite, 1946) of the covariance A of the differences: 2 + r on its diagonal, -1 beside
+    it. The columns of the fit hardly change it: by 2 % for one harmonic in six pulses.
     """
-    # D Q, L'Q, |D q|² of each column, g, and Q'D'D Q.
+    # D Q, L'Q and |D q|² of each column.
     differences = np.diff(columns, axis=0)
     sums_after = np.cumsum(columns[:0:-1], axis=0)[::-1]
-    energy = np.einsum("ij,ij->j", differences, differences)
-    removed = shrinkage * (2 - shrinkage)
-    inner = differences.T @ differences
-    # tr A, the energy for white noise: two noise terms in each difference, minus what the fit has removed.
-    count = len(differences)
-    white = 2 * count - removed @ energy
-    # Expected energy of the walk: |D (1 - Q h Q') L|², expanded with D L = 1.
+    white = 2 * len(differences) - (shrinkage * (2 - shrinkage)) @ np.einsum("ij,ij->j", differences, differences)
+    # |D (1 - Q h Q') L|², expanded with D L = 1.
     overlap = np.einsum("ij,ij->j", sums_after, differences)
-    products = inner * (sums_after.T @ sums_after)
-    steps = count - 2 * shrinkage @ overlap + np.einsum("...i,ij,...j->...", shrinkage, products, shrinkage)
-    # tr A²: of D D' it is 6 n - 2; |D'D q|² = 2 |D q|² - 2 (sum of products of neighbouring differences).
-    second_difference_energy = 2 * (energy - np.einsum("ij,ij->j", differences[1:], differences[:-1]))
-    square = 6 * count - 2 - 2 * removed @ second_difference_energy
-    square = square + np.einsum("...i,ij,...j->...", removed, inner**2, removed)
-    degrees = white**2 / np.maximum(square, np.finfo(np.float64).tiny)
-    # With a walk of ratio r, differences have the variance 2 + r and the covariance -1 between neighbours: (tr A)² /
-    # tr A² per difference is (2 + r)² / ((2 + r)² + 2), over 2 / 3 without a walk.
+    products = (differences.T @ differences) * (sums_after.T @ sums_after)
+    walk = len(differences) - 2 * shrinkage @ overlap
+    walk = walk + np.einsum("...i,ij,...j->...", shrinkage, products, shrinkage)
     step_square = (2 + step_noise_ratio) ** 2
-    degrees = degrees * np.asarray(1.5 * step_square / (step_square + 2))
-    return np.asarray(white + step_noise_ratio * steps), np.asarray(degrees)
+    degrees = white / 2 * step_square / (step_square + 2)
+    return np.asarray(white + step_noise_ratio * walk), np.asarray(degrees)
 
 
 def step_covariance(

@@ -193,7 +193,7 @@ def velocity_noise(
        cross-spectrum jumps between two of equal height, and is 0 unless it is significant.
 
     Both come from the residual of ``model``, the second from its spectrum outside ``frequency_hz`` (Whittle
-    likelihood). Degrees of freedom: (tr A)² / tr A² of the residual's covariance A (Satterthwaite, 1946).
+    likelihood). Degrees of freedom: a third of the residual's expected energy, in variances of a pulse.
     """
     residual = np.zeros(velocity.velocity_m_per_s.shape)
     residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
@@ -205,28 +205,14 @@ def velocity_noise(
     # Expected energy of the residual for pulse noise of unit variance: two pulses in each velocity, minus the part that
     # the columns absorb.
     expected = 2 * len(columns) / interval_s**2 - np.sum(pulse_weights**2)
-    degrees = float(expected**2 / _square_trace(columns, pulse_weights, velocity.valid, interval_s))
+    # (tr A)² / tr A² (Satterthwaite, 1946) of the steps' covariance A, 2 on its diagonal and -1 beside it: tr A / 3.
+    degrees = float(expected * interval_s**2 / 3)
     pulse_only_m2 = np.sum(residual**2, axis=-1) / expected
     power, expected_power = _residual_spectrum(residual * interval_s, velocity, frequency_hz, interval_s)
     if expected_power.size < MIN_BINS:
         return pulse_only_m2, np.zeros_like(pulse_only_m2), degrees
     pulse_m2, ratio = _most_likely(power, expected_power)
     return np.where(ratio > 0, pulse_m2, pulse_only_m2), ratio * pulse_m2 / interval_s**2, degrees
-
-
-def _square_trace(columns: FloatArray, pulse_weights: FloatArray, valid: BoolArray, interval_s: float) -> float:
-    """Return tr (A A) of the covariance A of the velocities' residual for unit pulse noise, for degrees of freedom.
-
-    A = M K M, with K the covariance of velocities (differences of pulses over ``interval_s``) and M = 1 - Q Q' the
-    residual of a fit with the orthonormal ``columns`` Q (valid interval, state). ``pulse_weights`` (state, pulse): Q as
-    weights of the pulses' displacements.
-    """
-    # A velocity has the variance 2 / T², and -1 / T² in common with each neighbour (T: interval): tr K K.
-    noise_trace = (4 * len(columns) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
-    # tr A A = tr K K - 2 tr Q'K K Q + tr (Q'K Q)², with (K Q)' from differences of the pulses' weights.
-    k_columns = np.diff(pulse_weights)[:, valid] / interval_s
-    trace = noise_trace - 2 * np.sum(k_columns**2) + np.sum((k_columns @ columns) ** 2)
-    return max(float(trace), np.finfo(np.float64).tiny)
 
 
 def displacement_weights(velocity_weights: FloatArray, interval_s: float) -> FloatArray:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from scipy.stats import t as student
@@ -116,15 +119,20 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
     return hpe.measure(scene, bench=bench, path=folder / "run.h5")
 
 
-def phases_of(run: hpe.Run, change: Any = lambda codes, _: codes, **shot_changes: Any) -> ToneburstPhases | None:
-    """Return the phases in ``run`` with the codes (record, sample) of the second input changed by ``change``."""
+def phases_of(
+    run: hpe.Run, change: Any = lambda codes, _: codes, damaged: Any = (), **shot_changes: Any
+) -> ToneburstPhases | None:
+    """Return the phases in ``run`` with the codes (record, sample) of the second input changed by ``change``.
+
+    The records ``damaged`` fail their checksums.
+    """
     shot, stored = dataclasses.replace(run.plan.shots[0], **shot_changes), run.stored
 
-    def chunks(index: int, size: int, name: str) -> Iterator[tuple[int, np.ndarray]]:
+    def blocks(index: int, size: int, name: str) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         for first, codes in stored.records.chunks(index, size, name):
-            yield first, change(codes.copy(), first)
+            yield first, change(codes.copy(), first), np.isin(np.arange(first, first + len(codes)), damaged)
 
-    records = SimpleNamespace(shape=stored.records.shape, chunks=chunks)
+    records = SimpleNamespace(shape=stored.records.shape, blocks=blocks)
     return toneburst_phases(shot, SimpleNamespace(records=records), stored.records.placement(0))  # type: ignore[arg-type]
 
 
@@ -158,6 +166,27 @@ def test_missing_and_clipped_tonebursts_leave_the_rate_right(run: hpe.Run) -> No
         return codes
 
     check_rate(phases_of(run, without_one), 7)
+
+
+def test_a_damaged_record_is_left_out_and_a_warning_says_so(run: hpe.Run) -> None:
+    phases = phases_of(run, damaged=within_tonebursts(run.plan.shots[0])[2:3])
+    check_rate(phases, 7)
+    (text,) = toneburst_warnings(phases, TimeBase(RateError(), RateError(), None))
+    assert text.startswith("1 records of the second input fail their checksums")
+
+
+def test_a_damaged_part_of_the_file_leaves_the_other_records_of_the_second_input(run: hpe.Run, tmp_path: Path) -> None:
+    path = Path(shutil.copy(run.path, tmp_path / "damaged.h5"))
+    with h5py.File(path) as file:
+        monitor = file["records/monitor"]
+        part = int(within_tonebursts(run.plan.shots[0])[-1]) // monitor.chunks[1]
+        place = monitor.id.get_chunk_info_by_coord((0, part * monitor.chunks[1], 0)).byte_offset
+    with path.open("r+b") as raw:
+        raw.seek(place + 5)
+        raw.write(b"\x55\xaa\x55")
+    (shot,) = hpe.open_run(path).estimate().shots
+    assert shot.frequency_error_from_tonebursts
+    assert any("records of the second input fail their checksums" in text for text in shot.warnings)
 
 
 def test_noise_without_tonebursts_measures_nothing_and_a_warning_says_so(run: hpe.Run) -> None:

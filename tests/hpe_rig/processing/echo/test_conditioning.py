@@ -5,23 +5,31 @@ from __future__ import annotations
 import tempfile
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from hpe_rig import measure
 from hpe_rig.plan import select
 from hpe_rig.processing.echo import conditioning, gate as gate_module, spectrum
-from hpe_rig.processing.echo.conditioning import centred_volts, hann
+from hpe_rig.processing.echo.conditioning import CodedVolts, code_statistics, hann
 from hpe_rig.processing.motion import phase_shift
 from hpe_rig.processing.motion.phase_shift import coherent
 from hpe_rig.processing.shot_tracking import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
 
 
+def _volts(codes: NDArray[np.int16], usable: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return ``codes`` (pulse, sample) of 0.1 mV as volts without offset."""
+    records = SimpleNamespace(shape=codes.shape, margin=(0, 0), volts_per_code=1e-4, block=lambda pulses: codes[pulses])
+    return CodedVolts(records, slice(0, len(codes)), usable, code_statistics(codes))[...]  # type: ignore[arg-type]
+
+
 def test_the_offset_is_removed_and_the_resting_echo_kept() -> None:
     echo = np.array([3000, 0, -3000, 0, 3000, 0, -3000, 0], dtype=np.int16)
-    volts = centred_volts(np.tile(echo + np.int16(500), (7, 1)), 1e-4, np.ones(7, dtype=bool))
+    volts = _volts(np.tile(echo + np.int16(500), (7, 1)), np.ones(7, dtype=bool))
     # float32: 2^-24 of the largest number that occurs, 0.35 V, twice
     np.testing.assert_allclose(volts, np.tile(echo * 1e-4, (7, 1)), atol=2 * 0.35 * 2**-24)
 
@@ -30,10 +38,10 @@ def test_missing_and_full_scale_records_do_not_affect_the_offset() -> None:
     codes = np.tile(np.array([120, -80, 120, -80], dtype=np.int16), (5, 1))
     codes[1] = -32768
     codes[3, 2:] = 8191
-    volts = centred_volts(codes, 1e-4, np.array([True, False, True, False, True]))
+    volts = _volts(codes, np.array([True, False, True, False, True]))
     np.testing.assert_allclose(volts[[0, 2, 4]], np.tile([1e-2, -1e-2], (3, 2)), rtol=1e-6)
     # without a usable record no offset is removed
-    assert centred_volts(codes, 1e-4, np.zeros(5, dtype=bool))[0, 0] == np.float32(120e-4)
+    assert _volts(codes, np.zeros(5, dtype=bool))[0, 0] == np.float32(120e-4)
 
 
 @pytest.mark.parametrize("count", [2, 3, 99, 130])

@@ -163,7 +163,7 @@ def test_intervals_of_few_pulses_hold_the_truth_as_often_as_those_of_many(
 
 
 @pytest.mark.parametrize("valid", [np.ones(40, bool), np.arange(40) % 7 != 3])
-def test_degrees_of_freedom_of_differences_are_those_of_the_dense_covariance(valid: NDArray[np.bool_]) -> None:
+def test_degrees_of_freedom_of_differences_are_nearly_those_of_the_dense_covariance(valid: NDArray[np.bool_]) -> None:
     """(tr A)^2 / tr A^2 by dense matrices: of the changes of a fit's residual, and of velocities with gaps."""
     time_s, generator = np.arange(valid.size) / 4000, np.random.default_rng(3)
     model = linear_model(time_s, valid, np.array([300.0, 700.0]), background_order=1)
@@ -173,14 +173,19 @@ def test_degrees_of_freedom_of_differences_are_those_of_the_dense_covariance(val
     covariance = left @ left.T
     energy, freedom = difference_noise_moments(columns, taken, np.array(0.0))
     assert energy == pytest.approx(np.trace(covariance), rel=1e-12)
-    assert freedom == pytest.approx(np.trace(covariance) ** 2 / np.sum(covariance**2), rel=1e-12)
+    # the smooth columns are left out of tr A^2: to 3 % on 40 pulses
+    assert freedom == pytest.approx(np.trace(covariance) ** 2 / np.sum(covariance**2), rel=0.03)
+    walk = np.tril(np.ones(2 * (len(columns),)), -1)
+    energy, _ = difference_noise_moments(columns, taken, np.array(0.3))
+    assert energy == pytest.approx(np.trace(covariance) + 0.3 * np.sum((left @ walk) ** 2), rel=1e-12)
     velocity = Velocity(time_s[:-1], np.diff(time_s), np.where(valid, 1.0, np.nan)[:-1], valid[:-1])
     fitted = linear_model(velocity.time_s, velocity.valid, np.array([300.0]))
     own = np.diff(np.eye(valid.size), axis=0)[velocity.valid]
     q = fitted.matrix @ fitted.root
     off = (np.eye(len(q)) - q @ q.T) @ own
     found = velocity_noise(velocity, fitted, np.array([300.0]), 1 / 4000)[2]
-    assert found == pytest.approx(np.trace(off @ off.T) ** 2 / np.sum((off @ off.T) ** 2), rel=1e-9)
+    # gaps take neighbours from the intervals: 1/3 of the variance is then up to a tenth too little
+    assert found == pytest.approx(np.trace(off @ off.T) ** 2 / np.sum((off @ off.T) ** 2), rel=0.1)
 
 
 def test_no_motion_and_no_noise_give_finite_covariances() -> None:
