@@ -138,3 +138,26 @@ def test_a_movement_that_nobody_can_confirm_ends_the_run_with_a_remedy(monkeypat
         monkeypatch.setattr(sys, "stdin", empty)
         with pytest.raises(StoreError, match=r"standard input has ended.*--yes"):
             _wait_for_line()
+
+
+def test_a_thread_that_holds_the_lock_of_h5py_does_not_keep_the_program_alive() -> None:
+    # Ctrl-C while a disk is slow leaves such a thread.
+    program = """if True:
+        import sys, threading, h5py._objects
+        locked = threading.Event()
+        def wait_for_disk():
+            with h5py._objects.phil:
+                locked.set()
+                threading.Event().wait()
+        threading.Thread(target=wait_for_disk, daemon=True).start()
+        locked.wait()
+        sys.argv = ["hpe-rig", "--version"]
+        from hpe_rig.cli.app import main
+        main()
+    """
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert "hpe-rig" in process.communicate(timeout=30)[0]
+        finally:
+            process.kill()
+    assert process.returncode == 0
