@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,15 +129,15 @@ def _print_differences(console: Console, comparison: Comparison) -> None:
     A single setting has a row for each frequency. Several settings have a row each, at the frequency with the largest
     difference.
     """
-    settings, rows = comparison.varied_settings(), comparison.results
-    if len(settings) > 1:
-        by_setting = [[row for row in rows if row.setting == setting] for setting in settings]
-        rows = tuple(max(group, key=lambda row: row.change_over_u) for group in by_setting)
-        console.print(f"most changed at each of {len(settings)} settings; --json lists every frequency")
+    varied, rows = comparison.varied_settings(), comparison.results
+    if varied:
+        groups = (list(group) for _, group in groupby(rows, lambda row: row.settings))
+        rows = tuple(max(group, key=lambda row: row.change_over_u) for group in groups)
+        console.print(f"most changed at each of {len(rows)} settings; --json lists every frequency")
     # A name in two lines keeps its column narrow.
-    headers = [name.rpartition(".")[2].replace("_", "\n", 1) for name in settings[rows[0].setting]]
+    headers = [name.rpartition(".")[2].replace("_", "\n", 1) for name in varied]
     headers += ["f\nHz", "first\nnm", "second\nnm", "change\n%", "\n/u", "change\ndeg", "\n/u", "p\nnoise", ""]
-    cells = [(*settings[row.setting].values(), *_difference_row(row)) for row in rows]
+    cells = [(*(f"{row.settings[name] or 0:g}" for name in varied), *_difference_row(row)) for row in rows]
     console.print(rich_table(headers, cells, words=0))
     for run, name, origin, method in zip(
         ("first", "second"), comparison.names, comparison.origins, comparison.estimators, strict=True
@@ -152,10 +153,14 @@ def _print_differences(console: Console, comparison: Comparison) -> None:
 
 def _difference_row(row: ResultDifference) -> tuple[str, ...]:
     amplitudes = (f"{amplitude_m * 1e9:.4g}" for amplitude_m in row.amplitude_m)
-    amplitude = f"{row.amplitude_change * 100:+z.1f}", f"{row.amplitude_change_over_u:+z.1f}"
-    phase = f"{math.degrees(row.phase_change_rad):+z.2f}", f"{row.phase_change_over_u:+z.1f}"
+    amplitude = f"{row.amplitude_change * 100:+z.1f}", _over_u(row.amplitude_change_over_u)
+    phase = f"{math.degrees(row.phase_change_rad):+z.2f}", _over_u(row.phase_change_over_u)
     verdict = row.verdict.removeprefix("differs ")
     return f"{row.frequency_hz:g}", *amplitudes, *amplitude, *phase, probability_text(row.p_noise), verdict
+
+
+def _over_u(ratio: float) -> str:
+    return f"{ratio:+z.1f}" if math.isfinite(ratio) else "u = 0"
 
 
 def _value(value: Any) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from hpe_rig.design.search import find_design
 from hpe_rig.design.variables import variables
 from hpe_rig.measurement import prepare
 from hpe_rig.moduli import push_of
+from hpe_rig.result import json_text
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
 from hpe_rig.store import unwritable, write_file
 
@@ -61,7 +61,7 @@ def write_design(
     if request.draws > 0:
         announce(f"simulating {request.draws} draws of scatterers and noise")
     comparison = compare(design, request.draws, request.seed)
-    show(json.dumps(comparison.as_dict(), indent=2) if request.json else "\n".join(comparison.lines()))
+    show(json_text(comparison.as_dict(), indent=2) if request.json else "\n".join(comparison.lines()))
     show_file = announce if request.json else show
     bench = "" if request.bench is None else f" --bench {request.bench}"
     command = f"hpe-rig design {request.scene}{bench} --minimise {request.minimise} --over {request.over}"

@@ -13,7 +13,7 @@ from hpe_rig.design.search import DesignResult
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.plan import highest_output
 from hpe_rig.prediction import EstimatorErrors, detection_floor, predict, predicted_averaging, with_beam_averaging
-from hpe_rig.result import json_values, text_table
+from hpe_rig.result import text_table
 from hpe_rig.study import Errors
 
 JITTER_TOLERANCE, BIAS_TOLERANCE, STANDARD_ERRORS = 0.15, 0.02, 3.0
@@ -70,7 +70,9 @@ QUANTITIES = (
     _Quantity("predicted_phase_jitter_rad", "phase jitter, predicted", DEGREES, unit="deg"),
     _Quantity("clock_phase_u_rad", "time base, phase", DEGREES, unit="deg"),
     _Quantity(
-        *("simulated_phase_jitter_rad", "phase jitter, simulated", DEGREES),
+        key="simulated_phase_jitter_rad",
+        name="phase jitter, simulated",
+        scale=DEGREES,
         unit="deg",
         standard_error="simulated_phase_jitter_se_rad",
     ),
@@ -120,8 +122,7 @@ class Comparison:
         """Return all values in the form of JSON."""
         varied = [{"key": key, "before": before, "after": after} for key, before, after in self.varied]
         outcome = {"before": self.before, "after": self.after, "remarks": self.remarks}
-        plain: dict[str, Any] = json_values({"request": self.request, "varied": varied, **outcome})
-        return plain
+        return {"request": self.request, "varied": varied, **outcome}
 
 
 def compare(design: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict
 from collections.abc import Iterator
 from typing import final
 
@@ -14,13 +13,12 @@ from hpe_rig.live.state import State, harmonic_state
 from hpe_rig.plan import Shot, off_axis_offsets_m, phase_reference_of, scene_of_shot
 from hpe_rig.prediction import beam_widths, predicted_averaging
 from hpe_rig.processing import HarmonicFit, error_sources_of, estimates_of, shot_averaging, shot_fit
-from hpe_rig.result import Estimate, ShotResult, repeat_means
+from hpe_rig.result import Estimate, ShotResult, repeat_means, setting_of
 from hpe_rig.runs import Run
 
 MAX_SHOTS = 2_000
 """Shots with amplitudes in the state; a screen resolves no more."""
 MAX_HARMONICS = 6
-Setting = tuple[float | None, ...]
 UPDATE_TIME_S, FINAL_UPDATE_TIME_S = 0.25, 3.0
 """Time for estimates in one state, during and after the run; further complete shots wait for the next state."""
 
@@ -45,7 +43,7 @@ class ShotHistory:
     def __init__(self) -> None:
         self._next = 0
         self._states: list[State] = []
-        self._results = defaultdict[Setting, list[ShotResult]](list)
+        self._results: list[ShotResult] = []
 
     def advance(self, run: Run) -> int:
         """Estimate newly completed shots for the time of one state; return the number that remain."""
@@ -68,8 +66,7 @@ class ShotHistory:
             # A shot without an estimate leaves a gap in the curve.
             return
         estimates = estimates_with_sources(run, shot, fit, estimator)
-        result = _shot_result(shot, estimates, run.stored.untrusted.get(shot.index, ""))
-        self._results[_setting(shot)].append(result)
+        self._results.append(_shot_result(shot, estimates, run.stored.untrusted.get(shot.index, "")))
         harmonics = harmonic_state(estimates)[:MAX_HARMONICS]
         self._states.append(
             {"shot": shot.index + 1, **{key: [item[key] for item in harmonics] for key in ("hz", "nm", "u_nm")}}
@@ -78,7 +75,8 @@ class ShotHistory:
 
     def means(self, shot: Shot) -> State:
         """Return the means over the complete shots with the settings of ``shot``, as in a result; empty below two."""
-        means = repeat_means(self._results[_setting(shot)])
+        setting = setting_of(_shot_result(shot))
+        means = repeat_means([result for result in self._results if setting_of(result) == setting])
         return {"means": harmonic_state(means), "mean_of": len(means[0].shots)} if means else {}
 
     @property
@@ -87,15 +85,23 @@ class ShotHistory:
         return self._states
 
 
-def _setting(shot: Shot) -> Setting:
-    """Return the settings that the repeats of a shot have in common."""
-    offsets_m = shot.lateral_offset_m, shot.axial_offset_m
-    return shot.timeline.burst_length_s, shot.force_fraction, shot.tracking_train.rate_hz, *offsets_m
-
-
-def _shot_result(shot: Shot, estimates: tuple[Estimate, ...], untrusted: str) -> ShotResult:
+def _shot_result(shot: Shot, estimates: tuple[Estimate, ...] = (), untrusted: str = "") -> ShotResult:
     """Return the fields of the shot's result that its mean over repeats depends on; pulses are not counted."""
-    return ShotResult(shot.index, shot.repeat, None, None, 0, 0, math.nan, estimates, warnings=(), untrusted=untrusted)
+    return ShotResult(
+        shot.index,
+        shot.repeat,
+        shot.timeline.burst_length_s,
+        shot.force_fraction,
+        pulses_used=0,
+        pulses_missing=0,
+        residual_m=math.nan,
+        estimates=estimates,
+        warnings=(),
+        pulse_rate_hz=shot.tracking_train.rate_hz,
+        lateral_offset_m=shot.lateral_offset_m,
+        axial_offset_m=shot.axial_offset_m,
+        untrusted=untrusted,
+    )
 
 
 @final
@@ -132,7 +138,7 @@ def warnings_of(run: Run, shot: Shot, clipped: bool) -> Iterator[str]:
         yield f"an echo of shot {shot.index + 1} reaches full scale: increase the input range, or reduce the gain"
 
 
-def setting_of(shot: Shot) -> str:
+def setting_text(shot: Shot) -> str:
     """Return the settings of ``shot`` in words."""
     texts = [f"{shot.tracking_train.rate_hz:g} pulses a second", f"repeat {shot.repeat + 1}"]
     if shot.lateral_offset_m:

@@ -7,7 +7,7 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.live.history import RemainingTime, ShotHistory, estimates_with_sources, setting_of, warnings_of
+from hpe_rig.live.history import RemainingTime, ShotHistory, estimates_with_sources, setting_text, warnings_of
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.measurement import awaited_offset_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
 from hpe_rig.plan import scene_of_shot
@@ -117,7 +117,7 @@ class RunSource:
             "stop_requested": stored.status == "running" and stop_requested(self._path, stored.run_id),
             "shot": self._shot + 1,
             "shots": len(plan.shots),
-            "setting": setting_of(plan.shots[self._shot]),
+            "setting": setting_text(plan.shots[self._shot]),
             "records": records,
             "records_planned": planned,
             "left_s": self._time.remaining_s(records, planned, running),

@@ -47,6 +47,7 @@ SIGNIFICANCE = 0.01
 """Probability of a difference by chance below which the runs differ."""
 
 DERIVED = {
+    "setting": str,
     "amplitude_change": float,
     "phase_change_rad": float,
     "amplitude_change_over_u": float,
@@ -54,7 +55,8 @@ DERIVED = {
     "verdict": str,
 }
 
-Setting = tuple[Any, ...]
+Setting = tuple[tuple[str, float | None], ...]
+"""Names and values of all settings, in a fixed order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +77,10 @@ class ResultDifference:
     equal or larger difference by chance, if all sources of uncertainty are independent in the two runs. ``p_noise``: as
     above, if only noise and trigger jitter are independent, that is for the same position, beams and specimen.
     ``shots`` (first, second), counted from 1.
+    ``settings``: values in the first run by name.
     """
 
-    setting: str
+    settings: Mapping[str, float | None]
     shots: tuple[str, str]
     frequency_hz: float
     amplitude_m: tuple[float, float]
@@ -86,6 +89,11 @@ class ResultDifference:
     phase_uncertainty_rad: tuple[float, float]
     p_all: float
     p_noise: float
+
+    @property
+    def setting(self) -> str:
+        """The settings in words."""
+        return _setting_text(self.settings)
 
     @property
     def amplitude_change(self) -> float:
@@ -142,26 +150,21 @@ class Comparison:
         verdicts = [row.verdict for row in self.results]
         differing, if_alike = verdicts.count("differs"), verdicts.count("differs if alike")
         largest = max(self.results, key=lambda row: row.change_over_u)
-        settings = self.varied_settings()[largest.setting]
-        where = "".join(f", {name} = {value}" for name, value in settings.items())
+        where = "".join(f", {name} = {largest.settings[name] or 0:g}" for name in self.varied_settings())
         text = (
             f"{_differ(differing, len(verdicts))}; most changed at {largest.frequency_hz:g} Hz{where}: amplitude "
-            f"{100 * largest.amplitude_change:+z.1f} % ({abs(largest.amplitude_change_over_u):.1f} u), phase "
-            f"{math.degrees(largest.phase_change_rad):+z.2f} deg ({abs(largest.phase_change_over_u):.1f} u)"
+            f"{100 * largest.amplitude_change:+z.1f} %{_in_u(largest.amplitude_change_over_u)}, phase "
+            f"{math.degrees(largest.phase_change_rad):+z.2f} deg{_in_u(largest.phase_change_over_u)}"
         )
         if if_alike:
             count_if_alike = _differ(differing + if_alike, len(verdicts))
             text += f". If position, beams and specimen are the same in both runs, {count_if_alike}"
         return text
 
-    def varied_settings(self) -> dict[str, dict[str, str]]:
-        """Return, for the text of every setting, the values by name that differ between the settings."""
-        texts = dict.fromkeys(row.setting for row in self.results)
-        values = {text: dict(part.split(" = ") for part in text.split(", ") if " = " in part) for text in texts}
-        names = dict.fromkeys(name for parts in values.values() for name in parts)
-        varied = [name for name in names if len({parts.get(name) for parts in values.values()}) > 1]
-        # Texts leave out a value of 0.
-        return {text: {name: parts.get(name, "0") for name in varied} for text, parts in values.items()}
+    def varied_settings(self) -> list[str]:
+        """Return the names of the settings that differ between the results."""
+        first, *others = (row.settings for row in self.results)
+        return [name for name in first if any(settings[name] != first[name] for settings in others)]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all values in the form of JSON."""
@@ -177,6 +180,10 @@ class Comparison:
         ``ax``: four axes, amplitude and phase above their differences; ``figsize`` of a new figure, inches.
         """
         return _figure(self, ax, figsize)
+
+
+def _in_u(change_over_u: float) -> str:
+    return f" ({abs(change_over_u):.1f} u)" if math.isfinite(change_over_u) else " (u is 0)"
 
 
 def _differ(count: int, total: int) -> str:
@@ -272,8 +279,8 @@ def _pairs(
     common = [setting for setting in first if setting in second]
     if not common and len(first) == len(second):
         return [(a, (first[a], second[b])) for a, b in zip(first, second, strict=True)], []
-    alone = [f"{_setting_text(setting)}: in {names[0]} alone" for setting in first if setting not in second]
-    alone += [f"{_setting_text(setting)}: in {names[1]} alone" for setting in second if setting not in first]
+    alone = [f"{_setting_text(dict(setting))}: in {names[0]} alone" for setting in first if setting not in second]
+    alone += [f"{_setting_text(dict(setting))}: in {names[1]} alone" for setting in second if setting not in first]
     return [(setting, (first[setting], second[setting])) for setting in common], alone
 
 
@@ -293,7 +300,7 @@ def _result_differences(
         )
         noise = math.hypot(a.noise_m, b.noise_m), math.hypot(a.noise_rad, b.noise_rad)
         yield ResultDifference(
-            setting=_setting_text(setting),
+            settings=dict(setting),
             shots=(a.shots, b.shots),
             frequency_hz=frequency_hz,
             amplitude_m=(a.value.amplitude_m, b.value.amplitude_m),
@@ -313,8 +320,8 @@ def _probability(difference: tuple[float, float], u: tuple[float, float]) -> flo
     return math.exp(-chi_square / 2)
 
 
-def _setting_text(setting: Setting) -> str:
-    return ", ".join(f"{name} = {value:g}" for name, value in setting if value) or "the only setting"
+def _setting_text(settings: Mapping[str, float | None]) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in settings.items() if value) or "the only setting"
 
 
 def _settings_differences(first: Run, second: Run) -> Iterator[SettingDifference]:

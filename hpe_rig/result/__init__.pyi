@@ -29,6 +29,7 @@ from .repeats import (
     REPEAT_SETTINGS as REPEAT_SETTINGS,
     RepeatMean as RepeatMean,
     repeat_means as repeat_means,
+    setting_of as setting_of,
 )
 from .result import Result as Result
 from .result_data import json_text as json_text, json_values as json_values, shot_warnings as shot_warnings
