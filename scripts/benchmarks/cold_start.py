@@ -3,7 +3,7 @@
 Runs alternate, so that a busy machine slows all of them alike; the table has the median and the minimum. The column
 "floor" is a process that only loads the libraries that the command needs: no command can be faster.
 
-    python scripts/benchmarks/cold_start.py [--repeats 7] [--against TREE ...] [--clock] [--libraries]
+    python scripts/benchmarks/cold_start.py [--repeats 7] [--clock]
 """
 
 from __future__ import annotations
@@ -24,17 +24,7 @@ app = typer.Typer()
 app.command()(lambda: None)
 app([], standalone_mode=False)
 """
-NUMBA_MODULE = """
-import numba
-@numba.njit(cache=True)
-def total(values):
-    result = 0.0
-    for value in values:
-        result += value
-    return result
-"""
 LIBRARIES = {
-    "Python": "",
     "numpy": "import numpy, numpy.random",
     "pydantic": "import pydantic; pydantic.create_model('Settings', value=(float, 0.0))(value=1)",
     "typer": TYPER,
@@ -44,7 +34,6 @@ LIBRARIES = {
     "scipy.special": "import scipy.special; scipy.special.wofz",
     "matplotlib": "from matplotlib.figure import Figure; from matplotlib.backends.backend_svg import FigureCanvasSVG",
     "jinja2": "import jinja2",
-    "numba": "import numpy, compiled; compiled.total(numpy.ones(3))",
 }
 """Code that loads each library as the program does, first use included."""
 CHECK = ("numpy", "pydantic", "typer")
@@ -59,9 +48,10 @@ COMMANDS = {
     "report muscle.h5": (*CHECK, "h5py", "scipy.special", "matplotlib", "jinja2"),
     "list": (*CHECK, "h5py", "rich"),
 }
-"""Libraries that each command needs; no command needs numba."""
+"""Libraries that each command needs."""
 ROOT = Path(__file__).parents[2]
-COUNT_MODULES = "import atexit, sys\natexit.register(lambda: print(len(sys.modules), file=sys.stderr))\n"
+# The program replaces its own standard error, so the number is written to the descriptor.
+COUNT_MODULES = "import atexit, os, sys\natexit.register(lambda: os.write(2, b'%d\\n' % len(sys.modules)))\n"
 PROGRAM = COUNT_MODULES + 'import runpy\nrunpy.run_module("hpe_rig", run_name="__main__", alter_sys=True)\n'
 Cost = tuple[float, int]
 """Time, s, and number of modules loaded."""
@@ -69,35 +59,24 @@ RunCode = Callable[[str, str], Cost]
 
 
 def main() -> None:
-    """Print one row for each command, or for each library."""
+    """Print one row for each command."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument(
-        "--against", type=Path, nargs="+", default=[], help="other source trees to compare with, such as old versions"
-    )
     parser.add_argument("--clock", action="store_true", help="elapsed instead of processor time, for an idle machine")
-    parser.add_argument("--libraries", action="store_true", help="time each library instead of the commands")
     options = parser.parse_args()
-    trees = [ROOT, *(tree.resolve() for tree in options.against)]
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "compiled.py").write_text(NUMBA_MODULE, encoding="utf-8")
-        runs = [code_runner(tree, Path(folder), options.clock) for tree in trees]
-        if options.libraries:
-            print_libraries(runs[0], options.repeats)
-            return
-        comparisons = "".join(f" {tree.name}, s | ratio |" for tree in trees[1:])
-        print(f"| command | median, s | least, s | floor, s | modules |{comparisons}")
-        print("|---" * (5 + comparisons.count("|")) + "|")
+        run = code_runner(Path(folder), options.clock)
+        print("| command | median, s | least, s | floor, s | modules |\n|---|---|---|---|---|")
         for command in COMMANDS:
-            print(command_row(command, runs, options.repeats), flush=True)
+            print(command_row(command, run, options.repeats), flush=True)
 
 
-def code_runner(tree: Path, folder: Path, by_clock: bool) -> RunCode:
-    """Return a function that runs code in a fresh process with the package of ``tree``; POSIX only."""
+def code_runner(folder: Path, by_clock: bool) -> RunCode:
+    """Return a function that runs code in a fresh process; POSIX only."""
     import resource
 
     environment = os.environ | {
-        "PYTHONPATH": str(tree),
+        "PYTHONPATH": str(ROOT),
         "PYTHONPYCACHEPREFIX": str(folder / "bytecode"),
         "PYTHONDONTWRITEBYTECODE": "",
         "OMP_NUM_THREADS": "1",
@@ -123,27 +102,15 @@ def alternating_costs(calls: list[Callable[[], Cost]], repeats: int) -> list[lis
     return [list(costs) for costs in zip(*rounds, strict=True)]
 
 
-def print_libraries(run: RunCode, repeats: int) -> None:
-    print("| library | median, s | beyond Python, s | modules |\n|---|---|---|---|")
-    calls = [lambda code=code: run(COUNT_MODULES + code, "") for code in LIBRARIES.values()]
-    library_costs = dict(zip(LIBRARIES, alternating_costs(calls, repeats), strict=True))
-    medians_s = {name: median_s(costs) for name, costs in library_costs.items()}
-    for name, time_s in medians_s.items():
-        print(f"| {name} | {time_s:.3f} | {time_s - medians_s['Python']:.3f} | {library_costs[name][0][1]} |")
-
-
 def median_s(costs: list[Cost]) -> float:
     return statistics.median(time_s for time_s, _ in costs)
 
 
-def command_row(command: str, runs: list[RunCode], repeats: int) -> str:
-    load_libraries = COUNT_MODULES + "\n".join(LIBRARIES[name] for name in COMMANDS[command])
-    calls = [lambda run=run: run(PROGRAM, command) for run in runs]
-    *tree_costs, floor_costs = alternating_costs([*calls, lambda: runs[0](load_libraries, "")], repeats)
-    time_s, *other_times_s = (median_s(costs) for costs in tree_costs)
-    least_s, modules = min(tree_costs[0])[0], tree_costs[0][0][1]
-    row = f"| `{command}` | {time_s:.2f} | {least_s:.2f} | {median_s(floor_costs):.2f} | {modules} |"
-    return row + "".join(f" {other_s:.2f} | {time_s / other_s:.2f} |" for other_s in other_times_s)
+def command_row(command: str, run: RunCode, repeats: int) -> str:
+    libraries = COUNT_MODULES + "\n".join(LIBRARIES[name] for name in COMMANDS[command])
+    costs, floor_costs = alternating_costs([lambda: run(PROGRAM, command), lambda: run(libraries, "")], repeats)
+    least_s, modules = min(costs)
+    return f"| `{command}` | {median_s(costs):.2f} | {least_s:.2f} | {median_s(floor_costs):.2f} | {modules} |"
 
 
 if __name__ == "__main__":

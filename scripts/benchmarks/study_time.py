@@ -5,8 +5,7 @@ point of Fig. 4 to 11 (500 draws of scatterers with two of the noise) and 100 of
 processor time, and the part of it that draws random numbers, a lower limit. `--workers` repeats it in processes.
 
 Second table: independent random numbers at every point, the same numbers along an axis (`common`), and a stop at a
-stated standard error (`standard_error_m`). Errors are standard deviations over the seeds. The last two rows compute the
-same bias without a study, without and with a control variate, which studies do not have.
+stated standard error (`standard_error_m`). Errors are standard deviations over the seeds.
 
     python scripts/benchmarks/study_time.py --workers 2
 """
@@ -34,10 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray
-from hpe_rig.processing import estimate
 from hpe_rig.study import StudyResult, processes, run_study
-from hpe_rig.validation import MotionCase
 
 CURVE_SIZES = {
     "scatterers": 500,
@@ -50,8 +46,6 @@ PAPER_STUDIES = ((range(4, 12), CURVE_SIZES), (range(12, 14), MAP_SIZES))
 SNR_DB = (20.0, 40.0)
 DRAWS = 400
 STANDARD_ERROR_M = 5e-9
-CONTROL_DRAWS = 20_000
-"""Draws that determine the mean of the control variate."""
 METHODS: dict[str, Mapping[str, Any]] = {
     "independent numbers": {"common": []},
     "common numbers": {"common": ["SNR"]},
@@ -157,44 +151,6 @@ def print_sampling_methods(seeds: int) -> None:
             print(f"{name:24}{bias:>18}{change:>20}{draws:8.0f}{time_ms:7.0f} ms")
 
 
-def print_control_variate(seeds: int) -> None:
-    """Print the bias and its error without and with a control variate.
-
-    The tracked motion is a ratio of sums over pairs of scatterers, N / D. Without noise, D (N / D - E N / E D) has zero
-    mean and correlates with the estimate: it is the control variate. E N / E D comes from ``CONTROL_DRAWS`` further
-    draws, which are not timed.
-    """
-    case = MotionCase(snr_db=SNR_DB[0])
-    _, noise_free_nm, energy, _ = _amplitudes_nm(case, 0, CONTROL_DRAWS)
-    mean_nm = (energy * noise_free_nm).mean() / energy.mean()
-    plain_nm, controlled_nm, times_s = [], [], []
-    for seed in range(1, seeds + 1):
-        noisy_nm, noise_free_nm, energy, seed_times_s = _amplitudes_nm(case, seed, DRAWS)
-        control = energy * (noise_free_nm - mean_nm)
-        # The regression coefficient on the control minimises the variance.
-        slope = np.cov(noisy_nm, control)[0, 1] / control.var(ddof=1)
-        error_nm = noisy_nm - case.amplitude_m * 1e9
-        plain_nm.append(float(error_nm.mean()))
-        controlled_nm.append(float((error_nm - slope * control).mean()))
-        times_s.append(seed_times_s)
-    for column, (name, biases_nm) in enumerate({"no study": plain_nm, "control variate": controlled_nm}.items()):
-        time_ms = statistics.median(seed_times_s[column] for seed_times_s in times_s) * 1e3
-        print(f"{name:24}{mean_and_deviation(biases_nm):>18}{'':20}{DRAWS:8}{time_ms:7.0f} ms")
-
-
-def _amplitudes_nm(case: MotionCase, seed: int, draws: int) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
-    """Return noisy and noise-free amplitudes and echo energies (draw,), and the times without and with the last two."""
-    generator, start_s = np.random.default_rng(seed), time.process_time()
-    echoes = case.twin_echoes(draws, generator)
-    energy = np.square(echoes).mean(axis=(1, 2))
-    noise = generator.standard_normal(echoes.shape) * np.sqrt(energy / 10 ** (case.snr_db / 10))[:, None, None]
-    amplitudes_nm, times_s = [], []
-    for volts in (echoes + noise, echoes):
-        amplitudes_nm.append(1e9 * estimate(case.gate(volts), [case.frequency_hz], "coherent").amplitude_m[:, 0])
-        times_s.append(time.process_time() - start_s)
-    return amplitudes_nm[0], amplitudes_nm[1], energy, times_s
-
-
 def mean_and_deviation(values_nm: list[float]) -> str:
     """Return the mean over the seeds and the standard deviation of a single study."""
     return f"{statistics.mean(values_nm):.2f} +- {statistics.stdev(values_nm):.2f} nm"
@@ -214,7 +170,6 @@ def main() -> None:
         if options.workers:
             print_elapsed_time_of_paper(options.workers)
     print_sampling_methods(options.seeds)
-    print_control_variate(options.seeds)
 
 
 if __name__ == "__main__":

@@ -17,11 +17,9 @@ from scipy.integrate import quad
 from scipy.special import j1
 
 from hpe_rig.arrays import ComplexArray, FloatArray
-from sim_backend.acoustics import Acoustics
-from sim_backend.echoes import EchoDelays, beam_response, draw_field, drawn_echoes, echo_pulse, synthesise
+from sim_backend.echoes import EchoDelays, beam_response, draw_field, echo_pulse, synthesise
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
-from sim_backend.wiring import Bursts, Capture, no_bursts
 
 if TYPE_CHECKING:
     from hpe_rig.medium import PushForce
@@ -150,46 +148,6 @@ def push() -> None:
 def settings_of(beams: dict[str, Any], **sections: Any) -> SimulationSettings:
     """Return the settings with the scatterers of Table I and these beams."""
     return SimulationSettings.model_validate({"beams": beams} | sections)
-
-
-def costs() -> None:
-    """Print the run time of echoes with both kinds of beam."""
-    print("\n## Run time of the echoes, aperture relative to Gaussian, in one run\n")
-    print("| echoes | Gaussian | aperture | ratio |")
-    print("|---|---|---|---|")
-    motion = [{"frequency_hz": 200.0, "amplitude_m": 1e-6}]
-    medium = {"shear_modulus_pa": 9e3, "shear_viscosity_pa_s": 2.0, "force_density_n_per_m3": 1.4e6}
-    count = 800
-    onset = np.arange(count) * 250_000_000
-    ones = np.ones(count)
-    pulses = Bursts(onset, onset + 333_333, 9e6 * ones, 3.0 * ones, ones)
-    burst_onset = np.arange(20) * 10_000_000_000 - 120_000_000
-    bursts = Bursts(burst_onset, burst_onset + 100_000_000, np.full(20, 3e6), np.full(20, 300.0), np.ones(20))
-    capture = Capture(0, 0, onset + 88_460_000, 10_000, 512)
-    for name, sections, tonebursts in (
-        ("prescribed motion, 800 echoes of 512 samples", {"motion": motion}, no_bursts()),
-        ("medium's field, 800 echoes of 512 samples", {"specimen": medium}, bursts),
-    ):
-        times_s = []
-        for beams in (GAUSSIAN, APERTURE):
-            bench = Acoustics(settings_of(beams, **sections))
-            # An untimed call first fills the caches.
-            bench.record_volts(tonebursts, pulses, capture)
-            times_s.append(timed(lambda b=bench, d=tonebursts: b.record_volts(d, pulses, capture))[1])
-        print(f"| {name} | {times_s[0] * 1e3:.0f} ms | {times_s[1] * 1e3:.0f} ms | {times_s[1] / times_s[0]:.2f} |")
-    displacement_m = 1e-6 * np.sin(2 * np.pi * 200 * np.arange(101) / 4000)
-    times_s = []
-    for beams in (GAUSSIAN, APERTURE):
-        settings = settings_of(beams)
-        pulse = echo_pulse(settings, 9e6)
-        rng = np.random.default_rng(1)
-        # An untimed call first fills the caches.
-        list(drawn_echoes(settings, displacement_m, pulse, GATE_S, rng, 16))
-        times_s.append(
-            timed(lambda s=settings, p=pulse, r=rng: list(drawn_echoes(s, displacement_m, p, GATE_S, r, 64)))[1] / 64
-        )
-    print(f"| one draw of 101 echoes in a study | {times_s[0] * 1e3:.2f} ms | {times_s[1] * 1e3:.2f} ms | "
-          f"{times_s[1] / times_s[0]:.2f} |")  # fmt: skip
 
 
 def tracked(draws: int) -> None:
@@ -384,7 +342,6 @@ def main() -> None:
     if not arguments.moduli:
         radiation()
         push()
-        costs()
         tracked(arguments.draws)
     moduli()
 

@@ -17,7 +17,6 @@ import argparse
 import functools
 import itertools
 import sys
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -385,33 +384,6 @@ def _reduced_noise_errors(name: str, noise_scale: float, seed: int) -> Iterator[
         yield error / stated, error_rad / item.headline.phase_uncertainty_rad, error, stated
 
 
-def cost() -> Iterator[str]:
-    """Yield the processor time of the prior per scene, of its projection per timing, and of the fit per train."""
-
-    def best_ms(call: object) -> float:
-        assert callable(call)
-        times_s = []
-        for _ in range(5):
-            start = time.process_time()
-            call()
-            times_s.append(time.process_time() - start)
-        return min(times_s) * 1e3
-
-    # Another range each time, because ensembles are cached.
-    highest_hz = itertools.count(4e4)
-    ensemble_ms = best_ms(lambda: medium_ensemble(BEAMS, RATE_HZ, next(highest_hz)))
-    yield f"ensemble {ensemble_ms:.1f} ms, prior {best_ms(lambda: medium_prior.__wrapped__(BEAMS, 100.0, 1e-4)):.1f} ms"
-    prior, generator = medium_prior(BEAMS, RATE_HZ, LENGTH_S), np.random.default_rng(0)
-    for count in (598, 1593, 4000):
-        time_s, valid = 0.05 + np.arange(count) / 3990.0, np.ones(count, dtype=bool)
-        # Shifted by a picosecond each time, because projections are cached.
-        shifted = iter([time_s + index * 1e-12 for index in range(1, 6)])
-        timing_ms = best_ms(lambda shifted=shifted, valid=valid: project_prior(prior, next(shifted), valid, WANTED_HZ))
-        motion = Motion(time_s, generator.standard_normal(count) * 1e-8, np.ones(count), valid)
-        fit_ms = best_ms(lambda motion=motion: medium_fit(motion, WANTED_HZ, prior))
-        yield f"{count} pulses: {timing_ms:.1f} ms per timing, {fit_ms:.2f} ms per train"
-
-
 def draw() -> Figure:
     """Draw errors over frequency at the synchronous rate, and u over noise at the shifting rate."""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
@@ -467,7 +439,7 @@ def main() -> None:
                 print(line, flush=True)
             return
     path = arguments.folder
-    for table in (rows(), coverage(), families(), muscle_scene(), cost()):
+    for table in (rows(), coverage(), families(), muscle_scene()):
         for line in table:
             print(line, flush=True)
         print()
