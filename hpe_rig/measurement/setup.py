@@ -134,7 +134,7 @@ def setup_of_run(stored: StoredRun) -> Setup:
     bench = parse_bench(stored.bench_name, stored.bench_toml)
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True)
     scene = replace(scene, scene=_completed(scene.scene, bench.bench, stored.path.parent))
-    plan, findings = plan_and_check(scene.scene, bench.bench, _day_of(stored))
+    plan, findings = plan_and_check(scene.scene, bench.bench, _day_of(stored), measured=True)
     stored.refuse_other_plan(plan)
     return Setup(scene, bench, plan, findings)
 
@@ -176,15 +176,18 @@ def _day_of(stored: StoredRun) -> date | None:
         return None
 
 
-def plan_and_check(scene: Scene, bench: BenchFile, day: date | None = None) -> tuple[Plan, tuple[CheckResult, ...]]:
+def plan_and_check(
+    scene: Scene, bench: BenchFile, day: date | None = None, *, measured: bool = False
+) -> tuple[Plan, tuple[CheckResult, ...]]:
     """Return the plan and the findings of its checks; raise ``SettingsError`` if the numbers allow no plan.
 
-    The calibration must be valid on ``day``, the day of the measurement; None: that is not checked.
+    The calibration must be valid on ``day``, the day of the measurement; None: that is not checked. ``measured``: the
+    plan is that of a stored run, which needs fewer checks.
     """
     try:
         plan = make_plan(scene, bench)
         expiry = [] if day is None else calibration_expiry(bench, day)
-        return plan, (*check_plan(scene, bench, plan), *expiry)
+        return plan, (*check_plan(scene, bench, plan, measured), *expiry)
     except (ArithmeticError, ValueError, MemoryError) as error:
         why = "more memory than is available" if isinstance(error, MemoryError) else error
         what = f"its numbers lead to no plan ({why})"

@@ -22,7 +22,6 @@ from hpe_rig.bench import settings_differences
 from hpe_rig.plan import phase_reference_of
 from hpe_rig.result import (
     INDEPENDENT_SOURCES,
-    PALETTE,
     RECTIFIED,
     REPEAT_SETTINGS,
     Headline,
@@ -30,7 +29,6 @@ from hpe_rig.result import (
     Result,
     ShotResult,
     dataclass_schema,
-    figure_panels,
     json_values,
     object_schema,
     titled,
@@ -380,6 +378,9 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _figure(comparison: Comparison, ax: Sequence[Axes] | None, figsize: tuple[float, float]) -> Figure:
+    # Loads Matplotlib, which a printed comparison does not need.
+    from hpe_rig.result import PALETTE, figure_panels
+
     figure, all_panels = figure_panels(2, 2, ax, figsize, sharex=True, height_ratios=(2, 1))
     panels = np.reshape(np.array(all_panels, dtype=object), (2, 2))
     rows = comparison.results

@@ -87,7 +87,13 @@ def test_a_list_of_runs_loads_no_twin(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", [("report", "mine.h5"), ("run", "bovine-muscle", "--json"), ("check", "bovine-muscle")]
+    "command",
+    [
+        ("report", "mine.h5"),
+        ("run", "bovine-muscle", "--json"),
+        ("check", "bovine-muscle"),
+        ("compare", "mine.h5", "mine.h5", "--json"),
+    ],
 )
 def test_no_command_loads_an_extra_without_its_option(folder: Path, command: tuple[str, ...]) -> None:
     modules = loaded_by(folder, *command)

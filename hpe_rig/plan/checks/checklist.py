@@ -19,7 +19,7 @@ from hpe_rig.plan.checks.output import drive, generators, transducer_limits
 from hpe_rig.plan.checks.sampling import driven_harmonics, fit_condition, fit_size, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
-from hpe_rig.plan.checks.tracking import trackable
+from hpe_rig.plan.checks.tracking import motion_between_pulses, trackable
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene, ScenePoint, forgotten_units
 
@@ -29,6 +29,7 @@ PUSH: Final[tuple[Check, ...]] = (
     simulation,
     identity,
     trackable,
+    motion_between_pulses,
     excitation,
     generators,
     drive,
@@ -53,14 +54,18 @@ CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, 
 """Every check, in the order of ``hpe-rig check``."""
 RECORD_CHECKS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
 """Checks of imported records, which do not concern instruments."""
+BEFORE_MEASUREMENT: Final = frozenset({motion_between_pulses})
+"""Checks that only refuse, so that a measured run passed them. They compute the motion of the specimen."""
 
 
-def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
+def check_plan(scene: Scene, bench: BenchFile, plan: Plan, measured: bool = False) -> list[CheckResult]:
     """Return the results of every check, passed ones included; equal results of a sweep's points occur once.
 
-    Imported records are checked without the checks of instruments.
+    Imported records are checked without the checks of instruments, a ``measured`` plan without `BEFORE_MEASUREMENT`.
     """
     checks = CHECKS if bench.recording is None else RECORD_CHECKS
+    if measured:
+        checks = tuple(check for check in checks if check not in BEFORE_MEASUREMENT)
     settings = [item for index, point in enumerate(scene.points) for item in _settings_at(index, point, bench, plan)]
     # Shots with equal settings give equal results, and each result is reported once.
     return list(dict.fromkeys(result for check in checks for item in settings for result in check(*item)))

@@ -25,7 +25,7 @@ MAX_PULSES = 4000
 
 
 def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield the reasons why the twin's echoes or motion cannot be tracked."""
+    """Yield the reasons why the twin's echoes cannot be tracked."""
     twin = twin_of(scene) if bench.simulated else None
     if twin is None:
         return
@@ -40,7 +40,6 @@ def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResul
             nearest_m = max(0.0, offset_m - scene.acquisition.gate_length_m / 2)
             yield from _echo_level(bench, plan.shots[0], twin, nearest_m)
     yield from _jitter(scene, twin)
-    yield from _motion_steps(scene, plan, twin)
 
 
 def _echo_length(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
@@ -86,8 +85,11 @@ def _jitter(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
             yield CheckResult("jitter", _level(difference_s > wrap_s), text, remedy)
 
 
-def _motion_steps(scene: Scene, plan: Plan, twin: TwinDeclaration) -> Iterator[CheckResult]:
-    """Yield a conflict if the motion from one pulse to the next reaches a quarter wavelength."""
+def motion_between_pulses(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield a conflict if the twin's motion from one pulse to the next reaches a quarter wavelength."""
+    twin = twin_of(scene) if bench.simulated else None
+    if twin is None:
+        return
     quarter_m = twin.sound_speed_m_per_s / (4 * scene.tracking.carrier_hz)
     # The shot with the longest tonebursts and the largest force moves most.
     shot = max(plan.shots, key=lambda item: (item.timeline.burst_length_s, item.force_fraction or 0.0))

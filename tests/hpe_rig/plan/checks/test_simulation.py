@@ -3,7 +3,7 @@
 import pytest
 
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.plan import plan_text
+from hpe_rig.plan import check_plan, plan_text
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.scene import load_scene, shipped_scenes
 
@@ -127,6 +127,16 @@ def test_too_fast_a_motion_names_a_force_that_passes():
     key, _, value = finding.remedy.partition(",")[0].rpartition(" = ")
     assert key == "simulation.specimen.force_density_n_per_m3"
     assert not found(text.replace(force, f"force_density_n_per_m3 = {value}"), "motion between pulses")
+
+
+def test_the_motion_of_a_measured_run_is_not_computed_again():
+    text = shipped_scenes()["gelatin-15"]
+    force = next(line for line in text.splitlines() if line.startswith("force_density_n_per_m3"))
+    setup = prepare_text("moving", text.replace(force, "force_density_n_per_m3 = 5.0e8"), refuse=False)
+    findings = {
+        measured: check_plan(setup.scene.scene, setup.bench.bench, setup.plan, measured) for measured in (False, True)
+    }
+    assert [finding.check for finding in findings[False] if finding not in findings[True]] == ["motion between pulses"]
 
 
 def test_delays_that_are_all_disturbed_are_a_refusal_unless_disturbed_pulses_are_skipped():
