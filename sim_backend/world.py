@@ -235,13 +235,6 @@ class World:
         """Return whether each generator's output is on, by role."""
         return {role: generator.registers.output for role, generator in self._generators.items()}
 
-    def digitizer_idle(self) -> bool:
-        """Return whether no capture is running."""
-        if not self.board.running:
-            return True
-        complete_records = self.triggers(self.clock.now_ps).complete(self.clock.now_ps)
-        return complete_records >= self.board.armings[-1].settings.record_count
-
     def emissions(self) -> tuple[Bursts, Bursts, dict[str, int]]:
         """Return tonebursts and tracking pulses at the transducer, and the number of ignored triggers by role.
 

@@ -61,10 +61,6 @@ _NOISE_STREAM = 1
 # Relative error of the echoes. A thousandth of a 14-bit code of a full-scale echo is 1e-7; as motion that is 1 pm.
 _ECHO_TOLERANCE = 1e-8
 _FIELD_ECHO_TOLERANCE = 2e-7  # many shapes, of a medium's field or of pulses that start between samples
-_MAX_STORED_ECHOES = 256
-"""Echoes of one pulse that are stored for the next records; a periodic motion has one for each phase."""
-_MAX_STORED_PULSES = 8
-"""Pulses with stored echoes; a sweep of carriers or burst lengths makes new ones in every shot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +116,6 @@ class Acoustics:
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._aperture_beams: dict[Pulse, BeamResponse] = {}
-        # For each pulse the echoes of the latest records, if they were few, with the numbers that define them.
-        self._stored_echoes: dict[Pulse, tuple[tuple[FloatArray, FloatArray, Int64Array], FloatArray]] = {}
         # The gain gives the echoes of the reference pulse the signal-to-noise ratio that the settings state.
         reference_pulse = echo_pulse(settings, settings.receiver.reference_carrier_hz)
         reference = self._beam(reference_pulse, self._field.tracking_weight)
@@ -342,8 +336,7 @@ class Acoustics:
         """Return each distinct echo once, (group, sample), and the group of each pair of burst and record, (pair,).
 
         ``burst`` and ``shift_s`` (pair,): index of the burst, and delay of the record's samples from the grid.
-        ``sample_ps`` (sample,): grid of sample times after the onset. Echoes are reused if the latest records had the
-        same.
+        ``sample_ps`` (sample,): grid of sample times after the onset.
         """
         delays = train.delays
         tolerance = self._settings.scatterers.echo_tolerance or (
@@ -353,18 +346,9 @@ class Acoustics:
         amplitude_s = np.concatenate([delays.amplitude_s[burst], shift_s[:, None]], axis=1)
         shapes = np.pad(delays.shape, ((0, 1), (0, 0)), constant_values=1)
         first, group = distinct_echoes(amplitude_s, shapes, train.pulse, tolerance)
-        definition = delays.amplitude_s[burst[first]], shift_s[first], sample_ps
-        stored_definition, stored = self._stored_echoes.get(train.pulse, ((), None))
-        if stored is not None and all(map(np.array_equal, stored_definition, definition)):
-            return stored, group
         sample_s = _after_arrival_s(sample_ps, 2 * self._travel_s)
-        distinct = replace(delays, amplitude_s=definition[0]).shifted(definition[1])
-        block = synthesise(distinct, train.weight, train.pulse, sample_s, tolerance).echo
-        if len(first) <= _MAX_STORED_ECHOES:
-            self._stored_echoes[train.pulse] = definition, block
-            if len(self._stored_echoes) > _MAX_STORED_PULSES:
-                del self._stored_echoes[next(iter(self._stored_echoes))]
-        return block, group
+        distinct = replace(delays, amplitude_s=delays.amplitude_s[burst[first]]).shifted(shift_s[first])
+        return synthesise(distinct, train.weight, train.pulse, sample_s, tolerance).echo, group
 
     def _add_shifted_echoes(
         self, volts: FloatArray, capture: Capture, train: _EchoTrain, background_delay_s: FloatArray

@@ -338,12 +338,12 @@ def test_outputs_and_digitizer_report_whether_they_are_safe():
     bench = Bench()
     bench.program()
     assert set(bench.world.outputs_on().values()) == {True}
-    assert bench.world.digitizer_idle()
+    assert not bench.world.board.running
     bench.arm()
-    assert not bench.world.digitizer_idle()
+    assert bench.world.board.running
     bench.library.AlazarAbortAsyncRead(BOARD)
     bench.all_off()
-    assert bench.world.digitizer_idle()
+    assert not bench.world.board.running
     assert set(bench.world.outputs_on().values()) == {False}
 
 

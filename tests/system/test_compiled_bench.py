@@ -118,7 +118,7 @@ def metal_and_world(folder: Path, library: Path, scene: str, *edits: tuple[str, 
         kept = connect(library, world)
         yield path, world
         assert not any(world.outputs_on().values())
-        assert world.digitizer_idle()
+        assert not world.board.running
         assert kept
 
 

@@ -52,7 +52,7 @@ def run_until(setup: Setup, step: Step, error: BaseException) -> Bench:
 def assert_safe(bench: Bench) -> None:
     assert bench.world is not None
     assert not any(bench.world.outputs_on().values())
-    assert bench.world.digitizer_idle()
+    assert not bench.world.board.running
 
 
 @pytest.mark.parametrize("step", list(Step))

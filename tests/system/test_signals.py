@@ -48,7 +48,7 @@ def worlds(monkeypatch: pytest.MonkeyPatch) -> list[World]:
 
 def assert_safe(world: World) -> None:
     assert not any(world.outputs_on().values())
-    assert world.digitizer_idle()
+    assert not world.board.running
 
 
 def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_train(

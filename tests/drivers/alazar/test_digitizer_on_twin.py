@@ -237,7 +237,7 @@ def test_missing_triggers_end_at_the_deadline_and_not_later(rig: Rig) -> None:
     assert "70 of 96" in str(caught.value)
     # Waits are whole milliseconds; two software triggers complete the sixth buffer of 12.
     assert deadline_s <= rig.world.clock.now_s() <= deadline_s + 2e-3
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
 
 
 @pytest.mark.parametrize("answer", [513, 512])
@@ -248,7 +248,7 @@ def test_records_of_whole_buffers_survive_a_board_without_software_triggers(answ
     with pytest.raises(DeadlineError, match=r"60 of 96 .*70 captured"):
         blocks.extend(rig.digitizer.records(rig.deadline_s(0.5)))
     assert sum(len(block.codes) for block in blocks) == 60
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
 
 
 def test_software_triggers_are_sent_only_for_a_part_filled_buffer() -> None:
@@ -322,7 +322,7 @@ def test_the_board_is_idle_and_the_memory_free_after_success(rig: Rig) -> None:
     rig.shot(CAPTURE)
     assert rig.memory.buffers
     assert rig.memory.held == 0
-    assert rig.world.digitizer_idle()
+    assert not rig.library.AlazarBusy(0x460)
 
 
 def test_the_board_is_idle_and_the_memory_free_when_the_reader_fails(rig: Rig) -> None:
@@ -332,7 +332,7 @@ def test_the_board_is_idle_and_the_memory_free_when_the_reader_fails(rig: Rig) -
     with pytest.raises(ZeroDivisionError):
         blocks.throw(ZeroDivisionError())
     assert rig.memory.held == 0
-    assert rig.world.digitizer_idle()
+    assert not rig.library.AlazarBusy(0x460)
 
 
 def test_make_safe_between_two_blocks_ends_the_capture_and_frees_the_memory() -> None:
@@ -342,7 +342,7 @@ def test_make_safe_between_two_blocks_ends_the_capture_and_frees_the_memory() ->
     next(blocks)
     rig.digitizer.make_safe()
     assert rig.memory.held == 0
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
     with pytest.raises(InstrumentError, match="aborted"):
         next(blocks)
 
@@ -351,9 +351,9 @@ def test_make_safe_between_two_blocks_ends_the_capture_and_frees_the_memory() ->
 def test_a_capture_that_was_not_read_is_ended(rig: Rig, end: Callable[[AlazarDigitizer], str]) -> None:
     rig.digitizer.configure(CAPTURE)
     rig.digitizer.arm()
-    assert not rig.world.digitizer_idle()
+    assert rig.world.board.running
     end(rig.digitizer)
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
     assert rig.memory.held == 0
     with pytest.raises(InstrumentError, match="before arm"):
         rig.digitizer.records(rig.deadline_s())
@@ -365,7 +365,7 @@ def test_make_safe_works_without_configure_and_on_a_capture_of_another_program(r
     assert rig.library.AlazarSetRecordSize(handle, 0, 256) == 512
     assert rig.library.AlazarStartCapture(handle) == 512
     rig.digitizer.make_safe()
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
 
 
 @pytest.mark.parametrize("failing", ["AlazarBeforeAsyncRead", "AlazarPostAsyncBuffer", "AlazarStartCapture"])
@@ -387,7 +387,7 @@ def test_an_interrupt_in_a_wait_aborts_and_frees() -> None:
     with pytest.raises(KeyboardInterrupt):
         list(rig.digitizer.records(rig.deadline_s()))
     assert rig.memory.held == 0
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
 
 
 def test_memory_is_kept_until_the_abort_succeeds() -> None:
@@ -583,7 +583,7 @@ def test_a_board_stops_even_if_its_memory_cannot_be_freed() -> None:
     rig.digitizer.arm()
     with pytest.raises(InstrumentError, match="AlazarAbortAsyncRead returned 571"):
         rig.digitizer.make_safe()
-    assert rig.world.digitizer_idle()
+    assert not rig.world.board.running
     rig.library.answers.clear()
     rig.digitizer.make_safe()
 

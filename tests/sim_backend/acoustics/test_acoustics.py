@@ -302,30 +302,6 @@ def test_echoes_of_a_periodic_motion_are_made_once_each_and_are_those_of_every_p
     np.testing.assert_allclose(together, alone, rtol=0, atol=3e-8 * np.abs(alone).max())
 
 
-def test_stored_echoes_equal_newly_computed_ones():
-    # blocks of whole periods: the same echoes; weaker ones; sampled 3 ns later; over a shorter record
-    settings = SimulationSettings(seed=2, motion=MOTION, receiver=Receiver(snr_db=None))
-    onset_ps = np.arange(40) * 250_000_000
-    kept = Acoustics(settings)
-    for block, (vpp, late_ps, samples) in enumerate(
-        [(1.0, 0, 300), (1.0, 0, 300), (0.5, 0, 300), (0.5, 3_000, 300), (0.5, 3_000, 200), (1.0, 0, 300)]
-    ):
-        pulses = bursts(onset_ps + block * 40 * 250_000_000, amplitude_vpp=vpp)
-        what = capture(pulses.onset_ps + 90_000_000 + late_ps, samples)
-        made = Acoustics(settings).record_volts(NO_BURSTS, pulses, what)
-        assert np.array_equal(kept.record_volts(NO_BURSTS, pulses, what), made)
-        assert made.any()
-
-
-def test_echoes_of_few_pulses_are_stored():
-    onset_ps = np.arange(4) * 250_000_000
-    acoustics = Acoustics(SimulationSettings(seed=2, motion=MOTION, receiver=Receiver(snr_db=None)))
-    for shot in range(12):
-        pulses = bursts(onset_ps + shot * 1_000_000_000, carrier_hz=9.0e6 + 1e4 * shot)
-        acoustics.record_volts(NO_BURSTS, pulses, capture(pulses.onset_ps + 90_000_000))
-    assert len(vars(acoustics)["_stored_echoes"]) == 8
-
-
 def test_echoes_count_as_equal_only_within_the_tolerance():
     pulse, shape = hann_pulse(9.0e6, 0.065), np.array([[0.2, -1.0], [1.0, 1.0]])
     highest = 2 * np.pi * max(pulse.frequency_hz)

@@ -375,7 +375,7 @@ def test_records_without_a_buffer_overflow_the_memory():
     assert library.AlazarPostAsyncBuffer(BOARD, memories[0][1], 2 * SAMPLES * PER_BUFFER) == 512
     assert library.AlazarWaitAsyncBufferComplete(BOARD, memories[0][1], 100) == 582
     assert library.AlazarAbortAsyncRead(BOARD) == 512
-    assert world.digitizer_idle()
+    assert not world.board.running
 
 
 def test_buffer_counts_follow_the_records():
@@ -401,10 +401,10 @@ def test_abort_ends_a_capture_without_triggers():
     library = loaded(world)
     library.AlazarStartCapture(BOARD)
     assert library.AlazarBusy(BOARD) == 1
-    assert not world.digitizer_idle()
+    assert world.board.running
     assert library.AlazarAbortCapture(BOARD) == 512
     assert library.AlazarBusy(BOARD) == 0
-    assert world.digitizer_idle()
+    assert not world.board.running
 
 
 def test_after_abort_the_records_of_a_partial_capture_can_be_read():
