@@ -11,12 +11,10 @@ import contextlib
 import os
 import secrets
 import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from io import FileIO
-from itertools import zip_longest
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Final, final
 
@@ -35,9 +33,9 @@ from hpe_rig.store.lock import is_locked
 from hpe_rig.store.log import (
     CODES,
     STATUS,
-    SYNCED,
     TRIGGER_TIMES,
     Frame,
+    FrameIndex,
     Log,
     LogWriter,
     is_log,
@@ -56,16 +54,13 @@ BUFFER_BYTES: Final = 4_000_000
 """Size of the writes that go to the disk together: a thread for each write takes as long as the write."""
 LIBRARY_ERRORS: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError)
 
-Frames = dict[tuple[str, tuple[int, ...]], list[Frame]]
-"""Frames of a log by dataset and row or chunk, in the order of arrival; the last one of a row counts."""
-
 
 class DamagedLogError(Exception):
     """A log with damage in frames that were synced: it is read as it is and not replaced."""
 
 
 def _codes(
-    checked: CheckedFile, frames: Frames, stream: IO[bytes], name: str, shot: int, number: int
+    checked: CheckedFile, frames: FrameIndex, stream: IO[bytes], name: str, shot: int, number: int
 ) -> tuple[Int16Array, int] | None:
     """Return the codes of chunk ``number`` of ``shot`` in a log, (record, sample), and their checksum; None if damaged.
 
@@ -74,7 +69,7 @@ def _codes(
     index, first, (_, records, samples) = (shot, number), number * checked.chunk_records, checked.shape
     shape = (min(checked.chunk_records, records - first), samples)
     codes = np.full((0, samples), MISSING)
-    for frame in frames.get((name, index), ()):
+    for frame in frames.find(name, index):
         content, is_intact = payload(stream, frame, checked.chunk_records)
         start, stop = frame.first - first, frame.first - first + len(content) // (2 * samples)
         if not is_intact or len(content) % (2 * samples) or stop > shape[0]:
@@ -89,7 +84,7 @@ def _codes(
     return codes, crc(name, index, codes.data)
 
 
-_views: dict[tuple[object, ...], tuple[CheckedFile, Frames]] = {}
+_views: dict[tuple[object, ...], tuple[CheckedFile, FrameIndex]] = {}
 
 
 def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
@@ -109,7 +104,7 @@ def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
             raise InvalidContentError("the start of the log is damaged")
         checked = _empty_run(CheckedFile(_open_image(log.image), log.size, log.damaged_bytes))
         # A log without frames may be that of a run that is just starting and has not locked it yet.
-        status_without_frame = KILLED if is_unlocked and log.frames else STATUSES[0]
+        status_without_frame = KILLED if is_unlocked and log.frames.size else STATUSES[0]
         view = checked, _fill(checked, log.frames, stream, status_without_frame)
         while len(_views) >= MAX_VIEWS:
             # Not closed, as another thread may still read it: it closes with its last reference.
@@ -161,7 +156,7 @@ def recover(path: Path) -> None:
         with path.open("rb", buffering=0) as stream:
             log = read_log(stream)
         # A log without frames may be that of a run that is just starting and has not locked it yet: do not lock it.
-        if log is None or not log.frames:
+        if log is None or not log.frames.size:
             return
         writer = LogWriter(path)
         try:
@@ -310,31 +305,27 @@ def _open_image(image: bytes) -> h5py.File:
     return h5py.File(h5f.open(secrets.token_hex().encode(), h5f.ACC_RDWR, access))
 
 
-def _without_torn_frames(log: Log, stream: IO[bytes], chunk_records: int) -> Sequence[Frame]:
+def _without_torn_frames(log: Log, stream: IO[bytes], chunk_records: int) -> NDArray[np.void]:
     """Return the frames of ``log`` up to the first one that a power loss has left incomplete.
 
     That can only be one after the last sync; earlier frames are not examined.
     """
-    synced = max((number + 1 for number, frame in enumerate(log.frames) if frame.name in SYNCED), default=0)
-    for number in range(synced, len(log.frames)):
-        if not payload(stream, log.frames[number], chunk_records)[1]:
-            return log.frames[:number]
-    return log.frames
+    frames = [Frame._make(row) for row in log.frames[log.synced :].tolist()]
+    torn = (number for number, frame in enumerate(frames) if not payload(stream, frame, chunk_records)[1])
+    return log.frames[: log.synced + next(torn, len(frames))]
 
 
-def _fill(checked: CheckedFile, log_frames: Sequence[Frame], stream: IO[bytes], status: str) -> Frames:
+def _fill(checked: CheckedFile, log_frames: NDArray[np.void], stream: IO[bytes], status: str) -> FrameIndex:
     """Write everything in ``log_frames`` but the codes into the empty run file ``checked``; return the sorted frames.
 
     ``status``: of the run, unless the frames state it.
     """
-    frames = Frames()
-    for frame in log_frames:
-        frames.setdefault((frame.name, frame.index(checked.chunk_records)), []).append(frame)
+    frames = FrameIndex(log_frames, checked.chunk_records)
     for name in (*BY_SHOT, *AT_ONCE):
         if checked.has(name):
             _fill_rows(checked, name, frames, stream)
     _fill_arrivals(checked, frames, stream)
-    if ended := frames.get((STATUS, ())):
+    if ended := frames.find(STATUS, ()):
         text, is_intact = payload(stream, ended[-1])
         status = text.decode("ascii", "replace") if is_intact else status
     checked.file.attrs.modify("status", np.array(status.encode(), f"S{STATUS_BYTES}"))
@@ -342,27 +333,25 @@ def _fill(checked: CheckedFile, log_frames: Sequence[Frame], stream: IO[bytes], 
     return frames
 
 
-def _fill_rows(checked: CheckedFile, name: str, frames: Frames, stream: IO[bytes]) -> None:
+def _fill_rows(checked: CheckedFile, name: str, frames: FrameIndex, stream: IO[bytes]) -> None:
     """Write the rows of dataset ``name`` and the checksums of all of its rows."""
     dataset, stored_sums = checked.dataset(name), checked.checksums(name)
     sums = np.zeros(stored_sums.shape, "<u8")
     shape = dataset.shape[sums.ndim :]
     empty = blank(dataset.dtype, shape).tobytes()
     for index in np.ndindex(sums.shape):
-        if (name, index) not in frames:
-            sums[index] = crc(name, index, empty)
-            continue
-        # A damaged row is written too: readers compare it with the checksum of its frame.
-        frame = frames[name, index][-1]
-        content, _ = payload(stream, frame)
-        if len(content) != len(empty):
-            raise InvalidContentError(f"a row of /{name} has {len(content)} bytes, not {len(empty)}")
-        _write(dataset, index, np.frombuffer(content, dataset.dtype).reshape(shape))
-        sums[index] = frame.checksum
+        sums[index] = crc(name, index, empty)
+        # The last frame of a row counts. A damaged one is written too: readers compare it with the frame's checksum.
+        for frame in frames.find(name, index)[-1:]:
+            content, _ = payload(stream, frame)
+            if len(content) != len(empty):
+                raise InvalidContentError(f"a row of /{name} has {len(content)} bytes, not {len(empty)}")
+            _write(dataset, index, np.frombuffer(content, dataset.dtype).reshape(shape))
+            sums[index] = frame.checksum
     _write(stored_sums, (), sums)
 
 
-def _fill_arrivals(checked: CheckedFile, frames: Frames, stream: IO[bytes]) -> None:
+def _fill_arrivals(checked: CheckedFile, frames: FrameIndex, stream: IO[bytes]) -> None:
     """Write the marks and trigger times of all records, and their checksums by chunk."""
     (shots, records, _), chunk_records = checked.shape, checked.chunk_records
     stored_sums = checked.checksums("records/recorded")
@@ -371,7 +360,7 @@ def _fill_arrivals(checked: CheckedFile, frames: Frames, stream: IO[bytes]) -> N
         marks, time_s = np.zeros(records, "u1"), np.full(records, np.nan)
         for number in range(sums.shape[1]):
             chunk, is_damaged = slice(number * chunk_records, (number + 1) * chunk_records), False
-            for frame in frames.get((TRIGGER_TIMES, (shot, number)), ()):
+            for frame in frames.find(TRIGGER_TIMES, (shot, number)):
                 content, is_intact = payload(stream, frame, chunk_records)
                 rows = slice(frame.first, frame.first + len(content) // 8)
                 if len(content) % 8 or rows.stop > min(records, chunk.stop):
@@ -387,28 +376,22 @@ def _fill_arrivals(checked: CheckedFile, frames: Frames, stream: IO[bytes]) -> N
     _write(stored_sums, (), sums)
 
 
-def _write_codes(checked: CheckedFile, frames: Frames, stream: IO[bytes], proceed: Callable[[], None]) -> None:
+def _write_codes(checked: CheckedFile, frames: FrameIndex, stream: IO[bytes], proceed: Callable[[], None]) -> None:
     """Write the echoes, chunk by chunk, and their checksums; raise ``DamagedLogError`` if one is damaged."""
-    names = [name for name in CODES if checked.has(name)]
-    echoes = {name: _uncached(checked.dataset(name)) for name in names}
-    sums = {name: np.zeros(checked.checksums(name).shape, "<u8") for name in names}
-    read = partial(_codes, checked, frames, stream)
-    # By shot, then chunk, then input.
-    keys = sorted((key for key in frames if key[0] in echoes), key=lambda key: (key[1], key[0]))
-    # The next chunk is read while the library writes one.
-    with ThreadPoolExecutor(1, "log") as reader:
-        chunks = [reader.submit(read, name, *index) for name, index in keys[:1]]
-        for (name, index), following in zip_longest(keys, keys[1:]):
-            proceed()
-            chunk = chunks.pop().result()
-            if chunk is None:
-                raise DamagedLogError
-            if following is not None:
-                chunks.append(reader.submit(read, following[0], *following[1]))
-            codes, sums[name][index] = chunk
-            _write(echoes[name], (index[0], index[1] * checked.chunk_records), codes)
-    for name in names:
-        _write(checked.checksums(name), (), sums[name])
+    for name in CODES:
+        if not checked.has(name):
+            continue
+        echoes, stored_sums = _uncached(checked.dataset(name)), checked.checksums(name)
+        sums = np.zeros(stored_sums.shape, "<u8")
+        for shot, number in np.ndindex(sums.shape):
+            if frames.find(name, (shot, number)):
+                proceed()
+                chunk = _codes(checked, frames, stream, name, shot, number)
+                if chunk is None:
+                    raise DamagedLogError
+                codes, sums[shot, number] = chunk
+                _write(echoes, (shot, number * checked.chunk_records), codes)
+        _write(stored_sums, (), sums)
 
 
 def _uncached(dataset: h5py.Dataset) -> h5py.Dataset:

@@ -15,15 +15,18 @@ from __future__ import annotations
 import errno
 import os
 import struct
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final, final
+from typing import IO, Any, Final, NamedTuple, final
 from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hpe_rig.store import lock
 from hpe_rig.store.checksum import crc
+from hpe_rig.store.datasets import DATASETS
 from hpe_rig.store.format import StoreError
 
 SIGNATURE: Final = b"\x89HPE\r\n\x1a\n"
@@ -45,23 +48,57 @@ _HEADER: Final = struct.Struct("<4s32siqQI")
 _HEADER_CHECKSUM: Final = struct.Struct("<I")
 HEADER_BYTES: Final = _HEADER.size + _HEADER_CHECKSUM.size
 
+_NUMBERS: Final = {name: number for number, name in enumerate((IMAGE, STATUS, *DATASETS))}
+"""Number of the name of a frame in memory."""
 
-@dataclass(frozen=True, slots=True)
-class Frame:
+
+class Frame(NamedTuple):
     """A frame with an intact header; ``offset``: of its payload in the file."""
 
-    name: str
+    number: int
     shot: int
     first: int
-    offset: int
     size: int
     checksum: int
+    offset: int
+
+    @property
+    def name(self) -> str:
+        """Path of the dataset, ``IMAGE`` or ``STATUS``."""
+        return list(_NUMBERS)[self.number]
 
     def index(self, chunk_records: int) -> tuple[int, ...]:
         """Return the row or chunk of the frame, which its checksum includes; a chunk has ``chunk_records`` records."""
         if self.name in (*CODES, TRIGGER_TIMES):
             return self.shot, self.first // chunk_records
         return () if self.shot < 0 else (self.shot,)
+
+
+_ROW: Final = np.dtype(list(zip(Frame._fields, ("u1", "i4", "i8", "i8", "u4", "i8"), strict=True)))
+"""A frame in memory: a run of 20 GB has 50 000."""
+
+
+@final
+class FrameIndex:
+    """Frames of a log by dataset and row or chunk."""
+
+    def __init__(self, frames: NDArray[np.void], chunk_records: int) -> None:
+        """Sort ``frames``, rows of a ``Log``, in which a chunk of echoes has ``chunk_records`` records."""
+        by_chunk = np.isin(frames["number"], [_NUMBERS[name] for name in (*CODES, TRIGGER_TIMES)])
+        keys = _key(frames["number"], frames["shot"], np.where(by_chunk, frames["first"] // chunk_records, 0))
+        order = np.argsort(keys, kind="stable")
+        self._keys, self._frames = keys[order], frames[order]
+
+    def find(self, name: str, index: tuple[int, ...]) -> list[Frame]:
+        """Return the frames of row or chunk ``index`` of dataset ``name``, in the order of arrival."""
+        key = _key(_NUMBERS[name], *(*index, *(-1, 0)[len(index) :]))
+        first, last = (np.searchsorted(self._keys, key, side) for side in ("left", "right"))
+        return [Frame._make(row) for row in self._frames[first:last].tolist()]
+
+
+def _key(name: Any, shot: Any, chunk: Any) -> Any:
+    """Return a number that increases with the number of the ``name``, then with shot (-1: none), then with chunk."""
+    return np.int64(name) << 56 | np.int64(shot) + 1 << 32 | np.int64(chunk)
 
 
 @final
@@ -145,17 +182,23 @@ class LogWriter:
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """Frames of a log up to the first damaged header.
+    """Frames of a log up to the first damaged header, each a row as in ``Frame``.
 
     ``size``: bytes of the file. ``end``: of the last frame. ``is_torn``: whether the bytes after ``end`` were never
     synced, as after a crash; otherwise the log was damaged later.
     """
 
     image: bytes
-    frames: tuple[Frame, ...]
+    frames: NDArray[np.void]
     size: int
     end: int
     is_torn: bool
+
+    @property
+    def synced(self) -> int:
+        """Number of frames up to the last one that was followed by a sync."""
+        numbers = np.flatnonzero(np.isin(self.frames["number"], [_NUMBERS[name] for name in SYNCED]))
+        return int((numbers + 1).max(initial=0))
 
     @property
     def damaged_bytes(self) -> int:
@@ -199,11 +242,11 @@ def read_log(file: IO[bytes]) -> Log | None:
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
     nonce = file.read(len(SIGNATURE) + NONCE_BYTES)[len(SIGNATURE) :]
-    frames = tuple(_frames(file, nonce, size))
-    if not frames or frames[0].name != IMAGE or frames[0].size > MAX_IMAGE_BYTES:
+    frames = np.fromiter(_frames(file, nonce, size), _ROW)
+    if not frames.size or frames["number"][0] != _NUMBERS[IMAGE] or frames["size"][0] > MAX_IMAGE_BYTES:
         return None
-    end = frames[-1].offset + frames[-1].size
-    image, is_intact = payload(file, frames[0])
+    end = int(frames["offset"][-1] + frames["size"][-1])
+    image, is_intact = payload(file, Frame._make(frames[0].item()))
     is_torn = not _has_sync_after(file, end, nonce, size)
     return Log(image, frames[1:], size, end, is_torn) if is_intact else None
 
@@ -243,9 +286,8 @@ def _frame(header: bytes, position: int, nonce: bytes) -> Frame | None:
     mark, name, shot, first, size, payload_checksum = _HEADER.unpack(fields)
     if mark != MARK or checksum != _header_checksum(fields, position, nonce):
         return None
-    # One string for all frames of a dataset: a large run has tens of thousands.
-    text = sys.intern(name.rstrip(b"\0").decode("ascii", "replace"))
-    return Frame(text, shot, first, position + HEADER_BYTES, size, payload_checksum)
+    number = _NUMBERS.get(name.rstrip(b"\0").decode("ascii", "replace"))
+    return None if number is None else Frame(number, shot, first, size, payload_checksum, position + HEADER_BYTES)
 
 
 def _header(name: str, shot: int, first: int, size: int, checksum: int, position: int, nonce: bytes) -> bytes:

@@ -61,7 +61,7 @@ def frames(path: Path) -> list[Frame]:
     with path.open("rb") as file:
         log = read_log(file)
     assert log is not None
-    return list(log.frames)
+    return [Frame._make(row) for row in log.frames.tolist()]
 
 
 def flip(path: Path, offset: int) -> None:
