@@ -14,7 +14,7 @@ from hpe_rig.plan import Shot, scene_of_shot
 from hpe_rig.recordings import Echoes, ExportFormat, Label, differing_setting, export_image
 from hpe_rig.runs.run import Run, open_run
 from hpe_rig.scene import Mistake, SettingsError, plural
-from hpe_rig.store import StoreError, refuse_output, write_file
+from hpe_rig.store import Placement, StoreError, refuse_output, write_file
 
 SUFFIXES: Mapping[str, ExportFormat] = {".hdf5": "zea", ".uff": "uff", ".mat": "mat"}
 """Format by the ending of the file."""
@@ -42,6 +42,8 @@ def export_run(
 
     >>> export_run("bovine-muscle.h5", "bovine-muscle.hdf5")
     """
+    from hpe_rig.processing import assign_pulses
+
     run, path = run if isinstance(run, Run) else open_run(run), Path(path)
     refuse_output(path, overwrite and path.resolve() != run.path.resolve())
     selected, omitted = _selected_shots(run, shots)
@@ -49,9 +51,15 @@ def export_run(
     mistakes = list(_conflicts(run, selected, selected_format))
     if mistakes:
         raise SettingsError("export", mistakes)
-    missing: dict[int, int] = {}
-    echoes = _echoes_of(run, selected, missing)
+    placements = [assign_pulses(shot, run.stored).placement for shot in selected]
+    echoes = _echoes_of(run, selected, placements)
     write_file(path, export_image(echoes, selected_format), overwrite)
+    # One sample of each record states whether it is missing.
+    records = {
+        shot.index: run.records.gated(shot.index, slice(0, 1), placement=placement)
+        for shot, placement in zip(selected, placements, strict=True)
+    }
+    missing = {shot: int((~one_sample.valid).sum()) for shot, one_sample in records.items()}
     gaps = [f"shot {shot + 1}: {plural(count, 'missing record')}" for shot, count in missing.items() if count]
     lateral_offset_m = np.array([shot.lateral_offset_m for shot in selected])
     if key := differing_setting(echoes.pulse_time_s, lateral_offset_m):
@@ -122,16 +130,12 @@ def _conflicts(run: Run, shots: Sequence[Shot], file_format: ExportFormat) -> It
         yield Mistake("shots", what, "--shot for some of the shots, and further files for the others")
 
 
-def _echoes_of(run: Run, shots: Sequence[Shot], missing: dict[int, int]) -> Echoes:
-    """Return the echoes of ``shots``; reading a shot writes its number of missing records to ``missing``."""
-    from hpe_rig.processing import assign_pulses
+def _echoes_of(run: Run, shots: Sequence[Shot], placements: Sequence[Placement]) -> Echoes:
+    """Return the echoes of ``shots``, whose records have the pulses of ``placements``."""
 
     def codes_of(index: int) -> Int16Array:
-        shot = shots[index]
-        placement = assign_pulses(shot, run.stored).placement
-        records = run.records.gated(shot.index, slice(0, run.records.shape[2]), placement=placement)
-        missing[shot.index] = int((~records.valid).sum())
-        return records.codes
+        samples = slice(0, run.records.shape[2])
+        return run.records.gated(shots[index].index, samples, placement=placements[index]).codes
 
     scene, first = scene_of_shot(run.scene, shots[0]), shots[0]
     record = run.records.gated(first.index, slice(0, 1))

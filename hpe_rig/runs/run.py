@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -202,7 +201,7 @@ class Run:
     def save(self, result: Result) -> Path:
         """Write ``result`` to the folder of the run file, replacing one of the same estimator, and return its path."""
         path = result_path(self.path, result.estimator)
-        write_result(path, result)
+        write_result(path, result, self.identity)
         return path
 
     def mark(self, shot: int, bad: str | None) -> Run:
@@ -232,21 +231,15 @@ class Run:
     @property
     def identity(self) -> str:
         """Hexadecimal digits that differ between two runs, also of one scene into one file."""
-        return _identity(self.stored)
+        return self.stored.digest
 
     def refreshed(self) -> Run:
         """Read the run file again, for a run that is still being written; another run in its place is opened."""
         stored = read_run(self.path)
-        if _identity(stored) != self.identity:
+        if stored.digest != self.identity:
             return open_run(self.path)
         # Scene and plan stay the same while records arrive.
         return replace(self, stored=stored, plan=_with_stored_forces(self.plan, stored))
-
-
-def _identity(stored: StoredRun) -> str:
-    # Runs of scripts may have neither an identifier nor a start.
-    parts = (stored.run_id, stored.provenance.started, stored.scene_toml, stored.bench_toml)
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:

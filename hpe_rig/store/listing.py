@@ -143,7 +143,7 @@ def _entry(stored: StoredRun) -> RunEntry:
         host=stored.provenance.host,
         notes=notes if isinstance(notes, dict) else {},
         # Strongest harmonic of the latest result.
-        lead=_lead(stored.path, stored.marks),
+        lead=_lead(stored),
         shots_marked_bad=len(stored.marks),
         conditions=_mean_conditions(stored, bench),
     )
@@ -186,12 +186,13 @@ def _date(stored: StoredRun) -> datetime:
         return datetime.fromtimestamp(stored.path.stat().st_mtime).astimezone()
 
 
-def _lead(run: Path, marks: Mapping[int, str]) -> Harmonic | None:
-    """Return the strongest harmonic of the latest result of the run file ``run``; None without a result.
+def _lead(stored: StoredRun) -> Harmonic | None:
+    """Return the strongest harmonic of the latest result of a run; None without a result.
 
-    Also None if shots were marked bad, or unmarked, after that result. ``marks``: the reason by shot. Raises
-    ``StoreError`` if that result file cannot be read.
+    Also None if that result is of an earlier run of the same file name, or if shots were marked bad, or unmarked, after
+    it. Raises ``StoreError`` if that result file cannot be read.
     """
+    run = stored.path
     results = [path for path in run.parent.glob(f"{run.stem}.*.h5") if kind_of(path) == "result"]
     if not results:
         return None
@@ -203,10 +204,13 @@ def _lead(run: Path, marks: Mapping[int, str]) -> Harmonic | None:
                 raise InvalidContentError("it fails its checksum")
             result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= MAX_JSON_BYTES else {}
             is_earlier = file.attrs.get("version", 1) < RESULT_VERSION
+            # Results of earlier releases do not state their run.
+            is_of_run = file.attrs.get("run_digest", b"") in (b"", stored.digest.encode())
         left_out = result.get("shots_without_result", ())
         counted_from = 0 if is_earlier else 1
-        if marks != {int(shot) - counted_from: why for shot, why in left_out if why.startswith(MARKED_BAD)}:
-            # Marks were given or taken back after this result.
+        marks = {int(shot) - counted_from: why for shot, why in left_out if why.startswith(MARKED_BAD)}
+        if not is_of_run or marks != stored.marks:
+            # It is of an earlier run, or marks were given or taken back after it.
             return None
         return max(_harmonics(result, is_earlier), key=lambda harmonic: harmonic.amplitude_m, default=None)
     except InvalidContentError as error:

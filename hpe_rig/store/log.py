@@ -67,7 +67,7 @@ class Frame(NamedTuple):
         """Path of the dataset, ``IMAGE`` or ``STATUS``."""
         return list(_NUMBERS)[self.number]
 
-    def index(self, chunk_records: int) -> tuple[int, ...]:
+    def row_or_chunk(self, chunk_records: int) -> tuple[int, ...]:
         """Return the row or chunk of the frame, which its checksum includes; a chunk has ``chunk_records`` records."""
         if self.name in (*CODES, TRIGGER_TIMES):
             return self.shot, self.first // chunk_records
@@ -213,7 +213,7 @@ def payload(file: IO[bytes], frame: Frame, chunk_records: int = 1) -> tuple[byte
     """
     file.seek(frame.offset)
     content = file.read(frame.size)
-    is_intact = crc(frame.name, frame.index(chunk_records), content) == frame.checksum
+    is_intact = crc(frame.name, frame.row_or_chunk(chunk_records), content) == frame.checksum
     return content, is_intact and len(content) == frame.size
 
 

@@ -7,6 +7,7 @@ beyond the end of the file.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -95,6 +96,13 @@ class StoredRun:
     def identity(self) -> dict[str, str]:
         """The identity of the run, which its marks repeat."""
         return identity_of(self.run_id, self.provenance.started)
+
+    @property
+    def digest(self) -> str:
+        """Hexadecimal digits that differ between two runs, also of one scene into one file; results repeat them."""
+        # Runs of scripts may have neither an identifier nor a start.
+        parts = (self.run_id, self.provenance.started, self.scene_toml, self.bench_toml)
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
     def mark(self, shots: Sequence[int], why: str | None) -> Path:
         """Mark ``shots``, counted from 0, as bad for the reason ``why`` or, with None, as good; return the marks' path.

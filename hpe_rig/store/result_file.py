@@ -22,8 +22,8 @@ from hpe_rig.store.layout import name_axes
 from hpe_rig.store.task import make_or_undo
 
 
-def write_result(path: Path, result: Result) -> None:
-    """Write ``result`` to ``path``; replace an earlier result but no other file.
+def write_result(path: Path, result: Result, run_digest: str = "") -> None:
+    """Write ``result`` to ``path``; replace an earlier result but no other file. ``run_digest``: of its run.
 
     Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN if unknown.
     Group ``motion``: displacement, its uncertainty, model and residual of every pulse, float64 (shot, pulse).
@@ -34,7 +34,7 @@ def write_result(path: Path, result: Result) -> None:
     stays unchanged then.
     """
     try:
-        image = sealed_file(partial(_write, result=result))
+        image = sealed_file(partial(_write, result=result, run_digest=run_digest))
         make_or_undo(partial(_replace, path, image), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
@@ -53,10 +53,11 @@ def _replace(path: Path, image: bytes, cancelled: threading.Event) -> None:
             raise InterruptedError
 
 
-def _write(file: h5py.File, result: Result) -> None:
+def _write(file: h5py.File, result: Result, run_digest: str) -> None:
     """Write the result into the HDF5 file: as JSON, and its estimates, motion and depth profile with axes."""
     file.attrs["format"] = RESULT_FORMAT
     file.attrs["version"] = RESULT_VERSION
+    file.attrs["run_digest"] = np.bytes_(run_digest)
     for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
         file.attrs[name] = getattr(result, name)
     text = json.dumps(result.as_dict()).encode()

@@ -25,7 +25,7 @@ from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.runs import json_schema
 from hpe_rig.runs.run import open_run, process
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
+from hpe_rig.store import StoreError, WriteOptions, list_runs, read_run, read_snapshots, result_path, verify
 from hpe_rig.store.checksum import HEAP
 from hpe_rig.store.damage import Damage, ranges
 
@@ -290,6 +290,16 @@ def test_a_listing_does_not_state_what_a_damaged_result_says(path: Path) -> None
     assert " nm" in stated
     assert " nm" not in done.output
     assert "run.coherent.h5 is no readable result file (it fails its checksum). Try: hpe-rig process" in done.output
+
+
+def test_a_listing_does_not_state_the_result_of_an_earlier_run_of_that_name(setup: Setup, path: Path) -> None:
+    process(path)
+    assert list_runs(path.parent)[0][0].lead is not None
+    record_run(setup, path, options=WriteOptions(overwrite=True, run_id="b" * 32))
+    (entry,), unreadable = list_runs(path.parent)
+    assert (entry.lead, unreadable) == (None, [])
+    process(path)
+    assert list_runs(path.parent)[0][0].lead is not None
 
 
 @pytest.mark.skipif(os.name == "nt", reason="named pipes are POSIX's")
