@@ -102,14 +102,17 @@ def _bar(title: str) -> Iterator[Report]:
 
 def _lines(title: str) -> Report:
     start_s = last_report_s = time.monotonic()
+    first_done = 0
 
     def report(done: int, total: int, step: str) -> None:
-        nonlocal last_report_s
+        nonlocal first_done, last_report_s, start_s
         now_s = time.monotonic()
-        # Before the first record no rate is known, and after the last one no time is left.
-        if now_s - last_report_s >= REPORT_INTERVAL_S and 0 < done < total:
+        if not first_done:
+            # The rate is that after the first records: preparation and the twin's first record take longer.
+            start_s, first_done = now_s, done
+        if now_s - last_report_s >= REPORT_INTERVAL_S and 0 < first_done < done < total:
             last_report_s = now_s
-            time_left = duration_text((now_s - start_s) * (total - done) / done)
+            time_left = duration_text((now_s - start_s) * (total - done) / (done - first_done))
             print(f"{step or title}: {done} of {total}, about {time_left} left", file=sys.stderr, flush=True)
 
     return report

@@ -23,6 +23,7 @@ from .interference import (
     NEAR as NEAR,
     disturbed_pulses as disturbed_pulses,
     follow_tonebursts as follow_tonebursts,
+    precede_tonebursts as precede_tonebursts,
     pulse_kinds as pulse_kinds,
 )
 from .omitted import omissions as omissions

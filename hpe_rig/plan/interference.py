@@ -56,6 +56,21 @@ def follow_tonebursts(shot: Shot, pulses: BoolArray) -> bool:
     return bool(np.all((latest >= 0) & (after_s >= -MIN_FREE_S) & (after_s < line.burst_length_s)))
 
 
+def precede_tonebursts(shot: Shot, pulses: BoolArray) -> bool:
+    """Return whether ``pulses`` (pulse,), two or more, all come directly before a toneburst.
+
+    Directly means within one burst length: a toneburst that is earlier than planned reaches their records first.
+    """
+    line = shot.timeline
+    if pulses.sum() < 2 or not line.burst_onset_s.size:
+        return False
+    onset_s = line.pulse_onset_s[pulses]
+    following = np.searchsorted(line.burst_onset_s, onset_s, side="right")
+    next_onset_s = np.append(line.burst_onset_s, np.inf)[following]
+    before_s = next_onset_s - onset_s + forbidden_window_s(shot)[0]
+    return bool(np.all((before_s >= -MIN_FREE_S) & (before_s < line.burst_length_s)))
+
+
 def pulse_kinds(shot: Shot) -> Int64Array:
     """Return how tonebursts disturb the record of each pulse, int64 (pulse,): ``CLEAN``, ``NEAR`` or ``INSIDE``.
 

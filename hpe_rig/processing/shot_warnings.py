@@ -55,23 +55,28 @@ def first_pulse_warnings(assignment: PulseAssignment) -> Iterator[str]:
         )
 
 
-def record_warnings(damaged: BoolArray, deviating: int, clipped: int, after_tonebursts: bool) -> Iterator[str]:
+DEVIATION_CAUSES = {
+    "after toneburst": "all come directly after a toneburst, which seems longer than planned: compare the toneburst at "
+    "the transducer with excitation.burst_length_s",
+    "before toneburst": "all come directly before a toneburst, which seems earlier than planned: connect the 10 MHz "
+    "reference (common_reference in the bench file), or change tracking.delay_s",
+    "": "something disturbs them; see tracking.delay_s and processing.flag_pulses",
+}
+"""Likely cause of pulses with deviating energy, by their position."""
+
+
+def record_warnings(damaged: BoolArray, deviating: int, clipped: int, position: str) -> Iterator[str]:
     """Yield warnings of damaged records, of pulses omitted for their energy, and of clipped records.
 
-    ``damaged`` (pulse,): which records fail their checksums. ``deviating``, ``clipped``: numbers of pulses.
-    ``after_tonebursts``: the deviating pulses all come directly after the echoes of a toneburst.
+    ``damaged`` (pulse,): which records fail their checksums. ``deviating``: number of pulses omitted for their energy,
+    all at one ``position``, a key of `DEVIATION_CAUSES`. ``clipped``: number of other pulses at full scale.
     """
     if damaged.any():
         yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
     if deviating:
         yield (
             f"{deviating} of {damaged.size} pulses are omitted because their energy differs from the others': "
-            + (
-                "all come directly after a toneburst, which seems longer than planned: compare the toneburst at the "
-                "transducer with excitation.burst_length_s"
-                if after_tonebursts
-                else "something disturbs them; see tracking.delay_s and processing.flag_pulses"
-            )
+            f"{DEVIATION_CAUSES[position]}"
         )
     if clipped:
         yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"

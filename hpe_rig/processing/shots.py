@@ -12,7 +12,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.medium import BeamWidths
-from hpe_rig.plan import Plan, Selection, Shot, follow_tonebursts, phase_reference_of, select
+from hpe_rig.plan import Plan, Selection, Shot, follow_tonebursts, phase_reference_of, precede_tonebursts, select
 from hpe_rig.processing.budget import ErrorSources, error_sources_of, estimates_of, with_first_pulse
 from hpe_rig.processing.control import ControlMotion
 from hpe_rig.processing.echo.conditioning import gate_statistics
@@ -333,11 +333,16 @@ def _record_warnings(
         yield from missing_record_warnings(recorded, damaged)
         yield from first_pulse_warnings(records.assignment)
     used = recorded & selection.used
-    clipped = records.statistics.at_full_scale(gate.code_limits)[window] & used
     deviating = np.zeros_like(window)
     deviating[window] = used & ~motion.echoes.valid
-    after_tonebursts = follow_tonebursts(shot, deviating)
-    yield from record_warnings(damaged, int(deviating.sum()), int(clipped.sum()), after_tonebursts)
+    # A disturbance that omits a pulse may also reach full scale, which a larger input range does not mend.
+    clipped = records.statistics.at_full_scale(gate.code_limits)[window] & used & ~deviating[window]
+    position = ""
+    if follow_tonebursts(shot, deviating):
+        position = "after toneburst"
+    elif precede_tonebursts(shot, deviating):
+        position = "before toneburst"
+    yield from record_warnings(damaged, int(deviating.sum()), int(clipped.sum()), position)
 
 
 def _drift(

@@ -83,6 +83,9 @@ def test_phases_follow_clocks_that_differ_by_more_than_stated_and_warnings_say_s
         (text,) = (text for text in shot.warnings if "burst generator's clock" in text)
         assert "ppm fast of the digitizer's), more than clock_accuracy explains" in text
         assert "common 10 MHz reference" in text
+        # The early tonebursts reach full scale in records before them, whatever the input range.
+        assert [text for text in shot.warnings if "all come directly before a toneburst" in text]
+        assert not [text for text in shot.warnings if "input_range_v" in text]
 
 
 def test_clocks_of_one_reference_leave_no_row_and_no_error(tmp_path: Path) -> None:

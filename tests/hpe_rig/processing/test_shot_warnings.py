@@ -10,7 +10,7 @@ import numpy as np
 from hpe_rig import measure
 from hpe_rig.bench import read_bench
 from hpe_rig.measurement.setup import plan_and_check
-from hpe_rig.plan import follow_tonebursts
+from hpe_rig.plan import follow_tonebursts, precede_tonebursts
 from hpe_rig.plan.interference import forbidden_window_s
 from hpe_rig.processing import Motion, estimate_run, least_squares
 from hpe_rig.processing.shot_warnings import fit_warnings, setting_warnings
@@ -68,6 +68,22 @@ def test_pulses_after_the_echoes_of_a_toneburst_follow_it_within_its_length() ->
     later = np.flatnonzero(after_s[:, 0] >= end_s + 100e-6)[0]
     assert not follow_tonebursts(shot, direct | (np.arange(direct.size) == later))
     assert not follow_tonebursts(shot, np.zeros_like(direct))
+
+
+def test_pulses_before_a_toneburst_precede_it_within_its_length() -> None:
+    shot = plan_and_check(load_scene("bovine-muscle"), read_bench().bench)[0].shots[0]
+    line = shot.timeline
+    start_s = -forbidden_window_s(shot)[0]
+    # All bursts, one period apart, begin this long after each pulse.
+    before_s = (line.burst_onset_s[0] - line.pulse_onset_s) % 0.01
+    direct = (before_s >= start_s) & (before_s < start_s + 100e-6) & (line.pulse_onset_s < line.burst_onset_s[-1])
+    assert direct.sum() >= 4
+    assert precede_tonebursts(shot, direct)
+    assert not follow_tonebursts(shot, direct)
+    # The last pulse has no toneburst after it.
+    for other in (np.flatnonzero(before_s >= start_s + 100e-6)[0], direct.size - 1):
+        assert not precede_tonebursts(shot, direct | (np.arange(direct.size) == other))
+    assert not precede_tonebursts(shot, np.zeros_like(direct))
 
 
 def test_one_toneburst_and_pulses_after_the_last_toneburst_are_reported() -> None:
