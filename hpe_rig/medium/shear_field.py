@@ -63,15 +63,13 @@ class ShearMotion:
     """Displacement per body force and its derivatives, complex (frequency, point).
 
     ``value`` is in m per N/m^3. The derivatives are by: the complex modulus; the variance across over which the
-    tracking beam averages (first and second derivative); the lateral and the axial distance; the logarithms of the
-    force's widths across and along, at constant peak force; and one standard uncertainty of each property in
-    ``PushForce.weight_changes``.
+    tracking beam averages; the lateral and the axial distance; the logarithms of the force's widths across and along,
+    at constant peak force; and one standard uncertainty of each property in ``PushForce.weight_changes``.
     """
 
     value: ComplexArray
     by_modulus: ComplexArray
     by_across: ComplexArray
-    by_across_twice: ComplexArray
     by_lateral: ComplexArray
     by_axial: ComplexArray
     by_width: ComplexArray
@@ -97,7 +95,6 @@ def shear_motion(medium: HarmonicMedium, force: PushForce, region: TrackedRegion
         value=axial.value @ path.waves,
         by_modulus=(path.q2 / medium.modulus_pa)[:, None] * axial.by_kappa2 @ path.waves,
         by_across=axial.value @ (-k2 / 2 * path.waves),
-        by_across_twice=axial.value @ (k2**2 / 4 * path.waves),
         by_lateral=axial.value @ path.lateral_slopes,
         by_axial=axial.by_axial @ path.waves,
         by_width=axial.by_width @ path.waves,

@@ -210,18 +210,17 @@ class Problem:
         # Force and tracked region with their deviations. A logarithmic deviation keeps widths and area positive.
         width_factors = (float(np.exp(deviations.get((kind, COMMON), 0.0))) for kind in ("across", "along"))
         force = push.force.changed({kind: value for (kind, _), value in deviations.items()}).scaled(*width_factors)
-        mean_area_m2 = np.array([self.vibrations[i].tracking_m2[0] for i in group])
-        area_m2 = mean_area_m2 * np.exp(_values(deviations, "area", group))
+        area_m2 = np.array([self.vibrations[i].tracking_m2[0] for i in group]) * np.exp(
+            _values(deviations, "area", group)
+        )
         stage_m = np.array([deviations.get(("stage", self.first_at_position[i]), 0.0) for i in group])
         deviation_m = _values(deviations, "lateral", group) + stage_m
         lateral_m = np.array([self.vibrations[i].lateral_m for i in group]) + deviation_m
         region = TrackedRegion(lateral_m, first.axial_m, across_m2=area_m2, along_m2=first.tracking_m2[1])
         field = shear_motion(medium, force, region, self.quick)
         drive = self._drive(unknown, deviations, group)
-        # Speckle changes the tracked region: its area and depth, and its shape by weight that moves to centre and edge.
-        by_shape = drive * field.by_across_twice * mean_area_m2**2 / 2
-        axial_m, shape = (_values(deviations, kind, group) for kind in ("axial", "shape"))
-        phasors_m = drive * (field.value + axial_m * field.by_axial) + shape * by_shape
+        # Speckle changes the tracked region: its area, above, and its depth.
+        phasors_m = drive * (field.value + _values(deviations, "axial", group) * field.by_axial)
         return phasors_m, {
             "gain": phasors_m,
             "phase": 1j * phasors_m,
@@ -234,7 +233,6 @@ class Problem:
             "lateral": drive * field.by_lateral,
             "stage": drive * field.by_lateral,
             "area": drive * field.by_across * area_m2,
-            "shape": by_shape,
             **{
                 f"law {i}": drive * field.by_modulus * slopes[:, None]
                 for i, slopes in enumerate(modulus_by_coordinates.T)
@@ -316,7 +314,6 @@ def _nuisances(vibrations: Sequence[Vibration], push: Push) -> tuple[Nuisance, .
             Nuisance("gain", index, vibration.gain_uncertainty),
             Nuisance("phase", index, vibration.phase_uncertainty_rad),
             Nuisance("area", index, vibration.area_uncertainty),
-            Nuisance("shape", index, vibration.area_uncertainty),
         ]
     return tuple(nuisance for nuisance in nuisances if nuisance.uncertainty > 0)
 
