@@ -52,12 +52,6 @@ class Band:
     noise: ComplexArray
 
     @functools.cached_property
-    def tapers_gate(self) -> bool:
-        """Whether the taper reaches into the gate, so that echoes change as they move."""
-        before, after = self.margin
-        return bool(self.taper[before : self.taper.size - after].min() < 1)
-
-    @functools.cached_property
     def gated_noise(self) -> ComplexArray:
         """G times the covariance of the noise, (bin, bin)."""
         return np.asarray(self.noise - self.margin_root @ (self.margin_root.T @ self.noise))

@@ -70,17 +70,18 @@ def velocity_to_harmonics(
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
     background = slice(2 * frequency_hz.size, model.wanted_states.stop if order else 0)
     fill = _fill_columns(model, velocity.valid, background)
-    filled = _filled(velocity, model, fill)
     window = hann(velocity.valid.size) if with_hann else np.ones(velocity.valid.size)
-    # In-phase and quadrature of each frequency, and the weight of every velocity in them.
-    results = []
-    for f in frequency_hz:
-        half_width_hz = _half_width_hz(every_hz, f) if with_band_pass else np.inf
-        results.append(_one_frequency(velocity, filled, f, half_width_hz, window, model, fill))
-    states, weights = zip(*results, strict=True)
+    # The chain is linear: its weights (state, interval) give the states and, below, their covariance.
+    half_widths_hz = [_half_width_hz(every_hz, f) if with_band_pass else np.inf for f in frequency_hz]
+    velocity_weights = np.concatenate(
+        [
+            _weights(velocity, f, half_width_hz, window, model, fill)
+            for f, half_width_hz in zip(frequency_hz.tolist(), half_widths_hz, strict=True)
+        ]
+    )
+    state = np.where(velocity.valid, velocity.velocity_m_per_s, 0.0) @ velocity_weights.T
     pulse_m2, interval_m2_per_s2, degrees = velocity_noise(velocity, model, every_hz, interval_s)
     # Covariance: the noise of each pulse's displacement and that of each interval's velocity, through these weights.
-    velocity_weights = np.concatenate(weights)
     pulse_weights = displacement_weights(velocity_weights, interval_s)
     covariance = pulse_m2[..., None, None] * (pulse_weights @ pulse_weights.T)
     covariance = covariance + interval_m2_per_s2[..., None, None] * (velocity_weights @ velocity_weights.T)
@@ -88,7 +89,7 @@ def velocity_to_harmonics(
     quality = FitQuality(
         residual_rms_m=np.sqrt(pulse_m2), degrees_of_freedom=degrees, pulses=pulses, condition=model.condition
     )
-    return fit_from_state(frequency_hz, np.concatenate(states, axis=-1), covariance, quality)
+    return fit_from_state(frequency_hz, state, covariance, quality)
 
 
 def _even_interval_s(velocity: Velocity) -> float:
@@ -103,20 +104,14 @@ def _even_interval_s(velocity: Velocity) -> float:
     return interval_s
 
 
-def _one_frequency(
-    velocity: Velocity,
-    filled: FloatArray,
-    f: float,
-    half_width_hz: float,
-    window: FloatArray,
-    model: LinearModel,
-    fill: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return in-phase and quadrature (..., 2) of the displacement at ``f`` (Hz), and each velocity's weight in them.
+def _weights(
+    velocity: Velocity, f: float, half_width_hz: float, window: FloatArray, model: LinearModel, fill: FloatArray
+) -> FloatArray:
+    """Return the weight (2, interval) of each velocity in in-phase and quadrature of the displacement at ``f`` (Hz).
 
-    Chain: band-pass, ``window`` over slow time, Kalman filter. ``filled`` (..., interval): velocities without gaps;
-    ``fill`` (interval, state): what was added to them for each state of ``model``. ``half_width_hz``: half width of the
-    band-pass, infinite without one. The weights are (2, interval).
+    Chain: gaps filled, band-pass, ``window`` over slow time, Kalman filter with constant states and a diffuse prior,
+    which is least squares. ``fill`` (interval, state): what is added to the velocities for each state of ``model``.
+    ``half_width_hz``: half width of the band-pass, infinite without one.
     """
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
 
@@ -138,9 +133,6 @@ def _one_frequency(
     # From (in-phase, quadrature) of v/w to those of D: -90 degrees, over the gain of the difference.
     to_displacement = np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
     correction = to_displacement @ np.linalg.inv(response) / (2 * np.pi * f)
-    windowed = (band_passed(filled) * window)[..., valid]
-    # A Kalman filter with a diffuse prior and constant states is least squares.
-    state = windowed @ solver.T @ correction.T
     # Weights of the filled velocities: solver, window and band-pass in reverse order. The band-pass is a symmetric
     # matrix.
     weights = np.zeros((2, valid.size))
@@ -149,7 +141,7 @@ def _one_frequency(
     # The values added to fill gaps are linear in the valid velocities: fill times their least-squares states.
     weights[:, valid] += weights @ fill @ model.root @ model.root.T @ model.matrix.T
     weights[:, ~valid] = 0.0
-    return state, weights
+    return weights
 
 
 def _half_width_hz(every_hz: FloatArray, f: float) -> float:
@@ -161,25 +153,13 @@ def _half_width_hz(every_hz: FloatArray, f: float) -> float:
 def _fill_columns(model: LinearModel, valid: BoolArray, background: slice) -> FloatArray:
     """Return the matrix (interval, state) that fills gaps in velocities and removes their background.
 
-    Times the fitted states of ``model`` it gives the values to be added to the velocities: at missing ones the fitted
+    The band-pass needs a value at every interval; one that follows the motion does not disturb its neighbours. Times
+    the fitted states of ``model`` the matrix gives the values to be added to the velocities: at missing ones the fitted
     motion without ``background`` (slice of its columns), at ``valid`` ones (interval,) minus the fitted background.
     """
     columns = np.where(valid[:, None], 0.0, model.every_pulse)
     columns[:, background] = np.where(valid[:, None], -model.every_pulse[:, background], 0.0)
     return columns
-
-
-def _filled(velocity: Velocity, model: LinearModel, fill: FloatArray) -> FloatArray:
-    """Return the velocities (..., interval) without background, with missing ones replaced by the fit to the others.
-
-    The band-pass needs a value at every interval; one that follows the motion does not disturb its neighbours.
-    ``fill`` (interval, state): values to be added, for each fitted state of ``model``.
-    """
-    if not fill.any():
-        return velocity.velocity_m_per_s
-    measured = np.where(velocity.valid, velocity.velocity_m_per_s, 0.0)
-    states = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[0]
-    return np.asarray(measured + states @ fill.T)
 
 
 def velocity_noise(

@@ -25,8 +25,8 @@ NEWTON_STEPS = 3
 def cross_correlation(echoes: EchoGate) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
-    If the taper of the records reaches into the gate, the cross-spectrum is weighted by inverse frequency. The peak is
-    then at the delay where the cross-spectrum, summed over the band, has zero phase, which a taper biases least. Raises
+    The cross-spectrum is weighted by inverse frequency. The peak is then at the delay where the cross-spectrum, summed
+    over the band, has zero phase, which the ends of the gate and a taper bias least. Raises
     ``ValueError`` for fewer than two valid pulses and if no train has an echo.
     """
     spectrum, band = band_spectrum(echoes)
@@ -39,9 +39,9 @@ def cross_correlation(echoes: EchoGate) -> Motion:
     # Each pulse is advanced by its guess; the others are aligned at theirs.
     echo = advanced(spectrum, guess_s, band.frequency_hz)
     cross = np.conj(comparison.gated_sum[..., None, :] - band.gated(echo)) * echo
-    if band.tapers_gate:
-        # A peak weights phases by frequency, and a taper over a moving echo changes phases in proportion to frequency.
-        cross *= consecutive.mean_hz[..., None, None] / band.frequency_hz
+    # A peak weights phases by frequency, and the ends of a gate over a moving echo change phases in proportion to
+    # frequency: without this weight the error of rigid motion is 1e-4 in a gate of 1 mm, and 4e-3 without margins.
+    cross *= consecutive.mean_hz[..., None, None] / band.frequency_hz
     delay_s = guess_s + _peak_delay_s(cross, band.frequency_hz, float(np.nanmin(consecutive.mean_hz)))
     metres_per_second = echoes.sound_speed_m_per_s / 2
     # ``comparison.variance`` is that of a phase, rad^2.
