@@ -163,10 +163,14 @@ def test_a_missing_identity_is_queried_once_more_and_nothing_else_is_sent(script
 
 
 def test_an_instrument_without_identity_is_missing(scripted) -> None:
-    connection = scripted(replies={"*IDN": None})
+    connection, waits = scripted(replies={"*IDN": None}), list[str]()
+    read = connection.read
+    connection.read = lambda: (waits.append("time-out"), read())[1]
     with pytest.raises(InstrumentError, match=r"no reply to '\*IDN\?'"):
         Agilent33250A(connection, "master").identify()
     assert connection.messages == ["*IDN?", "*IDN?"]
+    # One time-out for each query.
+    assert len(waits) == 2
 
 
 def test_the_later_vendor_name_is_accepted(scripted) -> None:

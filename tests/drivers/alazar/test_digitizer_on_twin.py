@@ -540,6 +540,7 @@ def test_the_snapshot_holds_what_was_programmed_and_what_the_board_reports(rig: 
     assert "record_count" not in before
     rig.digitizer.configure(CAPTURE)
     after = rig.digitizer.snapshot()
+    assert rig.digitizer.verify() == after
     programmed = {key: value for key, value in dataclasses.asdict(CAPTURE).items() if value is not None}
     assert programmed.items() <= after.items()
     assert after["trigger_level_code"] == 166

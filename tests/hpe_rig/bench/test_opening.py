@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
-from drivers.interfaces import Instrument, InstrumentError
+from drivers.agilent import Agilent33250A
+from drivers.interfaces import Identity, Instrument, InstrumentError
+from drivers.visa import PrologixAdapter
 from hpe_rig.bench import TRANSPORTS, BenchFile, interruptible, parse_bench, read_bench
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.instruments import SAFE_ORDER
@@ -193,7 +195,7 @@ def test_five_addresses_without_an_answer_are_explained_within_seconds(kind: str
     print(f"{kind} {transport}: answered after {elapsed_s:.2f} s")
 
 
-def test_on_a_shared_bus_an_instrument_does_not_wait_for_four_silent_ones() -> None:
+def test_on_a_shared_bus_an_instrument_does_not_wait_for_four_silent_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each silent instrument is first asked for a tenth of a second."""
     world = World(SimulationSettings(), [], models={"digitizer": SIMULATED.bench.digitizer.model})
     with Emulator("prologix", world.connect, ROLES) as emulator:
@@ -201,10 +203,25 @@ def test_on_a_shared_bus_an_instrument_does_not_wait_for_four_silent_ones() -> N
         places = {role: (f"GPIB0::{20 + n}::INSTR", served.interface) for n, role in enumerate(ROLES)}
         places[REACHABLE] = (served.address, served.interface)
         world.connect(REACHABLE).write("OUTP 1")
-        watch = Watch(world)
+        watch, adapters, waits_s = Watch(world), list[PrologixAdapter](), dict[str, set[float]]()
+        open_adapter, identify = PrologixAdapter.__init__, Agilent33250A.identify
+
+        def note_adapter(adapter: PrologixAdapter, *arguments: Any, **options: Any) -> None:
+            adapters.append(adapter)
+            open_adapter(adapter, *arguments, **options)
+
+        def note_wait(generator: Agilent33250A) -> Identity:
+            waits_s.setdefault(generator.role, set()).add(generator._session._connection.timeout_s)  # type: ignore[attr-defined]
+            return identify(generator)
+
+        monkeypatch.setattr(PrologixAdapter, "__init__", note_adapter)
+        monkeypatch.setattr(Agilent33250A, "identify", note_wait)
         states = {state.role: state for state in switch_off(metal(places), print)}
         assert watch.elapsed_s < ANSWER_S
         assert watch.off_s < OFF_S
+    # The second questions to the four silent instruments share 0.6 s.
+    assert waits_s == {role: {0.1} if role == REACHABLE else {0.1, 0.15} for role in ROLES}
+    assert [adapter._line._socket.fileno() for adapter in adapters] == [-1]  # type: ignore[attr-defined]
     assert [role for role in ROLES if states[role].proven] == [REACHABLE]
     assert "behind PRLGX-TCPIP0" in states["toneburst"].reason
 

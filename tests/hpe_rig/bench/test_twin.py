@@ -238,6 +238,11 @@ def test_the_record_is_deeper_than_planned_by_the_latencies_that_the_bench_file_
     waiting = bench.model_copy(
         update={"digitizer": bench.digitizer.model_copy(update={"aux_waits_for_trigger_delay": True})}
     )
+    # Stated latencies of the digitizer and of its AUX output count in opposite directions.
+    stated = {"latency_s": 300e-9, "aux_latency_s": 50e-9}
+    known = bench.model_copy(update={"digitizer": bench.digitizer.model_copy(update=stated)})
+    twin = declared("table-1", {"sound_speed_m_per_s": 1500.0, "instruments": latencies})
+    assert twin.depth_shift_m(known, 0.0) == pytest.approx(0.0, abs=1e-12)
     twin = declared("table-1", {"instruments": {**latencies, "aux_waits_for_trigger_delay": True}})
     assert twin.depth_shift_m(waiting, 10e-6) == twin.depth_shift_m(waiting, 0.0)
 
