@@ -230,15 +230,21 @@ class RecordedTests:
                 fixtures[test].add(name)
         return fixtures
 
-    def tests_of(self, mutant: Mutant, budget_s: float) -> list[str]:
-        """Return the tests that run a mutant, those of its package and the fastest first, up to ``budget_s``."""
+    def tests_of(self, mutant: Mutant, budget_s: float, all_tests: bool = False) -> list[str]:
+        """Return the tests that run a mutant, those of its package and the fastest first, up to ``budget_s``.
+
+        With ``all_tests`` all others of its package follow: a test that compares constants runs none of its lines.
+        """
         usable = self.seconds.keys() - set(self.failed) - self.users.keys()
         package_tests = tuple(PACKAGES[mutant.package][1])
         tests = {test for name in self._contexts_of(mutant) for test in self.users.get(name, (name,))} & usable
-        if not tests:
+        candidates = set(tests)
+        if all_tests or not tests:
             # Lines that only programs started by tests run are not recorded: try all tests of the package.
-            tests = {test for test in usable if test.startswith(package_tests)}
-        ordered = sorted(tests, key=lambda test: (not test.startswith(package_tests), self.seconds[test]))
+            candidates |= {test for test in usable if test.startswith(package_tests)}
+        ordered = sorted(
+            candidates, key=lambda test: (test not in tests, not test.startswith(package_tests), self.seconds[test])
+        )
         return self._within_budget(ordered, budget_s)
 
     def _contexts_of(self, mutant: Mutant) -> set[str]:
@@ -268,14 +274,14 @@ class RecordedTests:
 class Judge:
     """Runs tests on the copy of the tree and gives the verdict on a mutant."""
 
-    def __init__(self, tree: Path, tests: RecordedTests, budget_s: float) -> None:
-        self.tree, self.tests, self.budget_s = tree, tests, budget_s
+    def __init__(self, tree: Path, tests: RecordedTests, budget_s: float, all_tests: bool) -> None:
+        self.tree, self.tests, self.budget_s, self.all_tests = tree, tests, budget_s, all_tests
         self.current = tree.parent / "last"
         self.passes_unmutated: dict[str, bool] = {}
 
     def verdict(self, mutant: Mutant) -> tuple[str, int]:
         """Return the verdict and the number of tests that were selected."""
-        names = self.tests.tests_of(mutant, self.budget_s)
+        names = self.tests.tests_of(mutant, self.budget_s, self.all_tests)
         if not names:
             return "not run", 0
         with applied(self.tree, mutant):
@@ -367,7 +373,9 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget-s", type=float, default=30.0, help="recorded time of the tests of one mutant")
     parser.add_argument("--again", action="store_true", help="repeat the mutants that were not killed")
-    parser.add_argument("--own-tests", action="store_true", help="only tests in the folders that mirror the package")
+    parser.add_argument(
+        "--own-tests", action="store_true", help="all tests in the folders that mirror the package, no others"
+    )
     parser.add_argument("--of", type=absolute, help="folder of an earlier run: its mutants of unchanged lines")
     parser.add_argument("--packages", nargs="*", choices=list(PACKAGES), default=list(PACKAGES))
     return parser.parse_args()
@@ -381,7 +389,7 @@ def main() -> None:
             folders = tuple(f"tests/{Path(path).parent if path.endswith('.py') else path}" for path in code)
             tests[:] = [test for test in tests if test.startswith(folders)]
     tree, results = options.folder / "tree", Results(options.folder / "results.tsv")
-    judge = Judge(tree, prepare_tree(options.folder, options.packages), options.budget_s)
+    judge = Judge(tree, prepare_tree(options.folder, options.packages), options.budget_s, options.own_tests)
     if options.of:
         mutants = list(earlier_mutants(Results(options.of / "results.tsv").rows(), options.of / "tree", tree))
     else:
