@@ -115,6 +115,10 @@ def test_a_condition_that_stays_outside_its_limits_ends_the_run_after_the_longes
     assert 10.0 <= time.now_s < 13.0
 
 
+def test_without_conditions_nothing_is_watched_or_read() -> None:
+    assert wait_for_conditions([], 1, lambda: pytest.fail("watched")) == ()
+
+
 def test_every_output_is_off_while_conditions_are_read(setup: Setup) -> None:
     steps = list[Step]()
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
 from hpe_rig.bench import Bench
-from hpe_rig.measurement import mover, prepare
+from hpe_rig.measurement import mover, prepare, record_run
 from hpe_rig.measurement.mover import STAGES, choose_mover, require_mover
 from hpe_rig.plan import Plan
 from hpe_rig.scene import SettingsError, load_scene
@@ -53,6 +56,18 @@ def test_without_a_stage_the_operator_moves_it_and_a_run_without_both_is_refused
     require_mover(plan, simulated=True, move=None)
     with pytest.raises(SettingsError, match="2 lateral offsets, and no stage or operator"):
         require_mover(plan, simulated=False, move=None)
+
+
+@pytest.mark.usefixtures("stages")
+def test_a_run_that_nothing_can_move_is_refused_before_its_file_is_made(
+    tmp_path: Path, real_bench: Callable[..., Path]
+) -> None:
+    offsets = {"sweep.lateral_offset_m": [0.0, 2e-3], "excitation.burst_count": 4, "processing.window_start_s": 0.0}
+    scene = load_scene("gelatin-moduli").with_(offsets)
+    setup = replace(prepare(scene, real_bench(), refuse=False), findings=())
+    with pytest.raises(SettingsError, match="2 lateral offsets, and no stage or operator"):
+        record_run(setup, tmp_path / "run.h5")
+    assert not (tmp_path / "run.h5").exists()
 
 
 def test_a_run_at_one_offset_moves_nothing_on_a_real_bench(stages: dict[str, list[float]]) -> None:

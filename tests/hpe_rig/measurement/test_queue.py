@@ -96,7 +96,7 @@ def test_states_times_and_reasons_are_stored_and_a_measured_run_is_only_processe
     assert results == {1: "result of 02-b.h5"}
     assert states(ended) == ["failed", "done"]
     assert [run.why for run in ended] == ["no space left; 1 MB is missing", ""]
-    assert [run.took_s > 0 for run in ended] == [False, True]
+    assert [0 < run.took_s < 600 for run in ended] == [False, True]
     assert read_queue(folder, pytest.fail) == ended
     assert "run 1 failed: no space left; 1 MB is missing" in first.reports
     for (name, run_id), run in zip(first.watched, ended, strict=True):
