@@ -142,8 +142,8 @@ def test_the_target_of_every_link_exists(name: str) -> None:
 RUN_ELSEWHERE = {
     "README.md": "test_readme.py",
     "docs/how-to/cluster.md": "a cluster is needed; tests/hpe_rig/study/test_run.py starts a scheduler",
-    "docs/how-to/hook-up.md": "tests/hpe_rig/bench/test_emulation.py, which interrupts emulate as Ctrl-C does",
-    "docs/how-to/import.md": "test_import_of_simulations.py, which needs the simulators",
+    "docs/how-to/rehearse.md": "tests/hpe_rig/bench/test_emulation.py, which interrupts emulate as Ctrl-C does",
+    "docs/how-to/import-simulations.md": "test_import_of_simulations.py, which needs the simulators",
     "docs/how-to/research-scanners.md": "tests/hpe_rig/recordings/test_scanners.py, which makes a buffer of Verasonics",
 }
 """Pages with a command that these tests do not run, and the test that runs it."""
