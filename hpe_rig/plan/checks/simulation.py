@@ -44,7 +44,8 @@ def _declared(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
         shape = "a Gaussian" if diameter_m is None else f"an even bowl of {diameter_m * 1e3:g} mm"
         text = f"the twin's push is a hydrophone scan, moduli and predictions assume {shape} instead: for bowls that "
         text += "move unevenly mu1 is then off by up to 4 % and mu2 by 6 % from five offsets, which u does not include"
-        yield CheckResult("declared", "warning", text, "beams.excitation_scan, the same scan; docs/how-to/push-force.md")
+        remedy = "beams.excitation_scan, the same scan; docs/how-to/push-force.md"
+        yield CheckResult("declared", "warning", text, remedy)
 
 
 def _board(bench: BenchFile, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:
