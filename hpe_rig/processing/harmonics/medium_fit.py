@@ -49,17 +49,14 @@ MIN_RELATIVE_MOTION = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MediumFit:
-    """Fit of the wanted harmonics with its two error covariances and the evidence.
+    """Fit of the wanted harmonics, with the evidence and the motion in the prior's patterns.
 
-    ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``.
     ``projected``: the prior as patterns of displacement that the pulses can observe. ``shrinkage`` (..., pattern):
     fraction of each pattern in the data that the fit attributes to the motion. ``coordinates`` (..., pattern): the
     fitted motion in prior standard deviations of each pattern.
     """
 
     fit: HarmonicFit
-    noise_m2: FloatArray
-    aliasing_m2: FloatArray
     evidence: Evidence
     projected: ProjectedPrior
     shrinkage: FloatArray
@@ -107,15 +104,7 @@ def medium_fit(
     fit = fit_from_state(frequency_hz, state, noise_m2 + aliasing_m2, quality, aliasing_m2)
     causes = AliasingCauses(aliasing_m2, influences_m)
     fit = replace(fit, aliasing_causes=causes, medium=medium_posterior(prior, evidence, fit, influences_m))
-    return MediumFit(
-        fit=fit,
-        noise_m2=noise_m2,
-        aliasing_m2=aliasing_m2,
-        evidence=evidence,
-        projected=projected,
-        shrinkage=shrinkage,
-        coordinates=coordinates,
-    )
+    return MediumFit(fit, evidence, projected, shrinkage, coordinates)
 
 
 def _step_noise(
@@ -179,7 +168,11 @@ def posterior_of_states(
 
 
 def _gain(projected: ProjectedPrior, evidence: Evidence) -> FloatArray:
-    """Return g (..., pattern): from a coefficient of the data to the motion in prior standard deviations."""
+    """Return g = (k s)² l / (sigma² + (k s)² l²), (..., pattern), the filter factor h of Tikhonov over l.
+
+    It converts a coefficient of the data to the motion in prior standard deviations. s, sigma²: scale and noise of the
+    ``evidence``; l: standard deviation of the pattern; k = PRIOR_WIDENING.
+    """
     prior_m2 = (PRIOR_WIDENING * evidence.scale_m[..., None]) ** 2
     noise_m2 = evidence.total_noise_m2[..., None]
     return np.asarray(prior_m2 * projected.pattern_sd / (noise_m2 + prior_m2 * projected.pattern_sd**2))
