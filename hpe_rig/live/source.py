@@ -64,7 +64,7 @@ class RunSource:
             run = open_run(self._path) if self._run is None else self._run.refreshed()
         except (OSError, StoreError) as error:
             # The file may be incomplete or still missing: the page waits.
-            return self._waiting(str(error))
+            return self._waiting("" if isinstance(error, FileNotFoundError) else str(error))
         if self._run is not None and run.identity != self._run.identity:
             # Another run has replaced the file, as with --overwrite.
             self._start_anew()

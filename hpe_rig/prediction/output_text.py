@@ -130,9 +130,9 @@ def _linearity_text(twin: TwinDeclaration, excitation: Excitation, intensity_w_p
     )
     if distortion > MAX_LINEAR_DISTORTION:
         yield (
-            f"push: simulated as linear propagation, but the distortion at the focus is {distortion:.2g} (IEC 61949); "
-            f"above {MAX_LINEAR_DISTORTION:g} nonlinear propagation changes force and output by 10 % or more. Try: "
-            "[simulation.propagation]"
+            f"propagation: simulated as linear propagation, but the distortion at the focus is {distortion:.2g} "
+            f"(IEC 61949); above {MAX_LINEAR_DISTORTION:g} nonlinear propagation changes force and output by 10 % or "
+            "more. Try: [simulation.propagation]"
         )
 
 

@@ -161,7 +161,7 @@ def _sweep_amplitude(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
 def _plot_curve(axes: Axes, index: int, curve: SweepCurve, mean: FloatArray, sd: FloatArray) -> None:
     """Draw means with bars of one standard deviation in the colour of curve number ``index``."""
     marker, colour = mark(index)
-    label = curve.group or "mean, sd"
+    label = curve.group or ("mean, sd" if sd.any() else "each shot")
     axes.errorbar(curve.x, mean, sd, fmt=marker, ms=4, capsize=2, color=colour, label=label)
 
 

@@ -10,7 +10,8 @@ UNITS = (
     (re.compile(r"(?:(?<=\d )|(?<=\())us\b"), "µs"),
     (re.compile(r"(?:(?<=\d )|(?<=\())um\b"), "µm"),
     (re.compile(r"(?<=\d) deg\b"), "°"),
-    (re.compile(r"\+-"), "±"),
+    # Without a line break between a value and its uncertainty.
+    (re.compile(r" \+- "), "\u00a0±\u00a0"),
     (re.compile(r"\b2 pi\b"), "2π"),
     (re.compile(r"(?<=/cm)2\b"), "²"),
     (re.compile(r"(?<=/m)3\b"), "³"),

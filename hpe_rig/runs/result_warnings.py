@@ -35,7 +35,8 @@ def run_warnings(
             yield f"shot {shot + 1}: settings read back after it differ: {changes}"
     if stored.status != "complete":
         complete = stored.shot_complete
-        text = f"the run is {stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
+        ended = {"failed": "failed", "killed": "was killed"}.get(stored.status, f"is {stored.status}")
+        text = f"the run {ended}: {int(complete.sum())} of {complete.size} shots are complete"
         if stored.status == "killed" and not stored.simulated:
             text += "; its program did not switch the outputs off: hpe-rig bench BENCH --off does"
         yield text
@@ -65,13 +66,15 @@ def _scan_warnings(scene: Scene, stored: StoredRun) -> Iterator[str]:
 def incomplete_warnings(estimates: Estimates) -> Iterator[str]:
     """Yield the shots without a result, with the reason, and the shots estimated from part of their records."""
     for why in dict.fromkeys(estimates.failures.values()):
-        yield f"shot {_numbers(shot for shot, reason in estimates.failures.items() if reason == why)} left out: {why}"
+        yield f"{_shots([shot for shot, reason in estimates.failures.items() if reason == why])} left out: {why}"
     if partial := dict.fromkeys(shot.index for shot in estimates.shots if not shot.complete):
-        yield f"shot {_numbers(partial)} is incomplete, estimated from the records that had arrived"
+        is_or_are = "is" if len(partial) == 1 else "are"
+        yield f"{_shots(partial)} {is_or_are} incomplete, estimated from the records that had arrived"
 
 
-def _numbers(shots: Iterable[int]) -> str:
-    """Return the numbers of ``shots``, counted from 1: "2 to 5" or "1, 3"."""
+def _shots(shots: Iterable[int]) -> str:
+    """Return the numbers of ``shots``, counted from 1: "shot 1", "shots 2 to 5" or "shots 1, 3"."""
     numbers = [shot + 1 for shot in shots]
     is_range = len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1
-    return f"{numbers[0]} to {numbers[-1]}" if is_range else ", ".join(map(str, numbers))
+    text = f"{numbers[0]} to {numbers[-1]}" if is_range else ", ".join(map(str, numbers))
+    return f"shot{'s' * (len(numbers) > 1)} {text}"
