@@ -404,6 +404,8 @@ def main() -> int:
     parser.add_argument("test", choices=("flips", "truncations", "faults", "hangs", "lost"))
     parser.add_argument("--cases", type=int, help="damaged copies of each kind of file")
     parser.add_argument("--every", type=int, help="test every n-th disk operation")
+    kinds = {"plain": False, "compressed": True}
+    parser.add_argument("--kinds", nargs="+", choices=kinds, default=list(kinds), help="kinds of run file")
     options = parser.parse_args()
     if options.test in ("faults", "hangs") and "disk_faults" not in os.environ.get("LD_PRELOAD", ""):
         return run_with_faulty_disk(sys.argv[1:])
@@ -415,8 +417,8 @@ def main() -> int:
         "lost": lost,
     }
     bad = 0
-    for kind, compress in {"plain": False, "compressed": True}.items():
-        counts = tests[options.test](compress)
+    for kind in options.kinds:
+        counts = tests[options.test](kinds[kind])
         cells = "; ".join(f"{count} {outcome}" for outcome, count in counts.most_common())
         print(f"{options.test}, {kind}: {cells}", flush=True)
         for outcome, count in counts.items():

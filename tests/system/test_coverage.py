@@ -49,15 +49,15 @@ def check(coverage: ModuleType, scene: str, estimators: list[str], seeds: int, d
 def test_the_coverage_table_is_written_from_the_stored_parts(
     coverage: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    coverage.measured(tmp_path, "table-1", ["coherent"], range(2))
-    coverage.measured(tmp_path, "table-1", ["coherent", "kasai"], range(2))
-    coverage.measured(tmp_path, "table-1", ["coherent"], range(2, 3))
+    coverage.measured(tmp_path, "table-1", ["coherent"], range(1))
+    coverage.measured(tmp_path, "table-1", ["coherent", "kasai"], range(1))
+    coverage.measured(tmp_path, "table-1", ["coherent"], range(1, 2))
     times = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    coverage.measured(tmp_path, "table-1", ["coherent", "kasai"], range(2))
+    coverage.measured(tmp_path, "table-1", ["coherent", "kasai"], range(1))
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == times
     rows = list(coverage._rows(tmp_path, "table-1"))
-    assert [(row.estimator, row.seeds) for row in rows] == [("coherent", 3), ("kasai", 2)]
-    at_once = coverage.coverage("table-1", ["coherent"], range(3))[0]
+    assert [(row.estimator, row.seeds) for row in rows] == [("coherent", 2), ("kasai", 1)]
+    at_once = coverage.coverage("table-1", ["coherent"], range(2))[0]
     # Files are read in any order, which changes the rounding of sums.
     for sums in ("nev", "nev_error"):
         assert getattr(rows[0], sums) == pytest.approx(getattr(at_once, sums), rel=1e-12)

@@ -117,6 +117,7 @@ def test_commands_and_python_of_a_page_run_and_print_the_shown_lines(
     assert [line for line in shown if not any(printed.startswith(line) for printed in lines)] == []
 
 
+@pytest.mark.slow
 def test_every_line_of_the_evening_runs_with_fewer_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     output = run_page(EVENING, tmp_path, SHORT_EVENING)

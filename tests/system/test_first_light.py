@@ -138,6 +138,7 @@ def test_force_components_vanish_at_multiples_of_the_inverse_burst_length(measur
     assert zero_m < 1e-3 * min(below_m, above_m)
 
 
+@pytest.mark.slow
 def test_a_driver_that_programs_half_the_bursts_is_caught_by_the_result(
     measured: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:

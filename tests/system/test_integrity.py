@@ -45,14 +45,14 @@ def counts_of(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 def parse_counts(text: str) -> Counts:
     """Return the counts that the script printed, by kind of file and outcome."""
     lines = re.findall(r"^\w+, (\w+): (.*)$", text, flags=re.MULTILINE)
-    assert [kind for kind, _ in lines] == ["plain", "compressed"]
+    assert lines
     return {
         kind: {outcome: int(count) for count, outcome in re.findall(r"(\d+) ([^;]+)(?:; |$)", line)}
         for kind, line in lines
     }
 
 
-@pytest.mark.parametrize("cases", [3, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [2, pytest.param(1000, marks=pytest.mark.slow)])
 def test_no_flipped_bit_changes_a_result_without_a_message(cases: int, counts_of: Callable[..., Counts]) -> None:
     for counts in counts_of("flips", "--cases", str(cases)).values():
         assert sum(count for outcome, count in counts.items() if outcome != DETECTED) == cases
@@ -60,7 +60,7 @@ def test_no_flipped_bit_changes_a_result_without_a_message(cases: int, counts_of
         assert counts["result without the damaged records, with a message"] > cases / 4
 
 
-@pytest.mark.parametrize("cases", [2, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [1, pytest.param(400, marks=pytest.mark.slow)])
 def test_no_truncation_changes_a_result_without_a_message(cases: int, counts_of: Callable[..., Counts]) -> None:
     for counts in counts_of("truncations", "--cases", str(cases)).values():
         assert sum(count for outcome, count in counts.items() if outcome != DETECTED) == cases
@@ -68,9 +68,13 @@ def test_no_truncation_changes_a_result_without_a_message(cases: int, counts_of:
 
 
 @LINUX
-@pytest.mark.parametrize("every", [400, pytest.param(1, marks=pytest.mark.slow)])
-def test_a_disk_that_fails_at_any_operation_ends_in_a_message_and_an_intact_file(every: int) -> None:
-    for counts in counts_of_process("faults", "--every", str(every)).values():
+@pytest.mark.parametrize(
+    "arguments",
+    [("--every", "400", "--kinds", "plain"), pytest.param(("--every", "1"), marks=pytest.mark.slow)],
+    ids=["first", "every"],
+)
+def test_a_disk_that_fails_at_any_operation_ends_in_a_message_and_an_intact_file(arguments: tuple[str, ...]) -> None:
+    for counts in counts_of_process("faults", *arguments).values():
         assert sum(counts.values()) >= 4
         assert set(counts) <= {"exit 2, message, file readable", "exit 2, message, no file", "no step failed"}
         assert counts.get("no step failed", 0) <= 4

@@ -69,6 +69,7 @@ def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) 
     assert subpackages <= {f"sim_backend.{name}" for name in ("arrays", "motion", "settings", "wiring")}
 
 
+@pytest.mark.slow
 def test_processing_loads_no_simulated_physics(folder: Path) -> None:
     loaded = loaded_by(folder, "process", "mine.h5", "--json")
     assert packages(loaded) == CORE | {"scipy", "sim_backend"}
@@ -81,6 +82,7 @@ def test_processing_loads_no_simulated_physics(folder: Path) -> None:
     assert not loaded & (acquiring | {"hpe_rig.bench.opening", "hpe_rig.prediction.forecast"})
 
 
+@pytest.mark.slow
 def test_a_list_of_runs_loads_no_twin(folder: Path) -> None:
     assert packages(loaded_by(folder, "list")) == CORE | {"rich"}
 

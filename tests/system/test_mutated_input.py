@@ -302,7 +302,7 @@ def takes_long(scene: str, cases: int) -> bool:
     return "propagation" in scene and (cases < MANY or (harmonics is not None and int(harmonics[1]) > 55))
 
 
-@pytest.mark.parametrize("cases", [120, pytest.param(12_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [60, pytest.param(12_000, marks=pytest.mark.slow)])
 def test_mutated_scenes_and_benches_end_in_a_plan_or_a_message(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(6)
 
@@ -339,7 +339,7 @@ keys = {"simulation.receiver.snr_db" = {start = 20.0, stop = 40.0, count = 2}}
 """
 
 
-@pytest.mark.parametrize("cases", [100, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [40, pytest.param(3000, marks=pytest.mark.slow)])
 def test_mutated_studies_end_in_cases_or_a_message(tmp_path: Path, cases: int) -> None:
     rng, tables, path = np.random.default_rng(8), parse_toml(STUDY, "study"), tmp_path / "study.toml"
     tables["set"] = {"simulation.scatterers.per_cell": 5.0}
@@ -400,7 +400,7 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("cases", [15, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [9, pytest.param(2000, marks=pytest.mark.slow)])
 def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: Path, cases: int) -> None:
     rng, data, path = np.random.default_rng(9), small_run.read_bytes(), tmp_path / "run.h5"
 
@@ -413,7 +413,7 @@ def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: 
     assert found["message"] >= cases // 3
 
 
-@pytest.mark.parametrize("cases", [6, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [3, pytest.param(1000, marks=pytest.mark.slow)])
 def test_whatever_stands_beside_a_run_file_is_no_traceback(small_run: Path, tmp_path: Path, cases: int) -> None:
     rng, run, path = np.random.default_rng(10), small_run.read_bytes(), tmp_path / "run.h5"
     beside = {file.name: file.read_bytes() for file in small_run.parent.glob("run.*") if file != small_run}
@@ -447,7 +447,7 @@ OPTIONS: Mapping[str, Sequence[str]] = {
 }
 
 
-@pytest.mark.parametrize("cases", [25, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [12, pytest.param(4000, marks=pytest.mark.slow)])
 def test_mutated_arguments_end_in_a_result_or_a_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cases: int
 ) -> None:
@@ -484,7 +484,7 @@ def measured(folder: Path, scene: str, bench: str) -> str:
     return "result"
 
 
-@pytest.mark.parametrize("cases", [6, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [3, pytest.param(1500, marks=pytest.mark.slow)])
 def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(7)
     found = {"message": 0, "refused": 0, "result": 0}

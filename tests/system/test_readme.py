@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
-from hpe_rig.store import read_run
+from hpe_rig.study.definition import Definition
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -42,16 +42,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_first_scene_is_measured_on_the_simulated_bench_with_a_default_specimen(folder: Path) -> None:
+def test_the_first_scene_has_few_lines_and_no_specimen() -> None:
     scene = blocks(README, "toml")[0]
     assert len(scene.splitlines()) <= 12
     assert "simulation" not in tomllib.loads(scene)
-    (folder / "first.toml").write_text(scene, encoding="utf-8")
-    assert "simulated specimen: default muscle" in output_of("run first.toml")
-    run = read_run(folder / "first.h5")
-    assert (run.status, run.simulated) == ("complete", True)
-    # Only the twin uses the default specimen; the run file contains the scene as written.
-    assert run.scene_toml == scene
 
 
 def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> None:
@@ -66,10 +60,21 @@ def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> N
         assert (folder / name).exists(), name
 
 
-def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
+def study_of_the_page() -> str:
+    """Return the study that the page on studies shows."""
     (study,) = blocks((ROOT / "docs" / "how-to" / "studies.md").read_text(encoding="utf-8"), "toml")
-    assert tomllib.loads(study)["scatterers"] == 500
-    (folder / "mine.toml").write_text(study, encoding="utf-8")
+    return study
+
+
+def test_the_study_of_the_page_is_valid() -> None:
+    """`test_json_output.py` runs a study by default."""
+    definition = Definition.model_validate(tomllib.loads(study_of_the_page()))
+    assert (definition.scatterers, definition.noise) == (500, 2)
+
+
+@pytest.mark.slow
+def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
+    (folder / "mine.toml").write_text(study_of_the_page(), encoding="utf-8")
     output = output_of("study mine.toml --scatterers 2 --noise 2 --workers 1")
     assert "mine" in output
     rows = (folder / "studies" / "mine" / "summary.csv").read_text(encoding="utf-8").splitlines()

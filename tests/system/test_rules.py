@@ -324,8 +324,8 @@ def test_no_module_imports_itself_through_others() -> None:
 @pytest.mark.parametrize(
     "statement",
     [
-        "from hpe_rig.plan import select",
-        "def late() -> None:\n    from hpe_rig.plan import select",
+        pytest.param("from hpe_rig.plan import select", marks=pytest.mark.slow),
+        pytest.param("def late() -> None:\n    from hpe_rig.plan import select", marks=pytest.mark.slow),
         "if TYPE_CHECKING:\n    from hpe_rig.plan import select",
     ],
 )
@@ -407,7 +407,12 @@ def test_the_picture_of_the_architecture_shows_the_packages(tmp_path: Path) -> N
     ("file", "statement", "message"),
     [
         ("hpe_rig/plan/shots.py", "import hpe_rig.report", "hpe_rig.plan imports report, drawn no lower"),
-        ("hpe_rig/cellar/__init__.py", "import hpe_rig.scene", "hpe_rig.cellar has no box"),
+        pytest.param(
+            "hpe_rig/cellar/__init__.py",
+            "import hpe_rig.scene",
+            "hpe_rig.cellar has no box",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_picture_refuses_an_upward_import_and_an_unknown_package(

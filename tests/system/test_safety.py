@@ -57,7 +57,12 @@ def assert_safe(bench: Bench) -> None:
 
 @pytest.mark.parametrize("step", list(Step))
 @pytest.mark.parametrize(
-    "error", [KeyboardInterrupt(), Terminated(), RuntimeError("a bug")], ids=lambda e: type(e).__name__
+    "error",
+    [
+        KeyboardInterrupt(),
+        *(pytest.param(error, marks=pytest.mark.slow) for error in (Terminated(), RuntimeError("a bug"))),
+    ],
+    ids=lambda e: type(e).__name__,
 )
 @pytest.mark.parametrize("dual_port", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_an_interruption_at_any_step_leaves_outputs_off_and_the_digitizer_idle(
@@ -170,10 +175,9 @@ def test_a_consumer_that_stops_early_leaves_outputs_off(prepared: Prepare) -> No
         assert_safe(bench)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="a console's Ctrl-C cannot be sent to one process on Windows")
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_in_the_middle_of_a_run_ends_with_its_code_and_a_readable_file(
     tmp_path: Path, number: signal.Signals, code: int
 ) -> None:

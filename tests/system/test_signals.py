@@ -98,6 +98,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 
 
 @posix
+@pytest.mark.slow
 def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
     script = """
 import os, signal, sys

@@ -75,7 +75,9 @@ def test_a_measurement_over_serial_lines_that_lose_bytes_beyond_256_gives_the_re
         np.testing.assert_array_equal(one.codes, other.codes)
 
 
-@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize(
+    "transport", [TRANSPORTS[0], *(pytest.param(name, marks=pytest.mark.slow) for name in TRANSPORTS[1:])]
+)
 def test_a_measurement_over_a_real_transport_gives_the_records_of_the_one_in_process(
     in_process: tuple[str, Path], transport: str, tmp_path: Path
 ) -> None:

@@ -75,11 +75,15 @@ def with_full_output(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[
         return subprocess.run(command, stdout=full, stderr=subprocess.PIPE, cwd=cwd, text=True, check=False, timeout=60)
 
 
-def test_the_switched_off_outputs_and_a_lost_bench_file_are_reported_without_standard_output(tmp_path: Path) -> None:
+def test_the_switched_off_outputs_are_reported_without_standard_output(tmp_path: Path) -> None:
     off = with_full_output("bench", "--off", cwd=tmp_path)
     assert off.returncode == 1
     assert "burst_train at in process, output: off (read back as off)" in off.stderr
     assert "hpe-rig process" not in off.stderr
+
+
+@pytest.mark.slow
+def test_a_lost_bench_file_is_reported_without_standard_output(tmp_path: Path) -> None:
     emulation = with_full_output("emulate", cwd=tmp_path)
     assert emulation.returncode == 1
     assert "standard output cannot be written" in emulation.stderr

@@ -27,8 +27,8 @@ def measured(path: Path, places_m: list[float], **values: object) -> hpe.Run:
     scene = hpe.load_scene("gelatin-moduli").with_(
         {
             "sweep.lateral_offset_m": places_m,
-            "excitation.burst_count": 15,
-            "processing.window_start_s": 50e-3,
+            "excitation.burst_count": 10,
+            "processing.window_start_s": 40e-3,
             **values,
         }
     )

@@ -27,7 +27,10 @@ def velocity_m_per_s() -> NDArray[np.float64]:
 
 @pytest.mark.parametrize(
     ("quantity", "motion", "noise"),
-    [("displacement_m", displacement_m(), NOISE_M), ("velocity_m_per_s", velocity_m_per_s(), NOISE_M * OMEGA)],
+    [
+        ("displacement_m", displacement_m(), NOISE_M),
+        pytest.param("velocity_m_per_s", velocity_m_per_s(), NOISE_M * OMEGA, marks=pytest.mark.slow),
+    ],
 )
 def test_two_u_cover_the_true_motion(quantity: Any, motion: NDArray[np.float64], noise: float) -> None:
     series = motion + noise * np.random.default_rng(17).normal(size=(SERIES, motion.size))

@@ -68,9 +68,12 @@ SAID = {
     "large steps": "quarter wavelengths",
     "disturbed": "energy differs",
 }
+DEFAULT_CASES = ("growing", "disturbed")
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", [case if case in DEFAULT_CASES else pytest.param(case, marks=pytest.mark.slow) for case in CASES]
+)
 def test_an_array_has_estimates_budget_and_warnings_of_the_imported_run(case: str, tmp_path: Path) -> None:
     echoes, scene = CASES[case](), tmp_path / "scene.toml"
     scene.write_text(SCENE, encoding="utf-8")

@@ -125,7 +125,7 @@ def test_a_real_recording_is_exported_as_measured_and_without_truth(folder: Path
         assert b"a.uff" in file["custom/origin"][()]
 
 
-@pytest.mark.parametrize("file_format", ["zea", "mat"])
+@pytest.mark.parametrize("file_format", [pytest.param("zea", marks=pytest.mark.slow), "mat"])
 def test_a_missing_record_stays_missing(file_format: str, folder: Path, tmp_path: Path) -> None:
     hpe.export_run(folder / "run.h5", tmp_path / "all.hdf5")
     with h5py.File(tmp_path / "all.hdf5", "r+") as file:

@@ -319,13 +319,14 @@ class ShortOfMemory:
         return getattr(self._file, name)
 
 
+@pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.slow)])
 def test_too_little_memory_for_one_write_ends_the_run_with_a_message_and_a_whole_file(
-    setup: Setup, tmp_path: Path
+    setup: Setup, tmp_path: Path, stride: int
 ) -> None:
     whole = read_run(written(setup, tmp_path / "whole.h5", block_of(setup, 0, 48, 0.5))).records[0]
-    number, struck, shot = 0, True, setup.plan.shots[0]
+    number, struck, shot = 1 - stride, True, setup.plan.shots[0]
     while struck:
-        number += 1
+        number += stride
         path = tmp_path / f"{number}.h5"
         writer = RunWriter(path, setup.scene, setup.bench, setup.plan)
         log = vars(writer)["_log"]
