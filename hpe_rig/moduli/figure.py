@@ -53,8 +53,10 @@ def moduli_figure(
     phase.set(xlabel="frequency (Hz)", ylabel="phase (deg)")
     handles_and_labels = amplitude.get_legend_handles_labels()
     small: Any = {"fontsize": "small", "title_fontsize": "small", "frameon": False}
-    if ax is None and is_wide:
-        figure.legend(*handles_and_labels, title="lateral offset", loc="outside right center", **small)
+    if ax is None:
+        position: Any = "outside right center" if is_wide else "outside lower center"
+        columns = 1 if is_wide else 3
+        figure.legend(*handles_and_labels, title="lateral offset", loc=position, ncols=columns, **small)
     else:
         amplitude.legend(title="lateral offset", **small)
     for axes in (amplitude, phase):
