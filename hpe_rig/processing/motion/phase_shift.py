@@ -110,9 +110,9 @@ def kasai(echoes: EchoGate) -> Motion:
     """
     spectrum, band = band_spectrum(echoes)
     steps = pulse_steps(spectrum, band)
-    carrier_hz = np.full_like(steps.mean_hz, echoes.carrier_hz)
+    carrier_hz = np.full(steps.product.shape, echoes.carrier_hz)
     variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
-    return _motion_of_phase(echoes, steps.phase, variance, carrier_hz[..., None], step_noise_ratio)
+    return motion_of_steps(echoes, np.angle(steps.product), carrier_hz, variance, step_noise_ratio)
 
 
 def loupas(echoes: EchoGate) -> Motion:
@@ -130,18 +130,10 @@ def loupas(echoes: EchoGate) -> Motion:
     return motion_of_steps(echoes, np.angle(steps.product), centre_hz, variance, step_noise_ratio)
 
 
-def _motion_of_phase(
-    echoes: EchoGate,
-    phase: FloatArray,
-    variance: FloatArray,
-    frequency_hz: FloatArray,
-    step_noise_ratio: FloatArray | None = None,
-) -> Motion:
+def _motion_of_phase(echoes: EchoGate, phase: FloatArray, variance: FloatArray, frequency_hz: FloatArray) -> Motion:
     """Return the displacement -c phase / (4 pi f) of ``phase`` (..., valid pulse), with its variance.
 
     ``variance`` (..., valid pulse): that of the phase, rad². ``frequency_hz`` f (..., 1): that of the train's echoes.
-    ``step_noise_ratio`` (...), for a phase that is a sum of noisy steps: variance that a step adds to all later pulses,
-    over the variance of a pulse.
     """
     # A phase of pi is a quarter wavelength of displacement.
     metres_per_radian = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
@@ -152,7 +144,6 @@ def _motion_of_phase(
         valid=echoes.valid,
         # Largest phase step as a fraction of pi, where the phase becomes ambiguous.
         largest_step=np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
-        step_noise_ratio=step_noise_ratio,
     )
 
 
