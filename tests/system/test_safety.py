@@ -55,14 +55,22 @@ def assert_safe(bench: Bench) -> None:
     assert not bench.world.board.running
 
 
-@pytest.mark.parametrize("step", list(Step))
+ERRORS = (KeyboardInterrupt(), Terminated(), RuntimeError("a bug"))
+
+
 @pytest.mark.parametrize(
-    "error",
+    ("step", "error"),
     [
-        KeyboardInterrupt(),
-        *(pytest.param(error, marks=pytest.mark.slow) for error in (Terminated(), RuntimeError("a bug"))),
+        # By default Ctrl-C comes at every step, the other errors while outputs are on.
+        pytest.param(
+            step,
+            error,
+            id=f"{type(error).__name__}-{step}",
+            marks=() if error is ERRORS[0] or step is Step.COLLECT else pytest.mark.slow,
+        )
+        for error in ERRORS
+        for step in Step
     ],
-    ids=lambda e: type(e).__name__,
 )
 @pytest.mark.parametrize("dual_port", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_an_interruption_at_any_step_leaves_outputs_off_and_the_digitizer_idle(
