@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
@@ -176,6 +175,9 @@ def solve(problem: Problem, start: FloatArray, change: float) -> _Minimum:
 
     The solver stops at a relative ``change`` of chi-square.
     """
+    # Imported here: the forecast of ``hpe-rig check`` uses this module without a fit.
+    from scipy.optimize import least_squares
+
     limits = problem.law.bounds()
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[: len(limits)], high[: len(limits)] = limits.T
