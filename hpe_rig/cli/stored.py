@@ -116,7 +116,7 @@ def print_comparison(first: Path, second: Path, estimator: str | None, figure: P
     if comparison.results:
         _print_differences(console, comparison)
     for text in comparison.alone:
-        console.print(text)
+        console.print(wrapped(text, terminal_columns()))
     title = {0: "no setting differs", 1: "1 setting differs:"}
     console.print(f"\n{title.get(len(comparison.settings), f'{len(comparison.settings)} settings differ:')}")
     for item in comparison.settings:
@@ -137,7 +137,7 @@ def _print_differences(console: Console, comparison: Comparison) -> None:
     # A name in two lines keeps its column narrow.
     headers = [name.rpartition(".")[2].replace("_", "\n", 1) for name in varied]
     headers += ["f\nHz", "first\nnm", "second\nnm", "change\n%", "\n/u", "change\ndeg", "\n/u", "p\nnoise", ""]
-    cells = [(*(f"{row.settings[name] or 0:g}" for name in varied), *_difference_row(row)) for row in rows]
+    cells = [(*(row.setting_text(name) for name in varied), *_difference_row(row)) for row in rows]
     console.print(rich_table(headers, cells, words=0))
     for run, name, origin, method in zip(
         ("first", "second"), comparison.names, comparison.origins, comparison.estimators, strict=True

@@ -93,6 +93,10 @@ class ResultDifference:
         """The settings in words."""
         return _setting_text(self.settings)
 
+    def setting_text(self, name: str) -> str:
+        """Return the value of the setting ``name`` as text."""
+        return _value_text(name, self.settings[name])
+
     @property
     def amplitude_change(self) -> float:
         """Second amplitude over the first, minus one."""
@@ -148,7 +152,7 @@ class Comparison:
         verdicts = [row.verdict for row in self.results]
         differing, if_alike = verdicts.count("differs"), verdicts.count("differs if alike")
         largest = max(self.results, key=lambda row: row.change_over_u)
-        where = "".join(f", {name} = {largest.settings[name] or 0:g}" for name in self.varied_settings())
+        where = "".join(f", {name} = {largest.setting_text(name)}" for name in self.varied_settings())
         text = (
             f"{_differ(differing, len(verdicts))}; most changed at {largest.frequency_hz:g} Hz{where}: amplitude "
             f"{100 * largest.amplitude_change:+z.1f} %{_in_u(largest.amplitude_change_over_u)}, phase "
@@ -319,7 +323,13 @@ def _probability(difference: tuple[float, float], u: tuple[float, float]) -> flo
 
 
 def _setting_text(settings: Mapping[str, float | None]) -> str:
-    return ", ".join(f"{name} = {value:g}" for name, value in settings.items() if value) or "the only setting"
+    texts = [f"{name} = {_value_text(name, value)}" for name, value in settings.items() if value]
+    return ", ".join(texts) or "the only setting"
+
+
+def _value_text(name: str, value: float | None) -> str:
+    """Return a value as text; a force follows from the voltage of a generator, which is set with four digits."""
+    return format(value or 0.0, ".4g" if name == "force_fraction" else "g")
 
 
 def _settings_differences(first: Run, second: Run) -> Iterator[SettingDifference]:

@@ -181,3 +181,8 @@ def test_a_difference_of_values_without_uncertainty_has_no_ratio_in_text(runs: t
     sentence = replace(found, results=(exact,)).sentence()
     assert sentence.count("(u is 0)") == 2
     assert "inf" not in sentence
+
+
+def test_a_force_has_the_four_digits_of_its_voltage(runs: tuple[Path, Path, Path]) -> None:
+    (row,) = compare_runs(runs[0], runs[2]).results
+    assert "force_fraction = 0.5," in replace(row, settings={"force_fraction": 0.49999, "pulse_rate_hz": 4e3}).setting
