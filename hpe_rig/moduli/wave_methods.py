@@ -92,23 +92,26 @@ def spectral_maximum(field: LateralField) -> FloatArray:
 
 
 def slant_spectral_maximum(field: LateralField) -> FloatArray:
-    """Return the phase velocity (..., frequency) from spatial spectra of slanted Stockwell transforms.
+    """Return the phase velocity (..., frequency), m/s, from spatial spectra of Stockwell transforms of a wave packet.
 
-    The transform of a periodic motion with the harmonics U(f_n) and a window of s periods is
+    The Stockwell transform is the motion at frequency f in a time window about t. For a periodic motion with the
+    harmonics U(f_n) and a window of s periods it is
 
         S(t, f) = sum_n U(f_n) exp(-2 (pi s (f_n - f) / f)^2 + 2 pi j (f_n - f) t).
 
-    It is taken at t = t_0 + r / v, r the offset. The start t_0 and the group velocity v are those of the highest
-    spectral maximum. The window excludes waves that pass at other times.
+    The window follows a packet that starts at t_0 and runs with the group velocity v: at the offset r its time is
+    t = t_0 + r / v, a slanted line over r. It excludes waves that pass at other times. Of all candidates (t_0, v) the
+    one with the highest maximum of the spatial spectrum is used. The first field selects it for all fields, so that all
+    are analysed in the same way.
     """
     frequency_hz = field.frequency_hz
     steps_hz = np.diff(frequency_hz, prepend=0.0)
     start_s = np.arange(TIMES) / TIMES / steps_hz[steps_hz > 0].min()
     # From a third to three times the phase velocity of the plain spectrum, on a logarithmic scale.
     relative_speed = np.geomspace(1 / 3, 3, GROUP_SPEEDS)
-    plain_speed = spectral_maximum(field).reshape(-1, frequency_hz.size)[0]
+    first_field_speed = spectral_maximum(field).reshape(-1, frequency_hz.size)[0]
     wavenumber = np.full((*field.phasor.shape[:-2], frequency_hz.size), np.nan)
-    for index, (hz, speed) in enumerate(zip(frequency_hz, plain_speed, strict=True)):
+    for index, (hz, speed) in enumerate(zip(frequency_hz, first_field_speed, strict=True)):
         present = field.present[:, index]
         if not np.isfinite(speed):
             continue
@@ -119,12 +122,14 @@ def slant_spectral_maximum(field: LateralField) -> FloatArray:
         # Times t_0 + r / v for all starts and group velocities, (candidate, offset).
         travel_s = offset_m / (speed * relative_speed[:, None])
         time_s = (travel_s[None] + start_s[:, None, None]).reshape(-1, offset_m.size)
-        # The transform of the first field at all of them, and the candidate with the highest spectral maximum.
+        # Transforms of the first field along the line of each candidate, (candidate, offset), and their spatial
+        # spectra, (candidate, k). The candidate with the highest maximum is the best one.
         shift_hz = frequency_hz - hz
         first_field = harmonics.reshape(-1, *harmonics.shape[-2:])[0]
         transform = np.sum(first_field * np.exp(2j * np.pi * shift_hz * time_s[..., None]), axis=-1)
-        best = np.abs(transform @ _waves(offset_m)[1]).max(axis=-1).argmax()
-        # The transforms (..., offset) of all fields there.
+        _, waves = _candidate_waves(offset_m)
+        best = np.abs(transform @ waves).max(axis=-1).argmax()
+        # The transforms (..., offset) of all fields along the line of that candidate.
         phase_factor = np.exp(2j * np.pi * shift_hz * time_s[best, :, None])
         wavenumber[..., index] = peak_wavenumber(offset_m, np.sum(harmonics * phase_factor, axis=-1))
     return _outward_speed(field, wavenumber)
@@ -177,7 +182,7 @@ def peak_wavenumber(offset_m: FloatArray, phasor: ComplexArray) -> FloatArray:
 
     The spectrum is |sum_r u(r) exp(jkr)|, up to the wave number with two samples in a wavelength.
     """
-    wavenumbers, waves = _waves(offset_m)
+    wavenumbers, waves = _candidate_waves(offset_m)
     k = wavenumbers[np.abs(phasor @ waves).argmax(axis=-1)]
     # Newton's method on |F|^2: about the middle of the offsets, so that F varies slowly.
     distance_m = offset_m - offset_m.mean()
@@ -226,8 +231,11 @@ def phase_velocity_map(motion_map: MotionMap, window_m: float) -> FloatArray:
     return np.where(is_outward, omega / np.where(is_outward, wavenumber, 1.0), np.nan)
 
 
-def _waves(offset_m: FloatArray) -> tuple[FloatArray, ComplexArray]:
-    """Return wave numbers (k,) from 0 to two samples in a wavelength, and exp(jkr), (offset, k)."""
+def _candidate_waves(offset_m: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    """Return wave numbers k (k,), rad/m, from 0 to two offsets in a wavelength, and exp(jkr) for offset r, (offset, k).
+
+    The product of phasors (..., offset) with the second array is their spatial spectrum (..., k).
+    """
     wavenumbers = np.linspace(0, np.pi / np.diff(offset_m).max(), WAVENUMBERS_PER_OFFSET * offset_m.size)
     return wavenumbers, np.exp(1j * np.outer(offset_m, wavenumbers))
 

@@ -4,10 +4,11 @@
     noise of a quadrature s = m sqrt(2 g (v + w / 4 sin^2(pi f / f_prf)) / N)                      windowed steps
                           s = m sqrt(2 v / N) times the gain of the fit                            least squares, w = 0
 
-m is the displacement for one radian, v the phase variance of a pulse, w the part of a step's variance that the next
-step does not return, g the noise factor of the slow-time window, N the number of pulses. The amplitude of a vector with
-noise s in both components has a Rice distribution. The ends of the gate add no error: echoes are aligned before the
-gate cuts them. Derivation: docs/explanation/prediction.md.
+m is the displacement for one radian, g the noise factor of the slow-time window, N the number of pulses. The measured
+phase step to pulse k has the error n_k - n_(k-1) + a_k: n_k, of variance v, cancels in the sum with the next step, and
+a_k, of variance w, adds up. The phase is the sum of steps, with the error n_k - n_0 + a_1 + ... + a_k. The amplitude of
+a vector with noise s in both components has a Rice distribution. The ends of the gate add no error: echoes are aligned
+before the gate cuts them. Derivation: docs/explanation/prediction.md.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ def estimator_errors(
     ``speckle``: random draws of echoes under the same ``conditions``.
     """
     spec = spec_of(estimator)
-    # Tracked over peak displacement in every draw, and phase variances (rad^2): that of a pulse, and the part of a
-    # pulse-to-pulse step that the next step does not cancel, for each group of draws with equally strong echoes.
+    # Tracked over peak displacement in every draw, and phase variances (rad^2) for each group of draws with equally
+    # strong echoes: v of a pulse, and w that accumulates with every step (docstring of the module).
     if spec.reads_peak:
         ratio, variances = peak_statistics(conditions, speckle, generator)
     else:
@@ -119,11 +120,12 @@ def _whole_gate_ratio(conditions: Conditions, speckle: Speckle, by_carrier: bool
 
 
 def _step_variance(conditions: Conditions, pulse_variance: float) -> float:
-    """Return the phase variance (rad^2) that noise adds to the sum of phase steps with every further pulse.
+    """Return the phase variance w (rad^2) that noise adds to the sum of phase steps with every further pulse.
 
-    Displacement by steps is the sum of the phase steps between consecutive pulses. Most of a step's error is cancelled
-    by the next step, which has the noise of their common pulse with the opposite sign; this variance remains. With M
-    independent samples in the gate and ``pulse_variance`` = 1 / (2 M SNR) it is 2 M ``pulse_variance``^2.
+    Displacement by steps is the sum of the phase steps between consecutive pulses. The step to pulse k has the error
+    n_k - n_(k-1) + a_k. The noise n_k of a pulse cancels with the next step; a_k, the product of the noises of two
+    pulses, remains in the sum. With M independent samples in the gate, var n = ``pulse_variance`` = 1 / (2 M SNR) and
+    w = var a = 2 M ``pulse_variance``^2.
     """
     # M of noise that is limited to the band before the gate cuts it: the sum of the squared eigenvalues of time and
     # band limiting (Slepian and Pollak, 1961), which is the sum over the squared covariance of the gate's samples.
@@ -137,13 +139,13 @@ def _step_variance(conditions: Conditions, pulse_variance: float) -> float:
 def _quadrature_sd_m(conditions: Conditions, spec: EstimatorSpec, pulse_variance: float, step_variance: float) -> float:
     """Return the standard deviation of a fitted quadrature (in-phase or quadrature component), m.
 
-    ``pulse_variance``: phase variance (rad^2) of a pulse. ``step_variance``: the part of the variance of a phase step
-    between two pulses that the next step does not cancel; it adds up from pulse to pulse.
+    The error of the phase of pulse k is n_k + a_1 + ... + a_k: noise n of the pulse, with the ``pulse_variance``
+    (rad^2), and, for a phase that is a sum of steps, noise a of each step, with the ``step_variance`` (rad^2).
     """
     if spec.fits_all_at_once:
         return conditions.fit_gain * _least_squares_sd_m(conditions, pulse_variance, step_variance)
-    # A fit of the windowed steps. A motion changes by 2 sin(pi f / f_prf) = 2 ``half_step`` of its amplitude in a step,
-    # so the noise of a step counts by its square.
+    # A fit of the windowed steps. From pulse to pulse a motion changes by 2 sin(pi f / f_prf) = 2 ``half_step`` of its
+    # amplitude. An error of a step, divided by this factor, is one of the amplitude.
     phase_variance = pulse_variance + step_variance / (4 * conditions.half_step**2)
     # The slow-time window w raises the noise by N sum w^2 / (sum w)^2, ``slow_time_noise``.
     return float(conditions.metres_per_radian * np.sqrt(2 * spec.slow_time_noise * phase_variance / conditions.pulses))
@@ -152,8 +154,9 @@ def _quadrature_sd_m(conditions: Conditions, spec: EstimatorSpec, pulse_variance
 def _least_squares_sd_m(conditions: Conditions, pulse_variance: float, step_variance: float) -> float:
     """Return the standard deviation of a quadrature, m, fitted to the pulses with a constant by least squares.
 
-    ``pulse_variance`` and ``step_variance`` (rad^2): as for ``_quadrature_sd_m``. The steps' noise adds up to a random
-    walk, which has most power at low frequency; without a window it leaks into both quadratures.
+    ``pulse_variance`` (rad^2): of the phase noise of each pulse. ``step_variance`` (rad^2): of the noise of each phase
+    step. The latter adds up to a random walk, which has most power at low frequency; without a window it leaks into
+    both quadratures.
     """
     if step_variance == 0:
         return float(conditions.metres_per_radian * np.sqrt(2 * pulse_variance / conditions.pulses))

@@ -71,13 +71,17 @@ class PulseAssignment:
 def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
     """Return the pulse of each record of ``shot``, by trigger times and, where these leave it open, by tonebursts.
 
-    A train has as many pulses as the shot has records. So a shot with all of its records has lost no trigger, unless
-    stray triggers took the place of pulses; those are assumed to account for all missing pulses. In a shot that was
-    not completed, missing records at the end are no sign of lost triggers.
+    The digitizer takes as many records as the train has pulses, one for each trigger. Fewer records show that triggers
+    were lost. With all records none was lost, unless the digitizer also took records at stray triggers: it then stopped
+    before the train ended, and the pulses without a record are assumed to be the last ones. In a shot that was not
+    completed, missing records at the end are no sign of lost triggers.
     """
-    # ``timeless``: no record has a usable trigger time. ``is_certain``: the pulse of each record is not in doubt.
+    # The assignment by trigger times. ``delivered`` (record,): the record arrived. ``loose`` (record,): its pulse is
+    # counted from the record before, not measured. ``unlocated``: number of pulses that have no record and may come
+    # before the first record or after the last.
     placement = stored.records.placement(shot.index)
     assignment = PulseAssignment(placement, remarks=tuple(_time_remarks(placement)))
+    # No record has a usable trigger time.
     timeless = bool(placement.delivered.any() and placement.loose[placement.delivered].all())
     is_certain = stored.imported or not stored.shot_complete[shot.index]
     if is_certain or not (placement.unlocated or timeless):
@@ -89,9 +93,11 @@ def assign_pulses(shot: Shot, stored: StoredRun) -> PulseAssignment:
         corrected = None if disturbed is None else _by_tonebursts(assignment, kinds, disturbed, timeless)
         if corrected is not None:
             return corrected
-    # No evidence: any of the missing pulses may have come before the first record.
-    lost = 0 if placement.delivered.all() else placement.unlocated
-    return replace(assignment, shifts=tuple(range(lost + 1)), within_shot=bool(lost and placement.loose.any()))
+    # No evidence: from none to all of the missing pulses may have come before the first record. All records are then
+    # those of pulses later by that number, their shift. With counted records a shift may also begin within the shot.
+    missing = 0 if placement.delivered.all() else placement.unlocated
+    possible_shifts = tuple(range(missing + 1))
+    return replace(assignment, shifts=possible_shifts, within_shot=bool(missing and placement.loose.any()))
 
 
 def _time_remarks(placement: Placement) -> list[str]:

@@ -96,7 +96,8 @@ def estimate_run(
     ``averaging`` (frequency,): predicted beam averaging. With ``beams`` the fit uses the medium prior
     (``hpe_rig.medium.ensemble``), if scene and estimator allow it. If the scene declares no medium, that fit also
     yields a posterior over media, and its beam averaging replaces the predicted one. The motion in the control of a
-    shot is subtracted. A shot that cannot be estimated is listed in ``failures`` and does not affect the others.
+    shot, a recording with tonebursts off, is subtracted. A shot that cannot be estimated is listed in ``failures`` and
+    does not affect the others.
     """
     # Every window of every shot is tested: division by their number keeps the probability of a false warning in the
     # whole run at FALSE_ALARM_PROBABILITY (Bonferroni).
@@ -162,10 +163,13 @@ def _estimate_shot(
     """Return the result of one shot in each processing window; raise ``ValueError`` if one cannot be estimated.
 
     A scene with several windows of slow time (``scene.windows``) is estimated once in each, from the same records.
+    A control is a recording of the same shot with tonebursts off; its motion is subtracted. ``controls``: the motions
+    in the controls of all shots, or why a shot has none to subtract.
     """
     records = read_shot(scene, shot, stored)
+    # True amplitudes and phases are stored as means over the window. An estimate from which the drift is removed states
+    # those at the first pulse, so it cannot be compared with them.
     true_m = None
-    # The stored truth is the mean over the window, not the motion at its first pulse.
     if stored.true_displacement_m is not None and scene.processing.drift == "none":
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     complete = bool(stored.shot_complete[shot.index])

@@ -77,11 +77,12 @@ class RunWriter:
         clock: Callable[[], float] = time.monotonic,
         cancelled: threading.Event | None = None,
     ) -> None:
-        """Create the log at ``path``, without records.
+        """Create the log at ``path``, without records. When it is closed, a run file made from it replaces it.
 
-        As soon as ``cancelled`` is set, a disk that does not answer is not waited for any longer, and no run file is
-        made from the log. Raises ``StoreError`` if ``path`` exists, cannot be written, or the disk has no room for
-        the records.
+        Another thread may set ``cancelled`` to end the program soon, for example if a disk does not answer. Creating
+        the log then raises ``StoreError`` instead of waiting. Closing it leaves the log at ``path`` as it is, and a
+        later command can make the run file. Raises ``StoreError`` too if ``path`` exists, cannot be written, or the
+        disk has no room for the records.
         """
         self.path = path
         self.progress = 0
@@ -115,7 +116,7 @@ class RunWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write the status (complete, aborted or failed), and replace the log by the run file."""
+        """Write the status (complete, aborted or failed) to the log, and replace the log by a run file made from it."""
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
         try:
             with uninterrupted():
@@ -262,7 +263,7 @@ class RunWriter:
         self._put(STATUS, -1, status.encode("ascii"), sync=True)
 
     def _assemble(self) -> None:
-        """Replace the log by the run file; raise ``StoreError`` if that fails, and leave the log as it is."""
+        """Make a run file of the log and replace it; leave the log as it is and raise ``StoreError`` if that fails."""
         try:
             assemble(self.path, self._log.close, self._proceed, self._cancelled)
             self._log.moved_to(self.path)
@@ -274,7 +275,7 @@ class RunWriter:
             ) from error
 
     def _proceed(self) -> None:
-        """Count a step of the assembly, and raise if the program shall end."""
+        """Count a step of the assembly of the run file, and raise if the program shall end."""
         self.progress += 1
         if self._cancelled.is_set():
             raise InterruptedError

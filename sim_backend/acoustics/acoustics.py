@@ -322,33 +322,36 @@ class Acoustics:
         span = sample_span(train.start_ps - int(age_ps.max()), train.end_ps - int(age_ps.min()), capture)
         sample_ps = int(age_ps[0]) + np.arange(span.start, span.stop) * capture.sample_period_ps
         shift_s = (age_ps - age_ps[0]) / PS_PER_S
-        block, group = self._grouped_echoes(train, burst, shift_s, sample_ps)
-        echo_v = block[group] * train.strength_v[burst, None]
+        sample_s = _after_arrival_s(sample_ps, 2 * self._travel_s)
+        distinct_echo, group = self._distinct_echoes(train, burst, shift_s, sample_s)
+        echo_v = distinct_echo[group] * train.strength_v[burst, None]
         if np.array_equal(record, np.arange(len(volts))):
             volts[:, span] += echo_v
         else:
             # Records without an echo, or with several.
             np.add.at(volts[:, span], record, echo_v)
 
-    def _grouped_echoes(
-        self, train: _EchoTrain, burst: Int64Array, shift_s: FloatArray, sample_ps: Int64Array
+    def _distinct_echoes(
+        self, train: _EchoTrain, burst: Int64Array, shift_s: FloatArray, sample_s: FloatArray
     ) -> tuple[FloatArray, Int64Array]:
-        """Return each distinct echo once, (group, sample), and the group of each pair of burst and record, (pair,).
+        """Return the echoes that differ, each computed once, (group, sample), and the group of each pair, (pair,).
 
-        ``burst`` and ``shift_s`` (pair,): index of the burst, and delay of the record's samples from the grid.
-        ``sample_ps`` (sample,): grid of sample times after the onset.
+        A pair is a burst and a record of its echo. Many pairs have the same echo, for example those one period of the
+        motion apart. ``burst`` (pair,): index of the burst. ``shift_s`` (pair,): how much later than ``sample_s`` the
+        record's samples are. ``sample_s`` (sample,): times after the arrival of the echo of the focus.
         """
         delays = train.delays
         tolerance = self._settings.scatterers.echo_tolerance or (
             _ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE
         )
-        # Amplitudes and shift decide the echo.
+        # The delay of a scatterer changes by the sum of amplitudes times shapes. The shift delays all scatterers
+        # equally: it is the amplitude of one more shape, of ones.
         amplitude_s = np.concatenate([delays.amplitude_s[burst], shift_s[:, None]], axis=1)
-        shapes = np.pad(delays.shape, ((0, 1), (0, 0)), constant_values=1)
+        shapes = np.concatenate([delays.shape, np.ones((1, delays.shape.shape[1]))])
+        # Pairs with equal amplitudes form a group, which the first of its pairs represents.
         first, group = distinct_echoes(amplitude_s, shapes, train.pulse, tolerance)
-        sample_s = _after_arrival_s(sample_ps, 2 * self._travel_s)
-        distinct = replace(delays, amplitude_s=delays.amplitude_s[burst[first]]).shifted(shift_s[first])
-        return synthesise(distinct, train.weight, train.pulse, sample_s, tolerance).echo, group
+        group_delays = replace(delays, amplitude_s=delays.amplitude_s[burst[first]]).shifted(shift_s[first])
+        return synthesise(group_delays, train.weight, train.pulse, sample_s, tolerance).echo, group
 
     def _add_shifted_echoes(
         self, volts: FloatArray, capture: Capture, train: _EchoTrain, background_delay_s: FloatArray

@@ -77,16 +77,18 @@ def force_shape(settings: SimulationSettings) -> Force:
 
 @dataclass(frozen=True, slots=True)
 class FocusField:
-    """Step response of the medium in a cylinder or shell around the axis: few shapes and their responses in time."""
+    """Step response of the medium in a cylinder about the axis: few shapes (modes) and their responses in time."""
 
     lateral_reach_m: float
+    """Outer radius of the cylinder."""
     axial_reach_m: float
+    """Largest distance from the focal plane."""
     response: StepResponse
     """Amplitude of every mode, m per N/m³."""
     shape: FloatArray
     """Chebyshev coefficients of every mode in the squares of both coordinates, (mode, lateral, axial)."""
     lateral_inner_m: float = 0.0
-    """Inner radius of the shell."""
+    """Inner radius of a hollow cylinder."""
     asymmetric: bool = False
     """Whether the field differs before and behind the focal plane; the axial series is then in the depth itself."""
 
@@ -251,20 +253,21 @@ def medium_motion(
     """
     specimen = settings.specimen or Specimen()
     lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), offset_m[:, 2]
-    # The modes are tabulated as far as the scatterers and the point, and at least over the widths of the force, so that
-    # a single scatterer at the focus has a field too.
     force = force_shape(settings)
+    # Widths (sigma) of the narrowest Gaussian of the force.
     lateral_width_m, axial_width_m = _length_scales_m(_gaussians(force))
+    # Distances from the axis of all scatterers and of the point.
     point_m = abs(lateral_offset_m)
     nearest_m, farthest_m = float(lateral_m.min(initial=point_m)), float(lateral_m.max(initial=point_m))
-    # If all are off the axis, only a shell around it is tabulated; it needs some thickness for a single radius.
-    field = focus_field(
-        specimen,
-        force,
-        max(farthest_m, lateral_width_m, nearest_m + lateral_width_m / 100),
-        max(float(np.abs(axial_m).max(initial=0.0)), axial_width_m),
-        lateral_inner_m=nearest_m if nearest_m > lateral_width_m else 0.0,
-    )
+    # The modes are tabulated in a cylinder out to the farthest scatterer, and at least to one width of the force: for a
+    # single scatterer at the focus the cylinder would have no extent.
+    outer_m = max(farthest_m, lateral_width_m)
+    depth_m = max(float(np.abs(axial_m).max(initial=0.0)), axial_width_m)
+    # If all are farther from the axis than one width, a hollow cylinder suffices. Its wall has a minimum thickness,
+    # because all may have the same distance.
+    inner_m = nearest_m if nearest_m > lateral_width_m else 0.0
+    outer_m = max(outer_m, nearest_m + lateral_width_m / 100)
+    field = focus_field(specimen, force, outer_m, depth_m, lateral_inner_m=inner_m)
     return MediumMotion(
         shape=field.shapes(lateral_m, axial_m).T,
         field=field,

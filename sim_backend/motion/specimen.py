@@ -94,22 +94,26 @@ def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: FloatA
 
 
 def transfer(specimen: Specimen, width_m: Triple, s_per_s: ComplexArray) -> ComplexArray:
-    """Return displacement at the focus over force density, complex (frequency,), at complex frequencies ``s_per_s``.
+    """Return displacement at the focus over force density, m per N/m³, at complex frequencies s, complex (frequency,).
 
-    It holds in the left half plane too. With a rigid sphere it is the displacement of the sphere over the body force
-    that represents the same drive.
+    ``s_per_s`` (frequency,): s in 1/s, j w for a vibration. ``width_m``: sigmas of the force in x, y, z. The closed
+    form is analytic in s, so it holds in the left half plane too, where an inverse Laplace transform needs it. With a
+    rigid sphere it is the displacement of the sphere over the body force that represents the same drive.
     """
     modulus = shear_modulus(specimen, s_per_s)
     if specimen.sphere is not None:
         response = sphere_response(specimen.sphere, modulus, specimen.density_kg_per_m3, s_per_s)
         return np.asarray(sphere_force_volume_m3(specimen, specimen.sphere) * response)
-    # The response is a mean over the directions of waves. Along each the force has half the squared width a; waves
-    # shorter than this width (|q| sqrt(a) large, with the shear wave number q) hardly move: inertia dominates.
+    # The response is a mean over the directions of waves. Along each direction the force is a Gaussian of width sigma,
+    # given as a = sigma² / 2. The weight of a direction includes the part of the force across it, which makes shear.
     a_m2, weight = _directions(width_m)
-    q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
-    # (frequency, direction) @ (direction,): response over static response, times the static response.
-    mean = inertia_factor(q[:, None] * np.sqrt(a_m2)) @ (np.sqrt(np.pi / a_m2) / 2 * weight)
-    return np.asarray(force_volume(width_m) / modulus * mean)
+    # For shear waves shorter than the force is wide, |q| sqrt(a) is large: inertia reduces the response.
+    shear_wavenumber_per_m = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
+    relative_response = inertia_factor(shear_wavenumber_per_m[:, None] * np.sqrt(a_m2))
+    # Integral over wave numbers for a force at rest: of exp(-a k²) from 0 to infinity.
+    static_response_per_m = np.sqrt(np.pi / a_m2) / 2
+    mean_per_m = relative_response @ (static_response_per_m * weight)
+    return np.asarray(force_volume(width_m) / modulus * mean_per_m)
 
 
 def inertia_factor(z: ComplexArray) -> ComplexArray:
@@ -230,9 +234,10 @@ def force_volume(width_m: Triple) -> float:
 
 
 def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
-    """Return wave directions of a Gaussian force: half its squared width along each, a (m²), and their weights.
+    """Return a = sigma² / 2 (m²) of a Gaussian force along wave directions, and the weight of each direction.
 
-    Both (direction,). ``width_m``: sigmas of the force in x, y, z.
+    Both (direction,). ``width_m``: sigmas of the force in x, y, z. sigma: that of the force along the direction. The
+    weights are for a mean over directions; they include the part 1 - m² of the force that drives shear waves.
     """
     wider_m, narrower_m = max(width_m[:2]), min(width_m[:2])
     # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, with r the ratio of the lateral widths.
@@ -247,9 +252,9 @@ def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
 def polar_nodes(lateral_m2: float, axial_m2: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return nodes of a quadrature over wave directions in a plane through the axis, three arrays (direction,).
 
-    These are the direction's cosine m to the axis, half the squared width along it of a Gaussian force with the squared
-    widths ``lateral_m2`` and ``axial_m2``, and the weight. The weight includes 1 - m² for the divergence-free part of
-    the force along the axis, and 2 for the directions of negative m, which contribute equally. See
+    These are the direction's cosine m to the axis, a = sigma² / 2 of a Gaussian force along it, and the weight.
+    ``lateral_m2`` and ``axial_m2``: squared sigmas of the force. The weight includes 1 - m² for the divergence-free
+    part of the force along the axis, and 2 for the directions of negative m, which contribute equally. See
     docs/explanation/medium.md, section 2.
     """
     node, node_weight = legendre(_DIRECTION_NODES)

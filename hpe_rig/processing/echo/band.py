@@ -62,7 +62,7 @@ class Band:
         return float(np.trace(self.gated_noise).real)
 
     @functools.cached_property
-    def independent(self) -> float:
+    def independent_samples(self) -> float:
         """Effective number of independent complex samples of white noise in the gate."""
         return self.noise_energy**2 / float(np.einsum("ij,ji->", self.gated_noise, self.gated_noise).real)
 

@@ -65,7 +65,10 @@ class Harmonics:
     sensitivity: ComplexArray
 
     def displacement_m(self, time_s: FloatArray, position: FloatArray, unknowns: FloatArray) -> FloatArray:
-        """Return the displacement (pulse,) at ``time_s``, with the phasors that the motion has at ``position``."""
+        """Return the displacement (pulse,), m, at ``time_s``, with the phasors that the motion has at ``position``.
+
+        ``position`` (pulse,): in the train, -1 at the first pulse, 1 at the last. ``unknowns`` (unknown,) of the drift.
+        """
         return np.concatenate([phasors.imag.sum(axis=1) for phasors, _ in self._phasors(time_s, position, unknowns)])
 
     def derivatives_m(self, time_s: FloatArray, position: FloatArray, unknowns: FloatArray) -> FloatArray:
@@ -114,10 +117,14 @@ class Drift:
     unknowns: FloatArray
 
     def change_m(self, time_s: FloatArray) -> FloatArray:
-        """Return the displacement (pulse,) at ``time_s`` minus that of a motion that stays as at the first pulse, m."""
-        positions = _positions(time_s), np.full_like(time_s, -1.0)
-        changed_m, steady_m = (self.harmonics.displacement_m(time_s, at, self.unknowns) for at in positions)
-        return np.asarray(changed_m - steady_m)
+        """Return the displacement that the drift adds at the pulses, m (pulse,); 0 at the first pulse.
+
+        A motion without drift keeps the amplitudes and phases of the first pulse. ``time_s`` (pulse,): the whole train.
+        """
+        drifting_m = self.harmonics.displacement_m(time_s, _positions(time_s), self.unknowns)
+        # Positions in the train run from -1 to 1: a motion without drift stays at -1, the first pulse.
+        steady_m = self.harmonics.displacement_m(time_s, np.full_like(time_s, -1.0), self.unknowns)
+        return np.asarray(drifting_m - steady_m)
 
 
 def drift_of(
@@ -149,9 +156,10 @@ def drift_of(
         converged = np.all(np.abs(unknowns - previous) < CONVERGED_U * np.sqrt(np.diag(covariance)))
         if converged or iteration == max_iterations - 1:
             break
-        positions = _positions(time_s), np.zeros_like(time_s)
-        changed_m, middle_m = (harmonics.displacement_m(time_s, at, unknowns) for at in positions)
-        steady = replace(motion, displacement_m=motion.displacement_m - (changed_m - middle_m))
+        # Positions in the train run from -1 to 1. The steady motion has the phasors of the middle, position 0.
+        drifting_m = harmonics.displacement_m(time_s, _positions(time_s), unknowns)
+        steady_m = harmonics.displacement_m(time_s, np.zeros_like(time_s), unknowns)
+        steady = replace(motion, displacement_m=motion.displacement_m - (drifting_m - steady_m))
     # From the unknowns to the changes of the wanted phasors' logarithms: complex, and as real and imaginary parts.
     sensitivity = harmonics.sensitivity[: frequency_hz.size]
     real_imaginary = np.stack([sensitivity.real, sensitivity.imag], axis=1).reshape(-1, unknowns.size)
@@ -212,7 +220,8 @@ def _fitted(
         phasor_m = states[::2] + 1j * states[1::2]
     else:
         fit = medium_fit(motion, frequency_hz, prior, background_order=background_order)
-        # The patterns span the prior's motions. Only those count to which the data contribute.
+        # Orthonormal columns: background polynomials, and patterns, which combine to the prior's motions. A pattern
+        # with little shrinkage takes its coefficient from the prior, so it absorbs no part of the data and is omitted.
         basis = np.hstack([fit.projected.background, fit.projected.patterns[:, fit.shrinkage > MIN_SHRINKAGE]])
         others_hz, others_m = driven_phasors_m(prior, fit)
         strong = np.abs(others_m) > NEGLIGIBLE * np.abs(others_m).max()

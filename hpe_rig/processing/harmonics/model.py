@@ -74,13 +74,16 @@ class LinearModel:
         return np.asarray(self.matrix @ (2 * np.pi * self.column_hz * exchanged))
 
     def solve(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the least-squares states (..., state) of ``data`` (..., valid pulse), and the residual."""
-        state = np.zeros((*data.shape[:-1], self.root.shape[0]))
+        """Return the least-squares states x (..., state) of ``data`` d (..., valid pulse), and the residual d - H x.
+
+        x = (H'H)^-1 H'd, with (H'H)^-1 = root @ root.T.
+        """
+        state, residual = np.zeros((*data.shape[:-1], self.root.shape[0])), data
         # Corrected seminormal equations: solving again for the residual reaches the accuracy of QR.
         for _ in range(2):
-            change = (data @ self.matrix) @ self.root @ self.root.T
-            state, data = state + change, data - change @ self.matrix.T
-        return state, data
+            change = (residual @ self.matrix) @ self.root @ self.root.T
+            state, residual = state + change, residual - change @ self.matrix.T
+        return state, residual
 
 
 def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray, out: FloatArray | None = None) -> FloatArray:
@@ -204,9 +207,10 @@ def _normalised(products: FloatArray, sizes: Sequence[int]) -> FloatArray:
 
 
 def _resolved(every_pulse: FloatArray, valid: BoolArray, sizes: Sequence[int], states: int) -> FloatArray:
-    """Return as many columns of ``every_pulse`` (pulse, column), from the first, as the ``valid`` pulses resolve.
+    """Return as many columns of ``every_pulse`` (pulse, column), from the first, as the ``valid`` pulses distinguish.
 
-    The first ``states`` columns are always returned, further ones in whole groups of ``sizes`` columns.
+    The first ``states`` columns are always returned, further ones in whole groups of ``sizes`` columns, as long as the
+    condition number of the columns allows. ``valid`` (pulse,).
     """
     matrix, counts = every_pulse[valid], np.cumsum(sizes)
     # At most half of the remaining degrees of freedom: noise is estimated from the others.
@@ -215,22 +219,25 @@ def _resolved(every_pulse: FloatArray, valid: BoolArray, sizes: Sequence[int], s
 
 
 def _resolved_columns(products: FloatArray, counts: IndexArray) -> int:
-    """Return how many columns of a matrix H the pulses resolve, counted from the first: the largest of ``counts``.
+    """Return the largest of ``counts`` for which so many first columns of H have a condition up to ``MAX_CONDITION``.
 
-    Columns are resolved up to a condition number of ``MAX_CONDITION``. ``counts``: possible results, ascending; the
-    first one is always accepted. ``products``: H'H of columns of equal length.
+    H (pulse, column) is the matrix of a linear model; beyond that condition its columns are too similar at the pulses
+    to be distinguished. ``counts``: numbers of columns, ascending; the first one is always accepted. ``products``: H'H
+    of columns of equal length.
     """
-    # The condition number grows with the number of columns, so bisection finds the largest acceptable number.
+    # The condition number grows with the number of columns, so bisection finds the largest acceptable number. It lies
+    # between the indices ``low`` and ``high`` of ``counts``.
     low, high = 0, len(counts) - 1
-    # All columns are tried first: they are often resolved.
-    middle = high
+    # The first trial is the number of all columns, since they are often distinguishable.
+    trial = high
     while low < high:
-        smallest, *_, largest = np.linalg.eigvalsh(products[: counts[middle], : counts[middle]])
+        smallest, *_, largest = np.linalg.eigvalsh(products[: counts[trial], : counts[trial]])
+        # The eigenvalues of H'H are the squared singular values of H.
         if largest <= MAX_CONDITION**2 * smallest:
-            low = middle
+            low = trial
         else:
-            high = middle - 1
-        middle = (low + high + 1) // 2
+            high = trial - 1
+        trial = (low + high + 1) // 2
     return int(counts[low])
 
 

@@ -63,12 +63,15 @@ class RateError:
 
 
 @dataclass(frozen=True, slots=True)
-class Linearisation:
-    """Harmonic fit of a motion, and how the fitted displacement depends on time: a model linear in the rate error.
+class FitWithVelocity:
+    """Harmonic fit of a motion, with the velocity of the fitted displacement; all at the valid pulses.
 
-    ``basis`` Q (pulse, column): orthonormal columns of the fit. ``shrinkage`` h (column,): fraction of each that the
-    fit removes. ``residual_m`` (pulse,), ``velocity_m_per_s`` dD/dt (pulse,): of the fit, all at the valid pulses.
-    ``noise_m2``: variance of a pulse, with ``degrees_of_freedom``.
+    The displacement changes by velocity times time times rate error, so that the fit is linear in a small rate error.
+
+    ``basis`` Q (pulse, column): orthonormal columns of the fit. ``shrinkage`` h (column,): factor from 0 to 1 by which
+    the fit multiplies the data's component along each column; 1 for least squares, less with a prior. ``residual_m``
+    (pulse,): displacement minus fit. ``velocity_m_per_s`` (pulse,): dD/dt of the fitted displacement D. ``noise_m2``:
+    variance of the displacement of a pulse, with ``degrees_of_freedom``.
     """
 
     basis: FloatArray
@@ -102,48 +105,52 @@ def estimate_rate_error(
     if not prior_error.uncertainty:
         return prior_error
 
-    def least_squares(timed: Motion) -> Linearisation:
-        """Return the least-squares fit at other times; with a prior, of the wanted harmonics alone."""
-        return _least_squares(timed, frequencies_hz, also_hz if prior is None else np.zeros(0), background_order)
+    def least_squares(corrected: Motion) -> FitWithVelocity:
+        """Return the least-squares fit of the motion with times corrected by a trial rate error.
 
-    def linearise(timed: Motion) -> Linearisation:
-        """Return the fit at other times, with the prior of media if there is one."""
+        With a prior of media this fit is only a start, and contains the wanted harmonics alone.
+        """
+        return _least_squares(corrected, frequencies_hz, also_hz if prior is None else np.zeros(0), background_order)
+
+    def fit(corrected: Motion) -> FitWithVelocity:
+        """Return the fit of the motion with times corrected by a trial rate error, with the prior of media if any."""
         if prior is None:
-            return least_squares(timed)
-        return _with_medium_prior(timed, frequencies_hz, prior, background_order)
+            return least_squares(corrected)
+        return _with_medium_prior(corrected, frequencies_hz, prior, background_order)
 
     start = _initial_error(motion, frequencies_hz, prior_error, background_order)
     if prior is not None:
         # Least squares is far faster, and close enough to save iterations with the prior.
         start = _most_probable_rate_error(motion, least_squares, prior_error, start).value
-    error = _most_probable_rate_error(motion, linearise, prior_error, start)
-    excess = abs(error.value - prior_error.value)
-    if excess > SIGNIFICANT * prior_error.uncertainty:
-        # The accuracies are wrong: a prior as wide as the error found does not draw the estimate to its mean.
-        error = _most_probable_rate_error(motion, linearise, RateError(prior_error.value, excess), error.value)
+    error = _most_probable_rate_error(motion, fit, prior_error, start)
+    deviation = abs(error.value - prior_error.value)
+    if deviation > SIGNIFICANT * prior_error.uncertainty:
+        # The stated accuracies of the clocks are wrong. With a prior as wide as the deviation, the mean of the prior
+        # hardly attracts the estimate.
+        error = _most_probable_rate_error(motion, fit, RateError(prior_error.value, deviation), error.value)
     return error
 
 
 def _most_probable_rate_error(
-    motion: Motion, linearise: Callable[[Motion], Linearisation], prior_error: RateError, start: float
+    motion: Motion, fit: Callable[[Motion], FitWithVelocity], prior_error: RateError, start: float
 ) -> RateError:
     """Return the most probable rate error, by Gauss-Newton steps from ``start``, with its standard uncertainty.
 
-    ``linearise``: harmonic fit of a motion. ``prior_error``: normal prior of the rate error, from the clocks. It is the
+    ``fit``: harmonic fit of a motion. ``prior_error``: normal prior of the rate error, from the clocks. It is the
     result if the displacement adds hardly any information at its mean.
     """
     error, weight = start, prior_error.uncertainty**-2
     for _ in range(MAX_STEPS):
-        model = linearise(with_rate_error(motion, error))
+        fitted = fit(with_rate_error(motion, error))
         # Derivative of the displacement by the rate error, and its part that the harmonics of the fit cannot imitate.
-        slope_m = motion.time_s[motion.valid] * model.velocity_m_per_s
-        unabsorbed_m = slope_m - model.basis @ (model.shrinkage * (slope_m @ model.basis))
-        noise_m2 = max(model.noise_m2, np.finfo(np.float64).tiny)
+        slope_m = motion.time_s[motion.valid] * fitted.velocity_m_per_s
+        unabsorbed_m = slope_m - fitted.basis @ (fitted.shrinkage * (slope_m @ fitted.basis))
+        noise_m2 = max(fitted.noise_m2, np.finfo(np.float64).tiny)
         information = max(float(unabsorbed_m @ slope_m), 0.0) / noise_m2
         if error == prior_error.value and information < MIN_INFORMATION * weight:
             return prior_error
         uncertainty = (information + weight) ** -0.5
-        gradient = float(slope_m @ model.residual_m) / noise_m2 + weight * (prior_error.value - error)
+        gradient = float(slope_m @ fitted.residual_m) / noise_m2 + weight * (prior_error.value - error)
         # A last step that is far below the uncertainty is left out: the fit then has the times of this iteration.
         if abs(gradient * uncertainty) < CONVERGED:
             break
@@ -151,18 +158,21 @@ def _most_probable_rate_error(
     # Part of the variance that comes from the prior, which counts as exactly known. The other part has the residual's
     # degrees of freedom, and both together have them divided by the square of that part (Welch-Satterthwaite).
     clock_fraction = weight * uncertainty**2
-    degrees = model.degrees_of_freedom / max(1 - clock_fraction, 1e-6) ** 2
+    degrees = fitted.degrees_of_freedom / max(1 - clock_fraction, 1e-6) ** 2
     return RateError(error, uncertainty, degrees, clock_fraction)
 
 
 def _least_squares(
     motion: Motion, frequency_hz: FloatArray, also_hz: FloatArray, background_order: int
-) -> Linearisation:
-    """Return the least-squares fit of ``motion`` and its velocity."""
+) -> FitWithVelocity:
+    """Return the least-squares fit of ``motion``, and the velocity of the fitted displacement.
+
+    The fit has sinusoids of ``frequency_hz`` and ``also_hz``, and a polynomial of ``background_order``.
+    """
     model = linear_model(motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz)
     state, residual_m = model.solve(motion.displacement_m[motion.valid])
     degrees = len(model.matrix) - state.size
-    return Linearisation(
+    return FitWithVelocity(
         basis=model.matrix @ model.root,
         shrinkage=np.ones(state.size),
         residual_m=residual_m,
@@ -174,15 +184,22 @@ def _least_squares(
 
 def _with_medium_prior(
     motion: Motion, frequency_hz: FloatArray, prior: MediumPrior, background_order: int
-) -> Linearisation:
-    """Return the fit of ``motion`` with the ``prior`` of media, all harmonics included, and its velocity."""
+) -> FitWithVelocity:
+    """Return the fit of ``motion`` with a prior of media, and the velocity of the fitted displacement.
+
+    ``prior``: how an ensemble of media would move under the tonebursts, at all their harmonics. ``frequency_hz``: the
+    wanted harmonics, which may deviate from every combination of these motions.
+    """
     medium = medium_fit(motion, frequency_hz, prior, background_order=background_order)
-    background = medium.projected.background
-    # All harmonics of the bursts; the wanted ones include their deviations from the ensemble's span.
+    # Orthonormal columns (pulse, column): background polynomials, and patterns, which combine to the prior's motions.
+    background, patterns = medium.projected.background, medium.projected.patterns
+    # Phasors of all harmonics as combinations of the prior's motions. Those of the wanted harmonics are replaced by the
+    # fitted ones, which include their deviations.
     _, phasors_m = driven_phasors_m(prior, medium)
     phasors_m[list(prior.harmonic_indices(frequency_hz))] = medium.fit.amplitude_m * np.exp(1j * medium.fit.phase_rad)
-    return Linearisation(
-        basis=np.hstack([background, medium.projected.patterns]),
+    return FitWithVelocity(
+        basis=np.hstack([background, patterns]),
+        # The prior shrinks the coefficients of the patterns, and leaves the background free.
         shrinkage=np.concatenate([np.ones(background.shape[1]), medium.shrinkage]),
         residual_m=medium.residual_m(motion),
         velocity_m_per_s=prior.velocity_m_per_s(motion.time_s[motion.valid], phasors_m),

@@ -208,7 +208,7 @@ class _Pixels:
         z = np.ascontiguousarray(baseband.transpose(0, 2, 1)).reshape(samples.shape[0], gates, length, -1)
         power = _mean_power(z)
         phase, log_amplitude = self._phases(z)
-        return self._fit(phase, log_amplitude, power, self._mean_offset_hz(z, power), not_finite)
+        return self._fit(phase, log_amplitude, power, self._frequency_offset(z, power), not_finite)
 
     def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingleArray:
         """Return ``count`` samples of the complex baseband (line, pulse, sample), mixed by the carrier and decimated.
@@ -270,12 +270,13 @@ class _Pixels:
         with_others -= (z.real**2 + z.imag**2).sum(axis=2)
         return np.asarray(accumulated + np.angle(with_others), np.float32), log_amplitude
 
-    def _mean_offset_hz(self, z: ComplexSingleArray, power: SingleArray) -> ComplexSingleArray:
-        """Return the energy-weighted mean frequency of each gate (line, gate) relative to the mixing frequency.
+    def _frequency_offset(self, z: ComplexSingleArray, power: SingleArray) -> tuple[SingleArray, SingleArray]:
+        """Return frequency and amplitude slope of the echo in each gate, both Hz (line, gate), weighted by energy.
 
-        It is complex, sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate in every
-        ``ECHO_PULSE_STEP``-th pulse. ``z`` (line, gate, sample, pulse): baseband. The imaginary part, times -2 pi, is
-        the relative change of the amplitude per second of fast time. ``power`` (line, gate): mean power of the pulses.
+        The frequency is relative to the mixing frequency. The amplitude slope is d(ln |z|)/dt / (2 pi) over fast time.
+        Both follow from m = sum conj(z) dz/dt / (2 pi j sum |z|²) over the samples of the gate in every
+        ``ECHO_PULSE_STEP``-th pulse: the frequency is Re m, the slope -Im m. ``z`` (line, gate, sample, pulse):
+        baseband. ``power`` (line, gate): mean power of the pulses.
         """
         from scipy.fft import fft, ifft
 
@@ -291,24 +292,26 @@ class _Pixels:
         # Sum over pulses and samples of each gate.
         moment = (echo.conj() * derivative).sum(axis=(1, 3))
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            return np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
+            mean = np.asarray(moment / (power * np.float32(echo.shape[1] * length)))
+        return mean.real, -mean.imag
 
     def _fit(
         self,
         phase: SingleArray,
         log_amplitude: SingleArray,
         power: SingleArray,
-        offset_hz: ComplexSingleArray,
+        frequency_offset: tuple[SingleArray, SingleArray],
         not_finite: BoolArray | None,
     ) -> tuple[list[SingleArray], ByteArray]:
         """Return the results of every pixel, in the order of ``RESULTS``, and marks of bad pixels (line, gate).
 
         ``phase`` (line, gate, pulse), rad, is fitted by vibrations of known frequency, a constant and a slope, the mean
-        velocity. ``log_amplitude`` (line, gate, pulse) and ``power`` (line, gate): of the echo. ``offset_hz`` (line,
-        gate): complex mean frequency of ``_mean_offset_hz``. ``not_finite`` (line, gate): gates with samples that are
-        not finite.
+        velocity. ``log_amplitude`` (line, gate, pulse) and ``power`` (line, gate): of the echo. ``frequency_offset``:
+        its frequency relative to the mixing frequency, and the slope of ln(amplitude) over fast time / 2 pi, both Hz
+        (line, gate). ``not_finite`` (line, gate): gates with samples that are not finite.
         """
         pixel_shape = phase.shape[:-1]
+        offset_hz, amplitude_slope_hz = (values.reshape(-1) for values in frequency_offset)
         pulses, states = self.model.matrix.shape
         # Least-squares states (in-phase and quadrature of each frequency, constant, slope) are phases @ solver, with
         # (H'H)^-1 = root @ root.T, H the model's ``matrix`` (pulse, state).
@@ -318,17 +321,20 @@ class _Pixels:
         # BLAS must not start threads here, since batches of lines run in parallel on every core.
         state = _serial_matmul(data, solver)
         energies = self.kernels.residual_energies(_serial_matmul(state, columns), data)
-        frequency_hz = (np.float32(self.mixing_hz) + offset_hz.real).reshape(-1)
+        frequency_hz = np.float32(self.mixing_hz) + offset_hz
         with np.errstate(invalid="ignore", divide="ignore"):
             metres_per_radian = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz
-            # The same fit to the logarithm of the amplitude. Motion changes the amplitude too, by its slope over depth;
-            # without that part, the change is decorrelation.
+            # The same fit to the logarithm of the amplitude. An echo that moves over the gate changes its phase in
+            # proportion to its frequency, and ln(amplitude) to its slope. The remaining change is decorrelation.
             amplitude_state = _serial_matmul(log_amplitude.reshape(-1, pulses), solver)
-            amplitude_state += state * (offset_hz.imag.reshape(-1) / frequency_hz)[:, None]
-        # Negated comparisons are also true for NaN. ``metres_per_radian`` is negative for every positive frequency.
+            amplitude_state -= state * (amplitude_slope_hz / frequency_hz)[:, None]
+        # Comparisons with NaN are false, so that a pixel with NaN is bad.
+        steps_are_small = energies[:, 1] < MAX_STEP_VARIANCE * (pulses - 1)
+        frequency_is_positive = metres_per_radian < 0
+        has_power = power.reshape(-1) >= MIN_POWER
         bad = np.zeros(len(data), np.uint8)
-        bad[~(energies[:, 1] < MAX_STEP_VARIANCE * (pulses - 1)) | ~(metres_per_radian < 0)] = BadPixel.NOISE
-        bad[~(power.reshape(-1) >= MIN_POWER)] = BadPixel.NO_ECHO
+        bad[~(steps_are_small & frequency_is_positive)] = BadPixel.NOISE
+        bad[~has_power] = BadPixel.NO_ECHO
         if not_finite is not None:
             bad[not_finite.reshape(-1)] = BadPixel.NOT_FINITE
         has_echo = (bad == 0).reshape(pixel_shape)

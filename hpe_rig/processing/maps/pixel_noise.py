@@ -72,7 +72,8 @@ class NoiseModel:
             forward = backward
             for _ in range(order):
                 forward = np.cumsum(forward, axis=0)
-            # Covariance A'A of the fitted coefficients of Q; |(1 - QQ') C|² = |C|² - tr A'A; and the same of D C.
+            # A'A is the covariance of the fitted coefficients of Q. The residual has the energy |(1 - QQ') C|² =
+            # |C|² - tr A'A; its steps follow with D C and D Q instead of C and Q.
             fitted = backward.T @ backward
             fitted_steps = 2 * np.sum(np.diff(forward, axis=0) * steps) - np.sum((steps.T @ steps) * fitted)
             energies.append((noise_energy - np.trace(fitted), step_energy - fitted_steps))
@@ -128,12 +129,18 @@ def hidden_variance(
 
 
 def _block_quantile(values: SingleArray, valid: BoolArray, quantile: float = 0.5) -> SingleArray:
-    """Return the quantile over blocks of ``BLOCK`` gates of ``values`` (..., line, gate), of the ``valid`` pixels."""
+    """Return the ``quantile`` of the valid pixels in each block of ``BLOCK`` neighbouring gates of a line.
+
+    ``values`` (..., line, gate), ``valid`` (line, gate). The result has the shape of ``values``: every gate of a block
+    has the quantile of its block, infinity if no pixel of it is valid.
+    """
+    # Invalid pixels are infinite, so that they come after the valid ones in ascending order.
     result = np.where(valid, values, np.float32(np.inf))
-    gates = values.shape[-1]
-    for gate in np.array_split(np.arange(gates), max(1, gates // BLOCK)):
-        block = slice(gate[0], gate[-1] + 1)
-        ordered = np.sort(result[..., block], axis=-1)
-        rank = (quantile * np.maximum(valid[:, block].sum(axis=-1) - 1, 0)).astype(np.int64)
-        result[..., block] = ordered[..., np.arange(len(rank)), rank][..., None]
+    lines, gate_count = np.arange(valid.shape[0]), values.shape[-1]
+    for gates in np.array_split(np.arange(gate_count), max(1, gate_count // BLOCK)):
+        block = slice(gates[0], gates[-1] + 1)
+        ascending = np.sort(result[..., block], axis=-1)
+        # Position of the quantile among the valid pixels of each line, (line,).
+        position = (quantile * np.maximum(valid[:, block].sum(axis=-1) - 1, 0)).astype(np.int64)
+        result[..., block] = ascending[..., lines, position][..., None]
     return result

@@ -79,14 +79,21 @@ def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tu
 
 
 def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return phase, variance and mean frequency as `coherent_phase`, by the compiled loop; NaN without an echo."""
+    """Return the result of `coherent_phase` from a loop over trains that Numba compiles.
+
+    ``spectrum`` (..., pulse, bin). Results: phase of each echo against the sum of all others, rad, and its variance,
+    rad², both (..., pulse); mean frequency (...), Hz. All are NaN for a train without an echo.
+    """
     from hpe_rig.processing.motion.phase_shift_numba import coherent_phase as compiled_loop
 
     pulses, bins = spectrum.shape[-2:]
     trains = np.ascontiguousarray(spectrum, dtype=np.complex128).reshape(-1, pulses, bins)
     phase, variance, mean_hz = np.empty((len(trains), pulses)), np.empty((len(trains), pulses)), np.empty(len(trains))
-    threshold = min_correlation(pulses - 1, band.independent)
-    # Writes the last three arrays.
+    # Consecutive echoes that correlate less are noise: the train has no echo.
+    threshold = min_correlation(pulses - 1, band.independent_samples)
+    # The loop cuts echoes to the gate by ``margin_root``, which projects spectra onto the margins around the gate. The
+    # variance follows from the noise's covariance between bins, and from its energy in the gate. The loop writes the
+    # last three arrays.
     compiled_loop(
         trains,
         band.margin_root,
@@ -111,7 +118,7 @@ def kasai(echoes: EchoGate) -> Motion:
     spectrum, band = band_spectrum(echoes)
     steps = pulse_steps(spectrum, band)
     carrier_hz = np.full(steps.product.shape, echoes.carrier_hz)
-    variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent_samples)
     return motion_of_steps(echoes, np.angle(steps.product), carrier_hz, variance, step_noise_ratio)
 
 
@@ -126,7 +133,7 @@ def loupas(echoes: EchoGate) -> Motion:
     lag_one = _depth_correlation(spectrum, band, echoes.sample_rate_hz)
     centre_hz = np.angle(lag_one[..., :-1] + lag_one[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
     steps = pulse_steps(spectrum, band)
-    variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    variance, step_noise_ratio = noise_of_steps(np.abs(steps.product), steps.energy, band.independent_samples)
     return motion_of_steps(echoes, np.angle(steps.product), centre_hz, variance, step_noise_ratio)
 
 
@@ -224,7 +231,7 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
         if chunk.stop % ALIGNED_CHUNK == 0:
             release_pages(spectrum)
     magnitude = np.abs(cross)
-    cross[~are_correlated(magnitude, energy, band.independent)] = np.nan
+    cross[~are_correlated(magnitude, energy, band.independent_samples)] = np.nan
     # Mean frequency of the part that consecutive echoes have in common: after removal of its phase step, this part of
     # the frequency-weighted product is real, and noise averages to zero.
     unit = np.conj(cross) / np.where(magnitude > 0, magnitude, 1.0)
