@@ -13,7 +13,7 @@ import numpy as np
 from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.pulse import Pulse
-from sim_backend.echoes.series import series_exponents, shape_angles_rad
+from sim_backend.echoes.series import series_terms, shape_angles_rad
 
 Method = Literal["running_sum", "series"]
 
@@ -43,17 +43,18 @@ def method_times_s(
     times_s: dict[Method, float] = {"running_sum": 3e-4 * blocks + echo_count * echo_s}
     if tolerance < FINEST_TOLERANCE:
         return times_s
-    exponents = series_exponents(shape_angles_rad(pulse, delays.shape, delays.centred().amplitude_s), tolerance)
-    if exponents is not None:
-        terms, degrees = len(exponents), sum(exponents[-1]) + 1
+    terms = series_terms(shape_angles_rad(pulse, delays.shape, delays.centred().amplitude_s), tolerance)
+    if terms is not None:
+        # A term is a product of powers of the motion's amplitudes; the last term has the highest degree.
+        term_count, degrees = len(terms), sum(terms[-1]) + 1
         # Samples that the start and the end of all pulses cross as the scatterers move.
         sample_period_s = duration_s / max(1, samples - 1) or 1.0
         reach_s = (np.ptp(delays.amplitude_s, axis=0) / 2) @ np.abs(delays.shape)
         crossings = 4 * float(reach_s.sum()) / sample_period_s
         # The series: sums over the scatterers, common to all echoes; a correction for each crossing of each echo; and
         # the product of sums and amplitude factors at every sample of each echo.
-        sums_s = 5e-4 * blocks + scatterers * (160e-9 + 10e-9 * terms * frequencies)
-        corrections_s, products_s = 7e-10 * degrees * crossings * echo_count, 4e-10 * terms * echo_count * samples
+        sums_s = 5e-4 * blocks + scatterers * (160e-9 + 10e-9 * term_count * frequencies)
+        corrections_s, products_s = 7e-10 * degrees * crossings * echo_count, 4e-10 * term_count * echo_count * samples
         times_s["series"] = sums_s + corrections_s + products_s
     return times_s
 

@@ -37,7 +37,7 @@ from sim_backend.echoes.choice import (
 from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.exact_sums import blocks, local_origin_s, running_sum
 from sim_backend.echoes.pulse import Pulse
-from sim_backend.echoes.series import ScattererRows, series, series_exponents, shape_angles_rad
+from sim_backend.echoes.series import ScattererRows, series, series_terms, shape_angles_rad
 
 DEFAULT_TOLERANCE = 1e-6
 CANCELLATION = 0.25
@@ -147,7 +147,7 @@ def _evaluate(
         return Synthesis(no_echo, method or "running_sum", terms=0, scatterers=0)
     if method != "running_sum" and _usable_method(delays, pulse, sample_time_s, tolerance, method) == "series":
         centred = delays.centred()
-        terms = series_exponents(shape_angles_rad(pulse, delays.shape, centred.amplitude_s), tolerance) or ()
+        terms = series_terms(shape_angles_rad(pulse, delays.shape, centred.amplitude_s), tolerance) or ()
         echo = _series_by_blocks(centred, weight, pulse, sample_time_s, tolerance)
         return Synthesis(echo, "series", terms=len(terms), scatterers=len(weight))
     # The delays of some echoes at a time, so that they fit into memory.

@@ -15,7 +15,7 @@ from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
 from sim_backend.echoes.exact_sums import blocks
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.echoes.scatterers import draw_thinned
-from sim_backend.echoes.series import ScattererRows, series, series_exponents, shape_angles_rad
+from sim_backend.echoes.series import ScattererRows, series, series_terms, shape_angles_rad
 from sim_backend.settings import SimulationSettings
 
 DRAWS_AT_ONCE = 16
@@ -37,7 +37,7 @@ def batch(
     if out.size == 0:
         return out
     angles_rad = shape_angles_rad(pulse, scatterer_rows.shape, scatterer_rows.amplitude_s)
-    if tolerance > 0 and series_exponents(angles_rad, tolerance) is not None:
+    if tolerance > 0 and series_terms(angles_rad, tolerance) is not None:
         for block in blocks(sample_time_s, pulse):
             series(scatterer_rows, pulse, sample_time_s[block], tolerance, out[:, :, block])
         return out

@@ -1,5 +1,7 @@
 """Power series of the echoes in the amplitudes of the motion: the cost hardly grows with the number of echoes.
 
+The motion is a sum of a few spatial shapes, each with an amplitude, so the series has several variables.
+
 Scatterer n of echo k has the delay tau_kn = tau_n + sum_r b_kr g_rn. Each exponential of the pulse is expanded in it:
 
     exp(-j w sum_r b_kr g_rn) = sum_a (-j w)^|a| (b_k^a / a!) g_n^a
@@ -10,7 +12,7 @@ Scatterer n of echo k has the delay tau_kn = tau_n + sum_r b_kr g_rn. Each expon
     tau_n, I_n    delay at rest, s; weight
     b_kr, g_rn    amplitude of the motion as a delay, s; shape of the motion, 1
     c_m, w_m      amplitude and angular frequency of an exponential, 1 and rad/s
-    a             one exponent for each shape; |a| their sum, a! the product of their factorials
+    a             multi-index of a term: one power a_r for each shape; |a| their sum, a! the product of their factorials
     alive         t lies in the pulse's support [tau_n + start, tau_n + end)
 
 The series moves the exponentials but not the edges (start and end) of the support. A sample that an edge crosses while
@@ -51,8 +53,8 @@ _CROSSING_FRACTION = 0.1
 _CANCELLATION = 1e-12
 
 
-Exponents = tuple[tuple[int, ...], ...]
-"""Exponents a of the terms: one for each shape, for each term."""
+MultiIndex = tuple[int, ...]
+"""Multi-index a of a term: the power a_r of each shape's amplitude."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,28 +97,30 @@ def shape_angles_rad(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -
 
 
 @functools.lru_cache(maxsize=32)
-def series_exponents(angles_rad: tuple[float, ...], tolerance: float) -> Exponents | None:
-    """Return the terms of the power series that matter to ``tolerance``, as exponents for each shape of the motion.
+def series_terms(angles_rad: tuple[float, ...], tolerance: float) -> tuple[MultiIndex, ...] | None:
+    """Return the terms of the power series that matter to ``tolerance``, each as the powers of the shapes' amplitudes.
 
-    ``angles_rad`` (shape,): largest phase change by each shape. A term with the exponents a_r adds at most prod_r
-    angle_r^a_r / a_r!; terms with a bound below a fraction of the tolerance are left out. The order is that of the sum
-    of exponents. None for a motion of more than ``MAX_ANGLE_RAD`` or a series of more than ``MAX_TERMS`` terms.
+    ``angles_rad`` (shape,): largest phase change by each shape of the motion. A term with the powers a_r adds at most
+    prod_r angle_r^a_r / a_r!; terms with a bound below a fraction of the tolerance are left out. Terms are in the order
+    of their degrees, the sums of powers. None for a motion of more than ``MAX_ANGLE_RAD`` or a series of more than
+    ``MAX_TERMS`` terms.
     """
     if sum(angles_rad) > MAX_ANGLE_RAD:
         return None
     limit = min(0.5, _TAIL_FRACTION * tolerance)
-    terms: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    # Powers of the shapes so far, and the bound on the size of such a term. Each further shape adds a power.
+    terms: list[tuple[MultiIndex, float]] = [((), 1.0)]
     for angle in angles_rad:
         bounds = _power_bounds(angle, limit)
         terms = [
-            ((*exponents, power), bound * factor)
-            for exponents, bound in terms
+            ((*powers, power), bound * factor)
+            for powers, bound in terms
             for power, factor in enumerate(bounds)
             if bound * factor > limit
         ]
         if len(terms) > MAX_TERMS:
             return None
-    return tuple(sorted((exponents for exponents, _ in terms), key=lambda exponents: (sum(exponents), exponents)))
+    return tuple(sorted((powers for powers, _ in terms), key=lambda powers: (sum(powers), powers)))
 
 
 def _power_bounds(angle_rad: float, limit: float) -> list[float]:
@@ -136,19 +140,21 @@ def series(
 ) -> None:
     """Write the echoes to ``out``, float64 (row, echo, sample), by a power series in the amplitudes of the motion.
 
-    The rms error is ``tolerance`` of their rms. ``sample_time_s`` (sample,) is at most as long as the pulse. Raises
-    ValueError for too large a motion or too many terms.
+    A scatterer's delay is that at rest plus the sum of amplitudes times shapes. The series has one variable for each
+    shape, its amplitude; a term is a product of powers of them. The rms error is ``tolerance`` of the echoes' rms.
+    ``sample_time_s`` (sample,) is at most as long as the pulse. Raises ValueError for too large a motion or too many
+    terms.
     """
     angles_rad = shape_angles_rad(pulse, scatterer_rows.shape, scatterer_rows.amplitude_s)
-    exponents = series_exponents(angles_rad, tolerance)
-    if exponents is None:
+    terms = series_terms(angles_rad, tolerance)
+    if terms is None:
         raise ValueError(
             f"the motion changes the pulse's phase by {sum(angles_rad):.3g} rad in {len(angles_rad)} shapes, the "
             f"series holds up to {MAX_ANGLE_RAD} rad and {MAX_TERMS} terms: take the running sum"
         )
-    steps = _power_steps(exponents)
-    # The degree of a term is the sum of its exponents; the last term has the highest.
-    degrees = [sum(exponent) for exponent in exponents]
+    steps = _power_steps(terms)
+    # The degree of a term is the sum of its powers; the last term has the highest.
+    degrees = [sum(powers) for powers in terms]
     tables = _tables(pulse, sample_time_s.tobytes(), degrees[-1] + 1)
     # For each scatterer at rest, the first samples at or after the start and the end of its pulse.
     enter = sample_time_s.searchsorted(scatterer_rows.rest_s + pulse.start_s)
@@ -164,27 +170,30 @@ def series(
 
 
 class _PowerStep(NamedTuple):
-    """Step from one term of the series to another whose exponent a is larger by 1 for one shape."""
+    """Step from one term of the series to another, with a power larger by 1 for one shape.
+
+    The factor b^a / a! of the second term is that of the first times b_r / a_r.
+    """
 
     lower_term: int
-    """Index of the term with the smaller exponent."""
+    """Index of the first term, with the smaller power."""
     shape: int
-    """Index r of the shape with the larger exponent."""
+    """Index r of the shape with the larger power."""
     power: int
-    """Exponent a_r after the step."""
+    """Power a_r after the step, the divisor of the factor."""
 
 
-def _power_steps(exponents: Exponents) -> list[_PowerStep]:
+def _power_steps(terms: tuple[MultiIndex, ...]) -> list[_PowerStep]:
     """Return, for each term of the series but the first, the multiplication that computes it from a lower term.
 
-    A term has one exponent for each shape of the motion; the lower term has an exponent smaller by 1 for one shape.
+    A term has one power for each shape of the motion; the lower term has a power smaller by 1 for one shape.
     """
-    index = {exponent: position for position, exponent in enumerate(exponents)}
+    index = {powers: position for position, powers in enumerate(terms)}
     steps = []
-    for exponent in exponents[1:]:
-        shape = next(axis for axis, power in enumerate(exponent) if power)
-        lower = (*exponent[:shape], exponent[shape] - 1, *exponent[shape + 1 :])
-        steps.append(_PowerStep(lower_term=index[lower], shape=shape, power=exponent[shape]))
+    for powers in terms[1:]:
+        shape = next(axis for axis, power in enumerate(powers) if power)
+        lower = (*powers[:shape], powers[shape] - 1, *powers[shape + 1 :])
+        steps.append(_PowerStep(lower_term=index[lower], shape=shape, power=powers[shape]))
     return steps
 
 
@@ -245,7 +254,7 @@ def _edge_taylor(pulse: Pulse, edge_s: float, shift_hz: float, orders: int) -> C
 def _amplitude_factors(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> FloatArray:
     """Return the factors b_k^a / a! of the power series in the motion's amplitudes, (row, echo, term).
 
-    A term has a multi-index a, an exponent a_r for each shape r of the motion: b_k^a / a! is the product over r of
+    A term has a multi-index a, a power a_r for each shape r of the motion: b_k^a / a! is the product over r of
     b_kr^a_r / a_r!. ``amplitude_rad`` (row, echo, shape): b_kr times the pulse's highest angular frequency. A row is a
     draw of scatterers or a gate.
     """
@@ -255,7 +264,7 @@ def _amplitude_factors(amplitude_rad: FloatArray, steps: list[_PowerStep]) -> Fl
 
 
 def _term_values(first_term: FloatArray, steps: list[_PowerStep], factors: Iterable[FloatArray]) -> FloatArray:
-    """Return the values of all terms of the series, (term, *first_term); the first one has exponents 0.
+    """Return the values of all terms of the series, (term, *first_term); the first one has all powers 0.
 
     Each of ``steps`` leads from a lower term to the next one, by multiplication with its entry of ``factors``.
     """
@@ -278,7 +287,7 @@ def _sums_at_rest(
     """Return the sums over the scatterers at rest for every term of the series, U_a(t), float64 (row, term, sample).
 
     ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each scatterer's pulse, which may
-    be alive in the block of samples or not. ``degree`` (term,): sum of exponents.
+    be alive in the block of samples or not. ``degree`` (term,): sum of the term's powers.
     """
     frequencies, _, samples = tables.delay_derivatives.shape
     derivatives = tables.delay_derivatives[:, degree]
@@ -338,21 +347,25 @@ def _add_to_cells(
 
 @dataclass(frozen=True, slots=True)
 class _Crossings:
-    """Edges of supports that cross samples while their scatterers move; every array (crossing edge,)."""
+    """Edges (starts and ends) of scatterers' pulses that may pass a sample as their scatterer moves.
+
+    Every array (edge,).
+    """
 
     scatterer: Int64Array
+    """Index of the scatterer."""
     edge: Int64Array
-    """0 for the start of the support, 1 for its end."""
+    """0 for the start of the pulse, 1 for its end."""
     time_s: FloatArray
-    """Time of the edge at rest."""
+    """Time of the edge for the scatterer at rest."""
     first_sample: Int64Array
     """First sample that the edge can reach."""
     sample_count: Int64Array
-    """Number of samples that the edge can reach."""
+    """Number of consecutive samples that the edge can reach."""
 
-    def selected(self, rows: slice | Int64Array) -> _Crossings:
-        """Return the crossing edges with the indices ``rows``."""
-        return _Crossings(*(getattr(self, field.name)[rows] for field in fields(self)))
+    def selected(self, indices: slice | Int64Array) -> _Crossings:
+        """Return the edges with these ``indices``."""
+        return _Crossings(*(getattr(self, field.name)[indices] for field in fields(self)))
 
 
 def _correct_crossings(
@@ -396,11 +409,12 @@ def _significant_edges(
     reach_s: FloatArray,
     max_error: float,
 ) -> _Crossings:
-    """Return the starts and ends of pulses that cross a sample as they move, and may change it above ``max_error``.
+    """Return the edges (starts and ends) of pulses that can pass a sample and change it by more than ``max_error``.
 
-    ``reach_s`` (scatterer,): largest change of the delay by the motion.
+    An edge moves with its scatterer by up to ``reach_s`` (scatterer,), the largest change of the scatterer's delay. As
+    it passes a sample, it adds to the sample, or removes from it, the pulse's value near the edge.
     """
-    # Scatterers with a large enough pulse near its start, then near its end.
+    # Scatterers with more than the error near the start of their pulse, then near its end: weight times pulse.
     starting, ending = (
         np.flatnonzero(
             np.abs(scatterer_rows.weight) * _pulse_bound_near_edge(scatterer_rows.response, taylor, reach_s) > max_error
@@ -417,14 +431,13 @@ def _significant_edges(
 
 
 def _pulse_bound_near_edge(response: ComplexArray | None, taylor: ComplexArray, reach_s: FloatArray) -> FloatArray:
-    """Return a bound (scatterer,) on the magnitude of each scatterer's pulse within ``reach_s`` of its start or end.
+    """Return a bound (scatterer,) on the magnitude of each scatterer's pulse near one of its edges (start or end).
 
-    Only pulses with a large enough bound need a correction of the samples that their start or end crosses. ``reach_s``
-    (scatterer,): how far motion shifts it.
-    ``taylor`` (frequency, order): Taylor coefficients about the edge of each frequency component of the envelope.
-    ``response`` (frequency, scatterer): factor of each component, None for 1.
+    Near means within ``reach_s`` (scatterer,), by which motion shifts the edge. The bound is sum_q |e_q| reach^q, with
+    the Taylor coefficients e_q of the pulse's envelope about the edge. ``taylor`` (frequency, order): those of each
+    frequency component. ``response`` (frequency, scatterer): factor of each component, None for 1.
     """
-    # Coefficients (order, scatterer or 1). Sums that cancel to rounding error count as zero.
+    # Coefficients of the envelope, (order, scatterer or 1). Sums that cancel to rounding error count as zero.
     coefficient = taylor.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, taylor)
     magnitude, summed_magnitudes = np.abs(coefficient), np.abs(taylor).sum(axis=0)
     # Horner's rule over the orders.
