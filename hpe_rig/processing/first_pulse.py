@@ -64,7 +64,7 @@ class PulseAssignment:
         return [float(shift) / shot.tracking_train.rate_hz for shift in shifts[selected]]
 
     def late_part_s(self, shot: Shot) -> float:
-        """Return the largest time by which a later part of the records alone may be late."""
+        """Return how late, s, the records of a later part of the shot may be at most, while the first ones are not."""
         return max(self.shifts) / shot.tracking_train.rate_hz if self.within_shot else 0.0
 
 

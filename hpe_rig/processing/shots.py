@@ -167,8 +167,8 @@ def _estimate_shot(
     in the controls of all shots, or why a shot has none to subtract.
     """
     records = read_shot(scene, shot, stored)
-    # True amplitudes and phases are stored as means over the window. An estimate from which the drift is removed states
-    # those at the first pulse, so it cannot be compared with them.
+    # True amplitudes and phases are stored as means over the window. With the drift removed, an estimate is that at the
+    # first pulse, which cannot be compared with a mean.
     true_m = None
     if stored.true_displacement_m is not None and scene.processing.drift == "none":
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))

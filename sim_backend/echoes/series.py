@@ -433,9 +433,9 @@ def _significant_edges(
 def _pulse_bound_near_edge(response: ComplexArray | None, taylor: ComplexArray, reach_s: FloatArray) -> FloatArray:
     """Return a bound (scatterer,) on the magnitude of each scatterer's pulse near one of its edges (start or end).
 
-    Near means within ``reach_s`` (scatterer,), by which motion shifts the edge. The bound is sum_q |e_q| reach^q, with
-    the Taylor coefficients e_q of the pulse's envelope about the edge. ``taylor`` (frequency, order): those of each
-    frequency component. ``response`` (frequency, scatterer): factor of each component, None for 1.
+    Near means within ``reach_s`` (scatterer,), the largest shift of the edge by motion. The bound is
+    sum_q |e_q| reach^q, with the Taylor coefficients e_q of the pulse's envelope about the edge. ``taylor`` (frequency,
+    order): those of each frequency component. ``response`` (frequency, scatterer): factor of each one, None for 1.
     """
     # Coefficients of the envelope, (order, scatterer or 1). Sums that cancel to rounding error count as zero.
     coefficient = taylor.sum(axis=0)[:, None] if response is None else np.einsum("fs,fq->qs", response, taylor)

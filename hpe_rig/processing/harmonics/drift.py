@@ -212,12 +212,14 @@ def _fitted(
 
     The arguments are those of ``drift_of``.
     """
-    wanted, all_hz = frequency_hz.size, frequency_hz
+    wanted_count, all_hz = frequency_hz.size, frequency_hz
     if prior is None:
         times = motion.time_s, motion.valid
         model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
-        states, basis = model.solve(motion.displacement_m[motion.valid])[0][: 2 * wanted], model.matrix @ model.root
-        phasor_m = states[::2] + 1j * states[1::2]
+        basis = model.matrix @ model.root
+        # In-phase and quadrature states of the wanted harmonics come first.
+        states, _ = model.solve(motion.displacement_m[motion.valid])
+        phasor_m = states[: 2 * wanted_count : 2] + 1j * states[1 : 2 * wanted_count : 2]
     else:
         fit = medium_fit(motion, frequency_hz, prior, background_order=background_order)
         # Orthonormal columns: background polynomials, and patterns, which combine to the prior's motions. A pattern
@@ -228,12 +230,13 @@ def _fitted(
         strong[list(prior.harmonic_indices(frequency_hz))] = False
         all_hz = np.concatenate([frequency_hz, others_hz[strong]])
         phasor_m = np.concatenate([fit.fit.amplitude_m * np.exp(1j * fit.fit.phase_rad), others_m[strong]])
-    # Change of every harmonic's logarithm for one standard deviation of growth and of delay; a deviation changes one
-    # harmonic only.
+    # Change of every harmonic's logarithm for one standard deviation of growth and of delay, (harmonic, 2).
     common = np.stack([np.full(all_hz.size, GROWTH_SD / 2), -1j * np.pi * all_hz * DELAY_SD_S], axis=1)
-    sensitivity = np.zeros((all_hz.size, 2 + 2 * wanted), dtype=np.complex128)
+    # Unknowns: growth and delay of all harmonics, then the deviations from these of each wanted harmonic n, which
+    # change that harmonic only.
+    sensitivity = np.zeros((all_hz.size, 2 + 2 * wanted_count), dtype=np.complex128)
     sensitivity[:, :2] = common
-    for n in range(wanted):
+    for n in range(wanted_count):
         sensitivity[n, 2 + 2 * n : 4 + 2 * n] = DEVIATION * common[n]
     return Harmonics(all_hz, phasor_m, sensitivity), basis
 
@@ -270,9 +273,11 @@ def _explained(products: FloatArray, moments: FloatArray) -> tuple[float, int]:
 
     ``products`` (column, column): inner products of the columns; ``moments`` (column,): those of columns and data.
     """
-    value, vector = np.linalg.eigh(products)
-    observed = value > RANK_TOLERANCE * value[-1]
-    return float(np.sum((moments @ vector[:, observed]) ** 2 / value[observed])), int(observed.sum())
+    eigenvalue, eigenvector = np.linalg.eigh(products)
+    # Combinations of columns that are not (nearly) zero; eigenvalues are in ascending order.
+    is_independent = eigenvalue > RANK_TOLERANCE * eigenvalue[-1]
+    component = moments @ eigenvector[:, is_independent]
+    return float(np.sum(component**2 / eigenvalue[is_independent])), int(is_independent.sum())
 
 
 def _significance(products: FloatArray, moments: FloatArray, degrees: int) -> tuple[float, FloatArray]:

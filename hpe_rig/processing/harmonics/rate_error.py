@@ -68,8 +68,8 @@ class FitWithVelocity:
 
     The displacement changes by velocity times time times rate error, so that the fit is linear in a small rate error.
 
-    ``basis`` Q (pulse, column): orthonormal columns of the fit. ``shrinkage`` h (column,): factor from 0 to 1 by which
-    the fit multiplies the data's component along each column; 1 for least squares, less with a prior. ``residual_m``
+    ``basis`` Q (pulse, column): orthonormal columns of the fit. ``shrinkage`` h (column,): fitted component along each
+    column over that of the data, from 0 to 1; 1 for least squares, less with a prior. ``residual_m``
     (pulse,): displacement minus fit. ``velocity_m_per_s`` (pulse,): dD/dt of the fitted displacement D. ``noise_m2``:
     variance of the displacement of a pulse, with ``degrees_of_freedom``.
     """
@@ -209,7 +209,7 @@ def _with_medium_prior(
 
 
 def _initial_error(motion: Motion, frequency_hz: FloatArray, prior_error: RateError, background_order: int) -> float:
-    """Return a rate error at which the Gauss-Newton iteration can start so that it converges.
+    """Return a start value of the rate error from where the Gauss-Newton iteration converges.
 
     It is the mean of ``prior_error``, the rate error's prior. If the prior is so wide that the iteration might not
     converge from there, rate errors are scanned, and a significant maximum of the posterior is the start.

@@ -234,8 +234,8 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     cross[~are_correlated(magnitude, energy, band.independent_samples)] = np.nan
     # Mean frequency of the part that consecutive echoes have in common: after removal of its phase step, this part of
     # the frequency-weighted product is real, and noise averages to zero.
-    unit = np.conj(cross) / np.where(magnitude > 0, magnitude, 1.0)
-    common_moment = np.einsum("...i,...i->...", unit, cross_moment).real
+    conjugate_phasor = np.conj(cross) / np.where(magnitude > 0, magnitude, 1.0)
+    common_moment = np.einsum("...i,...i->...", conjugate_phasor, cross_moment).real
     del cross_moment
     mean_hz = mean_frequency(common_moment, np.abs(cross).sum(axis=-1), band)
     phase = np.zeros((*trains, pulses))
