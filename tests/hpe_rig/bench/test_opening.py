@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.agilent import Agilent33250A
@@ -23,6 +24,8 @@ from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.instruments import SAFE_ORDER
 from hpe_rig.bench.inventory import switch_off
 from hpe_rig.bench.opening import open_bench, open_each
+from hpe_rig.measurement import ShotBlock, acquire, prepare_text
+from hpe_rig.scene import shipped_scenes
 from sim_backend.settings import SimulationSettings
 from sim_backend.transports import Emulator
 from sim_backend.world import World
@@ -277,3 +280,15 @@ def test_a_generator_in_this_process_of_another_model_is_refused() -> None:
         open_bench(None, parse_bench("other", text).bench, ROLES, world=World(SimulationSettings(), [])),
     ):
         pass
+
+
+def test_a_bench_that_is_opened_without_a_shot_draws_the_random_numbers_of_the_first_one() -> None:
+    text = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 48")
+    setup = prepare_text("small", text.replace("[acquisition]", "[acquisition]\nrecord_samples = 256"))
+    codes = list[Any]()
+    for first_shot in ((), (0,), (1,)):
+        with open_bench(setup.scene.scene, SIMULATED.bench, setup.plan.roles, *first_shot) as bench:
+            events = acquire(setup.plan, bench)
+            codes.append(np.concatenate([event.block.codes for event in events if isinstance(event, ShotBlock)]))
+    assert np.array_equal(codes[0], codes[1])
+    assert not np.array_equal(codes[0], codes[2])

@@ -6,9 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.interfaces import InstrumentError
@@ -205,15 +203,6 @@ def test_missing_records_are_an_error_unless_some_came_or_a_change_explains_it(
     longer_setup = replace(setup, plan=replace(setup.plan, shots=(longer,)))
     events, count = events_of(longer_setup, Step.FIRE, {})
     assert (list(dict.fromkeys(events)), count) == (["ShotReady", "ShotBlock", "ShotDone"], 16)
-
-
-def test_a_bench_that_is_opened_without_a_shot_draws_the_random_numbers_of_the_first_one(setup: Setup) -> None:
-    plan, codes = replace(setup.plan, shots=setup.plan.shots[:1]), list[Any]()
-    for first_shot in ((), (0,), (1,)):
-        with open_bench(setup.scene.scene, setup.bench.bench, plan.roles, *first_shot) as bench:
-            codes.append([event.block.codes for event in acquire(plan, bench) if isinstance(event, ShotBlock)])
-    assert np.array_equal(codes[0], codes[1])
-    assert not np.array_equal(codes[0], codes[2])
 
 
 def test_a_control_shot_has_its_toneburst_off_and_the_transducer_moves_once_for_each_offset(setup: Setup) -> None:
