@@ -40,6 +40,33 @@ def test_lost_triggers_leave_gaps_with_any_clock(clock: float) -> None:
     assert placement.unlocated == 0
 
 
+def test_shifted_records_beyond_an_end_of_the_train_and_those_without_a_pulse_have_none() -> None:
+    delivered = np.array([True, True, True, False])
+    placement = Placement(np.array([0, 2, -1, -1]), delivered, ~delivered)
+    assert not placement.is_identity
+    assert placement.record.tolist() == [0, -1, 1, -1]
+    for step, pulse in ((1, [1, 3, -1, -1]), (2, [2, -1, -1, -1]), (0, [0, 2, -1, -1])):
+        assert placement.shifted(np.full(4, step)).pulse.tolist() == pulse
+    assert Placement(np.array([0, 1, 2, -1]), delivered, ~delivered).is_identity
+
+
+def test_two_records_one_period_apart_are_the_train_and_a_single_one_before_them_is_stray() -> None:
+    delivered = np.array([True, True, True, False, False])
+    time_s = np.array([0.3, 1.0, 2.0, np.nan, np.nan]) / RATE_HZ
+    placement = place_records(delivered, time_s, RATE_HZ)
+    assert placement.pulse.tolist() == [-1, 0, 1, -1, -1]
+    assert placement.stray == (0,)
+
+
+def test_a_record_long_before_a_train_without_neighbouring_pulses_is_stray() -> None:
+    """Every second trigger is lost; the record ten periods before the train makes it longer than planned."""
+    delivered = np.array([True] * 4 + [False] * 3)
+    time_s = np.array([0.0, 10.0, 12.0, 14.0, np.nan, np.nan, np.nan]) / RATE_HZ
+    placement = place_records(delivered, time_s, RATE_HZ)
+    assert placement.pulse.tolist() == [-1, 0, 2, 4, -1, -1, -1]
+    assert placement.stray == (0,)
+
+
 @pytest.mark.parametrize("lost", [[0], [799], [0, 1, 799]])
 def test_pulses_missing_at_an_end_have_no_known_place(lost: list[int]) -> None:
     pulses = np.delete(TRAIN, lost)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from drivers.alazar.models import MODELS
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import read_bench
 from hpe_rig.plan.shots import Shot, make_plan
@@ -28,6 +29,11 @@ def test_a_lost_trigger_leaves_its_pulse_missing_and_shifts_no_other(shot: Shot)
     assert records.codes[pulses, 0].tolist() == pulses.tolist()
     assert np.flatnonzero(~records.valid).tolist() == [7, 50, 51]
     assert (records.codes[[7, 50, 51]] == MISSING).all()
+
+
+def test_a_missing_record_has_the_lowest_number_that_fits_which_no_board_gives() -> None:
+    assert np.iinfo(np.int16).min == MISSING
+    assert all(model.code_limits[0] > MISSING for model in MODELS)
 
 
 def test_a_shot_without_records_is_all_missing(shot: Shot) -> None:

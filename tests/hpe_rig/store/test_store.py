@@ -23,7 +23,7 @@ import pytest
 import xarray as xr
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.bench import uninterrupted
+from hpe_rig.bench import parse_bench, uninterrupted
 from hpe_rig.cli.measuring import resume, run
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import Setup, prepare, prepare_text
@@ -37,11 +37,14 @@ from hpe_rig.store import (
     RunWriter,
     StoreError,
     WriteOptions,
+    acquire,
+    check_replaceable,
     free_path,
     is_locked,
     layout,
     read_run,
     read_snapshots,
+    refuse_output,
     result_path,
     verify,
     write_result,
@@ -266,6 +269,43 @@ def test_overwriting_happens_only_when_told(setup: Setup, tmp_path: Path) -> Non
         record_run(setup, path, options=WriteOptions(overwrite=True))
         assert read_run(path).status == "complete"
     assert free_path("run", tmp_path).name == "run-2.h5"
+
+
+def test_an_output_is_refused_before_a_run_if_it_exists_or_its_folder_does_not(setup: Setup, tmp_path: Path) -> None:
+    path = written(setup, tmp_path / "run.h5", block_of(setup, 0, 48, 0.5))
+    refuse_output(path, overwrite=True)
+    refuse_output(tmp_path / "new.h5", overwrite=False)
+    with pytest.raises(StoreError, match=r"run\.h5 already exists.*--overwrite"):
+        refuse_output(path, overwrite=False)
+    with pytest.raises(StoreError, match=r"the folder .*absent does not exist"):
+        refuse_output(tmp_path / "absent" / "run.h5", overwrite=False)
+    check_replaceable(path)
+    (tmp_path / "thesis.h5").write_bytes(b"a")
+    with pytest.raises(StoreError, match=r"thesis\.h5 exists and is not a readable run file"):
+        check_replaceable(tmp_path / "thesis.h5")
+    with path.open("rb+") as file:
+        acquire(file)
+        with pytest.raises(StoreError, match=r"run\.h5 is being written by another run"):
+            check_replaceable(path)
+
+
+def test_readings_of_conditions_are_stored_by_shot_and_read_by_name(setup: Setup, tmp_path: Path) -> None:
+    tables = "".join(f'\n[[conditions]]\nname = "{name}"\nplugin = "p"\n' for name in ("water", "air", "level"))
+    setup = replace(setup, bench=parse_bench("bench", setup.bench.text + tables))
+    first, second = setup.plan.shots
+    path = tmp_path / "run.h5"
+    with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
+        for shot, value in ((first, 20.0), (second, 21.0)):
+            writer.write_settings(shot, {})
+            writer.append(shot, block_of(setup, 0, 48, 0.5))
+            before, after = (value, 1.0, np.nan), (value + 0.5, 2.0, np.nan)
+            writer.write_rows(shot, {"conditions/before": before, "conditions/after": after})
+            writer.finish(shot)
+    conditions = read_run(path).conditions
+    assert list(conditions) == ["water", "air", "level"]
+    assert conditions["water"].tolist() == [[20.0, 20.5], [21.0, 21.5]]
+    assert conditions["air"].tolist() == [[1.0, 2.0], [1.0, 2.0]]
+    assert np.isnan(conditions["level"]).all()
 
 
 def test_a_missing_folder_is_a_message(setup: Setup, tmp_path: Path) -> None:
