@@ -58,12 +58,11 @@ def test_two_records_one_period_apart_are_the_train_and_a_single_one_before_them
     assert placement.stray == (0,)
 
 
-def test_a_record_long_before_a_train_without_neighbouring_pulses_is_stray() -> None:
-    """Every second trigger is lost; the record ten periods before the train makes it longer than planned."""
-    delivered = np.array([True] * 4 + [False] * 3)
-    time_s = np.array([0.0, 10.0, 12.0, 14.0, np.nan, np.nan, np.nan]) / RATE_HZ
+def test_of_two_records_that_are_further_apart_than_the_train_is_long_the_first_is_stray() -> None:
+    delivered = np.array([True] * 2 + [False] * 5)
+    time_s = np.array([0.3, 10.3, *[np.nan] * 5]) / RATE_HZ
     placement = place_records(delivered, time_s, RATE_HZ)
-    assert placement.pulse.tolist() == [-1, 0, 2, 4, -1, -1, -1]
+    assert placement.pulse.tolist() == [-1, 0, -1, -1, -1, -1, -1]
     assert placement.stray == (0,)
 
 
