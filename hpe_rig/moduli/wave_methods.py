@@ -188,6 +188,7 @@ def peak_wavenumber(offset_m: FloatArray, phasor: ComplexArray) -> FloatArray:
     distance_m = offset_m - offset_m.mean()
     for _ in range(NEWTON_STEPS):
         terms = phasor * np.exp(1j * k[..., None] * distance_m)
+        # F and its derivatives by k; then half of the derivatives of |F|^2.
         value, first, second = (np.sum(terms * (1j * distance_m) ** order, axis=-1) for order in range(3))
         slope = (value.conj() * first).real
         curvature = (np.abs(first) ** 2) + (value.conj() * second).real

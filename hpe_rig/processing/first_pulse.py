@@ -160,10 +160,12 @@ def _by_tonebursts(
     log_changes = np.where(changes, log_change, -np.inf)
     posterior, evidence = _posterior(shifted_kinds, disturbed[records], log_changes)
     # A jump of the trigger times by whole periods can hide a lost trigger: then the tonebursts contradict the times.
-    anywhere = _posterior(shifted_kinds, disturbed[records], np.maximum(log_changes, CHANGE))
-    is_hidden = anywhere[1] > evidence + MIN_RATIO
+    # This is the case if changes of the shift at any record explain the disturbances far better.
+    log_changes_anywhere = np.maximum(log_changes, CHANGE)
+    posterior_anywhere, evidence_anywhere = _posterior(shifted_kinds, disturbed[records], log_changes_anywhere)
+    is_hidden = evidence_anywhere > evidence + MIN_RATIO
     if is_hidden:
-        posterior, evidence = anywhere
+        posterior, evidence = posterior_anywhere, evidence_anywhere
     if evidence < MIN_EVIDENCE:
         return None
     if not (changes.any() or is_hidden):
@@ -178,7 +180,8 @@ def _posterior(kinds: Int64Array, disturbed: BoolArray, log_changes: FloatArray)
     (record,). ``log_changes`` (record,): log probability that the shift changes at the record. Evidence is the
     logarithm of the likelihood ratio to disturbances by chance.
     """
-    # ``rates``: fraction of disturbed records by kind of pulse. It and the shifts are estimated three times.
+    # ``rates``: fraction of disturbed records by kind of pulse. Shifts follow from the rates and rates from the shifts,
+    # in three rounds.
     rates = np.array(START_RATES)
     for _ in range(3):
         # Log probability of an undisturbed and of a disturbed record, by kind of its pulse.
@@ -268,11 +271,11 @@ def _with_shifts(
     remarks = assignment.remarks
     for index in np.flatnonzero(np.diff(certain_shifts)):
         before, after = certain_shifts[index : index + 2]
-        what = f"{triggers(after - before)} lost" if after > before else f"{triggers(before - after)} too many"
+        fault = f"{triggers(after - before)} lost" if after > before else f"{triggers(before - after)} too many"
         first, last = certain_records[index : index + 2] + 1
         remarks += (
-            f"{what} between record {first} and {last}: the tonebursts in the records show it, and the records between "
-            "these are left out",
+            f"{fault} between record {first} and {last}: the tonebursts in the records show it, and the records "
+            "between these are left out",
         )
     if (first_shift := int(certain_shifts[0])) > 0:
         first = int(certain_records[0])

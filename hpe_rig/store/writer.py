@@ -225,7 +225,10 @@ class RunWriter:
                 first = stop
 
     def _put(self, name: str, shot: int, row: bytes, sync: bool = False) -> None:
-        """Append the bytes of row ``shot`` of dataset ``name``, -1: of all of it; wait for the disk if ``sync``."""
+        """Append to the log the bytes of dataset ``name`` in row ``shot``, or of the whole dataset if ``shot`` is -1.
+
+        With ``sync``, wait until the disk has stored them.
+        """
         with self._writing():
             self._log.append(name, shot, row, () if shot < 0 else (shot,))
             if sync:

@@ -284,7 +284,10 @@ def _sums_at_rest(
     tables: _Tables,
     pulse: Pulse,
 ) -> FloatArray:
-    """Return the sums over the scatterers at rest for every term of the series, U_a(t), float64 (row, term, sample).
+    """Return the sums over the scatterers at rest for every term a of the series, U_a(t), float64 (row, term, sample).
+
+    Scatterers that enter or leave at the same sample are first summed in a cell. Running sums of cells over the samples
+    are then sums over the scatterers whose pulse is alive (lasts) at each sample.
 
     ``enter`` and ``leave`` (scatterer,): first samples at or after start and end of each scatterer's pulse, which may
     be alive in the block of samples or not. ``degree`` (term,): sum of the term's powers.
@@ -293,7 +296,7 @@ def _sums_at_rest(
     derivatives = tables.delay_derivatives[:, degree]
     sums = np.empty((len(scatterer_rows.amplitude_s), len(degree), samples))
     row_bounds = scatterer_rows.row_bounds
-    # Some rows at a time, so that their cells stay in the cache.
+    # Some rows at a time, so that their cells stay in the cache: two for each sample, for entering and leaving.
     rows_per_chunk = max(1, _VALUES_PER_CHUNK // (frequencies * len(degree) * 2 * samples))
     for first_row in range(0, len(sums), rows_per_chunk):
         rows = slice(first_row, min(first_row + rows_per_chunk, len(sums)))
@@ -317,11 +320,12 @@ def _add_to_cells(
     steps: list[_PowerStep],
     pulse: Pulse,
 ) -> None:
-    """Add the term of every one of ``scatterers``, for every frequency and power, to its cell in ``cells``, in place.
+    """Add the summand of each scatterer, at every frequency and for every term of the series, to ``cells``, in place.
 
-    ``cells`` (frequency m, term a, cell). The term of scatterer n is I_n g_n^a exp(-j w_m tau_n), with I_n its weight,
-    g_n the motion's shape at it and tau_n its delay at rest. ``cell`` (scatterer,): index of its cell; equal ones are
-    neighbours.
+    ``cells`` (frequency m, term a, cell): sums over the scatterers that enter or leave at the same sample. The summand
+    of scatterer n is I_n g_n^a exp(-j w_m tau_n), with I_n its weight, g_n the shapes of the motion at it (g_n^a the
+    product of their powers) and tau_n its delay at rest. ``scatterers`` (scatterer,): their indices. ``cell``
+    (scatterer,): index of the cell of each; equal ones are neighbours.
     """
     frequencies, terms, _ = cells.shape
     chunk_length = max(_MIN_SCATTERERS_PER_CHUNK, _VALUES_PER_CHUNK // (frequencies * terms))

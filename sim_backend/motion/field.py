@@ -231,7 +231,7 @@ class MediumMotion:
     def displacement_m(self, tonebursts: Bursts, time_ps: Int64Array, lateral_m: float) -> FloatArray:
         """Return the displacement in the focal plane, ``lateral_m`` off the axis, at ``time_ps`` (time,), m."""
         # (degree, panel, mode) @ (mode, 1): the step response at the point is the sum of shape times response over the
-        # modes. Summed before the time course is computed, it has to be computed once only.
+        # modes. The sum comes first, so that one time course is computed instead of one for each mode.
         shapes_at_point = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1)).T
         response = self.field.response
         at_point = StepResponse(response.settling_time_s, Panels(response.panels.coefficient @ shapes_at_point))

@@ -147,7 +147,8 @@ def _model(
     """Return the matrix H (pulse, state) of sinusoids and background polynomials at the pulses, and its inverse root.
 
     Columns: sin and cos of each of ``frequencies_hz``, polynomials up to ``background_order``, then sin and cos of
-    those of ``also_hz`` that the valid pulses resolve. Raises ``ValueError`` if they do not resolve the first two.
+    those of ``also_hz`` that the valid pulses resolve. Raises ``ValueError`` if they do not resolve the sinusoids of
+    ``frequencies_hz`` and the background.
     """
     frequency_hz = np.array(frequencies_hz)
     _check_frequencies(time_s, frequency_hz)
@@ -163,6 +164,7 @@ def _model(
             f"try at least {states + 1} pulses or fewer frequencies"
         )
     products = matrix.T @ matrix
+    # Columns in each group: sin and cos of a frequency, or one polynomial.
     sizes = [2] * frequency_hz.size + [1] * (background_order + 1)
     column_hz = np.repeat(np.append(frequency_hz, np.zeros(background_order + 1)), sizes)
     # Condition number: 1 is best, it grows as the pulses resolve the frequencies less. The eigenvalues of H'H are the

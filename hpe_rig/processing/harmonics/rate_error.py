@@ -139,7 +139,7 @@ def _most_probable_rate_error(
     ``fit``: harmonic fit of a motion. ``prior_error``: normal prior of the rate error, from the clocks. It is the
     result if the displacement adds hardly any information at its mean.
     """
-    error, weight = start, prior_error.uncertainty**-2
+    error, prior_information = start, prior_error.uncertainty**-2
     for _ in range(MAX_STEPS):
         fitted = fit(with_rate_error(motion, error))
         # Derivative of the displacement by the rate error, and its part that the harmonics of the fit cannot imitate.
@@ -147,18 +147,20 @@ def _most_probable_rate_error(
         unabsorbed_m = slope_m - fitted.basis @ (fitted.shrinkage * (slope_m @ fitted.basis))
         noise_m2 = max(fitted.noise_m2, np.finfo(np.float64).tiny)
         information = max(float(unabsorbed_m @ slope_m), 0.0) / noise_m2
-        if error == prior_error.value and information < MIN_INFORMATION * weight:
+        if error == prior_error.value and information < MIN_INFORMATION * prior_information:
             return prior_error
-        uncertainty = (information + weight) ** -0.5
-        gradient = float(slope_m @ fitted.residual_m) / noise_m2 + weight * (prior_error.value - error)
+        uncertainty = (information + prior_information) ** -0.5
+        gradient = float(slope_m @ fitted.residual_m) / noise_m2 + prior_information * (prior_error.value - error)
         # A last step that is far below the uncertainty is left out: the fit then has the times of this iteration.
         if abs(gradient * uncertainty) < CONVERGED:
             break
         error += gradient * uncertainty**2
-    # Part of the variance that comes from the prior, which counts as exactly known. The other part has the residual's
-    # degrees of freedom, and both together have them divided by the square of that part (Welch-Satterthwaite).
-    clock_fraction = weight * uncertainty**2
-    degrees = fitted.degrees_of_freedom / max(1 - clock_fraction, 1e-6) ** 2
+    # The clocks contribute a fraction of the variance that counts as exactly known. The other fraction, from the noise,
+    # has the degrees of freedom of the residual. The sum has these over the square of that fraction
+    # (Welch-Satterthwaite).
+    clock_fraction = prior_information * uncertainty**2
+    noise_fraction = max(1 - clock_fraction, 1e-6)
+    degrees = fitted.degrees_of_freedom / noise_fraction**2
     return RateError(error, uncertainty, degrees, clock_fraction)
 
 

@@ -236,10 +236,11 @@ class _Pixels:
         transmitted = spectrum[..., low : high + 1] * in_band
         # The carrier moves to bin 0 of the decimated spectrum.
         shifted = np.zeros((*samples.shape[:-1], bins), np.complex64)
-        below = carrier - low
-        shifted[..., : transmitted.shape[-1] - below] = transmitted[..., below:]
-        if below:
-            shifted[..., -below:] = transmitted[..., :below]
+        bins_below = carrier - low
+        shifted[..., : transmitted.shape[-1] - bins_below] = transmitted[..., bins_below:]
+        if bins_below:
+            # Negative frequencies are at the end of the spectrum.
+            shifted[..., -bins_below:] = transmitted[..., :bins_below]
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
     def _phases(self, z: ComplexSingleArray) -> tuple[SingleArray, SingleArray]:

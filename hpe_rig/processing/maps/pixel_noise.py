@@ -57,7 +57,8 @@ class NoiseModel:
         steps = np.diff(columns, axis=0)
         n = len(columns)
         numbers = np.arange(1.0, n + 1)
-        # Energies of the noise C e and of its steps, before the fit, for each order.
+        # Expected energies of the noise C e and of its steps D C e, before the fit, for each order: the sums of the
+        # squared entries of C and of D C.
         noise_energies = (
             (n, 2 * (n - 1)),
             (n * (n + 1) / 2, n - 1),
@@ -83,9 +84,10 @@ class NoiseModel:
     def variances(self, energies: SingleArray, has_echo: BoolArray) -> SingleArray:
         """Return the variances (pixel, 3) of white noise, random walk and smooth random walk in the phase, rad².
 
-        They follow from the ``energies`` (pixel, 2) of the residual and of its steps. If the steps are large for the
-        residual, these are those of white noise and a walk, else of a walk and a smooth walk. In a block of gates where
-        most pixels show no walk, all noise is white. ``has_echo`` (line, gate).
+        They follow from the ``energies`` (pixel, 2) of the residual and of its steps. Two energies determine two
+        variances: those of white noise and a walk or, if the steps are too small for a walk alone, those of a walk and
+        a smooth walk. In a block of gates where most pixels show no walk, all noise is white. ``has_echo``: (line,
+        gate).
         """
         residual, steps = np.ascontiguousarray(energies.T)
         # Two unknown variances from two energies, for white noise and walk.

@@ -70,7 +70,7 @@ def test_every_scene_with_a_specimen_prints_its_dose(name):
     lengths = () if "simulation.specimen.sphere" in SCENES[name] else lengths
     # and that it pushes too hard for linear propagation, where it does
     doses = lines[1 : 1 + len(lengths)]
-    assert [line.partition(":")[0] for line in lines[1 + len(lengths) :]] in ([], ["push"])
+    assert [line.partition(":")[0] for line in lines[1 + len(lengths) :]] in ([], ["propagation"])
     for line, length_s in zip(doses, lengths, strict=True):
         dose = twin_of(scene(name)).dose(scene(name).excitation, length_s, np.array([200.0]))
         moved = dose.displacement_limit_m[0]
