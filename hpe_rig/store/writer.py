@@ -243,6 +243,7 @@ class RunWriter:
         except StoreError as error:
             failure = error
         try:
+            # A write has failed and may have left part of a frame at the end of the log, which is cut off.
             if self._is_broken:
                 self._log.cut_back()
                 self._is_broken = False

@@ -382,8 +382,9 @@ def _correct_crossings(
 ) -> None:
     """Correct ``out`` (row, echo, sample), in place, at samples that the start or end of a moving pulse crosses.
 
-    The power series moves the pulses but not their edges. ``max_omitted``: size of the corrections that may be left
-    out in total.
+    The power series describes a moving pulse between the edges (start and end) that it has at rest. A sample between an
+    edge at rest and the moved edge is therefore wrong. ``max_omitted``: size of the corrections that may be left out in
+    total.
     """
     # Largest change of each scatterer's delay by the motion.
     reach_s = np.abs(scatterer_rows.amplitude_s).max(axis=(0, 1)) @ np.abs(scatterer_rows.shape)

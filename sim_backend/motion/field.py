@@ -146,8 +146,8 @@ def focus_field(
     axial_points = _unit_points(axial_count)
     axial_m = axial_reach_m * (2 * axial_points - 1 if asymmetric else np.sqrt(axial_points))
     panels = _Spectrum(gaussians, lateral_m, axial_m).step_response(specimen)
-    # Its matrix of time (degree and panel) by point, in units of the tolerated error, has few large singular values.
-    # They are the modes: the left vectors are responses in time, the right ones shapes in space.
+    # The matrix of displacement by time (degree and panel) and point, in units of the tolerated error, has few large
+    # singular values. They are the modes: the left vectors are responses in time, the right ones shapes in space.
     degrees, panel_count, points = panels.coefficient.shape
     scale = _error_scale(specimen, panels)[:, None]
     in_time, size, in_space = np.linalg.svd((panels.coefficient / scale).reshape(-1, points), full_matrices=False)

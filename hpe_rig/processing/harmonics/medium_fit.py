@@ -121,7 +121,7 @@ def _step_noise(
     all later pulses. ``weights`` (..., state, pattern): from the coefficients of the data to the states. ``shrinkage``
     (..., pattern): fraction of each pattern that the fit has removed from its ``residual`` (..., pulse).
     """
-    # The fit removes the background whole, each pattern by its shrinkage.
+    # The fit removes the background entirely, and of each pattern the fraction ``shrinkage``.
     columns = np.hstack([projected.background, projected.patterns])
     background_shrinkage = np.ones((*shrinkage.shape[:-1], projected.background.shape[1]))
     all_shrinkage = np.concatenate([background_shrinkage, shrinkage], axis=-1)
@@ -131,15 +131,16 @@ def _step_noise(
     # The steps do not contain slow drift such as creep: then the larger variance of the residual counts as well. A
     # random walk of n steps, minus its mean, has n / 6 times the variance of a step.
     explained_m2 = white_m2 * (1 + step_noise_ratio * len(projected.patterns) / 6)
-    drifts = evidence.noise_m2 > DRIFT_VARIANCE_RATIO * explained_m2
-    added_m2 = np.where(drifts, evidence.total_noise_m2, evidence.total_noise_m2 - evidence.noise_m2)
+    has_drift = evidence.noise_m2 > DRIFT_VARIANCE_RATIO * explained_m2
+    added_m2 = np.where(has_drift, evidence.total_noise_m2, evidence.total_noise_m2 - evidence.noise_m2)
     return covariance_m2 + added_m2[..., None, None] * _squares(weights), degrees
 
 
 def driven_phasors_m(prior: MediumPrior, fit: MediumFit) -> tuple[FloatArray, ComplexArray]:
     """Return frequency (harmonic,) and phasor (..., harmonic), m, of all harmonics of the bursts in ``fit``.
 
-    Independent deviations of the wanted harmonics from the ensemble's span are not included.
+    The phasors are combinations of the motions of the ensemble's media. The deviations of single wanted harmonics from
+    such combinations, which the fit allows, are not included.
     """
     responses = fit.coordinates @ fit.projected.response_per_pattern.T
     states = responses @ prior.states_of_response(range(prior.frequency_hz.size)).T

@@ -66,12 +66,12 @@ class RateError:
 class FitWithVelocity:
     """Harmonic fit of a motion, with the velocity of the fitted displacement; all at the valid pulses.
 
-    The displacement changes by velocity times time times rate error, so that the fit is linear in a small rate error.
+    A small rate error e changes the fitted displacement D by e t dD/dt, to first order.
 
     ``basis`` Q (pulse, column): orthonormal columns of the fit. ``shrinkage`` h (column,): fitted component along each
-    column over that of the data, from 0 to 1; 1 for least squares, less with a prior. ``residual_m``
-    (pulse,): displacement minus fit. ``velocity_m_per_s`` (pulse,): dD/dt of the fitted displacement D. ``noise_m2``:
-    variance of the displacement of a pulse, with ``degrees_of_freedom``.
+    column over that of the data, from 0 to 1; 1 for least squares, less with a prior. ``residual_m`` (pulse,):
+    displacement minus D. ``velocity_m_per_s`` (pulse,): dD/dt. ``noise_m2``: variance of the displacement of a pulse,
+    with ``degrees_of_freedom``.
     """
 
     basis: FloatArray

@@ -79,10 +79,10 @@ def coherent_phase(spectrum: ComplexArray, band: Band, use_compiled: bool) -> tu
 
 
 def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the result of `coherent_phase` from a loop over trains that Numba compiles.
+    """Return the phase of each echo against the sum of all others, its variance, and the mean frequency of each train.
 
-    ``spectrum`` (..., pulse, bin). Results: phase of each echo against the sum of all others, rad, and its variance,
-    rad², both (..., pulse); mean frequency (...), Hz. All are NaN for a train without an echo.
+    ``spectrum`` (..., pulse, bin). Phase, rad, and variance, rad², are (..., pulse), the frequency, Hz, is (...). All
+    are NaN for a train without an echo. Computed train by train, in a loop that Numba compiles.
     """
     from hpe_rig.processing.motion.phase_shift_numba import coherent_phase as compiled_loop
 
