@@ -341,10 +341,10 @@ class _Pixels:
         has_echo = (bad == 0).reshape(pixel_shape)
         noise = self.noise.variances(energies, has_echo)
         covariance, slope_variance = self._state_covariance(noise, amplitude_state, power, has_echo)
-        fitted = [
-            *self._estimates(state, covariance, slope_variance, metres_per_radian, self._relative_variance(noise)),
-            np.sqrt(energies[:, 0] / np.float32(pulses - states)) * np.abs(metres_per_radian),
-        ]
+        relative_variance = self._relative_variance(noise)
+        estimates = self._estimates(state, covariance, slope_variance, metres_per_radian, relative_variance)
+        residual_m = np.sqrt(energies[:, 0] / np.float32(pulses - states)) * np.abs(metres_per_radian)
+        fitted = [*estimates, residual_m]
         # Bad pixels have a power, but no fitted results.
         if bad.any():
             for values in fitted:
@@ -384,7 +384,7 @@ class _Pixels:
         kinds = np.stack([mean, half_difference, unit[:, in_phase, quadrature]], axis=1).reshape(3, -1)
         covariance = _serial_matmul(noise, kinds.astype(np.float32)).reshape(-1, 3, in_phase.size)
         slope_variance = noise @ unit[:, slope, slope].astype(np.float32)
-        # The mean variances and that of the slope grow by what the residual does not contain.
+        # Slow decorrelation adds variance that the residual does not contain.
         visible = np.concatenate([covariance[:, 0].T, slope_variance[None]]).reshape(-1, *power.shape)
         hidden = hidden_variance(amplitude_state, visible, power, has_echo).reshape(len(visible), -1)
         covariance[:, 0] += hidden[:-1].T
