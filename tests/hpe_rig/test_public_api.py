@@ -353,6 +353,7 @@ def test_the_default_muscle_has_echoes_at_the_gate_without_a_push(tmp_path: Path
     assert run.estimate().shots[0].estimates[0].true_amplitude_m == 0
 
 
+@pytest.mark.slow
 def test_a_run_on_the_default_muscle_resumes(tmp_path: Path) -> None:
     scene = tmp_path / "twice.toml"
     scene.write_text(first_scene().replace("[acquisition]", "[acquisition]\nrepeats = 2"), encoding="utf-8")

@@ -104,6 +104,7 @@ def test_intervals_of_the_prescribed_motion_hold_the_truth(coverage: ModuleType)
     check(coverage, "table-1", ["coherent", "cross_spectrum"], seeds=14, deviations=3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [4, pytest.param(14, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth_in_unknown_media_with_and_without_a_prior(coverage: ModuleType, seeds: int) -> None:
     check(coverage, "bovine-muscle", ["coherent", "cross_spectrum"], seeds=seeds, deviations=3.0)

@@ -29,7 +29,7 @@ from sim_backend.world import GeneratorConnection
 
 BURST = Toneburst(carrier_hz=3e6, cycles=300, amplitude_vpp=0.2, delay_s=0.0, load_ohm=50.0)
 SHOTS = 2
-FEW = [pytest.param(name, marks=[] if name in ("socket", "prologix") else pytest.mark.slow) for name in TRANSPORTS]
+FEW = [pytest.param(name, marks=[] if name == "socket" else pytest.mark.slow) for name in TRANSPORTS]
 """Without and with an adapter; the other transports are marked slow."""
 
 # pyvisa-py leaves the socket of a lost connection to the garbage collector.

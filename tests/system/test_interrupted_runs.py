@@ -406,8 +406,9 @@ def text_of(path: Path) -> str:
     return ""
 
 
+@pytest.mark.parametrize("run_again", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_lock_of_a_killed_program_is_taken_over_and_no_trigger_starts_its_trains_again(
-    rig: Rig, whole: Path
+    rig: Rig, request: pytest.FixtureRequest, run_again: bool
 ) -> None:
     """Once the master has fired its output is off: neither its key nor another program's trigger reaches the others."""
     place, process = rig.start(*RUN, held=True)
@@ -420,7 +421,9 @@ def test_the_lock_of_a_killed_program_is_taken_over_and_no_trigger_starts_its_tr
     assert rig.ended(switching) in (0, 1)
     assert "read back as off" in (after / "out").read_text(encoding="utf-8")
     assert not rig.outputs_on()
-    again, process_again = rig.start(*RUN)
-    assert rig.ended(process_again) == 0
-    assert f"was left locked by process {process} (hpe-rig run" in (again / "err").read_text(encoding="utf-8")
-    assert like(again / "run.h5", whole)
+    # A bench that is switched off anyway stays locked by the killed program's name.
+    if run_again:
+        again, process_again = rig.start(*RUN)
+        assert rig.ended(process_again) == 0
+        assert f"was left locked by process {process} (hpe-rig run" in (again / "err").read_text(encoding="utf-8")
+        assert like(again / "run.h5", request.getfixturevalue("whole"))

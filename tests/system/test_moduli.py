@@ -57,6 +57,7 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
     assert len(result.figure().axes) == 2
 
 
+@pytest.mark.slow
 def test_the_phase_velocity_of_the_shipped_scene_is_the_twins(run: hpe.Run, tmp_path: Path) -> None:
     """gelatin-moduli, seed 1: c and alpha of the Voigt medium of 7.25 kPa and 1 Pa s, and the bias of other methods."""
     printed = CliRunner().invoke(app, ["dispersion", str(run.path), "--json", "--figure", str(tmp_path / "c.svg")])
@@ -103,6 +104,7 @@ def test_every_offset_has_a_truth_and_an_estimate(run: hpe.Run) -> None:
     assert with_places["lateral_offset_m"] == places[1]
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_offset_each_give_the_moduli(run: hpe.Run, tmp_path: Path) -> None:
     one_place = {"sweep.lateral_offset_m": [1.0e-3]}
     other = {"sweep.lateral_offset_m": [3.5e-3]}

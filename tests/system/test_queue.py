@@ -187,6 +187,7 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
         source.stop()
 
 
+@pytest.mark.slow
 def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten_by_a_resume(tmp_path: Path) -> None:
     runs = [(str(path), None) for path in scenes(tmp_path, 2)]
     folder = tmp_path / "queue"

@@ -89,6 +89,7 @@ def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_pa
     assert resumed_table(path) == expected
 
 
+@pytest.mark.slow
 def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared(
         "bovine-muscle-synchronous",

@@ -39,6 +39,7 @@ def test_help_imports_no_numerics_and_no_instruments() -> None:
     assert not loaded.intersection(HEAVY)
 
 
+@pytest.mark.slow
 def test_the_light_core_imports_no_figures_no_signal_processing_and_no_visa() -> None:
     core = "\n".join(
         f"from hpe_rig.{name} import *" for name in ("scene", "plan", "bench", "measurement", "runs", "store")
@@ -393,6 +394,7 @@ def draw_architecture(root: Path, output: Path) -> None:
         runpy.run_path(str(script), run_name="__main__")
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_architecture_shows_the_packages(tmp_path: Path) -> None:
     draw_architecture(ROOT, tmp_path / "now.svg")
     committed, drawn = (

@@ -78,6 +78,7 @@ def test_a_run_stopped_while_records_arrive_keeps_every_complete_shot(
     assert f"{shot} of {SHOTS} shots are complete" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shot", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_stopped_before_a_shots_first_record_is_processed_and_printed(
     prepared: Prepare, tmp_path: Path, shot: int

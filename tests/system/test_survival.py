@@ -139,6 +139,7 @@ def kill_at_random(setup: Setup, whole_path: Path, tmp_path: Path, kills: int, s
     assert opened > kills / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kills", [2, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("scene", "edits"),
@@ -223,6 +224,7 @@ def measure_on_a_full_disk(setup: Setup, path: Path, size: int) -> None:
         assert not bench.world.board.running
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sizes", [1, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that_resumes(
     prepared: Prepare, left_alone: Callable[[Setup], Path], tmp_path: Path, sizes: int
@@ -250,6 +252,7 @@ def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that
     assert not list(tmp_path.glob(".*draft"))
 
 
+@pytest.mark.slow
 def test_live_reading_while_writing_never_fails_and_never_sees_half_a_record(prepared: Prepare, tmp_path: Path) -> None:
     # Short records and pauses: the file stays small on a busy machine, and so does the time of a reading.
     reads_while_writing(prepared, tmp_path, reads=4, repeats=100, record_samples=256, pause_s=0.1)

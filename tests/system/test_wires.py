@@ -201,6 +201,7 @@ def test_another_model_than_the_bench_file_says_is_refused_by_name(served: tuple
         assert not isinstance(found["toneburst"], Exception)
 
 
+@pytest.mark.slow
 def test_a_bench_that_nobody_serves_is_refused_by_role_and_address() -> None:
     with ExitStack() as stack:
         places = {}

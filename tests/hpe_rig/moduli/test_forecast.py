@@ -23,11 +23,15 @@ def forecast(values: dict[str, object]) -> ModuliForecast:
 def test_the_forecast_equals_the_uncertainty_of_the_fit(tmp_path: Path) -> None:
     values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 2.25e-3, 4.75e-3]}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
-    fit = hpe.fit_moduli(run, laws=["voigt"]).best
-    expected = forecast(values)
+    found = hpe.fit_moduli(run, laws=["voigt"])
+    fit, expected = found.best, forecast(values)
     assert expected.values == pytest.approx((7.25e3, 1.0))
     # one run's own phasors and speckle turn the bound by some percent
     np.testing.assert_allclose(expected.uncertainty, list(fit.uncertainty.values()), rtol=0.15)
+    # Noise that all depths of a record have in common does not average out over depths.
+    one_gate = found.vibrations[0]
+    shared = with_shared_noise([one_gate] * 3, 0.5)
+    np.testing.assert_allclose(shared[1].covariance_m2, 2 * one_gate.covariance_m2)
 
 
 def test_more_offsets_and_better_known_ones_reduce_the_uncertainty() -> None:
@@ -40,19 +44,15 @@ def test_more_offsets_and_better_known_ones_reduce_the_uncertainty() -> None:
     assert noisy.uncertainty[1] > repeated.uncertainty[1] > five.uncertainty[1]
 
 
+@pytest.mark.slow
 def test_depths_reduce_the_uncertainty_except_for_common_noise(tmp_path: Path) -> None:
     values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3], "processing.gate_profile_step_m": 1e-3}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
-    found = hpe.fit_moduli(run, laws=["voigt"])
-    fit = found.best
+    fit = hpe.fit_moduli(run, laws=["voigt"]).best
     expected, one = forecast(values), forecast({"sweep.lateral_offset_m": [1e-3, 3e-3]})
     assert "from 2 lateral offsets, 6 gates" in str(expected)
     assert expected.uncertainty[0] < 0.8 * one.uncertainty[0]
     np.testing.assert_allclose(expected.uncertainty, list(fit.uncertainty.values()), rtol=0.2)
-    # what all depths of a record share does not average out over them
-    one_gate = found.vibrations[0]
-    shared = with_shared_noise([one_gate] * 3, 0.5)
-    np.testing.assert_allclose(shared[1].covariance_m2, 2 * one_gate.covariance_m2)
 
 
 def test_the_declared_medium_precedes_the_twins_and_a_typical_one() -> None:

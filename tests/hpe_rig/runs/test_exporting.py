@@ -190,6 +190,7 @@ def test_shots_of_several_offsets_or_rates_are_exported_together_only_where_a_fo
         hpe.export_run(hpe.measure(carriers, path=tmp_path / "c"), tmp_path / "c.mat")
 
 
+@pytest.mark.slow
 def test_an_export_promises_no_import_of_several_offsets(folder: Path, tmp_path: Path) -> None:
     scene = hpe.load_scene(folder / "scene.toml").with_(
         {"acquisition.repeats": 1, "sweep.lateral_offset_m": [0.0, 1e-3]}

@@ -279,7 +279,7 @@ def test_an_invalid_message_is_an_error_in_the_queue_of_every_model(message: str
     assert ask(generator, "OUTP?") == "0"
 
 
-@pytest.mark.parametrize("settings", [10_000, pytest.param(200_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("settings", [5_000, pytest.param(200_000, marks=pytest.mark.slow)])
 def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> None:
     clock = SimulatedClock()
     generator = Generator33250A(clock, 0.0)
@@ -336,7 +336,7 @@ def fuzz(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
         generator.emission(no_steps(), PS_PER_S // 1000)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.sampled_from(list(MODELS)), MESSAGES)
 def test_the_instrument_works_after_any_message(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
     fuzz(name, messages)

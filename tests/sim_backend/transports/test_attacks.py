@@ -408,6 +408,7 @@ def test_a_hislip_lock_makes_the_messages_of_others_wait() -> None:
 # Ctrl-C
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
 @pytest.mark.parametrize(
     "transport",

@@ -41,7 +41,13 @@ def lines(count: int, snr_db: float, seed: int, demodulated: bool = False) -> ND
 
 
 @pytest.mark.parametrize(
-    ("demodulated", "gate", "snr_db"), [(False, 16, 30.0), (False, 32, 70.0), (True, 1, 40.0), (True, 4, 30.0)]
+    ("demodulated", "gate", "snr_db"),
+    [
+        (False, 16, 30.0),
+        pytest.param(False, 32, 70.0, marks=pytest.mark.slow),
+        pytest.param(True, 1, 40.0, marks=pytest.mark.slow),
+        (True, 4, 30.0),
+    ],
 )
 def test_the_true_motion_is_within_the_uncertainty_of_pixels(demodulated: bool, gate: int, snr_db: float) -> None:
     samples = lines(4, snr_db, 11, demodulated)
