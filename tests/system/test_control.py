@@ -42,6 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
     return hpe.open_run(folder / "run.h5")
 
 
+@pytest.mark.slow
 def test_a_hum_is_within_u_with_controls_and_far_outside_without(run: hpe.Run, tmp_path: Path) -> None:
     means = [run.estimate().means, hpe.measure(SCENE, path=tmp_path / "without.h5").estimate().means]
     (with_controls, *_), (without, *_) = means

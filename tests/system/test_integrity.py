@@ -60,6 +60,7 @@ def test_no_flipped_bit_changes_a_result_without_a_message(cases: int, counts_of
         assert counts["result without the damaged records, with a message"] > cases / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cases", [1, pytest.param(400, marks=pytest.mark.slow)])
 def test_no_truncation_changes_a_result_without_a_message(cases: int, counts_of: Callable[..., Counts]) -> None:
     for counts in counts_of("truncations", "--cases", str(cases)).values():

@@ -104,7 +104,9 @@ def test_every_command_with_json_is_tried() -> None:
     assert {*COMMANDS, *ELSEWHERE} == {name for name, texts in options.items() if "--json" in texts}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command", [pytest.param(name, marks=pytest.mark.slow) if name == "study" else name for name in COMMANDS]
+)
 def test_standard_output_is_one_json_document(command: str, printed_by: PrintedBy) -> None:
     printed = printed_by(command)
     assert printed

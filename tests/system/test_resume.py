@@ -168,6 +168,7 @@ def test_resume_from_the_command_line_logs_and_stops_like_run(
     assert read_run(tmp_path / "run-2-2.h5").status == "complete"
 
 
+@pytest.mark.slow
 def test_run_times_stand_in_the_file_where_they_are_asked_for(prepared: Prepare, tmp_path: Path) -> None:
     """The clock counts its readings, so that every stage has a time of its own and none is counted twice."""
     ticks = itertools.count()

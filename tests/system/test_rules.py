@@ -405,6 +405,7 @@ def test_the_picture_of_the_architecture_shows_the_packages(tmp_path: Path) -> N
     assert committed == drawn, "try: python scripts/figures/draw_architecture.py"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "statement", "message"),
     [

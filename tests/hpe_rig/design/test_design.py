@@ -134,6 +134,7 @@ def test_moduli_need_a_push_to_be_designed_for() -> None:
         write_design(Request("table-1", "gate_length_m", "modulus-uncertainty"), print, print, print)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_design() -> None:
     setup = prepare_text("no-speckle", NO_SPECKLE)
     first, again = (find_design(_problem(setup, "gate_length_m", "phase-jitter"), 7, generations=1) for _ in range(2))

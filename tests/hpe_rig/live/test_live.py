@@ -497,6 +497,7 @@ def test_a_run_that_waits_for_the_transducer_to_be_moved_goes_on_from_the_page(t
     assert read_run(tmp_path / "run.h5").status == "complete"
 
 
+@pytest.mark.slow
 def test_a_run_that_waits_for_the_transducer_to_be_moved_can_be_stopped_from_the_page(tmp_path: Path) -> None:
     ended: list[str] = []
     with waiting_for_places(tmp_path, ended) as page:

@@ -262,7 +262,7 @@ def edited(*edits: tuple[str, str]) -> BenchFile:
     [
         pytest.param(edited(("dual_port_memory = true", "dual_port_memory = false")), marks=pytest.mark.slow),
         edited(("dual_port_memory = true", 'dual_port_memory = true\nacquisition_mode = "npt"')),
-        edited(('model = "ATS460"', 'model = "ATS9870"')),
+        pytest.param(edited(('model = "ATS460"', 'model = "ATS9870"')), marks=pytest.mark.slow),
         pytest.param(edited(('model = "33250A"', 'model = "33600A"')), marks=pytest.mark.slow),
         edited(("simulated = true", 'simulated = true\ntransport = "socket"')),
         pytest.param(

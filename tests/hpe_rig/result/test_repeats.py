@@ -79,7 +79,7 @@ def test_only_complete_shots_of_equal_settings_are_repeats() -> None:
     "amplitude", [0.0, pytest.param(1.0, marks=pytest.mark.slow), pytest.param(6.0, marks=pytest.mark.slow)]
 )
 def test_the_phase_of_the_mean_of_weak_repeats_is_as_uncertain_as_stated(amplitude: float) -> None:
-    generator, trials = np.random.default_rng(9), 2000
+    generator, trials = np.random.default_rng(9), 800
     ratio = []
     for each in (amplitude + generator.standard_normal((trials, 5, 2)) @ np.array([1, 1j])).tolist():
         shots = []

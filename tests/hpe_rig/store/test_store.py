@@ -359,7 +359,7 @@ class ShortOfMemory:
         return getattr(self._file, name)
 
 
-@pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [15, pytest.param(1, marks=pytest.mark.slow)])
 def test_too_little_memory_for_one_write_ends_the_run_with_a_message_and_a_whole_file(
     setup: Setup, tmp_path: Path, stride: int
 ) -> None:

@@ -144,6 +144,7 @@ def test_one_shot_of_a_long_scene_is_measured() -> None:
     assert len(one_shot(load_scene("muscle-force")).excitation.force_fraction) == 1  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_table_and_reports_its_progress(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def two_kinds(scene: Scene) -> list[Variant]:
         return [variant for variant in variants(scene) if variant.varied in (UNCHANGED, "gate")]
