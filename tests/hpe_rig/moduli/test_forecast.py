@@ -20,7 +20,7 @@ def forecast(values: dict[str, object]) -> ModuliForecast:
     return moduli_forecast(setup.scene.scene, setup.plan)
 
 
-def test_the_forecast_equals_the_uncertainty_of_the_fit(tmp_path: Path) -> None:
+def test_the_forecast_equals_the_uncertainty_of_the_fit_and_depths_do_not_reduce_common_noise(tmp_path: Path) -> None:
     values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 2.25e-3, 4.75e-3]}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
     found = hpe.fit_moduli(run, laws=["voigt"])
@@ -45,7 +45,7 @@ def test_more_offsets_and_better_known_ones_reduce_the_uncertainty() -> None:
 
 
 @pytest.mark.slow
-def test_depths_reduce_the_uncertainty_except_for_common_noise(tmp_path: Path) -> None:
+def test_depths_reduce_the_uncertainty_as_forecast(tmp_path: Path) -> None:
     values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3], "processing.gate_profile_step_m": 1e-3}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
     fit = hpe.fit_moduli(run, laws=["voigt"]).best
