@@ -36,8 +36,9 @@ PRIOR = 1e10
 class Filtered:
     """Result of a Kalman filter, in units of the measurement noise.
 
-    ``state`` x (..., state). ``root`` S (state, state): S S' is the covariance. ``innovations`` (..., pulse): measured
-    minus predicted values over their standard deviations.
+    ``state`` x (..., state). ``root`` S (state, state), or (..., state, state) where trains start with different
+    variances: S S' is the covariance. ``innovations`` (..., pulse): measured minus predicted values over their standard
+    deviations.
     """
 
     state: FloatArray
@@ -72,7 +73,8 @@ def kalman(
         # The states of the wanted harmonics change before each pulse; a gap of n pulses has n times the variance.
         change_sd, used = np.zeros((pulses, states)), np.flatnonzero(motion.valid)
         change_sd[:, : 2 * frequency_hz.size] = np.sqrt(process_noise * np.diff(used, prepend=used[0]))[:, None]
-    filtered = filter_states(model.matrix, motion.displacement_m[..., motion.valid], prior, change_sd)
+    initial_sd = np.full(states, np.sqrt(prior))
+    filtered = filter_states(model.matrix, motion.displacement_m[..., motion.valid], initial_sd, change_sd)
     # The noise variance scales the covariance, which the filter states for unit noise.
     variance = np.einsum("...i,...i->...", filtered.innovations, filtered.innovations) / (pulses - states)
     root = filtered.root[model.wanted_states]
@@ -87,28 +89,31 @@ def kalman(
     return fit_from_state(frequency_hz, filtered.state[..., model.wanted_states], covariance, quality)
 
 
-def filter_states(matrix: FloatArray, data: FloatArray, prior: float, change_sd: FloatArray | None = None) -> Filtered:
+def filter_states(
+    matrix: FloatArray, data: FloatArray, initial_sd: FloatArray, change_sd: FloatArray | None = None
+) -> Filtered:
     """Return the states that a Kalman filter estimates from ``data`` (..., pulse).
 
-    The model is data = ``matrix`` (pulse, state) @ states + noise of unit variance. ``prior``: initial variance of
-    every state. ``change_sd`` (pulse, state): standard deviation of the independent random change of each state before
-    each pulse; None for states that never change. The formulas are those of the module.
+    The model is data = ``matrix`` (pulse, state) @ states + noise of unit variance. ``initial_sd`` (state,) or
+    (..., state): standard deviation of every state at the start. ``change_sd`` (pulse, state): that of the independent
+    random change of each state before each pulse; None for states that never change; only with ``initial_sd`` (state,).
+    The formulas are those of the module.
     """
     states = matrix.shape[1]
-    root, state = np.sqrt(prior) * np.eye(states), np.zeros((*data.shape[:-1], states))
+    root, state = initial_sd[..., None] * np.eye(states), np.zeros((*data.shape[:-1], states))
     innovations = np.empty(data.shape)
     for k, h in enumerate(matrix):
         if change_sd is not None and k:
             # Time update: P + Q has the root [S, sqrt Q]; QR makes it square again.
             triangle: FloatArray = np.asarray(np.linalg.qr(np.vstack([root.T, np.diag(change_sd[k])]), mode="r"))
             root = triangle.T
-        a = root.T @ h
-        alpha = 1.0 + a @ a
-        gain = root @ a / alpha
+        a = h @ root
+        alpha = 1.0 + (a * a).sum(axis=-1, keepdims=True)
+        gain = (root @ a[..., None])[..., 0] / alpha
         innovation = data[..., k] - state @ h
         state = state + innovation[..., None] * gain
-        root = root - np.outer(gain, a) / (1.0 + 1.0 / np.sqrt(alpha))
-        innovations[..., k] = innovation / np.sqrt(alpha)
+        root = root - gain[..., None] * (a / (1.0 + 1.0 / np.sqrt(alpha)))[..., None, :]
+        innovations[..., k] = innovation / np.sqrt(alpha[..., 0])
     return Filtered(state, root, innovations)
 
 

@@ -246,12 +246,12 @@ def medium_kalman(
     evidence, projected = closed_form.evidence, closed_form.projected
     data = motion.displacement_m[..., motion.valid]
     noise_m = np.sqrt(evidence.total_noise_m2)
-    innovations = np.empty(data.shape)
-    for train in np.ndindex(noise_m.shape):
-        # In units of the noise, with columns scaled by the initial standard deviations.
-        initial_sd = PRIOR_WIDENING * evidence.scale_m[train] / noise_m[train] * projected.pattern_sd
-        matrix = np.hstack([projected.patterns * initial_sd, DIFFUSE_STD * projected.background])
-        innovations[train] = filter_states(matrix, data[train] / noise_m[train], 1.0).innovations
+    # In units of the noise.
+    patterns_sd = (PRIOR_WIDENING * evidence.scale_m / noise_m)[..., None] * projected.pattern_sd
+    background_sd = np.full((*noise_m.shape, projected.background.shape[1]), DIFFUSE_STD)
+    initial_sd = np.concatenate([patterns_sd, background_sd], axis=-1)
+    matrix = np.hstack([projected.patterns, projected.background])
+    innovations = filter_states(matrix, data / noise_m[..., None], initial_sd).innovations
     correlation = innovation_correlation(innovations, projected.background.shape[1])
     quality = replace(closed_form.fit.quality, innovation_correlation=correlation)
     return replace(closed_form, fit=replace(closed_form.fit, quality=quality))

@@ -54,7 +54,7 @@ def test_potters_form_gives_the_states_covariance_and_innovations_of_the_covaria
     data, change_sd = generator.standard_normal((3, 65)), np.zeros((65, 5))
     change_sd[:, :4] = 0.1
     for changes in (None, change_sd):
-        filtered = filter_states(matrix, data, 1e4, changes)
+        filtered = filter_states(matrix, data, np.full(5, 1e2), changes)
         for index in range(3):
             state, covariance, innovations = _covariance_form(matrix, data[index], 1e4, changes)
             # the covariance form loses digits to the prior: 1e4 times 1e-16, some hundred updates
