@@ -16,8 +16,6 @@ from typing import Any, Final, final
 
 MAX_CHUNKS: Final = 10_000
 """Number of queued lines beyond which further ones are dropped: about 1 MB."""
-WRITING_THREAD: Final = "queued file"
-"""Name of the threads that write."""
 RETRY_S: Final = 0.05
 """Time until the next attempt to write to a full descriptor that another program made non-blocking."""
 
@@ -28,7 +26,7 @@ class WritingThread:
 
     def __init__(self) -> None:
         self._tasks = SimpleQueue[Callable[[], None] | None]()
-        threading.Thread(target=self._run, daemon=True, name=WRITING_THREAD).start()
+        threading.Thread(target=self._run, daemon=True, name="queued file").start()
 
     @property
     def waiting(self) -> int:

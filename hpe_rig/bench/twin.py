@@ -14,7 +14,7 @@ import numpy as np
 
 from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
 from hpe_rig.bench.bench_file import BenchFile
-from hpe_rig.scene import Excitation, Scene
+from hpe_rig.scene import Excitation, Scene, current_simulation
 
 if TYPE_CHECKING:
     from sim_backend.motion import Dose
@@ -326,7 +326,8 @@ def twin_settings(scene: Scene) -> SimulationSettings:
 
 def twin_tables(scene: Scene) -> dict[str, Any]:
     """Return the tables of the twin's settings that a scene declares."""
-    simulation = scene.simulation or {}
+    # A new scene has no removed key: `check_simulation` refuses it.
+    simulation = current_simulation(scene.simulation or {})
     # [simulation] takes precedence over the scene's sound speed and beams.
     beams = {} if scene.beams is None else scene.beams.model_dump(exclude=_APPLICATION_BEAM_KEYS, exclude_none=True)
     if "push_focus_depth_m" in beams:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 from typing import Annotated
 
 import typer
@@ -29,7 +28,6 @@ from hpe_rig.cli.stored_runs import stored_runs
 from hpe_rig.cli.streams import finish_streams, queue_streams
 from hpe_rig.cli.studies import studies
 from hpe_rig.cli.terminal import LogLevel, start_logging
-from hpe_rig.queued_file import WRITING_THREAD
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 for group in (measuring, stored_runs, recordings, scene_commands, benches, studies, reporting):
@@ -47,7 +45,8 @@ def main() -> None:
     # All messages are printed and every output is off: a signal must not change the exit code.
     ignore_interrupts()
     # A thread that still waits for a disk may hold the lock of h5py, for which Python's shutdown would wait forever.
-    if any(thread.daemon and thread.name != WRITING_THREAD for thread in threading.enumerate()):
+    h5py_lock = getattr(sys.modules.get("h5py._objects"), "phil", None)
+    if h5py_lock is not None and not h5py_lock.acquire(blocking=False):
         os._exit(exit_code)
     sys.exit(exit_code)
 

@@ -57,6 +57,7 @@ from .quantities import (
     VoltageV as VoltageV,
     Widths as Widths,
 )
+from .removed_keys import current_simulation as current_simulation
 from .scene import Scene as Scene, ScenePoint as ScenePoint, scene_mistakes as scene_mistakes
 from .sections import (
     SWEPT_LISTS as SWEPT_LISTS,

@@ -1,4 +1,4 @@
-"""Keys of [simulation] that earlier versions had: what to do instead. The scene of a run file is read without them."""
+"""Keys of [simulation] that earlier versions had: what to do instead. The twin of a run file is read without them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,20 @@ REMOVED_KEYS: Final[Mapping[str, str]] = {
 """Remedy by the full path of a key or table."""
 
 
-def without_removed_keys(table: Mapping[str, Any], path: str = "simulation") -> dict[str, Any]:
-    """Return ``table``, the one at ``path`` of a scene, without the keys that only earlier versions have."""
+def current_simulation(simulation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return [simulation] of a stored scene without its removed keys; the clock error that one of them set remains."""
+    tables = _without_removed_keys(simulation, "simulation")
+    match simulation:
+        case {"instruments": {"sample_clock_offset": float() as offset}} if offset:
+            # A sample period longer by the factor 1 + offset is a clock rate of 1 / (1 + offset).
+            tables["instruments"].setdefault("clock_error", {})["digitizer"] = -offset / (1 + offset)
+    return tables
+
+
+def _without_removed_keys(table: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Return a copy of ``table``, the one at ``path`` of a scene, without the keys that only earlier versions have."""
     current = {key: value for key, value in table.items() if f"{path}.{key}" not in REMOVED_KEYS}
     return {
-        key: without_removed_keys(value, f"{path}.{key}") if isinstance(value, Mapping) else value
+        key: _without_removed_keys(value, f"{path}.{key}") if isinstance(value, Mapping) else value
         for key, value in current.items()
     }

@@ -17,13 +17,12 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 
 from hpe_rig.scene.axis import Axis, settings_at_points
 from hpe_rig.scene.keys import Key, Number, keys_of, plain_tables, resolve, with_values
 from hpe_rig.scene.mistakes import KeyPath, Mistake, SettingsError, path_of
 from hpe_rig.scene.quantities import Notes, Title
-from hpe_rig.scene.removed_keys import without_removed_keys
 from hpe_rig.scene.sections import (
     SWEPT_LISTS,
     Acquisition,
@@ -186,12 +185,6 @@ class Scene(Section):
             for rate_hz in self.sweep.pulse_rate_hz
         )
         return tuple(self.model_copy(update={**unswept, "tracking": tracking}) for tracking in sections)
-
-    @field_validator("simulation")
-    @classmethod
-    def _only_present_keys(cls, simulation: dict[str, Any] | None, info: ValidationInfo) -> dict[str, Any] | None:
-        """Leave out the keys of an earlier version from a stored scene."""
-        return without_removed_keys(simulation) if simulation and info.context == STORED else simulation
 
     @model_validator(mode="after")
     def _sections_fit_together(self, info: ValidationInfo) -> Scene:

@@ -125,7 +125,7 @@ NOT_SIMULATED = (
     *("[SOURce<n>:]BURSt:GATE", "[SOURce<n>:]PHASe:UNLock", "TRIGger<n>:TIMer", "TRIGger<n>:COUNt", "INITiate<n>"),
     *("CALibration", "DISPlay", "FORMat", "MEMory", "STATus", "*SAV", "*RCL", "*LRN", "*SRE", "*PSC"),
 )
-"""Beginnings of headers that are refused with -241: modulation, sweep, arbitrary waveforms, stored states, gates."""
+"""Beginnings of headers that instruments have and the twin refuses with -241."""
 
 Entry = SettingCommand | Action
 ALLOWED_IN_LOCAL = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())

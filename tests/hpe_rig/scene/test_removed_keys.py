@@ -31,10 +31,19 @@ def test_a_removed_key_is_a_mistake_that_says_what_to_do() -> None:
     assert "clock_error.digitizer" in remedies["simulation.instruments.sample_clock_offset"]
 
 
-def test_the_scene_of_a_run_file_is_read_without_its_removed_keys() -> None:
-    scene = parse_scene("old", text_of_earlier_version(), stored=True).scene
-    twin = twin_of(scene)
+def test_the_twin_of_a_run_file_is_read_without_removed_keys_and_keeps_the_clock_error_that_one_of_them_set() -> None:
+    twin = twin_of(parse_scene("old", text_of_earlier_version(), stored=True).scene)
     assert twin is not None
     assert isinstance(twin.settings, SimulationSettings)
     assert twin.settings.instruments.trigger_jitter_s == 1e-9
-    assert "transmitter" not in (scene.simulation or {})
+    # A period too long is a rate too low.
+    assert twin.settings.instruments.clock_error.digitizer == pytest.approx(-1e-6, rel=2e-6)
+    assert twin.has_clock_errors
+
+
+def test_a_sweep_of_a_removed_key_is_read_from_a_run_file() -> None:
+    axis = '\n[sweep.axes]\n"simulation.transmitter.saturation_v" = [30.0, 40.0]\n'
+    scene = parse_scene("old", text_of_earlier_version() + axis, stored=True).scene
+    values = [point.values["simulation.transmitter.saturation_v"] for point in scene.points]
+    assert values == [30.0, 40.0]
+    assert None not in [twin_of(point.scene) for point in scene.points]
