@@ -12,6 +12,7 @@ UNITS = (
     (re.compile(r"(?<=\d) deg\b"), "°"),
     # Without a line break between a value and its uncertainty.
     (re.compile(r" \+- "), "\u00a0±\u00a0"),
+    (re.compile(r"\+-"), "±"),
     (re.compile(r"\b2 pi\b"), "2π"),
     (re.compile(r"(?<=/cm)2\b"), "²"),
     (re.compile(r"(?<=/m)3\b"), "³"),

@@ -50,6 +50,8 @@ HEADER_BYTES: Final = _HEADER.size + _HEADER_CHECKSUM.size
 
 _NUMBERS: Final = {name: number for number, name in enumerate((IMAGE, STATUS, *DATASETS))}
 """Number of the name of a frame in memory."""
+_UNKNOWN: Final = len(_NUMBERS)
+"""Number of every name that only another version writes: these frames are omitted."""
 
 
 class Frame(NamedTuple):
@@ -64,8 +66,8 @@ class Frame(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Path of the dataset, ``IMAGE`` or ``STATUS``."""
-        return list(_NUMBERS)[self.number]
+        """Path of the dataset, ``IMAGE`` or ``STATUS``; "" if this version does not know it."""
+        return [*_NUMBERS, ""][self.number]
 
     def row_or_chunk(self, chunk_records: int) -> tuple[int, ...]:
         """Return the row or chunk of the frame, which its checksum includes; a chunk has ``chunk_records`` records."""
@@ -248,7 +250,8 @@ def read_log(file: IO[bytes]) -> Log | None:
     end = int(frames["offset"][-1] + frames["size"][-1])
     image, is_intact = payload(file, Frame._make(frames[0].item()))
     is_torn = not _has_sync_after(file, end, nonce, size)
-    return Log(image, frames[1:], size, end, is_torn) if is_intact else None
+    known_frames = frames[1:][frames["number"][1:] != _UNKNOWN]
+    return Log(image, known_frames, size, end, is_torn) if is_intact else None
 
 
 def _frames(file: IO[bytes], nonce: bytes, size: int) -> Iterator[Frame]:
@@ -286,8 +289,8 @@ def _frame(header: bytes, position: int, nonce: bytes) -> Frame | None:
     mark, name, shot, first, size, payload_checksum = _HEADER.unpack(fields)
     if mark != MARK or checksum != _header_checksum(fields, position, nonce):
         return None
-    number = _NUMBERS.get(name.rstrip(b"\0").decode("ascii", "replace"))
-    return None if number is None else Frame(number, shot, first, size, payload_checksum, position + HEADER_BYTES)
+    number = _NUMBERS.get(name.rstrip(b"\0").decode("ascii", "replace"), _UNKNOWN)
+    return Frame(number, shot, first, size, payload_checksum, position + HEADER_BYTES)
 
 
 def _header(name: str, shot: int, first: int, size: int, checksum: int, position: int, nonce: bytes) -> bytes:

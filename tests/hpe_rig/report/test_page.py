@@ -157,6 +157,7 @@ def test_the_first_screen_has_sentence_badges_and_figure_and_the_rest_is_folded(
     ("text", "shown"),
     [
         ("787 +- 14 nm, 73.4 +- 0.5 deg", "787\u00a0±\u00a014 nm, 73.4\u00a0±\u00a00.5°"),
+        ("media (+-0.3 between them)", "media (±0.3 between them)"),
         ("100 us at f_r, F_0 and sigma_J", "100 µs at f<sub>r</sub>, F<sub>0</sub> and σ<sub>J</sub>"),
         ("<b>3 um</b>", "&lt;b&gt;3 µm&lt;/b&gt;"),
         ("out/f_r.h5 of my_f_r and a_very_long_name", "out/f_r.h5 of my_f_r and a_very_long_name"),

@@ -13,7 +13,7 @@ from hpe_rig.measurement import Setup, prepare_resumption, prepare_text
 from hpe_rig.runs import open_run
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import RunWriter, StoreError, read_run, recover, verify
-from hpe_rig.store.log import HEADER_BYTES, SIGNATURE, Frame, is_log, read_log
+from hpe_rig.store.log import HEADER_BYTES, SIGNATURE, STATUS, Frame, LogWriter, is_log, read_log
 
 RECORDS, SAMPLES = 48, 256
 
@@ -134,6 +134,18 @@ def test_a_damaged_header_of_a_synced_frame_is_reported_and_nothing_is_discarded
     recover(path)
     assert is_log(path)
     assert read_run(path).shot_complete.tolist() == [True, False, False]
+
+
+def test_a_frame_that_only_another_version_writes_is_omitted_and_those_after_it_are_read(path: Path) -> None:
+    writer = LogWriter(path)
+    writer.append("records/of_another_version", 2, b"1234", (2,))
+    writer.append(STATUS, -1, b"aborted", ())
+    writer.close()
+    assert not verify(path).damage
+    assert read_run(path).status == "aborted"
+    recover(path)
+    assert not is_log(path)
+    assert (read_run(path).status, codes(path)) == ("aborted", WHOLE)
 
 
 def test_damage_after_the_last_sync_is_what_a_crash_leaves(path: Path) -> None:
