@@ -100,6 +100,8 @@ def _shot_result(shot: Shot, estimates: tuple[Estimate, ...] = (), untrusted: st
         pulse_rate_hz=shot.tracking_train.rate_hz,
         lateral_offset_m=shot.lateral_offset_m,
         axial_offset_m=shot.axial_offset_m,
+        # Points of a sweep differ in any setting; their number is as distinct as their values.
+        swept={"point": shot.point},
         untrusted=untrusted,
     )
 

@@ -23,6 +23,7 @@ from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from hpe_rig import sweep
 from hpe_rig.cli.app import app
 from hpe_rig.cli.options import WatchOptions
 from hpe_rig.cli.watch import supervise
@@ -309,6 +310,13 @@ def test_a_page_has_not_ended_before_every_complete_shot_is_estimated_and_leads_
     assert harmonic["u_nm"] == pytest.approx(mean.headline.amplitude_uncertainty_m * 1e9, rel=1e-3)
     assert harmonic["deg"] == pytest.approx(math.degrees(mean.headline.phase_rad), rel=1e-5)
     assert states[-1]["harmonics"][0]["nm"] != harmonic["nm"]
+
+
+def test_shots_at_different_points_of_a_sweep_have_no_common_mean(tmp_path: Path) -> None:
+    scene = load_scene("table-1").with_({"acquisition.repeats": 2, "tracking.pulse_count": 20})
+    path = sweep(scene, {"tracking.delay_s": [0.0, 1e-4]}, path=tmp_path / "run.h5").path
+    state = last_state(RunSource(path))
+    assert (len(state["over_shots"]), state["mean_of"]) == (4, 2)
 
 
 def post(address: str, path: str) -> int:
