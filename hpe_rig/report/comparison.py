@@ -74,8 +74,7 @@ class ResultDifference:
     ``amplitude_m`` and ``phase_rad`` (first, second) with combined standard uncertainties. ``p_all``: probability of an
     equal or larger difference by chance, if all sources of uncertainty are independent in the two runs. ``p_noise``: as
     above, if only noise and trigger jitter are independent, that is for the same position, beams and specimen.
-    ``shots`` (first, second), counted from 1.
-    ``settings``: values in the first run by name.
+    ``shots`` (first, second), counted from 1. ``settings``: values in the first run by name.
     """
 
     settings: Mapping[str, float | None]

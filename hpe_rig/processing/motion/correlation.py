@@ -26,8 +26,8 @@ def cross_correlation(echoes: EchoGate) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
     The cross-spectrum is weighted by inverse frequency. The peak is then at the delay where the cross-spectrum, summed
-    over the band, has zero phase, which the ends of the gate and a taper bias least. Raises
-    ``ValueError`` for fewer than two valid pulses and if no train has an echo.
+    over the band, has zero phase, which the ends of the gate and a taper bias least. Raises ``ValueError`` for fewer
+    than two valid pulses and if no train has an echo.
     """
     spectrum, band = band_spectrum(echoes)
     # A first guess of the delays (..., pulse), from the phases of consecutive echoes.
