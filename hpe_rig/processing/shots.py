@@ -48,7 +48,7 @@ from hpe_rig.processing.shot_warnings import (
     setting_warnings,
     toneburst_warnings,
 )
-from hpe_rig.processing.time_base import TimeBase, clocks_of, state_influence_m, timed_motion
+from hpe_rig.processing.time_base import TimeBase, clocks_of, phasor_influence_m, timed_motion
 from hpe_rig.result import MAX_INFLUENCE_BYTES, MOST_PULSES, Averaging, ShotResult
 from hpe_rig.scene import Scene
 
@@ -208,11 +208,7 @@ def _estimate_window(
         motion = motion.without(removed_drift.change_m(motion.tracked.time_s))
     fit_of = partial(_fit_with_aliasing, scene, shot, selection=selection, options=options, settings=settings)
     fit = fit_of(motion) if removed_drift is None else with_drift_uncertainty(fit_of(motion), removed_drift)
-    time_base_m = None
-    if time_base.is_uncertain:
-        states_m = state_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base)
-        states_m = states_m[: 2 * selection.wanted_hz.size]
-        time_base_m = states_m[::2] + 1j * states_m[1::2]
+    time_base_m = phasor_influence_m(HarmonicFitter.of(selection, spec.name, options), motion, time_base)
     sources = replace(_error_sources(records, motion, fit, settings, time_base, time_base_m), control=control)
     reference = phase_reference_of(scene, shot)
     averaging = shot_averaging(scene, fit, settings.averaging)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from hpe_rig.arrays import FloatArray
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.bench import BenchFile, clock_covariance, parse_bench
 from hpe_rig.medium import BeamWidths
 from hpe_rig.plan import Selection, Shot, select
@@ -219,6 +219,17 @@ def state_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: T
     u = time_base.by_pulses.uncertainty
     fast, slow = (fitter(with_rate_error(motion.tracked, error)) for error in (u, -u))
     return np.asarray((fast.state - slow.state) / 2)
+
+
+def phasor_influence_m(fitter: HarmonicFitter, motion: WindowMotion, time_base: TimeBase) -> ComplexArray | None:
+    """Return the change of each wanted A exp(j phase) by one standard uncertainty of the rate error, m.
+
+    None if the rate error is certain.
+    """
+    if not time_base.is_uncertain:
+        return None
+    wanted_m = state_influence_m(fitter, motion, time_base)[: 2 * len(fitter.wanted_hz)]
+    return np.asarray(wanted_m[::2] + 1j * wanted_m[1::2])
 
 
 def shot_fit(

@@ -57,7 +57,6 @@ def as_on_windows(code: str, folder: Path, others: str = "import_all()") -> subp
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
 
 
-@pytest.mark.slow
 def test_every_file_can_be_imported_without_what_only_posix_has(tmp_path: Path) -> None:
     done = as_on_windows(
         f"{SAYS_SO}\nimport_all()\nprint(len([n for n in sys.modules if n.startswith('hpe_rig')]))", tmp_path

@@ -39,7 +39,6 @@ def test_help_imports_no_numerics_and_no_instruments() -> None:
     assert not loaded.intersection(HEAVY)
 
 
-@pytest.mark.slow
 def test_the_light_core_imports_no_figures_no_signal_processing_and_no_visa() -> None:
     core = "\n".join(
         f"from hpe_rig.{name} import *" for name in ("scene", "plan", "bench", "measurement", "runs", "store")
