@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from typing import Annotated
 
 import typer
@@ -44,9 +45,9 @@ def main() -> None:
     exit_code = finish_streams(streams, _run(), sys.argv[1:])
     # All messages are printed and every output is off: a signal must not change the exit code.
     ignore_interrupts()
-    # A thread that still waits for a disk may hold the lock of h5py, for which Python's shutdown would wait forever.
-    h5py_lock = getattr(sys.modules.get("h5py._objects"), "phil", None)
-    if h5py_lock is not None and not h5py_lock.acquire(blocking=False):
+    # A thread of ``store/task.py`` that still waits for its disk may hold the lock of h5py, for which Python's shutdown
+    # would wait forever.
+    if any(thread.name == "new file" for thread in threading.enumerate()):
         os._exit(exit_code)
     sys.exit(exit_code)
 
