@@ -52,6 +52,8 @@ def print_verification(verification: Verification, json: bool = False) -> None:
         counts = f"{verification.shots_complete} of {shots} shots complete, {plural(verification.records, 'record')}"
         content = f"{counts}, {verification.status}"
     typer.echo(f"{verification.path}: {content}")
+    if verification.torn_bytes:
+        typer.echo(f"the last {plural(verification.torn_bytes, 'byte')} are of a write that was interrupted: left out")
     for damage in verification.damage:
         typer.echo(f"DAMAGED: {damage}")
     typer.echo(_verdict(verification))

@@ -34,7 +34,6 @@ from hpe_rig.store.log import (
     CODES,
     STATUS,
     TRIGGER_TIMES,
-    Frame,
     FrameIndex,
     Log,
     LogWriter,
@@ -102,9 +101,15 @@ def view_of(path: Path, stream: IO[bytes]) -> CheckedFile:
         log = read_log(stream)
         if log is None:
             raise InvalidContentError("the start of the log is damaged")
-        checked = _empty_run(CheckedFile(_open_image(log.image), log.size, log.damaged_bytes))
+        checked = _empty_run(CheckedFile(_open_image(log.image), log.size))
         # A log without frames may be that of a run that is just starting and has not locked it yet.
         status_without_frame = KILLED if is_unlocked and log.frames.size else STATUSES[0]
+        if is_unlocked and log.is_torn:
+            log = log.without_torn_frames(stream, checked.chunk_records)
+        unread = log.size - log.end
+        checked = replace(
+            checked, missing_bytes=0 if log.is_torn else unread, torn_bytes=unread if is_unlocked and log.is_torn else 0
+        )
         view = checked, _fill(checked, log.frames, stream, status_without_frame)
         while len(_views) >= MAX_VIEWS:
             # Not closed, as another thread may still read it: it closes with its last reference.
@@ -185,7 +190,7 @@ def _write_draft(
 
     with h5py.File("draft", "r+", libver=LIBVER, driver="fileobj", fileobj=output) as file:
         checked = _empty_run(CheckedFile(file))
-        frames = _without_torn_frames(log, stream, checked.chunk_records)
+        frames = log.without_torn_frames(stream, checked.chunk_records).frames
         _write_codes(checked, _fill(checked, frames, stream, KILLED), stream, refuse_failure_and_proceed)
     output.finish()
 
@@ -303,16 +308,6 @@ def _open_image(image: bytes) -> h5py.File:
     access.set_file_image(image)
     # The library takes two files in memory with one name for the same file.
     return h5py.File(h5f.open(secrets.token_hex().encode(), h5f.ACC_RDWR, access))
-
-
-def _without_torn_frames(log: Log, stream: IO[bytes], chunk_records: int) -> NDArray[np.void]:
-    """Return the frames of ``log`` up to the first one that a power loss has left incomplete.
-
-    That can only be one after the last sync; earlier frames are not examined.
-    """
-    frames = [Frame._make(row) for row in log.frames[log.synced :].tolist()]
-    torn = (number for number, frame in enumerate(frames) if not payload(stream, frame, chunk_records)[1])
-    return log.frames[: log.synced + next(torn, len(frames))]
 
 
 def _fill(checked: CheckedFile, log_frames: NDArray[np.void], stream: IO[bytes], status: str) -> FrameIndex:

@@ -16,7 +16,7 @@ import errno
 import os
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple, final
 from zlib import crc32
@@ -187,7 +187,7 @@ class Log:
     """Frames of a log up to the first damaged header, each a row as in ``Frame``.
 
     ``size``: bytes of the file. ``end``: of the last frame. ``is_torn``: whether the bytes after ``end`` were never
-    synced, as after a crash; otherwise the log was damaged later.
+    synced: they are of an interrupted write. Otherwise the log was damaged later.
     """
 
     image: bytes
@@ -202,10 +202,16 @@ class Log:
         numbers = np.flatnonzero(np.isin(self.frames["number"], [_NUMBERS[name] for name in SYNCED]))
         return int((numbers + 1).max(initial=0))
 
-    @property
-    def damaged_bytes(self) -> int:
-        """Number of bytes at the end that cannot be read although they were synced."""
-        return 0 if self.is_torn else self.size - self.end
+    def without_torn_frames(self, file: IO[bytes], chunk_records: int) -> Log:
+        """Return the log, open as ``file``, up to the first frame that a power loss has left incomplete.
+
+        That can only be one after the last sync; earlier frames are not examined.
+        """
+        frames = [Frame._make(row) for row in self.frames[self.synced :].tolist()]
+        for number, frame in enumerate(frames, self.synced):
+            if not payload(file, frame, chunk_records)[1]:
+                return replace(self, frames=self.frames[:number], end=frame.offset - HEADER_BYTES)
+        return self
 
 
 def payload(file: IO[bytes], frame: Frame, chunk_records: int = 1) -> tuple[bytes, bool]:
@@ -267,7 +273,7 @@ def _frames(file: IO[bytes], nonce: bytes, size: int) -> Iterator[Frame]:
 
 
 def _has_sync_after(file: IO[bytes], start: int, nonce: bytes, size: int) -> bool:
-    """Return whether an intact header of a frame that is followed by a sync lies anywhere after ``start``."""
+    """Return whether a frame that is followed by a sync lies anywhere after ``start``; a cut one was not synced."""
     for position in range(start, size, SEARCH_BYTES):
         file.seek(position)
         block = file.read(SEARCH_BYTES + HEADER_BYTES)
@@ -275,7 +281,7 @@ def _has_sync_after(file: IO[bytes], start: int, nonce: bytes, size: int) -> boo
         while start_of_frame >= 0:
             header = block[start_of_frame : start_of_frame + HEADER_BYTES]
             frame = _frame(header, position + start_of_frame, nonce)
-            if frame is not None and frame.name in SYNCED:
+            if frame is not None and frame.name in SYNCED and frame.offset + frame.size <= size:
                 return True
             start_of_frame = block.find(MARK, start_of_frame + 1)
     return False

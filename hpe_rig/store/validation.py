@@ -47,14 +47,16 @@ class CheckedFile:
     """Open HDF5 file that returns only checked content; ``shape`` and ``chunk_records`` are those of a run.
 
     ``size``: bytes of the file. ``missing_bytes``: how much shorter it is than it declares, negative if bytes follow
-    its end; of a log, the unreadable bytes. ``codes``: returns the codes of a chunk of records in a log,
-    by dataset, shot and number, and their checksum; None if ``file`` has them. ``shape``: numbers of shots, pulses and
-    samples, 0 if any is allowed. ``chunk_records``: records in a chunk of echoes.
+    its end; of a log, the damaged bytes. ``torn_bytes``: bytes of an interrupted write at the end of a killed run's
+    log. ``codes``: returns the codes of a chunk of records in a log, by dataset, shot and number, and their checksum;
+    None if ``file`` has them. ``shape``: numbers of shots, pulses and samples, 0 if any is allowed. ``chunk_records``:
+    records in a chunk of echoes.
     """
 
     file: h5py.File
     size: int = 0
     missing_bytes: int = 0
+    torn_bytes: int = 0
     codes: Callable[[str, int, int], tuple[Int16Array, int] | None] | None = None
     shape: Shape = (0, 0, 0)
     chunk_records: int = 0

@@ -29,7 +29,8 @@ class Verification:
     """Content and damage of a file; without ``checksums`` hardly any damage can be detected.
 
     ``kind``: run, result, map, queue, marks, study or summary; "text" for one of the last four that is damaged. Only
-    runs and results have shots.
+    runs and results have shots. ``torn_bytes``: length of an interrupted write at the end of a killed run's log, which
+    is no damage: the disk had not confirmed it.
     """
 
     path: Path
@@ -40,6 +41,7 @@ class Verification:
     records: int
     checksums: bool
     damage: tuple[Damage, ...]
+    torn_bytes: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as JSON values; shots and records count from 1."""
@@ -77,6 +79,7 @@ def verify(path: Path) -> Verification:
     with open_checked(path) as checked:
         if checked.codes is None:
             damage += _damaged_datasets(checked.file, path)
+        torn_bytes = checked.torn_bytes
     records, shots, complete = 0, stored.shot_complete.size, int(stored.shot_complete.sum())
     for shot in range(shots):
         arrival = stored.records.arrival(shot)
@@ -86,7 +89,8 @@ def verify(path: Path) -> Verification:
         if stored.shot_complete[shot] and arrival.unverified.any():
             damage.append(Damage("are marked as recorded, without a checksum", shot, ranges(arrival.unverified)))
     damage.sort(key=lambda item: -1 if item.shot is None else item.shot)
-    return Verification(path, "run", stored.status, shots, complete, records, stored.has_checksums, tuple(damage))
+    has_checksums = stored.has_checksums
+    return Verification(path, "run", stored.status, shots, complete, records, has_checksums, tuple(damage), torn_bytes)
 
 
 def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:

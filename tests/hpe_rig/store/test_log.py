@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import h5py
@@ -13,7 +14,7 @@ from hpe_rig.measurement import Setup, prepare_resumption, prepare_text
 from hpe_rig.runs import open_run
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import RunWriter, StoreError, read_run, recover, verify
-from hpe_rig.store.log import HEADER_BYTES, SIGNATURE, STATUS, Frame, LogWriter, is_log, read_log
+from hpe_rig.store.log import HEADER_BYTES, SHOT_COMPLETE, SIGNATURE, STATUS, Frame, LogWriter, is_log, read_log
 
 RECORDS, SAMPLES = 48, 256
 
@@ -109,6 +110,41 @@ def test_a_log_cut_anywhere_loses_only_what_follows_the_cut(path: Path, killed: 
         assert not verify(path).damage
         for stored, whole in zip(codes(path), WHOLE, strict=True):
             assert stored == whole[: len(stored)]
+
+
+def test_a_cut_is_an_interrupted_write_and_damage_before_it_stays_damage(path: Path, killed: bytes) -> None:
+    log = frames(path)
+    sync = next(frame for frame in log if frame.name == SHOT_COMPLETE)
+    damaged = bytearray(killed)
+    # In the header of the first row of the first shot.
+    damaged[log[0].offset - HEADER_BYTES + 40] ^= 1
+    for frame in log:
+        start, end = frame.offset - HEADER_BYTES, frame.offset + frame.size
+        # Nothing of the frame, a part of its header, all of it, a part of the payload, and all of it but a byte.
+        for cut in sorted({start, start + 1, frame.offset - 1, frame.offset, frame.offset + frame.size // 2, end - 1}):
+            assert torn_end(killed[:cut]) == (True, start)
+            assert torn_end(killed[:start] + bytes(cut - start)) == (True, start)
+            assert torn_end(damaged[:cut]) == (start <= sync.offset, log[0].offset - HEADER_BYTES)
+    # A disk that fails before the mark of a complete shot is written.
+    path.write_bytes(killed[: sync.offset])
+    verification = verify(path)
+    assert (verification.damage, verification.torn_bytes, codes(path)[0]) == ((), HEADER_BYTES, WHOLE[0])
+
+
+def torn_end(content: bytes) -> tuple[bool, int]:
+    """Return whether a log ends with an interrupted write, and the end of the last frame before it."""
+    log = read_log(io.BytesIO(content))
+    assert log is not None
+    return log.is_torn, log.end
+
+
+def test_a_payload_that_a_power_loss_left_unwritten_is_an_interrupted_write(path: Path) -> None:
+    last = frames(path)[-1]
+    content = path.read_bytes()
+    path.write_bytes(content[: last.offset] + bytes(last.size))
+    verification = verify(path)
+    assert (verification.damage, verification.torn_bytes) == ((), HEADER_BYTES + last.size)
+    assert codes(path)[:2] == WHOLE[:2]
 
 
 def frames_of(content: bytes, path: Path) -> list[Frame]:
