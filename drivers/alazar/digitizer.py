@@ -143,13 +143,12 @@ class AlazarDigitizer:
             "dual_port_memory": board.has_dual_port_memory(),
             "memory_samples_per_channel": memory_samples,
             "bits_per_sample": bits,
-            "clipped": self._clipped,
         }
         return report | self._programmed()
 
     def snapshot_and_errors(self) -> tuple[Mapping[str, Setting], tuple[str, ...]]:
-        """Return the ``snapshot`` without its state of clipping; the board has no queue of errors."""
-        return {key: value for key, value in self.snapshot().items() if key != "clipped"}, ()
+        """Return the ``snapshot``; the board has no queue of errors."""
+        return self.snapshot(), ()
 
     def self_test(self) -> None:
         """Do nothing: the vendor's interface has no self-test."""

@@ -62,8 +62,9 @@ def settings_differences(before: BenchSettings, after: BenchSettings) -> list[Di
     for role, name in ROLES.items():
         first, second = before.get(role), after.get(role)
         if first is not None and second is not None:
-            # A setting that only one release reads is no difference.
-            common = [key for key in first if key in second]
+            # A setting that only one release reads is no difference, nor is the flag of earlier releases that records
+            # of the previous shot were clipped.
+            common = [key for key in first if key in second and key != "clipped"]
             differences += _differences(name, *({key: item[key] for key in common} for item in (first, second)))
         elif first is not second:
             states = ("not opened" if settings is None else "opened" for settings in (first, second))

@@ -74,7 +74,10 @@ def _refusal(error: typer.TyperException) -> str:
     message, context = error.format_message(), getattr(error, "ctx", None)
     if context is None or "\n" in message:
         return str(message)
+    program, option = context.find_root(), getattr(error, "option_name", None)
     remedy = "" if "Try: " in message else f" Try: {context.command_path} --help"
+    if any(option in parameter.opts for parameter in program.command.params):
+        remedy = f" Try: {program.info_name} {option} ... {context.info_name}"
     return f"{context.command_path}: {message.rstrip('.')}.{remedy}"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from functools import partial
@@ -14,7 +13,7 @@ import typer
 from hpe_rig.cli.console import announce, print_json
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.extensions import CONDITIONS, ESTIMATORS, IMPORTERS, MEDIA, installed, load, origin
-from hpe_rig.result import csv_text, rich_table
+from hpe_rig.result import amplitude_text, csv_text, phase_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 from hpe_rig.store import RunEntry, list_runs, matching_runs
 
@@ -67,9 +66,8 @@ def _result(entry: RunEntry) -> str:
     lead = entry.lead
     if lead is None:
         return "-"
-    amplitude = f"{lead.amplitude_m * 1e9:.4g} +- {lead.amplitude_uncertainty_m * 1e9:.2g} nm"
-    phase = f"{math.degrees(lead.phase_rad):.1f} +- {math.degrees(lead.phase_uncertainty_rad):.2g} deg"
-    return f"{amplitude}, {phase} at {lead.frequency_hz:g} Hz"
+    amplitude = amplitude_text(lead.amplitude_m, lead.amplitude_uncertainty_m)
+    return f"{amplitude}, {phase_text(lead.phase_rad, lead.phase_uncertainty_rad)} at {lead.frequency_hz:g} Hz"
 
 
 def _csv_row(entry: RunEntry) -> dict[str, Any]:

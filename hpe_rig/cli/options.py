@@ -165,8 +165,9 @@ class WatchOptions:
 
 @dataclass(frozen=True, slots=True)
 class SweepOptions:
-    """Processing of a stored run at several values, or at gates over depth."""
+    """Processing of a stored run with other settings, at several values, or at gates over depth."""
 
+    settings: Settings = None
     gate_profile_step: ProfileStep = None
     sweep: Annotated[
         list[str] | None,
@@ -178,6 +179,13 @@ class SweepOptions:
     together: Annotated[
         bool, typer.Option("--together", help="Several --sweep: combine their first values, their second ones, ...")
     ] = False
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Values that replace those of the scene, by their key."""
+        from hpe_rig.scene import parse_settings
+
+        return parse_settings(self.settings or ())
 
 
 @dataclass(frozen=True, slots=True)

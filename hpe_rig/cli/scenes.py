@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import EXIT_MISTAKE, guarded, print_json, printing
-from hpe_rig.cli.options import BenchPath, Json, SceneName, Settings
+from hpe_rig.cli.options import BenchPath, Json, SceneName, Settings, output_option
 
 scene_commands = typer.Typer()
 
@@ -63,20 +63,26 @@ def scenes(json: Json = False) -> None:
 @scene_commands.command()
 @guarded
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")
+    ] = None,
     like: Annotated[
         str, typer.Option(metavar="SOURCE", help="Scene or run file to copy, or 'bench' for a bench file.")
     ] = "bovine-muscle",
     full: Annotated[
         bool, typer.Option("--full", help="Add every other key in a comment: meaning, unit, bounds, default.")
     ] = False,
+    output: Annotated[Path | None, output_option("File of the copy, instead of NAME.")] = None,
 ) -> None:
     """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
     from hpe_rig.bench import read_bench, with_title
     from hpe_rig.measurement import source_text
+    from hpe_rig.scene import Mistake, SettingsError
     from hpe_rig.store import write_file
 
-    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    if (name is None) is (output is None):
+        raise SettingsError("command line", [Mistake("NAME", "one file is written", "new NAME, or new -o FILE.toml")])
+    path = output or Path(f"{(name or '').removesuffix('.toml')}.toml")
     is_bench = like == "bench"
     text = with_title(read_bench().text, f"Bench {path.stem}") if is_bench else source_text(like)[1]
     if full:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -43,9 +43,6 @@ def process(
     run_file: RunFile,
     result: ResultOptions,
     points: SweepOptions,
-    drift: Annotated[
-        Literal["none", "linear"] | None, typer.Option(help="As processing.drift. Default: the scene's.")
-    ] = None,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.runs import estimate_points, open_run, points_over, process as process_run
@@ -53,10 +50,11 @@ def process(
 
     _refuse_conflicts(points)
     if points.sweep:
-        run_points = points_over(open_run(run_file).with_drift(drift), parse_axes(points.sweep), points.together)
+        run_points = points_over(open_run(run_file).with_(points.changes), parse_axes(points.sweep), points.together)
         estimates = estimate_points(run_points, result.estimator)
     else:
-        estimates = process_run(run_file, result.estimator, Stages(), _step_m(points.gate_profile_step), drift)
+        step_m = _step_m(points.gate_profile_step)
+        estimates = process_run(run_file, result.estimator, Stages(), step_m, points.changes)
     show(estimates, result)
 
 
@@ -77,8 +75,16 @@ def report(
     from hpe_rig.scene import parse_axes
 
     _refuse_conflicts(points)
-    axes, step_m = parse_axes(points.sweep or ()), _step_m(points.gate_profile_step)
-    page = write_report(run_file, estimator, output, shot, profile_step_m=step_m, axes=axes, together=points.together)
+    page = write_report(
+        run_file,
+        estimator,
+        output,
+        shot,
+        profile_step_m=_step_m(points.gate_profile_step),
+        axes=parse_axes(points.sweep or ()),
+        together=points.together,
+        settings=points.changes,
+    )
     typer.echo(f"{page}: open it in any browser")
 
 

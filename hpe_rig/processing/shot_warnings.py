@@ -79,7 +79,8 @@ def record_warnings(damaged: BoolArray, deviating: int, clipped: int, position: 
             f"{DEVIATION_CAUSES[position]}"
         )
     if clipped:
-        yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"
+        records = "1 record reaches" if clipped == 1 else f"{clipped} records reach"
+        yield f"{records} the digitizer's full scale in the gate: raise acquisition.input_range_v"
 
 
 def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
@@ -267,7 +268,7 @@ def drift_warnings(
         f"amplitude at {frequency_hz:g} Hz differs by {np.expm1(-change.real) * 100:+.2g} % and the phase by "
         f"{-np.degrees(change.imag):+.2g} deg. Tissue warms, "
         "clocks differ, tonebursts are missing, or the start-up is in the window: set "
-        'processing.drift = "linear" for the results at the first pulse (hpe-rig process RUN.h5 --drift linear), lower '
-        "the drive, connect a common 10 MHz reference, compare the bench's burst count with excitation.burst_count, or "
-        "move processing.window_start_s past the start-up"
+        'processing.drift = "linear" for the results at the first pulse (hpe-rig process RUN.h5 --set '
+        "processing.drift=linear), lower the drive, connect a common 10 MHz reference, compare the bench's burst count "
+        "with excitation.burst_count, or move processing.window_start_s past the start-up"
     )

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from hpe_rig.bench import twin_of
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named, origin
@@ -59,20 +60,22 @@ def write_report(
     profile_step_m: float | None = None,
     axes: Sequence[Axis] = (),
     together: bool = False,
+    settings: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write the page of the run in ``path`` and return its path, by default that of the run with the suffix .html.
 
     ``shot``: number of the main shot from 1, by default the complete one with the largest amplitude.
     ``profile_step_m``: distance of additional gates over depth. ``axes``: values of processing settings, for which the
-    page shows results and curves from the same records; ``together`` as for ``Run.sweep``. Raises ``StoreError`` for a
-    file that cannot be read or written, or would be lost, and ``SettingsError`` for wrong settings.
+    page shows results and curves from the same records; ``together`` as for ``Run.sweep``. ``settings``: values instead
+    of the scene's, as for ``Run.with_``. Raises ``StoreError`` for a file that cannot be read or written, or would be
+    lost, and ``SettingsError`` for wrong settings.
     """
     if not path.name:
         raise StoreError(f"{path} is a folder. Try: the path of a run file.")
     target = output or path.with_suffix(".html")
     _refuse_other_file(target)
     refuse_unwritable(target)
-    page = render(path, estimator, shot, profile_step_m=profile_step_m, axes=axes, together=together)
+    page = render(path, estimator, shot, profile_step_m=profile_step_m, axes=axes, together=together, settings=settings)
     write_file(target, page)
     return target
 
@@ -99,11 +102,12 @@ def render(
     profile_step_m: float | None = None,
     axes: Sequence[Axis] = (),
     together: bool = False,
+    settings: Mapping[str, Any] | None = None,
 ) -> str:
     """Return the page of the run in ``path`` as HTML; raises as ``write_report``."""
     stages = Stages()
     with stages("read"):
-        stored_run = open_run(path).with_profile(profile_step_m)
+        stored_run = open_run(path).with_(settings or {}).with_profile(profile_step_m)
     if not axes:
         run = stored_run
         result = run.estimate(estimator, stages)

@@ -35,10 +35,12 @@ from .result import Result as Result
 from .result_data import json_text as json_text, json_values as json_values, shot_warnings as shot_warnings
 from .rows import result_csv as result_csv
 from .sentence import (
+    amplitude_text as amplitude_text,
     estimate_at as estimate_at,
     frequency_error_text as frequency_error_text,
     headline_sentence as headline_sentence,
     lead_frequency_hz as lead_frequency_hz,
+    phase_text as phase_text,
     probability_text as probability_text,
     scale_of as scale_of,
     with_u as with_u,

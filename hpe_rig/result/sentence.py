@@ -59,13 +59,21 @@ def _single_sentence(value: Headline, frequency_hz: float, quantity: str) -> str
     # An amplitude has no negative values.
     limits_m = max(amplitude_m - half_width_m, 0.0), amplitude_m + half_width_m
     low, high = (plain(limit_m / scale, u_m / scale) for limit_m in limits_m)
-    # The unit suits the larger of amplitude and uncertainty.
-    scale, unit = scale_of(max(amplitude_m, u_m))
-    phase = with_u(math.degrees(value.phase_rad), math.degrees(value.phase_uncertainty_rad))
+    phase = phase_text(value.phase_rad, value.phase_uncertainty_rad)
     return (
-        f"{with_u(amplitude_m / scale, u_m / scale)} {unit} at {frequency_hz:g} Hz ({quantity}, "
-        f"95 %: {low} to {high}), phase {phase} deg"
+        f"{amplitude_text(amplitude_m, u_m)} at {frequency_hz:g} Hz ({quantity}, 95 %: {low} to {high}), phase {phase}"
     )
+
+
+def amplitude_text(amplitude_m: float, u_m: float) -> str:
+    """Return an amplitude with its uncertainty in the unit that suits the larger of both."""
+    scale, unit = scale_of(max(amplitude_m, u_m))
+    return f"{with_u(amplitude_m / scale, u_m / scale)} {unit}"
+
+
+def phase_text(phase_rad: float, u_rad: float) -> str:
+    """Return a phase with its uncertainty in degrees."""
+    return f"{with_u(math.degrees(phase_rad), math.degrees(u_rad))} deg"
 
 
 def lead_frequency_hz(shots: Sequence[ShotResult]) -> float:

@@ -1,15 +1,15 @@
-"""Reprocessing of a stored run at several values of its processing settings; nothing is acquired."""
+"""Reprocessing of a stored run with other processing settings, or at several values of one; nothing is acquired."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
 from hpe_rig.result import Result
-from hpe_rig.scene import Axis, Mistake, Scene, ScenePoint, SettingsError, with_default_specimen
+from hpe_rig.scene import Axis, Mistake, Scene, SettingsError, with_default_specimen
 
 GATE_KEYS = ("acquisition.gate_depth_m", "acquisition.gate_length_m")
 PROCESSING_SECTIONS = ("processing", "beams")
@@ -30,18 +30,25 @@ def points_of(scene: Scene, axes: Sequence[Axis], together: bool, source: str) -
     values = {axis.name: list(axis.labels) for axis in axes}
     swept = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
     points = scene.model_copy(update={"sweep": sweep}).with_(swept).points
-    _refuse_acquisition_keys(points[0], source)
+    if PROFILE_KEY in points[0].values:
+        remedy = "values of acquisition.gate_depth_m"
+        raise SettingsError(source, [Mistake(f"sweep.{PROFILE_KEY}", "a sweep has no depth profile", remedy)])
     return [point.values for point in points]
 
 
 def reprocessed(
-    scene: Scene, bench: BenchFile, plan: Plan, values: Mapping[str, float], source: str
+    scene: Scene, bench: BenchFile, plan: Plan, values: Mapping[str, Any], source: str
 ) -> tuple[Scene, Plan, tuple[CheckResult, ...]]:
     """Return scene, plan and findings of a stored run with the processing settings ``values``.
 
-    Raises ``PlanError`` or ``SettingsError`` if the records do not contain the window or gate.
+    Raises ``SettingsError`` about the run file ``source`` for settings of the acquisition, and ``PlanError`` or
+    ``SettingsError`` if the records do not contain the window or gate.
     """
-    varied = _without_other_windows(scene.with_(values), values)
+    varied = scene.with_(values)
+    _refuse_acquisition_keys(values, source)
+    if "processing.window_length_s" in values:
+        # It replaces the list of windows.
+        varied = varied.model_copy(update={"sweep": varied.sweep.model_copy(update={"window_length_s": ()})})
     if bench.simulated:
         varied = with_default_specimen(varied)
     varied_plan = _with_gates_of(make_plan(varied, bench), plan, scene, source)
@@ -50,28 +57,22 @@ def reprocessed(
     return varied, varied_plan, findings
 
 
-def _without_other_windows(scene: Scene, values: Mapping[str, float]) -> Scene:
-    """Return the scene without gates over depth, and without its list of windows if ``values`` set the window."""
+def without_gates_over_depth(scene: Scene) -> Scene:
+    """Return the scene with its main gate only."""
     processing = scene.processing.model_copy(update={"gate_profile_step_m": None, "gates": ()})
-    sweep = scene.sweep
-    if "processing.window_length_s" in values:
-        sweep = sweep.model_copy(update={"window_length_s": ()})
-    return scene.model_copy(update={"processing": processing, "sweep": sweep})
+    return scene.model_copy(update={"processing": processing})
 
 
-def _refuse_acquisition_keys(point: ScenePoint, source: str) -> None:
-    """Raise ``SettingsError`` for every axis that varies how records are acquired."""
-    what = "cannot be swept after the measurement: the records hold one value"
+def _refuse_acquisition_keys(keys: Iterable[str], source: str) -> None:
+    """Raise ``SettingsError`` for every key that changes how records are acquired."""
+    what = "cannot change after the measurement: the records hold one value"
     sections = "], [".join(PROCESSING_SECTIONS)
-    remedy = f"numbers of [{sections}], {' or '.join(GATE_KEYS)}; hpe-rig run measures a [sweep]"
+    remedy = f"keys of [{sections}], {' or '.join(GATE_KEYS)}; hpe-rig run measures again, also a [sweep]"
     mistakes = [
-        Mistake(f"sweep.{key}", what, remedy)
-        for key in point.values
+        Mistake(key, what, remedy)
+        for key in keys
         if key not in GATE_KEYS and key.partition(".")[0] not in PROCESSING_SECTIONS
     ]
-    if PROFILE_KEY in point.values:
-        what = "a sweep has no depth profile"
-        mistakes.append(Mistake(f"sweep.{PROFILE_KEY}", what, "values of acquisition.gate_depth_m"))
     if mistakes:
         raise SettingsError(source, mistakes)
 

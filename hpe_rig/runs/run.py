@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class Run:
     """A stored run. Its records are read on demand, so that a long run needs little memory.
 
     ``findings``: of the checks of its plan; ``stored``: content of the file when it was opened, with the texts of scene
-    and bench file.
+    and bench file; ``changes``: values of settings that replace those of the stored scene, by their full path.
 
     >>> run = open_run("bovine-muscle.h5")
     >>> run.scene.tracking.pulse_rate_hz, run.records[0].codes.shape
@@ -67,6 +67,7 @@ class Run:
     plan: Plan
     findings: tuple[CheckResult, ...]
     stored: StoredRun
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def records(self) -> StoredRecords:
@@ -136,7 +137,12 @@ class Run:
                 )
                 for shot in estimates.shots
             ),
-            warnings=(*warnings, *condition_warnings(self.bench, self.stored), *gate_failures),
+            warnings=(
+                *self._changes_in_words(),
+                *warnings,
+                *condition_warnings(self.bench, self.stored),
+                *gate_failures,
+            ),
             conditions=condition_summaries(self.bench, self.stored),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, name), self.bench)),
             versions=versions(),
@@ -148,6 +154,11 @@ class Run:
             provenance=self.stored.provenance,
             profile=tuple(gates),
         )
+
+    def _changes_in_words(self) -> Iterator[str]:
+        if self.changes:
+            values = ", ".join(f"{key} = {value}" for key, value in self.changes.items())
+            yield f"estimated with other settings than the scene's: {values}"
 
     def sweep(
         self, axes: Mapping[str, Sequence[float]], *, together: bool = False, estimator: str | None = None
@@ -165,12 +176,21 @@ class Run:
         points = points_over(self, [Axis.of_key(key, values) for key, values in axes.items()], together)
         return estimate_points(points, estimator)
 
-    def with_drift(self, drift: str | None) -> Run:
-        """Return the run with another processing.drift, "none" or "linear"; None returns it unchanged.
+    def with_(self, values: Mapping[str, Any]) -> Run:
+        """Return the run with other settings, by their full path, of [processing], [beams] or the gate.
 
-        >>> open_run("bovine-muscle.h5").with_drift("linear").estimate()
+        Its results state the ``values`` in a warning. Raises as ``sweep``.
+
+        >>> open_run("bovine-muscle.h5").with_({"processing.harmonic": "kalman"}).estimate()
         """
-        return self if drift is None else replace(self, scene=self.scene.with_({"processing.drift": drift}))
+        changed = replace(self, changes={**self.changes, **values})
+        return changed._reprocessed(values) if values else self
+
+    def _reprocessed(self, values: Mapping[str, Any]) -> Run:
+        from hpe_rig.runs.reprocessing import reprocessed
+
+        scene, plan, findings = reprocessed(self.scene, self.bench, self.plan, values, self.path.name)
+        return replace(self, scene=scene, plan=plan, findings=findings)
 
     def with_profile(self, step_m: float | None) -> Run:
         """Return the run with gates every ``step_m`` over the depth of its records; None returns it unchanged.
@@ -284,16 +304,16 @@ def process(
     estimator: str | None = None,
     stages: Stages | None = None,
     profile_step_m: float | None = None,
-    drift: str | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Result:
     """Return the result of the run in ``path`` and write it to the folder of the run file.
 
-    ``profile_step_m``: step of additional gates over depth; it replaces the gates of the scene. ``drift``:
-    processing.drift instead of the scene's.
+    ``profile_step_m``: step of additional gates over depth; it replaces the gates of the scene. ``settings``: values
+    instead of the scene's, as for ``Run.with_``.
     """
     stages = stages or Stages()
     with stages("read"):
-        run = open_run(path).with_profile(profile_step_m).with_drift(drift)
+        run = open_run(path).with_(settings or {}).with_profile(profile_step_m)
     refuse_unwritable(result_path(path, chosen_estimator(estimator, run.scene)))
     result = run.estimate(estimator, stages)
     with stages("write result"):
@@ -303,14 +323,12 @@ def process(
 
 def points_over(run: Run, axes: Sequence[Axis], together: bool = False) -> list[tuple[Mapping[str, float], Run]]:
     """Return the values, by key, at every point of ``axes``, and ``run`` with them; raises as ``Run.sweep``."""
-    from hpe_rig.runs.reprocessing import points_of, reprocessed
+    from hpe_rig.runs.reprocessing import points_of, without_gates_over_depth
 
-    points = []
+    points = points_of(run.scene, axes, together, run.path.name)
+    one_gate = replace(run, scene=without_gates_over_depth(run.scene))
     # All points are checked before the first one is estimated.
-    for values in points_of(run.scene, axes, together, run.path.name):
-        scene, plan, findings = reprocessed(run.scene, run.bench, run.plan, values, run.path.name)
-        points.append((values, replace(run, scene=scene, plan=plan, findings=findings)))
-    return points
+    return [(values, one_gate._reprocessed(values)) for values in points]
 
 
 def estimate_points(points: Sequence[tuple[Mapping[str, float], Run]], estimator: str | None = None) -> Result:

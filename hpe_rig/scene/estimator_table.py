@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import KW_ONLY, dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from hpe_rig.extensions import ESTIMATORS as ENTRY_POINTS, installed
 
 Window = Literal["none", "hann"]
+HarmonicFitName = Literal["medium_prior", "least_squares", "kalman"]
 
 WINDOW_NOISE: Final[dict[Window, float]] = {"none": 1.0, "hann": 1.5}
 """Increase of the variance of a mean by a window w over N samples, N sum w² / (sum w)²."""
@@ -117,6 +118,8 @@ def checked_estimator(name: str, stored: bool = False) -> str:
         return name
     if name in REPLACED_ESTIMATORS:
         hint = f"it was removed, use {REPLACED_ESTIMATORS[name]}; "
+    elif name in get_args(HarmonicFitName):
+        hint = f"processing.harmonic for this fit (hpe-rig process RUN.h5 --set processing.harmonic={name}); "
     else:
         close = difflib.get_close_matches(name, estimator_names(), n=1)
         hint = f"did you mean {close[0]}? " if close else ""

@@ -7,11 +7,18 @@ from typing import Any, Final
 
 REMOVED_KEYS: Final[Mapping[str, str]] = {
     "simulation.transmitter": "remove it; the power stage of the twin is linear",
-    "simulation.instruments.sample_clock_offset": "simulation.instruments.clock_error.digitizer, of the opposite sign",
-    "simulation.scatterers.measured_pulse": 'simulation.scatterers.pulse = "gaussian", with its bandwidth',
-    "simulation.scatterers.measured_pulse_rate_hz": "remove it, with measured_pulse",
+    "simulation.instruments.sample_clock_offset": "set simulation.instruments.clock_error.digitizer, of opposite sign",
+    "simulation.scatterers.measured_pulse": 'set simulation.scatterers.pulse = "gaussian" and its bandwidth',
+    "simulation.scatterers.measured_pulse_rate_hz": "remove it together with measured_pulse",
 }
 """Remedy by the full path of a key or table."""
+
+
+def removal_remedy(path: str) -> str | None:
+    """Return what to do about the key ``path`` if an earlier version had it, in this table or another; else None."""
+    name = path.rpartition(".")[2]
+    elsewhere = (remedy for key, remedy in REMOVED_KEYS.items() if key.rpartition(".")[2] == name)
+    return REMOVED_KEYS.get(path) or next(elsewhere, None)
 
 
 def current_simulation(simulation: Mapping[str, Any]) -> dict[str, Any]:

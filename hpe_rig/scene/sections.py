@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, model_validator
 
-from hpe_rig.scene.estimator_table import properties_of
+from hpe_rig.scene.estimator_table import HarmonicFitName, properties_of
 from hpe_rig.scene.quantities import (
     AmplitudeM,
     AnyNumber,
@@ -195,7 +195,7 @@ class Processing(Section):
 
     estimator: Estimator = "coherent"
     """Motion estimator; cross_spectrum is the paper's chain."""
-    harmonic: Literal["medium_prior", "least_squares", "kalman"] | None = None
+    harmonic: HarmonicFitName | None = None
     """Fit of amplitude and phase to the displacement; cross_spectrum includes a fit. Default: medium_prior (all
     harmonics of the tonebursts, with a prior of media) for a train of tonebursts with [beams] and frequencies that are
     multiples of its rate, otherwise least_squares."""

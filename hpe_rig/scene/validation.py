@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from hpe_rig.scene.mistakes import MAX_SHOWN_CHARACTERS, KeyPath, Mistake, SettingsError, dotted, shortened
-from hpe_rig.scene.removed_keys import REMOVED_KEYS
+from hpe_rig.scene.removed_keys import removal_remedy
 from hpe_rig.scene.units import unit_of_path
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -87,7 +87,7 @@ def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], pr
     # Each type of mistake has a function for its words.
     if kind == "extra_forbidden":
         key = str(path[-1])
-        if remedy := REMOVED_KEYS.get(dotted(prefix + path)):
+        if remedy := removal_remedy(dotted(prefix + path)):
             words: Words = "this key of an earlier version was removed", remedy
         else:
             words = _unknown_key(key, _keys_at(model, path[:-1]), list(_paths_to(key, model, prefix)))
@@ -102,7 +102,7 @@ def _mistake(entry: Entry, model: type[BaseModel], tables: Mapping[str, Any], pr
 
 def _unknown_key(key: str, keys: Sequence[str], same_name: Sequence[str]) -> Words:
     """Return the words about an unknown ``key`` in a table of ``keys``; ``same_name``: paths of keys elsewhere."""
-    close = same_name or difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
+    close = same_name or difflib.get_close_matches(key, keys, n=1)
     remedy = f"did you mean {close[0]}?" if close else f"remove it; the keys here are {', '.join(keys)}"
     return "unknown key", remedy
 

@@ -45,7 +45,7 @@ def test_the_result_states_the_rate_error_of_the_train(run: hpe.Run) -> None:
 
 def test_no_rate_error_is_claimed_where_a_linear_drift_contains_it(run: hpe.Run) -> None:
     """Its u is part of the drift's: a rate error would be stated with u = 0."""
-    (shot,) = run.with_drift("linear").estimate().shots
+    (shot,) = run.with_({"processing.drift": "linear"}).estimate().shots
     assert (shot.frequency_error, shot.frequency_error_uncertainty) == (None, None)
     assert not [text for text in shot.warnings if "burst generator's clock" in text]
 

@@ -221,6 +221,8 @@ def test_an_input_beyond_its_range_is_reported(dual: bool, amplitude_v: float, c
     rig = Rig(dual, amplitude_v)
     rig.shot(CAPTURE)
     assert rig.digitizer.clipped() is clipped
+    # It is a state, and no setting.
+    assert "clipped" not in rig.digitizer.snapshot()
     rig.digitizer.arm()
     assert rig.digitizer.clipped() is False
     rig.digitizer.make_safe()

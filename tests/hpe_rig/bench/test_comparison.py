@@ -50,6 +50,10 @@ def test_a_setting_that_only_one_release_reads_is_no_difference() -> None:
     assert settings_differences({"master": {"high_v": 4.0, "polarity": "normal"}}, {"master": {"high_v": 4.0}}) == []
 
 
+def test_the_flag_of_a_clipped_shot_in_earlier_run_files_is_no_setting() -> None:
+    assert settings_differences({"digitizer": {"clipped": False}}, {"digitizer": {"clipped": True}}) == []
+
+
 def test_an_entry_of_one_bench_file_only_is_not_stated_in_the_other() -> None:
     (difference,) = file_differences({"limits": {"max_pressure_pa": 2e6}}, {"limits": {}})
     assert difference.text("a", "b") == "bench file: limits max pressure 2 MPa in a, not stated in b"

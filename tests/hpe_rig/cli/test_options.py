@@ -18,7 +18,6 @@ from hpe_rig.cli.app import app
 
 COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
 NO_FILE = {
-    "new": "its argument is the file",
     "commission": "it writes into the bench file",
     "live": "it serves a page",
     "align": "it serves a page",
@@ -28,7 +27,7 @@ NO_JSON = {
     "schema": "it prints JSON",
     "accuracy": "-o FILE.json",
     **dict.fromkeys(("report", "figure", "new", "bug-report", "emulate"), "it prints only the name of its file"),
-    **{name: why for name, why in NO_FILE.items() if name != "new"},
+    **NO_FILE,
 }
 """Commands without --json, and why."""
 
@@ -62,6 +61,10 @@ def test_what_is_printed_goes_to_the_file_of_o(tmp_path: Path) -> None:
     [
         (["run", "table-1", "--foo"], r"(.+ run): No such option: --foo\. Try: \1 --help"),
         (["study"], r"(.+ study): Missing argument 'STUDY'\. Try: \1 --help"),
+        (
+            ["run", "table-1", "--log-level", "debug"],
+            r"(.+) run: No such option: --log-level\. Try: \1 --log-level ... run",
+        ),
         (["nothing"], r"(.+): No such command 'nothing'\. Try: \1 --help"),
     ],
 )
@@ -73,6 +76,15 @@ def test_refused_arguments_end_with_one_sentence(
     output = capsys.readouterr()
     assert re.fullmatch(message, output.err.strip())
     assert output.out == ""
+
+
+def test_a_new_scene_goes_to_its_name_or_to_the_file_of_o(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments in (["new", "a"], ["new", "b.toml"], ["new", "-o", "c.toml"]):
+        assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.toml", "b.toml", "c.toml"]
+    for arguments in (["new"], ["new", "d", "-o", "d.toml"]):
+        assert "NAME: one file is written" in CliRunner().invoke(app, arguments).output
 
 
 @pytest.mark.parametrize("command", [["run", "table-1"], ["process", "run.h5"], ["list"]])

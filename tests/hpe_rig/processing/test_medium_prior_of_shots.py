@@ -205,7 +205,7 @@ def test_a_motion_that_weakens_is_distinguished_from_a_steady_one() -> None:
 
 def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None:
     (steady,) = run().estimate().shots
-    (at_first_pulse,) = run().with_drift("linear").estimate().shots
+    (at_first_pulse,) = run().with_({"processing.drift": "linear"}).estimate().shots
     assert not steady.warnings
     assert "removed" in " ".join(at_first_pulse.warnings)
     for mean, first in zip(steady.estimates, at_first_pulse.estimates, strict=True):
@@ -227,7 +227,7 @@ def test_results_at_the_first_pulse_are_those_of_the_medium_before_it_warmed() -
     warming = hpe.measure(hpe.load_scene("bovine-muscle").with_(changes), path=Path(FOLDER.name) / "warming.h5")
     assert any("the motion changes" in warning for warning in warming.estimate().shots[0].warnings)
     for name in ("coherent", "cross_spectrum"):
-        results = run().estimate(name), warming.with_drift("linear").estimate(name)
+        results = run().estimate(name), warming.with_({"processing.drift": "linear"}).estimate(name)
         pairs = zip(*(result.shots[0].estimates for result in results), strict=True)
         for steady, first in pairs:
             expected_rad = steady.headline.phase_rad - 2 * np.pi * steady.frequency_hz * 270e-6 * 0.05

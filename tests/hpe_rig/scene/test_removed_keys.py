@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hpe_rig.bench import check_simulation, twin_of
+from hpe_rig.measurement import prepare
 from hpe_rig.scene import SettingsError, named_text, parse_scene, shipped_scenes
 from sim_backend.settings import SimulationSettings
 
@@ -29,6 +30,14 @@ def test_a_removed_key_is_a_mistake_that_says_what_to_do() -> None:
     assert set(remedies) == {"simulation.transmitter", "simulation.instruments.sample_clock_offset"}
     assert "linear" in remedies["simulation.transmitter"]
     assert "clock_error.digitizer" in remedies["simulation.instruments.sample_clock_offset"]
+
+
+@pytest.mark.parametrize("table", ["", "simulation.", "simulation.scatterers."])
+def test_a_removed_key_is_recognised_in_any_table(table: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        prepare("table-1", changes={f"{table}measured_pulse_rate_hz": 1e8})
+    (mistake,) = caught.value.mistakes
+    assert mistake.remedy == "remove it together with measured_pulse"
 
 
 def test_the_twin_of_a_run_file_is_read_without_removed_keys_and_keeps_the_clock_error_that_one_of_them_set() -> None:
