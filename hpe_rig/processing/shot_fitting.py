@@ -50,7 +50,8 @@ def shot_drift(
 ) -> Drift:
     """Return the change of a shot's ``motion`` over the window; raise ``ValueError`` if it cannot be fitted.
 
-    It is that of the coherent displacement, which has least noise, if there is one.
+    It is that of the coherent displacement, which has least noise, if there is one. ``options`` should have the prior
+    of media if one is available, whether or not the fit uses it.
     """
     return drift_of(
         motion.tracked if motion.coherent is None else motion.coherent,

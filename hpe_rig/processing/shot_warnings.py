@@ -115,17 +115,18 @@ def fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
         )
 
 
-def medium_warnings(fit: HarmonicFit, max_probability: float) -> Iterator[str]:
+def medium_warnings(fit: HarmonicFit, max_probability: float, *, uses_prior: bool) -> Iterator[str]:
     """Yield a warning if no medium of the prior's ensemble explains the motion.
 
-    Data as improbable as these then have less than ``max_probability`` under the ensemble.
+    Data as improbable as these then have less than ``max_probability`` under the ensemble. ``uses_prior``: the fit does
+    so itself, else only its uncertainty by aliasing.
     """
     if fit.medium is not None and float(fit.medium.significance) < max_probability:
         yield (
             f"the medium lies outside the ensemble of the prior (significance {fit.medium.significance:.1g}): "
             "reflections, layers, a force that differs from [beams] and the burst length, a medium that differs from "
-            "[medium], or motion that is not periodic; check these and the start-up (processing.window_start_s), or "
-            'compare with processing.harmonic = "least_squares"'
+            "[medium], or motion that is not periodic; check these and the start-up (processing.window_start_s)"
+            + (', or compare with processing.harmonic = "least_squares"' if uses_prior else "")
         )
 
 

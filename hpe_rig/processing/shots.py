@@ -202,7 +202,9 @@ def _estimate_window(
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, settings.beams))
     # Records to displacement of each pulse to harmonics.
     motion, time_base = timed_motion(scene, shot, records, spec.motion, settings.clocks, settings.beams, control)
-    drift = _drift(scene, motion, selection, options, settings.false_alarm)
+    # Unfitted harmonics that alias near a fitted one beat with it, as a drift does: the prior contains them.
+    with_prior = replace(options, prior=available_prior(scene, shot, settings.beams))
+    drift = _drift(scene, motion, selection, with_prior, settings.false_alarm)
     removed_drift = drift if scene.processing.drift == "linear" else None
     if removed_drift is not None:
         motion = motion.without(removed_drift.change_m(motion.tracked.time_s))
@@ -232,7 +234,7 @@ def _estimate_window(
             *records.assignment.remarks,
             *_record_warnings(shot, records, selection, motion, complete),
             *fit_warnings(fit, float(motion.measured.largest_step)),
-            *medium_warnings(fit, settings.false_alarm),
+            *medium_warnings(fit, settings.false_alarm, uses_prior=options.prior is not None),
             *setting_warnings(scene, motion.echoes.pulse_time_s, motion.reference),
             *drift_warnings(drift, estimates, settings.false_alarm, is_removed=removed_drift is not None),
             *line_warnings(line, shot.tracking_train.rate_hz, settings.false_alarm, sources.rounding_m),

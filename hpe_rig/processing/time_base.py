@@ -253,7 +253,7 @@ def shot_fit(
     if scene.processing.drift == "none":
         fit = fitter(motion.tracked)
     else:
-        drift = shot_drift(motion, selection, options)
+        drift = shot_drift(motion, selection, replace(options, prior=available_prior(scene, shot, beams)))
         fit = with_drift_uncertainty(fitter(motion.without(drift.change_m(motion.tracked.time_s)).tracked), drift)
     if time_base.is_uncertain:
         influence_m = state_influence_m(fitter, motion, time_base)

@@ -24,7 +24,7 @@ from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, with_state_error
 from hpe_rig.processing.harmonics.medium_fit import driven_phasors_m, medium_fit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior
-from hpe_rig.processing.harmonics.model import linear_model
+from hpe_rig.processing.harmonics.model import LinearModel, harmonic_columns, linear_model
 from hpe_rig.processing.motion.displacement import Motion
 
 GROWTH_SD = 0.1
@@ -208,7 +208,7 @@ def _fitted(
     background_order: int,
     prior: MediumPrior | None,
 ) -> tuple[Harmonics, FloatArray]:
-    """Return the harmonics of a steady ``motion``, and orthonormal columns (valid pulse, column) of their fit.
+    """Return the harmonics of a steady ``motion``, and orthonormal columns (valid pulse, column) of steady motions.
 
     The arguments are those of ``drift_of``.
     """
@@ -216,7 +216,7 @@ def _fitted(
     if prior is None:
         times = motion.time_s, motion.valid
         model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
-        basis = model.matrix @ model.root
+        basis = _with_unresolved(model, motion.time_s[motion.valid], np.asarray(also_hz, dtype=np.float64))
         # In-phase and quadrature states of the wanted harmonics come first.
         states, _ = model.solve(motion.displacement_m[motion.valid])
         phasor_m = states[: 2 * wanted_count : 2] + 1j * states[1 : 2 * wanted_count : 2]
@@ -239,6 +239,24 @@ def _fitted(
     for n in range(wanted_count):
         sensitivity[n, 2 + 2 * n : 4 + 2 * n] = DEVIATION * common[n]
     return Harmonics(all_hz, phasor_m, sensitivity), basis
+
+
+def _with_unresolved(model: LinearModel, time_s: FloatArray, driven_hz: FloatArray) -> FloatArray:
+    """Return orthonormal columns (valid pulse, column) of ``model`` and of the driven frequencies that it leaves out.
+
+    Pulses at ``time_s`` do not resolve such a frequency from that of a column to which it nearly aliases. Its steady
+    motion beats with that column over the train, as a drift does.
+    """
+    basis = model.matrix @ model.root
+    unresolved_hz = np.setdiff1d(driven_hz, model.column_hz)
+    if not unresolved_hz.size:
+        return basis
+    columns = harmonic_columns(time_s, unresolved_hz) * np.sqrt(2 / time_s.size)
+    # Twice, because one projection leaves rounding errors of nearly dependent columns.
+    for _ in range(2):
+        columns -= basis @ (basis.T @ columns)
+    directions, length, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.hstack([basis, directions[:, length > NEGLIGIBLE]])
 
 
 def _normal_equations(

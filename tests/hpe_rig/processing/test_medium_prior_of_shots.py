@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -143,10 +144,13 @@ def test_a_declared_medium_narrows_the_ensemble_and_a_wrong_one_is_reported() ->
     assert right.aliasing is not None
     assert unknown.aliasing is not None
     assert np.trace(right.aliasing.sum(axis=0)) < np.trace(unknown.aliasing.sum(axis=0))
-    assert list(medium_warnings(right, 0.01)) == list(medium_warnings(unknown, 0.01)) == []
-    (line,) = medium_warnings(wrong, 0.01)
+    for fit in (right, unknown):
+        assert list(medium_warnings(fit, 0.01, uses_prior=True)) == []
+    (line,) = medium_warnings(wrong, 0.01, uses_prior=True)
     for word in ("outside the ensemble", "[medium]", "[beams]", "window_start_s", '"least_squares"'):
         assert word in line
+    (line,) = medium_warnings(wrong, 0.01, uses_prior=False)
+    assert "least_squares" not in line
 
 
 def without(section: str) -> Scene:
@@ -203,6 +207,20 @@ def test_a_motion_that_weakens_is_distinguished_from_a_steady_one() -> None:
     assert abs(drift.delay_s) < 3 * drift.delay_u_s
 
 
+@pytest.mark.parametrize("harmonic", ["medium_prior", "kalman", "least_squares"])
+def test_harmonics_that_alias_near_fitted_ones_are_no_drift(harmonic: str) -> None:
+    """In 40 ms least squares cannot distinguish 2100 Hz, which aliases to 1890 Hz, from 1900 Hz."""
+    scene = run().scene.with_({"processing.harmonic": harmonic, "processing.window_length_s": 40e-3})
+    short = replace(run(), scene=scene)
+    (steady,), (first,) = (each.estimate().shots for each in (short, short.with_drift("linear")))
+    assert not [text for text in steady.warnings if "the motion changes" in text]
+    for mean, estimate in zip(steady.estimates, first.estimates, strict=True):
+        assert mean.true_phase_rad is not None
+        error_rad = math.remainder(estimate.headline.phase_rad - mean.true_phase_rad, math.tau)
+        # If the beats of 2100 Hz with 1900 Hz count as a drift, the phase by least squares is off by 21 u.
+        assert abs(error_rad) < 2 * estimate.headline.phase_uncertainty_rad
+
+
 def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None:
     (steady,) = run().estimate().shots
     (at_first_pulse,) = run().with_({"processing.drift": "linear"}).estimate().shots
@@ -215,6 +233,8 @@ def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None
         assert abs(first.headline.amplitude_m - mean.headline.amplitude_m) < 3 * drift.amplitude_m
         assert abs(first.headline.phase_rad - mean.headline.phase_rad) < 3 * drift.phase_rad
         assert first.true_amplitude_m is None
+    (reason,) = [why for what, why in run().with_drift("linear").estimate().omitted if what.endswith("true values")]
+    assert "first pulse" in reason
 
 
 @pytest.mark.slow
