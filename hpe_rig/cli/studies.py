@@ -20,14 +20,17 @@ class AccuracyOptions:
 
     largest: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Largest number of scatterers. Default: 100000, with --full 1000000."),
+        typer.Option(min=100, metavar="N", help="Largest number of scatterers. Default: 100000, with --full 1000000."),
     ] = None
     most_echoes: Annotated[
-        int | None, typer.Option(metavar="N", help="Largest number of echoes. Default: 1000, with --full 10000.")
+        int | None,
+        typer.Option(min=10, metavar="N", help="Largest number of echoes. Default: 1000, with --full 10000."),
     ] = None
     longest_s: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", help="Skip cases expected to take longer, in s. Default: 0.5, with --full 5."),
+        typer.Option(
+            min=0.001, metavar="SECONDS", help="Skip cases expected to take longer, in s. Default: 0.5, with --full 5."
+        ),
     ] = None
     draws: Annotated[
         int | None,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,21 +17,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import label_decades, mark
-from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.validation.accuracy.work_precision import MIN_DRAWN_ERROR, file_mistakes, save_figure, write_rows
+from hpe_rig.validation.accuracy.work_precision import MIN_DRAWN_ERROR, draw_panels, grouped
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from sim_backend.echoes import EchoDelays, Method, Pulse
 
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000)
 ECHOES = (10, 100, 1_000, 10_000)
-DRAWN_TOLERANCE = 1e-8
-"""Tolerance of the panels that show run time over the size of the scene."""
 
 _SAMPLES = 130
 _SAMPLE_PERIOD_S = 1e-8
@@ -122,24 +116,6 @@ def _of_scene(
             yield measured(None, tolerance)
 
 
-def count_good_choices(rows: list[Measurement], factor: float = 2.0) -> tuple[int, int]:
-    """Return the number of cases in which the engine takes at most ``factor`` of the shortest time, and of all cases.
-
-    The shortest time is that of all evaluations of the same scene which keep the tolerance.
-    """
-    engine_rows = [row for row in rows if row.evaluation == ENGINE]
-    good = 0
-    for row in engine_rows:
-        times_s = [
-            competitor.time_s
-            for competitor in rows
-            if (competitor.scatterers, competitor.echoes) == (row.scatterers, row.echoes)
-            and competitor.tolerance in (0.0, row.tolerance)
-        ]
-        good += row.time_s <= factor * min(times_s)
-    return good, len(engine_rows)
-
-
 def _scene(count: int, echoes: int, seed: int) -> tuple[EchoDelays, FloatArray, Pulse, FloatArray]:
     from sim_backend.echoes import EchoDelays, depth_delay_s, field_at, hann_pulse
     from sim_backend.settings import Beams, Scatterers
@@ -166,33 +142,6 @@ def median_s(run: Callable[[], object], total_s: float) -> float:
     return statistics.median(times_s)
 
 
-def write_accuracy(
-    output: Path | None,
-    figure: Path | None,
-    largest: int,
-    most_echoes: int,
-    longest_s: float,
-    show: Callable[[str], None],
-) -> None:
-    """Measure all scenes within the limits and write table and figure; without ``output``, ``show`` gets the table.
-
-    After an interruption the rows measured so far are written. Raises ``SettingsError`` with all mistakes in the
-    options before the first measurement.
-    """
-    mistakes = file_mistakes(output, figure)
-    for option, value, least in (("--largest", largest, SCATTERERS[0]), ("--most-echoes", most_echoes, ECHOES[0])):
-        if value < least:
-            mistakes.append(Mistake(option, f"{value} is below the smallest scene", f"{least} or more"))
-    if not longest_s > 0:
-        mistakes.append(Mistake("--longest-s", f"{longest_s} s excludes every evaluation", "a time above 0"))
-    if mistakes:
-        raise SettingsError("accuracy echo", mistakes)
-    rows = write_rows(rows_within(largest, most_echoes, longest_s), output, figure, write_figure, show)
-    if output is not None:
-        good, total = count_good_choices(rows)
-        show(f"the evaluation selected by the engine takes at most twice the shortest time in {good} of {total} cases")
-
-
 def rows_within(largest: int, most_echoes: int, longest_s: float) -> Iterator[Measurement]:
     """Yield every evaluation of the scenes with at most ``largest`` scatterers and ``most_echoes`` echoes."""
     scatterers = tuple(count for count in SCATTERERS if count <= largest)
@@ -200,57 +149,13 @@ def rows_within(largest: int, most_echoes: int, longest_s: float) -> Iterator[Me
     return measurements(scatterers, echoes, longest_s=longest_s)
 
 
-def write_figure(rows: list[Measurement], path: Path) -> None:
-    """Draw error against run time, one panel per number of scatterers, and the engine's run time against both sizes."""
-    from matplotlib.figure import Figure
-
-    counts = sorted({row.scatterers for row in rows})
-    figure = Figure(figsize=(max(7.0, 3.2 * len(counts)), 7.2), layout="constrained")
-    (upper,), (lower,) = figure.subfigures(2, 1, squeeze=False)
-    panels = upper.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-    for panel, count in zip(panels, counts, strict=True):
-        _draw_errors([row for row in rows if row.scatterers == count], panel)
-        panel.set(xscale="log", yscale="log", xlabel="run time (s)", title=f"{count:.0e} scatterers")
-    panels[0].set_ylabel("relative rms error")
-    upper.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
-    # Run time of the engine over either size, with the other as parameter.
-    left, right = lower.subplots(1, 2, sharey=True)
-    _draw_times(rows, left, "scatterers", "echoes")
-    _draw_times(rows, right, "echoes", "scatterers")
-    for panel in figure.get_axes():
-        panel.grid(alpha=0.3)
-        label_decades(panel.xaxis)
-        label_decades(panel.yaxis)
-    cores = rows[0].cores if rows else 0
-    figure.suptitle(f"Echoes of {_SAMPLES} samples; darker is more echoes; {cores} cores, one used")
-    save_figure(figure, path)
-
-
-def _draw_errors(rows: list[Measurement], panel: Axes) -> None:
-    """Draw error against run time of every method; more echoes are darker."""
-    echo_counts = sorted({row.echoes for row in rows})
-    for method_index, method in enumerate((REFERENCE, "running_sum", "series")):
-        marker, colour = mark(method_index)
-        for count_index, count in enumerate(echo_counts):
-            points = _points(row for row in rows if (row.evaluation, row.echoes) == (method, count))
-            alpha, label = 0.35 + 0.65 * (count_index + 1) / len(echo_counts), method if count_index == 0 else None
-            panel.plot(*points, marker=marker, color=colour, alpha=alpha, ms=4, lw=0.8, label=label)
-    panel.plot(*_points(row for row in rows if row.evaluation == ENGINE), "k.", ms=3, label="the engine's choice")
-
-
-def _points(rows: Iterable[Measurement]) -> tuple[list[float], list[float]]:
-    """Return run times and errors."""
-    pairs = [(row.time_s, max(row.error, MIN_DRAWN_ERROR)) for row in rows]
-    return [time_s for time_s, _ in pairs], [error for _, error in pairs]
-
-
-def _draw_times(rows: list[Measurement], panel: Axes, x_name: str, curve_name: str) -> None:
-    """Draw the engine's run time over the field ``x_name``, one curve per value of the field ``curve_name``."""
-    engine_rows = [row for row in rows if row.evaluation == ENGINE and row.tolerance == DRAWN_TOLERANCE]
-    for value in sorted({getattr(row, curve_name) for row in engine_rows}):
-        curve = sorted((getattr(row, x_name), row.time_s) for row in engine_rows if getattr(row, curve_name) == value)
-        panel.plot(*zip(*curve, strict=True), marker="o", ms=4, lw=0.8, label=f"{value:.0e} {curve_name}")
-    title = f"The engine at tolerance {DRAWN_TOLERANCE:g}"
-    panel.set(xscale="log", yscale="log", xlabel=x_name, ylabel="run time (s)", title=title)
-    if engine_rows:
-        panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.1), ncols=3, frameon=False, fontsize=7)
+def draw_echo(rows: Sequence[Measurement], path: Path) -> None:
+    """Draw error against run time over the tolerance, one panel per scene, one line per evaluation."""
+    panels = {
+        f"{scatterers:g} scatterers, {echoes:g} echoes": {
+            evaluation: [(row.time_s, max(row.error, MIN_DRAWN_ERROR)) for row in evaluation_rows]
+            for evaluation, evaluation_rows in grouped(scene_rows, lambda row: row.evaluation).items()
+        }
+        for (scatterers, echoes), scene_rows in grouped(rows, lambda row: (row.scatterers, row.echoes)).items()
+    }
+    draw_panels(panels, path, "run time (s)", "relative rms error")

@@ -18,16 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.medium import TrackingGate, beam_averaging_factor, scatterer_density
 from hpe_rig.prediction import force_spectrum
 from hpe_rig.processing import ESTIMATORS, EchoGate, estimate, margin_samples, spec_of
-from hpe_rig.result import MARKS, label_decades, mark
+from hpe_rig.result import label_decades, legend, mark
 from hpe_rig.scene import Estimator
-from hpe_rig.validation.accuracy.work_precision import pareto, save_figure, timed
+from hpe_rig.validation.accuracy.work_precision import grouped, pareto, save_figure, timed
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -42,8 +41,6 @@ NUMERICAL_DRAWS = 16
 EXACT_TOLERANCE = 1e-12
 MAX_REPEATED = 10
 """Up to this number of realisations the minimum of three run times is reported."""
-TIME_TOLERANCE = 0.1
-"""Relative difference below which run times count as equal: the repeatability of the minimum of three."""
 MARGIN = margin_samples(SAMPLE_RATE_HZ, CARRIER_HZ)
 """Samples on each side of the gate, as in a record."""
 
@@ -113,27 +110,6 @@ def rows(
     computed = [row for varied, variant in tried or variants() for row in _rows_of(varied, variant, realisations, seed)]
     front = set(pareto([row.time_s for row in computed], [row.error for row in computed]))
     return [replace(row, on_front=index in front) for index, row in enumerate(computed)]
-
-
-def faster_than_shipped(rows: Sequence[EndToEnd]) -> list[tuple[EndToEnd, float]]:
-    """Return the variants that reach the error of the shipped one in less time, each with its relative time.
-
-    Errors are compared at the largest number of realisations n, where the relative standard error of a standard
-    deviation is 1 / sqrt(2 n). Times are compared at the largest number that is timed more than once.
-    """
-    counts = {row.realisations for row in rows}
-    largest, repeated = max(counts), max((count for count in counts if count <= MAX_REPEATED), default=min(counts))
-    time_s = {_settings(row): row.time_s for row in rows if row.realisations == repeated}
-    precise = [row for row in rows if row.realisations == largest]
-    shipped = next(row for row in precise if row.shipped)
-    # The error of the default settings, plus its own Monte Carlo uncertainty.
-    max_error = shipped.error * (1 + 1 / math.sqrt(2 * largest))
-    relative = [(row, time_s[_settings(row)] / time_s[_settings(shipped)]) for row in precise if row.error <= max_error]
-    return [(row, relative_time) for row, relative_time in relative if relative_time < 1 - TIME_TOLERANCE]
-
-
-def _settings(row: EndToEnd) -> tuple[str, float, float, int, int]:
-    return row.estimator, row.gate_length_m, row.tolerance, row.nodes, row.degrees
 
 
 def amplitudes(variant: Variant, realisations: int, seed: int) -> FloatArray:
@@ -294,23 +270,10 @@ def _gate_s(variant: Variant) -> FloatArray:
 
 
 def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
-    """Draw the error of every variant over run time, and the numerical error over tolerance and nodes."""
-    figure = Figure(figsize=(11, 4.8))
-    total, numerical = figure.subplots(1, 2, width_ratios=[3, 2])
-    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.8, wspace=0.18)
-    _draw_total(total, rows)
-    _draw_numerical(numerical, rows)
-    for axes in (total, numerical):
-        axes.set(xscale="log", yscale="log")
-        label_decades(axes.xaxis)
-        label_decades(axes.yaxis)
-        axes.grid(alpha=0.3)
-    save_figure(figure, path)
-
-
-def _draw_total(axes: Axes, rows: Sequence[EndToEnd]) -> None:
-    for index, name in enumerate(dict.fromkeys(row.estimator for row in rows)):
-        estimator_rows = [row for row in rows if row.estimator == name]
+    """Draw the error of every variant over run time, with the Pareto front and the default settings marked."""
+    figure = Figure(figsize=(8, 4.8), layout="constrained")
+    axes = figure.subplots()
+    for index, (name, estimator_rows) in enumerate(grouped(rows, lambda row: row.estimator).items()):
         marker, colour = mark(index)
         size = [14 * (row.gate_length_m / 0.5e-3) for row in estimator_rows]
         axes.scatter(
@@ -320,45 +283,16 @@ def _draw_total(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     # The front is a step function of time.
     front = sorted((row.time_s, row.error) for row in rows if row.on_front)
     axes.step(*zip(*front, strict=True), where="post", color="k", lw=1.2, label="Pareto front")
-    _star(axes, [(row.time_s, row.error) for row in rows if row.shipped])
-    for row in rows:
-        if row.shipped:
-            count = f"{row.realisations} realisation{'s' if row.realisations > 1 else ''}"
-            axes.annotate(count, (row.time_s, row.error), (6, 8), textcoords="offset points", fontsize=7)
-    axes.set(xlabel="processor time, scene to amplitude (s)", ylabel="rms error / true amplitude")
-    _legend_above(axes, "Final amplitude; larger marks: longer gates", 4)
-
-
-def _draw_numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
-    """Draw the error by tolerance and nodes alone over the run time of the largest number of realisations."""
-    largest = max(row.realisations for row in rows)
-    shipped = [row for row in rows if row.shipped and row.realisations == largest]
-    for name, marker, colour in (("tolerance", *MARKS[0]), ("nodes", *MARKS[1])):
-        varied_rows = [row for row in rows if row.varied == name and row.realisations == largest]
-        times_s, errors = [row.time_s for row in varied_rows], [row.numerical_error for row in varied_rows]
-        axes.plot(times_s, errors, marker, ms=6, color=colour, label=f"{name} varied")
-        for row in varied_rows:
-            text = f"{row.tolerance:.0e}" if name == "tolerance" else f"{row.nodes}"
-            # Tolerances are labelled on the right, nodes on the left, because their marks may coincide.
-            offset, side = ((6, -3), "left") if name == "tolerance" else ((-6, -3), "right")
-            axes.annotate(
-                text, (row.time_s, row.numerical_error), offset, textcoords="offset points", fontsize=7, ha=side
-            )
-    _star(axes, [(row.time_s, row.numerical_error) for row in shipped])
+    shipped = [row for row in rows if row.shipped]
+    points = [row.time_s for row in shipped], [row.error for row in shipped]
+    axes.plot(*points, "*", label="default settings", ms=15, mfc="none", mec="k", mew=1.3, zorder=5)
     for row in shipped:
-        axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {largest}")
-    # Space for the labels at both sides.
-    axes.margins(x=0.12)
-    axes.set(xlabel=f"processor time of {largest} realisations (s)", ylabel="rms numerical error / amplitude")
-    _legend_above(axes, "Part due to tolerance and nodes", 2)
-
-
-def _legend_above(axes: Axes, title: str, columns: int) -> None:
-    """Put the legend with its title above the panel."""
-    axes.legend(title=title, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
-
-
-def _star(axes: Axes, points: Sequence[tuple[float, float]]) -> None:
-    if points:
-        times_s, errors = zip(*points, strict=True)
-        axes.plot(times_s, errors, "*", label="default settings", ms=15, mfc="none", mec="k", mew=1.3, zorder=5)
+        count = f"{row.realisations} realisation{'s' if row.realisations > 1 else ''}"
+        axes.annotate(count, (row.time_s, row.error), (6, 8), textcoords="offset points", fontsize=7)
+    axes.set(xscale="log", yscale="log", xlabel="processor time, scene to amplitude (s)")
+    axes.set_ylabel("rms error / true amplitude")
+    label_decades(axes.xaxis)
+    label_decades(axes.yaxis)
+    axes.grid(alpha=0.3)
+    legend(axes, "above", 4)
+    save_figure(figure, path)

@@ -12,8 +12,6 @@ from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.validation.accuracy.work_precision import Point, measured
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
-MAX_VALUE = 1e6
-"""Values of a diverging solver are limited to this."""
 BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
 
 
@@ -120,23 +118,6 @@ def _lumped_points() -> Iterator[Point]:
             value[time_s > (solver.t_old or 0.0)] = solver.y
         return value
 
-    def runge_kutta_solution(steps: int) -> FloatArray:
-        """Solve by the classical Runge-Kutta method with equal steps far longer than the shortest time constant."""
-        step_s, deviation = 1e3 / steps, np.ones(constants_s.size)
-        course = np.empty((steps + 1, constants_s.size))
-        with np.errstate(over="ignore", invalid="ignore"):
-            for step in range(steps + 1):
-                course[step] = 1 - deviation
-                # y' = (1 - y) / constant, with deviation = 1 - y.
-                k1 = -deviation / constants_s
-                k2 = -(deviation + step_s / 2 * k1) / constants_s
-                k3 = -(deviation + step_s / 2 * k2) / constants_s
-                k4 = -(deviation + step_s * k3) / constants_s
-                deviation = deviation + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        # Unstable steps overflow: their values are limited, so that an error can be stated.
-        values = course[np.round(time_s / step_s).astype(np.int64)]
-        return np.nan_to_num(np.clip(values, -MAX_VALUE, MAX_VALUE), nan=MAX_VALUE)
-
     implicit: tuple[Literal["Radau"], Literal["BDF"]] = ("Radau", "BDF")
     for method in implicit:
         for tolerance in (1e-4, 1e-7):
@@ -145,5 +126,3 @@ def _lumped_points() -> Iterator[Point]:
     for evaluations in (2_000, 20_000, 100_000):
         setting = f"{evaluations} evaluations"
         yield measured(case, "DOP853 (explicit)", setting, partial(explicit_solution, evaluations), exact, 1)
-    for steps in (1_000, 30_000):
-        yield measured(case, "RK4 (explicit)", f"{steps} steps", partial(runge_kutta_solution, steps), exact, 1)
