@@ -19,9 +19,8 @@ def main() -> None:
     print(f"{result.title}: {run.path}")
     for item in result.shots[0].estimates:
         # The headline is the peak displacement where the beams are known, else the tracked one.
-        peak = item.headline
-        amplitude_nm, u_nm = peak.amplitude_m * 1e9, peak.amplitude_uncertainty_m * 1e9
-        print(f"{item.frequency_hz:g} Hz: {amplitude_nm:.4g} nm, u = {u_nm:.2g} nm, phase {peak.phase_rad:.4f} rad")
+        amplitude_nm, u_nm = item.amplitude_m * 1e9, item.amplitude_uncertainty_m * 1e9
+        print(f"{item.frequency_hz:g} Hz: {amplitude_nm:.4g} nm, u = {u_nm:.2g} nm, phase {item.phase_rad:.4f} rad")
 
 
 if __name__ == "__main__":

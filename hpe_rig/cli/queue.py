@@ -22,7 +22,7 @@ from hpe_rig.measurement import (
     read_queue,
     run_queue,
 )
-from hpe_rig.result import Headline, Result, rich_table
+from hpe_rig.result import Estimate, RepeatMean, Result, rich_table
 from hpe_rig.runs import process
 from hpe_rig.scene import Mistake, SettingsError, plural, printable
 
@@ -88,7 +88,7 @@ def _print_table(runs: Sequence[QueueRun], results: Mapping[int, Result]) -> Non
 
 def _as_dict(run: QueueRun, result: Result | None) -> dict[str, Any]:
     """Return the values of a row of the table; those of the strongest harmonic are None without a new result."""
-    lead, frequency_hz = (result and _strongest(result)) or (None, None)
+    lead = result and _strongest(result)
     return {
         "scene": run.name,
         "state": run.state,
@@ -96,17 +96,17 @@ def _as_dict(run: QueueRun, result: Result | None) -> dict[str, Any]:
         "why": run.why,
         "planned_s": run.planned_s,
         "took_s": run.took_s,
-        "frequency_hz": frequency_hz,
+        "frequency_hz": lead and lead.frequency_hz,
         "amplitude_m": lead and lead.amplitude_m,
         "amplitude_uncertainty_m": lead and lead.amplitude_uncertainty_m,
     }
 
 
-def _strongest(result: Result) -> tuple[Headline, float] | None:
-    """Return the harmonic with the largest amplitude, of the means over repeats if any, and its frequency, Hz."""
-    estimates = result.means or [estimate for shot in result.shots for estimate in shot.estimates]
-    headlines = [(estimate.headline, estimate.frequency_hz) for estimate in estimates]
-    return max(headlines, key=lambda item: item[0].amplitude_m, default=None)
+def _strongest(result: Result) -> Estimate | RepeatMean | None:
+    """Return the harmonic with the largest amplitude, of the means over repeats if any."""
+    shots = [estimate for shot in result.shots for estimate in shot.estimates]
+    estimates: Sequence[Estimate | RepeatMean] = result.means or shots
+    return max(estimates, key=lambda item: item.amplitude_m, default=None)
 
 
 def _result_text(run: QueueRun, result: Result | None) -> str:
@@ -115,12 +115,11 @@ def _result_text(run: QueueRun, result: Result | None) -> str:
         # The first line up to its remedy states the reason.
         reason = printable(run.why.partition("\n")[0].partition(". Try")[0])
         return reason[:MAX_REASON] or ("measured earlier" if run.state == "done" else "")
-    strongest = _strongest(result)
-    if strongest is None:
+    lead = _strongest(result)
+    if lead is None:
         return "the scene has no frequency"
-    lead, frequency_hz = strongest
     amplitude = f"{lead.amplitude_m * 1e9:.4g} +- {lead.amplitude_uncertainty_m * 1e9:.2g} nm"
-    return f"{amplitude} at {frequency_hz:g} Hz"
+    return f"{amplitude} at {lead.frequency_hz:g} Hz"
 
 
 def _free_folder() -> Path:

@@ -162,14 +162,13 @@ def _print_shots(result: Result, printer: Printer) -> None:
     frequency_hz = lead_frequency_hz(shots)
     estimates = [estimate_at(shot, frequency_hz) for shot in shots]
     varied, settings = varied_settings(shots)
-    name = "peak" if estimates[0].headline.corrected else "tracked"
-    scale, unit = _unit([item.headline.amplitude_m for item in estimates])
+    name = "peak" if estimates[0].corrected else "tracked"
+    scale, unit = _unit([item.amplitude_m for item in estimates])
     headers = ["shot\n", *varied, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "residual\nnm"]
     rows = []
     for shot, estimate, cells in zip(shots, estimates, settings, strict=True):
-        peak = estimate.headline
-        row = [f"{shot.shot}", *cells, *_polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)]
-        row += [*_angle(peak.phase_rad, peak.phase_uncertainty_rad), _digits(shot.residual_m * 1e9, 3)]
+        row = [f"{shot.shot}", *cells, *_polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m, scale)]
+        row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), _digits(shot.residual_m * 1e9, 3)]
         rows.append((*row, " ".join(_flags(shot))))
     # The column of flags is printed only if a shot has any.
     if any(row[-1] for row in rows):
@@ -207,8 +206,8 @@ def times_text(provenance: Provenance) -> str:
 
 def _shot_table(shot: ShotResult, printer: Printer) -> Table:
     has_truth = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
-    corrected = any(estimate.headline.corrected for estimate in shot.estimates)
-    scale, unit = _unit([item.headline.amplitude_m for item in shot.estimates])
+    corrected = any(estimate.corrected for estimate in shot.estimates)
+    scale, unit = _unit([item.amplitude_m for item in shot.estimates])
     headers = ["f\nHz"]
     headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
     headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
@@ -256,8 +255,8 @@ def _profile_title(gates: Sequence[GateResult]) -> str:
 def _profile_table(gates: Sequence[GateResult]) -> Table:
     """Return one row per gate, at the frequency with the largest amplitude; the result file holds the others."""
     hz = lead_frequency_hz([gate.shot for gate in gates])
-    corrected = any(gate.shot.estimates[0].headline.corrected for gate in gates)
-    scale, unit = _unit([gate.shot.estimates[0].headline.amplitude_m for gate in gates])
+    corrected = any(gate.shot.estimates[0].corrected for gate in gates)
+    scale, unit = _unit([gate.shot.estimates[0].amplitude_m for gate in gates])
     headers = ["depth\nmm", "gate\nmm", "pulses\n"]
     headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
     headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
@@ -295,11 +294,11 @@ def _shot_title(shot: ShotResult) -> str:
 
 
 def _row(estimate: Estimate, has_truth: bool, corrected: bool, scale: float) -> list[str]:
-    row, peak = [f"{estimate.frequency_hz:g}"], estimate.headline
+    row = [f"{estimate.frequency_hz:g}"]
     # The columns are those of the headers of `_shot_table`.
     if corrected:
-        row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)
-        row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
+        row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m, scale)
+        row += _angle(estimate.phase_rad, estimate.phase_uncertainty_rad)
     row += _polar(estimate.tracked_amplitude_m, estimate.tracked_amplitude_uncertainty_m, scale)
     row += [*_angle(estimate.tracked_phase_rad, estimate.tracked_phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
     if has_truth:
@@ -325,15 +324,14 @@ def _budget_line(shot: ShotResult) -> str:
 
 def _variance_fraction(component: Component, estimate: Estimate) -> float:
     """Return the fraction of ``component`` in the variance of the amplitude or the phase, the larger of the two."""
-    total = estimate.headline
-    amplitude = component.amplitude_m, total.amplitude_uncertainty_m
-    phase = component.phase_rad, total.phase_uncertainty_rad
+    amplitude = component.amplitude_m, estimate.amplitude_uncertainty_m
+    phase = component.phase_rad, estimate.phase_uncertainty_rad
     # An infinite or zero uncertainty has no fractions.
     return max((value / u) ** 2 if u > 0 and math.isfinite(u) else 0.0 for value, u in (amplitude, phase))
 
 
 def _legend(result: Result) -> str:
-    if not any(item.headline.corrected for shot in result.shots for item in shot.estimates):
+    if not any(item.corrected for shot in result.shots for item in shot.estimates):
         return "u: of the fit; SNR: amplitude over u; without [beams] the peak displacement is not corrected"
     return (
         "peak: corrected for beam averaging and predicted aliasing, u combined from all sources\n"

@@ -64,10 +64,10 @@ def harmonic_state(estimates: Sequence[Estimate | RepeatMean]) -> list[State]:
     return [
         {
             "hz": item.frequency_hz,
-            "nm": _number(item.headline.amplitude_m * 1e9),
-            "u_nm": _number(item.headline.amplitude_uncertainty_m * 1e9),
-            "deg": _number(math.degrees(item.headline.phase_rad)),
-            "u_deg": _number(math.degrees(item.headline.phase_uncertainty_rad)),
+            "nm": _number(item.amplitude_m * 1e9),
+            "u_nm": _number(item.amplitude_uncertainty_m * 1e9),
+            "deg": _number(math.degrees(item.phase_rad)),
+            "u_deg": _number(math.degrees(item.phase_uncertainty_rad)),
         }
         for item in estimates
     ]

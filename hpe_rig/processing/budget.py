@@ -230,15 +230,14 @@ def _first_pulse(estimate: Estimate, alternatives: Sequence[Estimate], late_part
     Root mean square deviations of the ``alternatives``, the estimate itself included. If only a later part of the
     pulses comes ``late_part_s`` later, the parts of the motion differ in phase and partly cancel.
     """
-    best, headlines = estimate.headline, [alternative.headline for alternative in alternatives]
-    root_count = math.sqrt(len(headlines) + 1)
-    change_m = math.hypot(*(headline.amplitude_m - best.amplitude_m for headline in headlines)) / root_count
+    root_count = math.sqrt(len(alternatives) + 1)
+    change_m = math.hypot(*(item.amplitude_m - estimate.amplitude_m for item in alternatives)) / root_count
     # Differences of phase beyond half a turn count as the smaller angle on the other side.
-    changes_rad = (math.remainder(headline.phase_rad - best.phase_rad, 2 * math.pi) for headline in headlines)
+    changes_rad = (math.remainder(item.phase_rad - estimate.phase_rad, 2 * math.pi) for item in alternatives)
     change_rad = math.hypot(*changes_rad) / root_count
     # Two parts of equal length, apart by an angle, have a sum shorter by the cosine of half the angle.
     apart_rad = min(2 * math.pi * estimate.frequency_hz * late_part_s, math.pi)
-    loss_m = best.amplitude_m * (1 - math.cos(apart_rad / 2))
+    loss_m = estimate.amplitude_m * (1 - math.cos(apart_rad / 2))
     return Component("first pulse", math.hypot(change_m, loss_m), min(change_rad, math.sqrt(PHASE_VARIANCE_LIMIT)))
 
 

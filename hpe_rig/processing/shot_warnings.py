@@ -214,8 +214,8 @@ def clock_warnings(
         return
     # Times that are wrong by e t shift a phase by 2 pi f e t, on average that of the mean time.
     per_hz = 2 * np.pi * abs(error.value * float(pulse_time_s.mean()))
-    worst = max(estimates, key=lambda item: item.frequency_hz / max(item.headline.phase_uncertainty_rad, 1e-300))
-    shift_rad, u_rad = per_hz * worst.frequency_hz, worst.headline.phase_uncertainty_rad
+    worst = max(estimates, key=lambda item: item.frequency_hz / max(item.phase_uncertainty_rad, 1e-300))
+    shift_rad, u_rad = per_hz * worst.frequency_hz, worst.phase_uncertainty_rad
     if shift_rad > u_rad:
         subject = "the burst generator's clock" if has_bursts else "the clock of the motion's frequencies"
         beyond = ""
@@ -255,9 +255,8 @@ def drift_warnings(
         yield f'{common}: removed (processing.drift = "linear"), the results are those at the first pulse'
         return
     # Changes from the mean to the first pulse, in standard uncertainties of the results, (frequency,).
-    headlines = [estimate.headline for estimate in estimates]
-    u_m, u_rad = np.array([[item.amplitude_uncertainty_m, item.phase_uncertainty_rad] for item in headlines]).T
-    growth_m = drift.log_change.real * [item.amplitude_m for item in headlines]
+    u_m, u_rad = np.array([[item.amplitude_uncertainty_m, item.phase_uncertainty_rad] for item in estimates]).T
+    growth_m = drift.log_change.real * [item.amplitude_m for item in estimates]
     in_u = np.maximum(np.abs(growth_m) / u_m.clip(min=TINY), np.abs(drift.log_change.imag) / u_rad.clip(min=TINY))
     if drift.probability >= max_probability or in_u.max() < VISIBLE_U:
         return

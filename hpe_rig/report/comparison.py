@@ -24,7 +24,7 @@ from hpe_rig.result import (
     INDEPENDENT_SOURCES,
     RECTIFIED,
     REPEAT_SETTINGS,
-    Headline,
+    Estimate,
     RepeatMean,
     Result,
     ShotResult,
@@ -237,7 +237,7 @@ class _Point:
     """Result at one frequency of a setting, and its independent uncertainties."""
 
     shots: str
-    value: Headline | RepeatMean
+    value: Estimate | RepeatMean
     noise_m: float
     noise_rad: float
 
@@ -261,7 +261,7 @@ def _points(result: Result) -> Points:
                 independent = [item for item in estimate.budget if item.source in (*INDEPENDENT_SOURCES, RECTIFIED)]
                 noise_m = math.hypot(*(item.amplitude_m for item in independent))
                 noise_rad = math.hypot(*(item.phase_rad for item in independent))
-                point = _Point(f"{shot.shot}", estimate.headline, noise_m, noise_rad)
+                point = _Point(f"{shot.shot}", estimate, noise_m, noise_rad)
                 points.setdefault(setting, {}).setdefault(estimate.frequency_hz, point)
     return points
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hpe_rig.result import GateResult, Headline, Picture, legend, mark, panel, picture
+from hpe_rig.result import Estimate, GateResult, Picture, legend, mark, panel, picture
 
 MAX_CURVES = 4
 """Frequencies in a picture, those with the largest amplitudes; more curves would be illegible."""
@@ -25,7 +25,7 @@ def profile_pictures(gates: Sequence[GateResult]) -> tuple[Picture, ...]:
 
 
 def _curves(
-    gates: Sequence[GateResult], quantity: str, unit: str, value_of: Callable[[Headline], tuple[float, float]]
+    gates: Sequence[GateResult], quantity: str, unit: str, value_of: Callable[[Estimate], tuple[float, float]]
 ) -> Picture:
     """Return a curve over depth for each frequency, with bars of 2 u; phases are unwrapped, in degrees."""
     depth_mm = np.array([gate.depth_m for gate in gates]) * 1e3
@@ -35,7 +35,7 @@ def _curves(
     # Curves in the order of frequency, so that colours are stable.
     for curve, index in enumerate(sorted(np.argsort(largest_m)[::-1][:MAX_CURVES].tolist())):
         hz, (marker, colour) = gates[0].shot.estimates[index].frequency_hz, mark(curve)
-        value, u = np.array([value_of(gate.shot.estimates[index].headline) for gate in gates]).T
+        value, u = np.array([value_of(gate.shot.estimates[index]) for gate in gates]).T
         if quantity == "phase":
             value, u = np.degrees(np.unwrap(value)), np.degrees(u)
         axes.errorbar(depth_mm, value, 2 * u, marker=marker, ms=4, color=colour, capsize=2, label=f"{hz:g} Hz")

@@ -136,7 +136,7 @@ def render(
         by_setting=any(picture.key == "amplitude-settings" for picture in pictures),
         repeats=max((len(mean.shots) for mean in means_of(result.means, shot)), default=1),
         stored=run.stored,
-        corrected=strongest(shot).headline.corrected,
+        corrected=strongest(shot).corrected,
         known=_has_truth(result),
         headline=headline_sentence(result),
         badges=list(badges(result, warnings, run.findings, tests)),
@@ -238,10 +238,9 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> Iterator[tuple[
         if component.source not in SOURCES_OF_RESIDUAL and (component.amplitude_m or component.phase_rad):
             u = _nm_and_degrees(component.amplitude_m, component.phase_rad)
             yield component.source, u, "standard uncertainty after correction"
-    headline = lead.headline
-    u = _nm_and_degrees(headline.amplitude_uncertainty_m, headline.phase_uncertainty_rad)
+    u = _nm_and_degrees(lead.amplitude_uncertainty_m, lead.phase_uncertainty_rad)
     yield "combined", u, "standard uncertainty of the corrected values: root sum of squares"
-    half_width = _nm_and_degrees(headline.interval_95_m, headline.interval_95_rad)
+    half_width = _nm_and_degrees(lead.interval_95_m, lead.interval_95_rad)
     yield "interval of 95 %", half_width, "half width, from u and its effective degrees of freedom"
     if lead.amplitude_error is not None and lead.phase_error_rad is not None:
         error = _relative_and_degrees(lead.amplitude_error, lead.phase_error_rad)

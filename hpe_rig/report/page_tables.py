@@ -122,9 +122,8 @@ def budget_table(shot: ShotResult) -> PageTable:
         for component in estimate.budget:
             row[f"{component.source} (nm)"] = nm(component.amplitude_m, 2)
             row[f"{component.source} (°)"] = deg(component.phase_rad, ".2g")
-        headline = estimate.headline
-        row["u (nm)"] = nm(headline.amplitude_uncertainty_m, 2)
-        row["u (°)"] = deg(headline.phase_uncertainty_rad, ".2g")
+        row["u (nm)"] = nm(estimate.amplitude_uncertainty_m, 2)
+        row["u (°)"] = deg(estimate.phase_uncertainty_rad, ".2g")
         rows.append(row)
     # A source may be absent at some frequencies.
     columns = dict.fromkeys(name for row in rows for name in row)
@@ -207,14 +206,13 @@ def _burst_cells(settings: ShotResult | RepeatMean) -> Cells:
 
 
 def _estimate_cells(estimate: Estimate, has_truth: bool) -> Cells:
-    headline = estimate.headline
     cells = {"f (Hz)": f"{estimate.frequency_hz:g}"}
-    if headline.corrected:
+    if estimate.corrected:
         cells |= {
-            "peak (nm)": nm(headline.amplitude_m),
-            "u of peak (nm)": nm(headline.amplitude_uncertainty_m, 2),
-            "phase (°)": deg(headline.phase_rad),
-            "u of phase (°)": deg(headline.phase_uncertainty_rad, ".2g"),
+            "peak (nm)": nm(estimate.amplitude_m),
+            "u of peak (nm)": nm(estimate.amplitude_uncertainty_m, 2),
+            "phase (°)": deg(estimate.phase_rad),
+            "u of phase (°)": deg(estimate.phase_uncertainty_rad, ".2g"),
         }
     cells |= {
         "tracked (nm)": nm(estimate.tracked_amplitude_m),

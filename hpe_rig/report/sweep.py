@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.arrays import FloatArray
-from hpe_rig.result import Headline, ShotResult, force_format
+from hpe_rig.result import Estimate, ShotResult, force_format
 
 FORCE = "force F / F_0"
 PROPORTIONAL = (FORCE, "excitation.force_fraction")
@@ -30,7 +30,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class SweepCurve:
-    """Headline amplitude and phase of one frequency over the varied quantity, averaged over repeats.
+    """Amplitude and phase of one frequency over the varied quantity, averaged over repeats.
 
     ``x``, means and standard deviations over repeats (point,); a deviation is NaN for a single repeat. ``line`` fits
     every shot over the force; None over other quantities, and for fewer than two values of x.
@@ -176,20 +176,20 @@ def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], g
     curves = []
     for frequency_hz, group in itertools.product(frequencies_hz, dict.fromkeys(groups)):
         points = [
-            (estimate.headline, x_value)
+            (estimate, x_value)
             for shot, shot_group, x_value in zip(shots, groups, x_values, strict=True)
             for estimate in shot.estimates
             if shot_group == group and estimate.frequency_hz == frequency_hz
         ]
         if points:
-            headlines, x_points = [headline for headline, _ in points], np.array([x for _, x in points])
-            curves.append(_curve(frequency_hz, group, headlines, x_points, label in PROPORTIONAL))
+            estimates, x_points = [estimate for estimate, _ in points], np.array([x for _, x in points])
+            curves.append(_curve(frequency_hz, group, estimates, x_points, label in PROPORTIONAL))
     return Sweep(label, tuple(curves))
 
 
-def _curve(frequency_hz: float, group: str, headlines: Sequence[Headline], x: FloatArray, linear: bool) -> SweepCurve:
-    amplitude = np.array([headline.amplitude_m for headline in headlines])
-    phase = np.array([headline.phase_rad for headline in headlines])
+def _curve(frequency_hz: float, group: str, estimates: Sequence[Estimate], x: FloatArray, linear: bool) -> SweepCurve:
+    amplitude = np.array([item.amplitude_m for item in estimates])
+    phase = np.array([item.phase_rad for item in estimates])
     # One point for each value of x: the mean over its repeats.
     values = np.unique(x)
     masks = [x == value for value in values]

@@ -78,6 +78,5 @@ from .values import (
     Component as Component,
     Estimate as Estimate,
     GateResult as GateResult,
-    Headline as Headline,
     ShotResult as ShotResult,
 )

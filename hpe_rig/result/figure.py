@@ -29,7 +29,7 @@ from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.setting_text import force_format, setting_texts
 from hpe_rig.result.spectra import main_shot
 from hpe_rig.result.svg import MARKS, Colour, Picture, legend, mark, panel, picture, thin
-from hpe_rig.result.values import Headline, ShotResult
+from hpe_rig.result.values import Estimate, ShotResult
 
 KINDS: tuple[FigureKind, ...] = get_args(FigureKind)
 LINES = ((":", "full"), ("--", "none"), ("-.", "left"), ("-", "top"))
@@ -39,17 +39,17 @@ MAX_PHASE_UNCERTAINTY_RAD = math.pi / 2
 CHARACTER_IN, KEY_IN, LINE_IN = 0.075, 0.45, 0.17
 """Width of a character of the legend, of a marker with its margins, and height of a line, inches at 8 points."""
 
-Points = dict[float, Headline]
-"""Headlines by frequency (Hz), or by another quantity."""
+Points = dict[float, Estimate | RepeatMean]
+"""Results by frequency (Hz), or by another quantity."""
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One curve: values of the horizontal axis (point,), in the unit of its label, and the headlines there."""
+    """One curve: values of the horizontal axis (point,), in the unit of its label, and the results there."""
 
     label: str
     x: tuple[float, ...]
-    headlines: tuple[Headline, ...]
+    values: tuple[Estimate | RepeatMean, ...]
 
 
 def result_figure(
@@ -115,13 +115,13 @@ def _draw_curves(curves: Sequence[Curve], x_label: str, amplitude: Axes, phase: 
         line, filled = LINES[number // len(MARKS) % len(LINES)]
         style: Any = {"marker": marker, "fillstyle": filled, "color": colour, "linestyle": line}
         style |= {"markersize": 4, "capsize": 1.5}
-        amplitude_nm = [item.amplitude_m * 1e9 for item in curve.headlines]
-        bars_nm = [2e9 * item.amplitude_uncertainty_m for item in curve.headlines]
+        amplitude_nm = [item.amplitude_m * 1e9 for item in curve.values]
+        bars_nm = [2e9 * item.amplitude_uncertainty_m for item in curve.values]
         amplitude.errorbar(curve.x, amplitude_nm, yerr=bars_nm, label=curve.label, **style)
-        u_rad = np.array([item.phase_uncertainty_rad for item in curve.headlines])
+        u_rad = np.array([item.phase_uncertainty_rad for item in curve.values])
         resolved = u_rad < MAX_PHASE_UNCERTAINTY_RAD
         if resolved.any():
-            phase_rad = np.array([item.phase_rad for item in curve.headlines])[resolved]
+            phase_rad = np.array([item.phase_rad for item in curve.values])[resolved]
             phase_deg = np.degrees(_continuous(phase_rad, int(u_rad[resolved].argmin())))
             phase.errorbar(np.array(curve.x)[resolved], phase_deg, yerr=2 * np.degrees(u_rad[resolved]), **style)
     amplitude.set_ylabel("amplitude (nm)")
@@ -191,10 +191,10 @@ def _over_setting(
         points: dict[str, Points] = {}
         items = _curve_items(result, is_drawn)
         labels = _labels([item for item, _ in items], without=name)
-        for (item, headlines), label in zip(items, labels, strict=True):
-            for hz, headline in headlines.items():
+        for (item, values), label in zip(items, labels, strict=True):
+            for hz, value in values.items():
                 if (x := getattr(item, name)) is not None:
-                    points.setdefault(_with_frequency(hz, label), {})[x * factor] = headline
+                    points.setdefault(_with_frequency(hz, label), {})[x * factor] = value
         return x_label, [_curve(label, values) for label, values in points.items()]
 
     return curves
@@ -210,7 +210,7 @@ def _profiles(result: ResultData, is_drawn: FrequencyFilter) -> tuple[str, list[
         for item in gate.shot.estimates:
             if is_drawn(item.frequency_hz):
                 of_curve = points.setdefault(_with_frequency(item.frequency_hz, label), {})
-                of_curve[gate.depth_m * 1e3] = item.headline
+                of_curve[gate.depth_m * 1e3] = item
     return "depth (mm)", [_curve(label, values) for label, values in points.items()]
 
 
@@ -232,7 +232,7 @@ def _with_frequency(frequency_hz: float, label: str) -> str:
 
 
 def _curve_items(result: ResultData, is_drawn: FrequencyFilter) -> list[tuple[ShotResult | RepeatMean, Points]]:
-    """Return each setting's mean over repeats, else its shots, with their headlines by frequency."""
+    """Return each setting's mean over repeats, else its shots, with their values by frequency."""
     means: dict[tuple[float | None, ...], list[RepeatMean]] = {}
     for mean in result.means:
         means.setdefault(setting_of(mean), []).append(mean)
@@ -240,9 +240,9 @@ def _curve_items(result: ResultData, is_drawn: FrequencyFilter) -> list[tuple[Sh
     for shot in result.shots:
         of_setting = means.get(setting_of(shot))
         if of_setting is None:
-            items.append((shot, {item.frequency_hz: item.headline for item in shot.estimates}))
+            items.append((shot, {item.frequency_hz: item for item in shot.estimates}))
         elif shot.shot == of_setting[0].shots[0]:
-            items.append((of_setting[0], {mean.frequency_hz: mean.headline for mean in of_setting}))
+            items.append((of_setting[0], {mean.frequency_hz: mean for mean in of_setting}))
     filtered = [(item, {hz: value for hz, value in points.items() if is_drawn(hz)}) for item, points in items]
     return [(item, points) for item, points in filtered if points]
 

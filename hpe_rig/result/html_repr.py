@@ -13,7 +13,7 @@ from hpe_rig.result.result_data import ResultData, shot_warnings
 from hpe_rig.result.sentence import headline_sentence
 from hpe_rig.result.spectra import main_shot, means_of, spectrum_pictures
 from hpe_rig.result.svg import image
-from hpe_rig.result.values import Headline
+from hpe_rig.result.values import Estimate
 
 MAX_SHOTS = 6
 COLUMNS = (
@@ -30,10 +30,9 @@ def result_html(result: ResultData) -> str:
     lead = "<br>".join([f"<b>{symbols(headline_sentence(result))}</b>", symbols(result.title), escape(source)])
     blocks = [f"<p>{lead}</p>", _spectra(result)]
     for shots, means in groupby(result.means, key=lambda mean: mean.shots):
-        rows = [(mean.frequency_hz, mean) for mean in means]
-        blocks.append(_table(f"mean of {len(shots)} repeats from shot {shots[0]} on", rows))
+        blocks.append(_table(f"mean of {len(shots)} repeats from shot {shots[0]} on", list(means)))
     for shot in result.shots[:MAX_SHOTS]:
-        blocks.append(_table(f"shot {shot.shot}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
+        blocks.append(_table(f"shot {shot.shot}", shot.estimates))
     if len(result.shots) > MAX_SHOTS:
         blocks.append(f"<p>and {len(result.shots) - MAX_SHOTS} more shots</p>")
     # Warnings come last, after the numbers that they concern.
@@ -55,14 +54,14 @@ def _spectra(result: ResultData) -> str:
     return "".join([*(image(spectrum) for spectrum in spectrum_pictures(result, shot)), f"<p>{caption}; bars: 2 u</p>"])
 
 
-def _table(caption: str, rows: Sequence[tuple[float, Headline | RepeatMean]]) -> str:
-    name = "peak" if all(value.corrected for _, value in rows) else "amplitude"
+def _table(caption: str, rows: Sequence[Estimate | RepeatMean]) -> str:
+    name = "peak" if all(value.corrected for value in rows) else "amplitude"
     titles = ("f / Hz", *(title.format(name) for _, title, _, _ in COLUMNS))
     head = "".join(f"<th>{title}</th>" for title in titles)
-    body = "".join(f"<tr><td>{frequency_hz:g}</td>{_cells(value)}</tr>" for frequency_hz, value in rows)
+    body = "".join(f"<tr><td>{value.frequency_hz:g}</td>{_cells(value)}</tr>" for value in rows)
     return f"<table><caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _cells(value: Headline | RepeatMean) -> str:
+def _cells(value: Estimate | RepeatMean) -> str:
     values = ((getattr(value, name) * factor, form) for name, _, factor, form in COLUMNS)
     return "".join(f"<td>{format(value, form) if math.isfinite(value) else '-'}</td>" for value, form in values)

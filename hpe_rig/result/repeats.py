@@ -16,13 +16,13 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
 from hpe_rig.result.interval import interval_95, phase_interval_95_rad, student_widening
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
-from hpe_rig.result.values import RECTIFIED, Estimate, Headline, ShotResult
+from hpe_rig.result.values import RECTIFIED, Estimate, ShotResult
 
 INDEPENDENT_SOURCES = ("noise", "trigger jitter", "control", "control scatter")
 """Sources that are independent between repeats; all others are common to them."""
@@ -84,11 +84,6 @@ class RepeatMean:
     interval_95_rad: float = math.nan
     swept: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def headline(self) -> Headline:
-        """Amplitude and phase with their uncertainties, as of a single shot."""
-        return Headline(**{item.name: getattr(self, item.name) for item in fields(Headline)})
-
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
     """Return the mean of every frequency over each group of complete, trusted repeats of the same settings."""
@@ -114,10 +109,9 @@ def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     from scipy.special import gammaincc
 
     estimates = [shot.estimates[index] for shot in shots]
-    headlines = [estimate.headline for estimate in estimates]
     # Complex mean: amplitudes alone would average the noise of a weak harmonic to a positive value.
-    phasor = _mean_phasor((headline.amplitude_m, headline.phase_rad) for headline in headlines)
-    deviations = _deviations(headlines, phasor)
+    phasor = _mean_phasor((item.amplitude_m, item.phase_rad) for item in estimates)
+    deviations = _deviations(estimates, phasor)
     independent = [_uncertainty(estimate, independent=True) for estimate in estimates]
     chi_square, degrees_of_freedom = _chi_square(deviations, independent, estimates), 2 * (len(shots) - 1)
     probability = float(gammaincc(degrees_of_freedom / 2, chi_square / 2))
@@ -130,7 +124,7 @@ def _repeat_mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         swept=shots[0].swept,
         shots=tuple(shot.shot for shot in shots),
         frequency_hz=estimates[0].frequency_hz,
-        corrected=all(headline.corrected for headline in headlines),
+        corrected=all(item.corrected for item in estimates),
         amplitude_m=abs(phasor),
         amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources[0])),
         phase_rad=cmath.phase(phasor),
@@ -160,13 +154,13 @@ def _mean_phasor(values: Iterable[Pair]) -> complex:
     return sum(phasors) / len(phasors)
 
 
-def _deviations(headlines: Sequence[Headline], phasor: complex) -> tuple[list[float], list[float]]:
+def _deviations(estimates: Sequence[Estimate], phasor: complex) -> tuple[list[float], list[float]]:
     """Return the deviations (repeat,) of amplitudes, m, and of phases, rad, from their means."""
-    mean_m = sum(item.amplitude_m for item in headlines) / len(headlines)
+    mean_m = sum(item.amplitude_m for item in estimates) / len(estimates)
     # Phases relative to that of the mean phasor do not wrap.
-    relative = [math.remainder(item.phase_rad - cmath.phase(phasor), 2 * math.pi) for item in headlines]
+    relative = [math.remainder(item.phase_rad - cmath.phase(phasor), 2 * math.pi) for item in estimates]
     mean_rad = sum(relative) / len(relative)
-    return [item.amplitude_m - mean_m for item in headlines], [angle - mean_rad for angle in relative]
+    return [item.amplitude_m - mean_m for item in estimates], [angle - mean_rad for angle in relative]
 
 
 def _chi_square(
@@ -212,7 +206,7 @@ def _independent_uncertainty(estimates: Sequence[Estimate], independent: Sequenc
     # The mean of K independent values has the root mean square of their uncertainties over the root of K.
     u_m, u_rad = (math.sqrt(fmean(u[axis] ** 2 for u in independent)) / math.sqrt(len(independent)) for axis in (0, 1))
     pairs = zip(estimates, independent, strict=True)
-    if all(estimate.headline.amplitude_m > DETECTED_AMPLITUDE * u[0] for estimate, u in pairs):
+    if all(estimate.amplitude_m > DETECTED_AMPLITUDE * u[0] for estimate, u in pairs):
         return u_m, u_rad
     # Phases of single repeats that may be noise hold little information: the mean phasor determines the phase.
     rectified_m = math.sqrt(rectified_variance_m2(amplitude_m, u_m**2, u_m**2))

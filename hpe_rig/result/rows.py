@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.result_data import ResultData
 from hpe_rig.result.tables import csv_text, package_of_extra, text_table
-from hpe_rig.result.values import Headline
+from hpe_rig.result.values import Estimate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,9 +74,9 @@ def result_frame(result: ResultData) -> pd.DataFrame:
     return frame
 
 
-def _text_row(shots: str, frequency_hz: float, value: Headline | RepeatMean) -> tuple[str, ...]:
+def _text_row(shots: str, value: Estimate | RepeatMean) -> tuple[str, ...]:
     return (
-        *(shots, f"{frequency_hz:g}"),
+        *(shots, f"{value.frequency_hz:g}"),
         *(f"{value.amplitude_m * 1e9:.4g}", f"{value.amplitude_uncertainty_m * 1e9:.2g}"),
         *(f"{math.degrees(value.phase_rad):.2f}", f"{math.degrees(value.phase_uncertainty_rad):.2g}"),
     )
@@ -92,13 +92,13 @@ def _single_values(table: dict[str, Any]) -> dict[str, Value]:
 
 def result_text(result: ResultData) -> str:
     """Return title, source and a printed table: the headlines in nm and degrees, means over repeats first."""
-    means = [_text_row(_shots_text(mean.shots), mean.frequency_hz, mean) for mean in result.means]
+    means = [_text_row(_shots_text(mean.shots), mean) for mean in result.means]
     rows = [
-        _text_row(_shots_text([shot.shot]) + (" UNTRUSTED" if shot.untrusted else ""), item.frequency_hz, item.headline)
+        _text_row(_shots_text([shot.shot]) + (" UNTRUSTED" if shot.untrusted else ""), item)
         for shot in result.shots
         for item in shot.estimates
     ]
-    peak = all(item.headline.corrected for shot in result.shots for item in shot.estimates)
+    peak = all(item.corrected for shot in result.shots for item in shot.estimates)
     headers = ("shot", "f / Hz", f"{'peak' if peak else 'amplitude'} / nm", "u / nm", "phase / deg", "u / deg")
     table = text_table(headers, [*means, *rows], words=0)
     source = ", ".join(text for text in (result.origin, result.run_file) if text)

@@ -6,9 +6,9 @@ import math
 import operator
 from collections.abc import Sequence
 
-from hpe_rig.result.repeats import setting_of
+from hpe_rig.result.repeats import RepeatMean, setting_of
 from hpe_rig.result.result_data import ResultData
-from hpe_rig.result.values import Estimate, Headline, ShotResult
+from hpe_rig.result.values import Estimate, ShotResult
 
 MIN_PROBABILITY = 1e-16
 """Probability below which its numerical value means nothing, about the resolution of double precision."""
@@ -29,9 +29,9 @@ def headline_sentence(result: ResultData) -> str:
     means = [mean for mean in result.means if mean.frequency_hz == frequency_hz]
     # Without a mean for every shot, the single shots represent the settings.
     if sum(len(mean.shots) for mean in means) == len(shots):
-        values = [mean.headline for mean in means]
+        values: Sequence[Estimate | RepeatMean] = means
     else:
-        values = [estimate_at(shot, frequency_hz).headline for shot in shots]
+        values = [estimate_at(shot, frequency_hz) for shot in shots]
     untrusted = sum(bool(shot.untrusted) for shot in shots)
     source = ("" if len(shots) == 1 else f", {len(shots)} shots") + f"; {kind}"
     source += f"; {untrusted} NOT TO BE TRUSTED" if untrusted else ""
@@ -43,7 +43,7 @@ def headline_sentence(result: ResultData) -> str:
     return _range_sentence(values, frequency_hz, quantity) + over + source
 
 
-def _range_sentence(values: Sequence[Headline], frequency_hz: float, quantity: str) -> str:
+def _range_sentence(values: Sequence[Estimate | RepeatMean], frequency_hz: float, quantity: str) -> str:
     by_amplitude = operator.attrgetter("amplitude_m")
     smallest, largest = min(values, key=by_amplitude), max(values, key=by_amplitude)
     scale, unit = scale_of(largest.amplitude_m)
@@ -53,7 +53,7 @@ def _range_sentence(values: Sequence[Headline], frequency_hz: float, quantity: s
     return f"{span} {unit} at {frequency_hz:g} Hz ({quantity})"
 
 
-def _single_sentence(value: Headline, frequency_hz: float, quantity: str) -> str:
+def _single_sentence(value: Estimate | RepeatMean, frequency_hz: float, quantity: str) -> str:
     amplitude_m, u_m, half_width_m = value.amplitude_m, value.amplitude_uncertainty_m, value.interval_95_m
     scale, _ = scale_of(amplitude_m)
     # An amplitude has no negative values.

@@ -56,16 +56,16 @@ def spectrum_pictures(result: ResultData, shot: ShotResult, alone: bool = False)
 def _amplitude(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequence[Estimate]]) -> Picture:
     """Return amplitude over frequency: headline with combined uncertainty, tracked amplitude, and ground truth."""
     figure, axes = panel()
-    scale, unit = scale_of(max(item.headline.amplitude_m for item in estimates))
-    _plot_repeats(axes, repeats, lambda item: item.headline.amplitude_m / scale)
+    scale, unit = scale_of(max(item.amplitude_m for item in estimates))
+    _plot_repeats(axes, repeats, lambda item: item.amplitude_m / scale)
     frequency_hz = np.array([item.frequency_hz for item in estimates])
-    amplitude = np.array([item.headline.amplitude_m for item in estimates]) / scale
-    uncertainty = np.array([item.headline.amplitude_uncertainty_m for item in estimates]) / scale
+    amplitude = np.array([item.amplitude_m for item in estimates]) / scale
+    uncertainty = np.array([item.amplitude_uncertainty_m for item in estimates]) / scale
     true = np.array([_or_nan(item.true_amplitude_m) for item in estimates]) / scale
     has_truth = bool(np.isfinite(true).all())
     if has_truth:
         axes.plot(frequency_hz, true, "x", color=Colour.GREY, ms=6, label="true peak displacement")
-    if corrected := all(item.headline.corrected for item in estimates):
+    if corrected := all(item.corrected for item in estimates):
         tracked = [item.tracked_amplitude_m / scale for item in estimates if isinstance(item, Estimate)]
         # A mean has no tracked values.
         if tracked:
@@ -93,16 +93,16 @@ def _phase(estimates: Sequence[Estimate | RepeatMean], repeats: Sequence[Sequenc
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
     # Neighbouring harmonics differ by less than half a turn; wrapped phases would hide the trend.
-    phase = np.unwrap([item.headline.phase_rad for item in estimates])
+    phase = np.unwrap([item.phase_rad for item in estimates])
     phase_at = dict(zip(frequency_hz.tolist(), phase.tolist(), strict=True))
 
     def unwrapped_deg(item: Estimate) -> float:
         """Return the phase of a repeat within half a turn of the main curve."""
         centre = phase_at.get(item.frequency_hz, 0.0)
-        return math.degrees(centre + math.remainder(item.headline.phase_rad - centre, 2 * math.pi))
+        return math.degrees(centre + math.remainder(item.phase_rad - centre, 2 * math.pi))
 
     _plot_repeats(axes, repeats, unwrapped_deg)
-    uncertainty_deg = np.degrees([item.headline.phase_uncertainty_rad for item in estimates])
+    uncertainty_deg = np.degrees([item.phase_uncertainty_rad for item in estimates])
     true_rad = phase - np.array(
         [math.remainder(item.phase_rad - _or_nan(item.true_phase_rad), 2 * math.pi) for item in estimates]
     )

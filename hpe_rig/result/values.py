@@ -6,8 +6,8 @@ import cmath
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.influence import Influence
 from hpe_rig.result.interval import interval_95, phase_interval_95_rad
@@ -107,23 +107,6 @@ class Component:
 
 
 @dataclass(frozen=True, slots=True)
-class Headline:
-    """Main amplitude and phase of an estimate, and their combined standard uncertainties.
-
-    They describe the peak displacement if ``corrected``, otherwise (no beams declared) the tracked displacement.
-    ``interval_95_m`` and ``interval_95_rad`` are the half widths of the 95 % intervals.
-    """
-
-    amplitude_m: float
-    amplitude_uncertainty_m: float
-    phase_rad: float
-    phase_uncertainty_rad: float
-    corrected: bool
-    interval_95_m: float = math.nan
-    interval_95_rad: float = math.nan
-
-
-@dataclass(frozen=True, slots=True)
 class Estimate:
     """One vibration frequency of one shot, as tracked and as corrected to the peak displacement.
 
@@ -152,11 +135,6 @@ class Estimate:
     aliasing_factor: float = 1.0
     aliasing_phase_rad: float = 0.0
     noise_freedom: float = math.inf
-
-    @property
-    def headline(self) -> Headline:
-        """Amplitude and phase with the uncertainties of all components."""
-        return Headline(**{item.name: getattr(self, item.name) for item in fields(Headline)})
 
     @property
     def corrected(self) -> bool:
@@ -249,8 +227,11 @@ class Estimate:
 
     if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> float | None:
+        def __getattr__(self, name: str) -> Any:
             """Return the value of one of ``EARLIER_NAMES`` with a warning; values were None without correction."""
+            if name == "headline":
+                warnings.warn("the values of headline are those of the estimate itself", FutureWarning, stacklevel=2)
+                return self
             if name not in EARLIER_NAMES:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
             present = EARLIER_NAMES[name]

@@ -35,7 +35,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     amplitude_axes.plot(frequency_hz, true_nm, color="0.45", label="true peak displacement")
     tracked_nm = np.array([item.tracked_amplitude_m for item in estimates]) * 1e9
     amplitude_axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=TRACKED, label="as tracked")
-    peak_m = [(item.headline.amplitude_m, 2 * item.headline.amplitude_uncertainty_m) for item in estimates]
+    peak_m = [(item.amplitude_m, 2 * item.amplitude_uncertainty_m) for item in estimates]
     amplitude_axes.errorbar(
         frequency_hz, *(np.array(peak_m).T * 1e9), fmt="o", ms=4, color=ESTIMATE, label="peak displacement, 2 u"
     )
@@ -45,7 +45,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     true_rad = np.unwrap([item.true_phase_rad or 0.0 for item in estimates])
     error_rad = np.array([item.phase_error_rad or 0.0 for item in estimates])
     phase_axes.plot(frequency_hz, np.degrees(true_rad), color="0.45", label="ground truth")
-    uncertainty_deg = [2 * np.degrees(item.headline.phase_uncertainty_rad) for item in estimates]
+    uncertainty_deg = [2 * np.degrees(item.phase_uncertainty_rad) for item in estimates]
     phase_axes.errorbar(
         frequency_hz,
         np.degrees(true_rad + error_rad),

@@ -121,10 +121,10 @@ def long_draw(accuracy: float, seed: int) -> Draw:
             frequencies_hz=[LONG_HZ],
             frequency_accuracy=stated,
         ).shots
-        headline = shot.estimates[0].headline
-        error_rad = float(np.angle(np.exp(1j * (headline.phase_rad - phase_rad))))
-        amplitude_score = (headline.amplitude_m - LONG_M) / headline.amplitude_uncertainty_m
-        scores.append(np.array([[amplitude_score, error_rad / headline.phase_uncertainty_rad]]))
+        estimate = shot.estimates[0]
+        error_rad = float(np.angle(np.exp(1j * (estimate.phase_rad - phase_rad))))
+        amplitude_score = (estimate.amplitude_m - LONG_M) / estimate.amplitude_uncertainty_m
+        scores.append(np.array([[amplitude_score, error_rad / estimate.phase_uncertainty_rad]]))
     uncertainty = shot.frequency_error_uncertainty or np.inf
     return Draw(
         without=scores[0],

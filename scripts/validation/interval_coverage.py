@@ -285,11 +285,10 @@ def _ratios(run: hpe.Run, estimator: str) -> FloatArray | None:
 def _each_ratio(result: Result) -> Iterator[FloatArray]:
     for shot in result.shots:
         for item in shot.estimates:
-            stated = item.headline
             error_m = (item.amplitude_error or 0.0) * (item.true_amplitude_m or 0.0)
             error_rad = item.phase_error_rad or 0.0
-            widths_m = stated.amplitude_uncertainty_m, stated.interval_95_m
-            widths_rad = stated.phase_uncertainty_rad, stated.interval_95_rad
+            widths_m = item.amplitude_uncertainty_m, item.interval_95_m
+            widths_rad = item.phase_uncertainty_rad, item.interval_95_rad
             yield np.stack([error_m / np.array(widths_m), error_rad / np.array(widths_rad)])
 
 

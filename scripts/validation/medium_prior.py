@@ -380,8 +380,8 @@ def _reduced_noise_errors(name: str, noise_scale: float, seed: int) -> Iterator[
         assert true_m is not None
         assert error is not None
         assert error_rad is not None
-        stated = item.headline.amplitude_uncertainty_m / true_m
-        yield error / stated, error_rad / item.headline.phase_uncertainty_rad, error, stated
+        stated = item.amplitude_uncertainty_m / true_m
+        yield error / stated, error_rad / item.phase_uncertainty_rad, error, stated
 
 
 def draw() -> Figure:

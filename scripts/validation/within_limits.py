@@ -38,9 +38,8 @@ def measured(scene: hpe.Scene) -> tuple[float, float, float]:
     with tempfile.TemporaryDirectory() as folder:
         for shot in hpe.measure(scene, path=Path(folder) / "run.h5").estimate().shots:
             estimate = next(item for item in shot.estimates if abs(item.frequency_hz - WANTED_HZ) < 1)
-            headline = estimate.headline
-            phasor.append(1e9 * headline.amplitude_m * np.exp(1j * headline.phase_rad))
-            noise.append(1e9 * headline.amplitude_uncertainty_m)
+            phasor.append(1e9 * estimate.amplitude_m * np.exp(1j * estimate.phase_rad))
+            noise.append(1e9 * estimate.amplitude_uncertainty_m)
             true = 1e9 * (estimate.true_amplitude_m or 0.0)
     return float(abs(np.mean(phasor))), float(np.mean(noise)), true
 

@@ -239,8 +239,8 @@ def test_a_result_becomes_a_frame_and_a_figure(run: hpe.Run, monkeypatch: pytest
     assert result.to_frame()["amplitude_m"].tolist() == [estimate.amplitude_m]
     amplitude, phase = result.figure().axes
     for panel, value in (
-        (amplitude, estimate.headline.amplitude_m * 1e9),
-        (phase, np.degrees(estimate.headline.phase_rad)),
+        (amplitude, estimate.amplitude_m * 1e9),
+        (phase, np.degrees(estimate.phase_rad)),
     ):
         points, _, _ = panel.containers[0]
         assert points.get_xydata().tolist() == [[200.0, pytest.approx(value)]]

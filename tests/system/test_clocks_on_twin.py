@@ -75,7 +75,7 @@ def test_phases_follow_clocks_that_differ_by_more_than_stated_and_warnings_say_s
         # 3.5 u: one draw each, and true in 99.95 %.
         assert shot.frequency_error == pytest.approx(6e-5, abs=3.5 * shot.frequency_error_uncertainty)
         for estimate in shot.estimates:
-            error_rad, u_rad = estimate.phase_error_rad, estimate.headline.phase_uncertainty_rad
+            error_rad, u_rad = estimate.phase_error_rad, estimate.phase_uncertainty_rad
             assert error_rad is not None
             assert abs(error_rad) < 3 * u_rad
             (time_base,) = (component for component in estimate.budget if component.source == "time base")

@@ -79,7 +79,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
         measured = hpe.measure(scene, path="run.h5")
         result = measured.estimate()
         strongest = max(result.shots[0].estimates, key=lambda each: each.amplitude_m)
-        seen["estimate"] = [strongest.headline.amplitude_m, strongest.headline.amplitude_uncertainty_m]
+        seen["estimate"] = [strongest.amplitude_m, strongest.amplitude_uncertainty_m]
         seen["truth"] = strongest.true_amplitude_m
         seen["moduli"] = str(hpe.fit_moduli(measured, laws=["fractional_voigt"]))
         seen["report"] = Path(write_report(Path("run.h5"))).read_text(encoding="utf-8")

@@ -353,7 +353,7 @@ def test_a_rigid_motion_at_60_db_is_found_within_its_uncertainty(tmp_path: Path,
     for seed in range(1, seeds + 1):
         run = hpe.measure(rigid.with_({"simulation.seed": seed}), path=tmp_path / f"{seed}.h5")
         for estimator in ("coherent", "cross_correlation", "loupas", "cross_spectrum"):
-            found = run.estimate(estimator).shots[0].estimates[0].headline
+            found = run.estimate(estimator).shots[0].estimates[0]
             most_m = 5e-9 if estimator == "cross_spectrum" else 0.3e-9
             assert found.amplitude_uncertainty_m < most_m, estimator
             deviations.setdefault(estimator, []).append((found.amplitude_m - 1e-6) / found.amplitude_uncertainty_m)

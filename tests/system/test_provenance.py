@@ -122,7 +122,7 @@ def test_runs_are_listed_and_found_by_note_and_date(run: hpe.Run) -> None:
     assert len(unreadable) == 1
     assert "cut.h5" in unreadable[0]
     assert entry.lead is not None
-    assert entry.lead.amplitude_m == run.estimate().shots[0].estimates[0].headline.amplitude_m
+    assert entry.lead.amplitude_m == run.estimate().shots[0].estimates[0].amplitude_m
     assert matching_runs(entries, ["operator: a. b.", "TABLE"]) == entries
     assert matching_runs(entries, ["somebody"]) == []
     assert matching_runs(entries, [], since=entry.date + timedelta(seconds=1)) == []

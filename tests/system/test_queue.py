@@ -391,6 +391,6 @@ def test_queue_and_list_state_the_mean_over_repeats(tmp_path: Path, monkeypatch:
     result = hpe.open_run(tmp_path / "night" / "01-scene-0.h5").estimate()
     (mean,) = result.means
     nm = f"{mean.amplitude_m * 1e9:.4g}"
-    assert all(f"{shot.estimates[0].headline.amplitude_m * 1e9:.4g}" != nm for shot in result.shots)
+    assert all(f"{shot.estimates[0].amplitude_m * 1e9:.4g}" != nm for shot in result.shots)
     assert f"{nm} +-" in printed
     assert nm in CliRunner().invoke(app, ["list", "night"]).output

@@ -274,7 +274,7 @@ def dose() -> Experiment:
     label(panel, "displacement at 200 Hz (nm)", "", xscale="log")
     # Scenes with the paper's trigger jitter.
     jittered = [pair for name, pair in within.items() if not name.startswith(("bovine", "limits", "gelatin-moduli"))]
-    allowed = {name: result_and_sampled_truth(name)[0].shots[0].estimates[1].headline for name in LIMITS}
+    allowed = {name: result_and_sampled_truth(name)[0].shots[0].estimates[1] for name in LIMITS}
     header = "scene|duty|limit of I_sppa|displacement at 200 Hz|detection floor|intensity of the scene / limit"
     return Experiment(
         "Dose",

@@ -34,12 +34,11 @@ def test_a_table_begins_with_the_peak_and_lists_sources_of_uncertainty(
     lines = printed(capsys, SHOT)
     assert max(map(len, lines)) <= TABLE_WIDTH
     (row,) = [line.split() for line in lines if line.startswith("1000 ")]
-    lead = ESTIMATE.headline
     cells = [float(cell) for cell in row[1:9]]
     # Five digits in nm are two in um.
-    assert cells[0] == pytest.approx(lead.amplitude_m * 1e6, rel=1e-3)
+    assert cells[0] == pytest.approx(ESTIMATE.amplitude_m * 1e6, rel=1e-3)
     assert cells[1] == pytest.approx(math.hypot(1.234, 1.1), rel=0.05)
-    assert cells[2:4] == pytest.approx([math.degrees(-3.08), math.degrees(lead.phase_uncertainty_rad)], abs=0.01)
+    assert cells[2:4] == pytest.approx([math.degrees(-3.08), math.degrees(ESTIMATE.phase_uncertainty_rad)], abs=0.01)
     assert cells[4] == pytest.approx(12.3456, rel=1e-3)
     (budget,) = [line for line in lines if line.startswith("u at 1000 Hz: ")]
     assert budget.index("noise") < budget.index("speckle")

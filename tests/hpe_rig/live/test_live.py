@@ -265,13 +265,12 @@ def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
     assert state is not None
     (estimate,) = process(run_file).shots[0].estimates
     (harmonic,) = state["harmonics"]
-    headline = estimate.headline
-    assert headline.corrected
-    assert harmonic["nm"] == pytest.approx(headline.amplitude_m * 1e9, rel=1e-5)
+    assert estimate.corrected
+    assert harmonic["nm"] == pytest.approx(estimate.amplitude_m * 1e9, rel=1e-5)
     # The page has no ends of the gate in u, 1e-4 of the amplitude.
-    assert harmonic["u_nm"] == pytest.approx(headline.amplitude_uncertainty_m * 1e9, rel=1e-4)
-    assert harmonic["deg"] == pytest.approx(math.degrees(headline.phase_rad), rel=1e-5)
-    assert harmonic["u_deg"] == pytest.approx(math.degrees(headline.phase_uncertainty_rad), rel=1e-4)
+    assert harmonic["u_nm"] == pytest.approx(estimate.amplitude_uncertainty_m * 1e9, rel=1e-4)
+    assert harmonic["deg"] == pytest.approx(math.degrees(estimate.phase_rad), rel=1e-5)
+    assert harmonic["u_deg"] == pytest.approx(math.degrees(estimate.phase_uncertainty_rad), rel=1e-4)
     assert (state["records"], state["records_planned"], state["status"]) == (101, 101, "complete")
     assert state["simulated"] is True
     (shot,) = state["over_shots"]
@@ -305,10 +304,10 @@ def test_a_page_has_not_ended_before_every_complete_shot_is_estimated_and_leads_
     assert ["means" in state for state in states] == [len(state["over_shots"]) > 1 for state in states]
     (mean,), (harmonic,) = process(path).means, states[-1]["means"]
     assert (states[-1]["mean_of"], harmonic["hz"]) == (3, mean.frequency_hz)
-    assert harmonic["nm"] == pytest.approx(mean.headline.amplitude_m * 1e9, rel=1e-5)
+    assert harmonic["nm"] == pytest.approx(mean.amplitude_m * 1e9, rel=1e-5)
     # The page has no ends of the gate in u, 1e-4 of the amplitude.
-    assert harmonic["u_nm"] == pytest.approx(mean.headline.amplitude_uncertainty_m * 1e9, rel=1e-3)
-    assert harmonic["deg"] == pytest.approx(math.degrees(mean.headline.phase_rad), rel=1e-5)
+    assert harmonic["u_nm"] == pytest.approx(mean.amplitude_uncertainty_m * 1e9, rel=1e-3)
+    assert harmonic["deg"] == pytest.approx(math.degrees(mean.phase_rad), rel=1e-5)
     assert states[-1]["harmonics"][0]["nm"] != harmonic["nm"]
 
 

@@ -34,13 +34,13 @@ def test_the_root_sum_of_squares_of_the_components_is_the_headlines_uncertainty(
     (estimate,) = estimates_of(
         fit(), ErrorSources(1540.0, 0.005, gate_edge=2e-4, quantisation_m=((3e-9, 4e-9),)), (AVERAGING,)
     )
-    lead, found = estimate.headline, parts(estimate)
+    found = parts(estimate)
     peak_m = 1e-7 / 0.9
-    assert lead.corrected
-    assert lead.amplitude_m == pytest.approx(peak_m)
-    assert lead.phase_rad == pytest.approx(0.32)
-    assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(*(each.amplitude_m for each in found.values())))
-    assert lead.phase_uncertainty_rad == pytest.approx(math.hypot(*(each.phase_rad for each in found.values())))
+    assert estimate.corrected
+    assert estimate.amplitude_m == pytest.approx(peak_m)
+    assert estimate.phase_rad == pytest.approx(0.32)
+    assert estimate.amplitude_uncertainty_m == pytest.approx(math.hypot(*(each.amplitude_m for each in found.values())))
+    assert estimate.phase_uncertainty_rad == pytest.approx(math.hypot(*(each.phase_rad for each in found.values())))
     stated = {
         "noise": (1e-9 / 0.9, 0.01),
         "trigger jitter": (0, 0),
@@ -77,10 +77,10 @@ def test_the_covariance_of_aliasing_and_beam_averaging_is_in_the_sum(shared: flo
         1.0, 0.0, 0.0, 0.02, 0.01, shared_relative=shared * 0.03 * 0.02, shared_phase_rad2=shared * 0.02 * 0.01
     )
     (estimate,) = estimates_of(whole, ErrorSources(sound_speed_uncertainty=0.0), (averaging,))
-    noise, lead = parts(estimate)["noise"], estimate.headline
-    relative = (lead.amplitude_uncertainty_m**2 - noise.amplitude_m**2) / 1e-14
+    noise = parts(estimate)["noise"]
+    relative = (estimate.amplitude_uncertainty_m**2 - noise.amplitude_m**2) / 1e-14
     assert relative == pytest.approx(0.03**2 + 0.02**2 + 2 * shared * 0.03 * 0.02)
-    square_rad2 = lead.phase_uncertainty_rad**2 - noise.phase_rad**2
+    square_rad2 = estimate.phase_uncertainty_rad**2 - noise.phase_rad**2
     assert square_rad2 == pytest.approx(0.02**2 + 0.01**2 + 2 * shared * 0.02 * 0.01)
 
 
@@ -111,10 +111,9 @@ def test_dividing_by_the_carrier_errs_by_the_echos_mean_frequency() -> None:
 
 def test_without_beams_the_headline_is_the_tracked_displacement() -> None:
     (estimate,) = estimates_of(fit(), ErrorSources(1540.0, 0.005))
-    lead = estimate.headline
-    assert (lead.amplitude_m, lead.phase_rad) == (estimate.tracked_amplitude_m, estimate.tracked_phase_rad)
-    assert not lead.corrected
-    assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(1e-9, 0.005 * 1e-7))
+    assert (estimate.amplitude_m, estimate.phase_rad) == (estimate.tracked_amplitude_m, estimate.tracked_phase_rad)
+    assert not estimate.corrected
+    assert estimate.amplitude_uncertainty_m == pytest.approx(math.hypot(1e-9, 0.005 * 1e-7))
 
 
 def test_noise_alone_has_the_degrees_of_freedom_of_the_residual() -> None:

@@ -52,7 +52,7 @@ def phase_errors(shot: ShotResult) -> Iterator[tuple[float, float]]:
     """Yield error and half width of the 95 % interval of each phase."""
     for item in shot.estimates:
         assert item.true_phase_rad is not None
-        yield math.remainder(item.headline.phase_rad - item.true_phase_rad, 2 * math.pi), item.headline.interval_95_rad
+        yield math.remainder(item.phase_rad - item.true_phase_rad, 2 * math.pi), item.interval_95_rad
 
 
 def test_a_lost_first_trigger_without_tonebursts_is_part_of_the_uncertainty(tmp_path: Path) -> None:
@@ -221,8 +221,8 @@ def test_amplitudes_that_depend_on_the_first_pulse_through_the_prior_are_uncerta
     for estimate, (error_rad, interval_rad) in zip(shot.estimates, phase_errors(shot), strict=True):
         assert abs(error_rad) < interval_rad
         assert estimate.true_amplitude_m is not None
-        error_m = estimate.headline.amplitude_m - estimate.true_amplitude_m
-        assert 0.02 * estimate.true_amplitude_m < abs(error_m) < estimate.headline.interval_95_m
+        error_m = estimate.amplitude_m - estimate.true_amplitude_m
+        assert 0.02 * estimate.true_amplitude_m < abs(error_m) < estimate.interval_95_m
 
 
 def test_the_motion_of_a_run_follows_the_same_assignment(tmp_path: Path) -> None:

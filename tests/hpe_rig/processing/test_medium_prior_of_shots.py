@@ -230,8 +230,8 @@ def test_results_at_the_first_pulse_equal_the_means_of_a_steady_motion() -> None
         (drift,) = (component for component in first.budget if component.source == "drift")
         # The drift is estimated from the same noise, with three times the variance of the mean.
         assert 1.0 < drift.amplitude_m / mean.budget[0].amplitude_m < 2.0
-        assert abs(first.headline.amplitude_m - mean.headline.amplitude_m) < 3 * drift.amplitude_m
-        assert abs(first.headline.phase_rad - mean.headline.phase_rad) < 3 * drift.phase_rad
+        assert abs(first.amplitude_m - mean.amplitude_m) < 3 * drift.amplitude_m
+        assert abs(first.phase_rad - mean.phase_rad) < 3 * drift.phase_rad
         assert first.true_amplitude_m is None
     (reason,) = [why for what, why in run().with_drift("linear").estimate().omitted if what.endswith("true values")]
     assert "first pulse" in reason
@@ -250,15 +250,15 @@ def test_results_at_the_first_pulse_are_those_of_the_medium_before_it_warmed() -
         results = run().estimate(name), warming.with_({"processing.drift": "linear"}).estimate(name)
         pairs = zip(*(result.shots[0].estimates for result in results), strict=True)
         for steady, first in pairs:
-            expected_rad = steady.headline.phase_rad - 2 * np.pi * steady.frequency_hz * 270e-6 * 0.05
+            expected_rad = steady.phase_rad - 2 * np.pi * steady.frequency_hz * 270e-6 * 0.05
             error = (
-                first.headline.amplitude_m / steady.headline.amplitude_m - 1.015,
-                first.headline.phase_rad - expected_rad,
+                first.amplitude_m / steady.amplitude_m - 1.015,
+                first.phase_rad - expected_rad,
             )
             sources = [item for each in (steady, first) for item in each.budget if item.source in RANDOM_SOURCES]
             u_rad = np.linalg.norm([item.phase_rad for item in sources])
             u_m = np.linalg.norm([item.amplitude_m for item in sources])
-            assert abs(error[0]) < 3 * u_m / steady.headline.amplitude_m
+            assert abs(error[0]) < 3 * u_m / steady.amplitude_m
             assert abs(np.angle(np.exp(1j * error[1]))) < 3 * u_rad
 
 
@@ -283,7 +283,7 @@ def test_the_covariance_holds_the_budget_of_every_value(estimator: str, parts: i
         for row, estimate in zip(budget_m2, estimates, strict=True):
             for item in estimate.budget:
                 if item.source in sources:
-                    row += item.amplitude_m**2, (item.phase_rad * estimate.headline.amplitude_m) ** 2
+                    row += item.amplitude_m**2, (item.phase_rad * estimate.amplitude_m) ** 2
         expected_m2 = budget_m2[:, :parts]
         np.testing.assert_allclose(
             stored_m2[:, :parts], expected_m2, rtol=0.02, atol=1e-4 * np.max(expected_m2), err_msg=str(sources)

@@ -74,7 +74,7 @@ def test_the_clock_is_part_of_the_phase_uncertainty() -> None:
     shot = hpe.estimate_motion(displacement_m(), frequency_accuracy=1e-4, **SETTINGS).shots[0]
     # A rate error of 1e-4 shifts the phase at the first pulse by 2 pi f times half the train.
     expected_rad = OMEGA * 1e-4 * TIME_S.mean()
-    assert shot.estimates[0].headline.phase_uncertainty_rad == pytest.approx(expected_rad, rel=0.02)
+    assert shot.estimates[0].phase_uncertainty_rad == pytest.approx(expected_rad, rel=0.02)
 
 
 @pytest.mark.parametrize(

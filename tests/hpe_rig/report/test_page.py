@@ -247,7 +247,7 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     slopes = re.findall(
         r'<tr><th scope="row">100</th><td class="word">T<sub>b</sub> = 100 µs</td><td>([\d.]+)</td>', page
     )
-    last = process(run_file).shots[-1].estimates[0].headline.amplitude_m * 1e9
+    last = process(run_file).shots[-1].estimates[0].amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
 

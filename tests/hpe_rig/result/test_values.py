@@ -27,7 +27,7 @@ def test_every_table_states_the_headline_and_counts_shots_from_1(
     estimate: Estimate, amplitude_m: float, phase_rad: float, tmp_path: Path
 ) -> None:
     stated, path = result(estimate), tmp_path / "t.coherent.h5"
-    assert (estimate.headline.amplitude_m, estimate.headline.phase_rad) == pytest.approx((amplitude_m, phase_rad))
+    assert (estimate.amplitude_m, estimate.phase_rad) == pytest.approx((amplitude_m, phase_rad))
     json, csv_row, frame_row, dataset = (
         stated.as_dict()["shots"][1],
         list(csv.DictReader(io.StringIO(result_csv(stated))))[1],
@@ -41,7 +41,7 @@ def test_every_table_states_the_headline_and_counts_shots_from_1(
     assert [int(json["shot"]), int(csv_row["shot"]), int(frame_row["shot"]), int(dataset.shot)] == [2] * 4
     for name in ("amplitude_m", "amplitude_uncertainty_m", "phase_rad", "phase_uncertainty_rad"):
         for prefix, value in (
-            ("", getattr(estimate.headline, name)),
+            ("", getattr(estimate, name)),
             ("tracked_", getattr(estimate, f"tracked_{name}")),
         ):
             row = json["estimates"][0], csv_row, frame_row, dataset, stored
@@ -54,5 +54,7 @@ def test_an_earlier_name_is_read_with_a_warning_that_names_the_present_one() -> 
         assert CORRECTED.corrected_uncertainty_m == CORRECTED.amplitude_uncertainty_m  # type: ignore[attr-defined]
     with pytest.warns(FutureWarning, match="is called amplitude_m"):
         assert TRACKED.corrected_amplitude_m is None  # type: ignore[attr-defined]
+    with pytest.warns(FutureWarning, match="headline"):
+        assert CORRECTED.headline is CORRECTED  # type: ignore[attr-defined]
     with pytest.raises(AttributeError, match="'Estimate' object has no attribute 'amplitude'"):
         TRACKED.amplitude  # type: ignore[attr-defined]  # noqa: B018

@@ -135,7 +135,7 @@ def test_identical_echoes_have_the_amplitude_of_a_motion_that_changes_no_code_an
         if rounded:
             assert rounding.amplitude_m == pytest.approx(expected_m, rel=0.1)
         assert 0 < estimate.tracked_amplitude_m < rounding.amplitude_m < 1e-9
-        assert 1.8 < estimate.headline.phase_uncertainty_rad < math.inf
+        assert 1.8 < estimate.phase_uncertainty_rad < math.inf
 
 
 def test_an_estimate_depends_neither_on_the_unit_of_the_samples_nor_on_the_type_of_codes() -> None:
@@ -181,8 +181,8 @@ def test_a_motion_no_larger_than_one_that_changes_no_code_is_within_its_interval
     for seed in range(40):
         echoes = codes(sine_m(fraction * hidden_m), noise=0.0, codes_rms=12.0, seed=seed)
         (shot,) = hpe.estimate(echoes, **RATES, frequencies_hz=[MOVED_HZ]).shots
-        headline = shot.estimates[0].headline
-        within += abs(headline.amplitude_m - fraction * hidden_m) < 2 * headline.amplitude_uncertainty_m
+        estimate = shot.estimates[0]
+        within += abs(estimate.amplitude_m - fraction * hidden_m) < 2 * estimate.amplitude_uncertainty_m
     assert within >= 34
 
 
@@ -195,10 +195,10 @@ def test_a_frequency_that_is_off_is_estimated_and_corrected_and_one_clock_can_be
     assert shot.frequency_error is not None
     assert shot.frequency_error_uncertainty is not None
     assert shot.frequency_error == pytest.approx(5e-5, abs=3.5 * shot.frequency_error_uncertainty)
-    assert abs(shot.estimates[0].tracked_phase_rad) < 3 * shot.estimates[0].headline.phase_uncertainty_rad
+    assert abs(shot.estimates[0].tracked_phase_rad) < 3 * shot.estimates[0].phase_uncertainty_rad
     assert "the clock of the motion's frequencies is 5" in " ".join(shot.warnings)
     (wrong,) = hpe.estimate(echoes, **settings, frequency_accuracy=0.0).shots
     assert wrong.frequency_error is None
-    assert abs(wrong.estimates[0].tracked_phase_rad) > 5 * wrong.estimates[0].headline.phase_uncertainty_rad
+    assert abs(wrong.estimates[0].tracked_phase_rad) > 5 * wrong.estimates[0].phase_uncertainty_rad
     with pytest.raises(ValueError, match="frequency_accuracy is -1"):
         hpe.estimate(echoes, **settings, frequency_accuracy=-1.0)

@@ -536,7 +536,7 @@ def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, t
     assert "2 of 2 shots, simulated" in run_page
     assert '<img alt="Timing over ' in run_page
     assert check("table-1")._repr_html_().count('<img alt="Timing over ') == 2
-    assert f"{result.shots[0].estimates[0].headline.amplitude_m * 1e9:.4g}" in page
+    assert f"{result.shots[0].estimates[0].amplitude_m * 1e9:.4g}" in page
     hostile = result_html(replace(result, title="<script>alert(1)</script>"))
     assert "<script>" not in hostile
 
