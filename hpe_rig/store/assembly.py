@@ -20,7 +20,7 @@ from typing import IO, Any, BinaryIO, Final, final
 
 import h5py
 import numpy as np
-from h5py import h5d, h5f, h5p, h5s
+from h5py import h5f, h5p, h5s
 from numpy.typing import NDArray
 
 from hpe_rig.arrays import Int16Array
@@ -51,6 +51,9 @@ MAX_VIEWS: Final = 2
 """Number of logs whose content stays in memory, except for the echoes."""
 BUFFER_BYTES: Final = 4_000_000
 """Size of the writes that go to the disk together: a thread for each write takes as long as the write."""
+CHUNK_CACHE_BYTES: Final = 65_536
+"""Size of the library's cache for each dataset, smaller than a chunk of echoes, which is written once, whole. The
+default of 1 MB is filled by each of the 15 datasets of a run of 20 GB."""
 LIBRARY_ERRORS: Final = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError)
 
 
@@ -188,7 +191,8 @@ def _write_draft(
         output.refuse_failure()
         proceed()
 
-    with h5py.File("draft", "r+", libver=LIBVER, driver="fileobj", fileobj=output) as file:
+    options = {"driver": "fileobj", "fileobj": output, "rdcc_nbytes": CHUNK_CACHE_BYTES}
+    with h5py.File("draft", "r+", libver=LIBVER, **options) as file:
         checked = _empty_run(CheckedFile(file))
         frames = log.without_torn_frames(stream, checked.chunk_records).frames
         _write_codes(checked, _fill(checked, frames, stream, KILLED), stream, refuse_failure_and_proceed)
@@ -349,6 +353,7 @@ def _fill_rows(checked: CheckedFile, name: str, frames: FrameIndex, stream: IO[b
 def _fill_arrivals(checked: CheckedFile, frames: FrameIndex, stream: IO[bytes]) -> None:
     """Write the marks and trigger times of all records, and their checksums by chunk."""
     (shots, records, _), chunk_records = checked.shape, checked.chunk_records
+    stored_marks, stored_time_s = checked.dataset("records/recorded"), checked.dataset(TRIGGER_TIMES)
     stored_sums = checked.checksums("records/recorded")
     sums = np.zeros(stored_sums.shape, "<u8")
     for shot in range(shots):
@@ -366,8 +371,8 @@ def _fill_arrivals(checked: CheckedFile, frames: FrameIndex, stream: IO[bytes]) 
             # Marks of damaged trigger times get a checksum that they do not match.
             sums[shot, number] = checksum + is_damaged
         if marks.any():
-            _write(checked.dataset("records/recorded"), (shot,), marks)
-            _write(checked.dataset(TRIGGER_TIMES), (shot,), time_s)
+            _write(stored_marks, (shot,), marks)
+            _write(stored_time_s, (shot,), time_s)
     _write(stored_sums, (), sums)
 
 
@@ -376,7 +381,7 @@ def _write_codes(checked: CheckedFile, frames: FrameIndex, stream: IO[bytes], pr
     for name in CODES:
         if not checked.has(name):
             continue
-        echoes, stored_sums = _uncached(checked.dataset(name)), checked.checksums(name)
+        echoes, stored_sums = checked.dataset(name), checked.checksums(name)
         sums = np.zeros(stored_sums.shape, "<u8")
         for shot, number in np.ndindex(sums.shape):
             if frames.find(name, (shot, number)):
@@ -387,13 +392,6 @@ def _write_codes(checked: CheckedFile, frames: FrameIndex, stream: IO[bytes], pr
                 codes, sums[shot, number] = chunk
                 _write(echoes, (shot, number * checked.chunk_records), codes)
         _write(stored_sums, (), sums)
-
-
-def _uncached(dataset: h5py.Dataset) -> h5py.Dataset:
-    """Return ``dataset`` opened without the library's cache of chunks: each chunk is written once, whole."""
-    access = h5p.create(h5p.DATASET_ACCESS)
-    access.set_chunk_cache(0, 0, 1.0)
-    return h5py.Dataset(h5d.open(dataset.file.id, dataset.name.encode(), access))
 
 
 def _write(dataset: h5py.Dataset, start: tuple[int, ...], values: NDArray[Any]) -> None:
