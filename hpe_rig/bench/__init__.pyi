@@ -36,6 +36,7 @@ from .instruments import (
     UnsafeBenchError as UnsafeBenchError,
 )
 from .interrupts import (
+    DISK_THREAD as DISK_THREAD,
     END_SIGNALS as END_SIGNALS,
     INTERRUPTS as INTERRUPTS,
     Terminated as Terminated,

@@ -31,6 +31,9 @@ _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 END_SIGNALS: Final[tuple[int, ...]] = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 """Signals that end the program."""
 
+DISK_THREAD: Final = "disk"
+"""Name of the threads of ``store/task.py``; the program ends without one that still waits for its disk."""
+
 
 class Terminated(BaseException):
     """The program was asked to end by the signal ``name``; like KeyboardInterrupt it is no ``Exception``."""

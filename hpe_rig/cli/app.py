@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from hpe_rig.bench import DISK_THREAD
 from hpe_rig.cli.benches import benches
 from hpe_rig.cli.bug_report import reporting
 from hpe_rig.cli.console import (
@@ -47,7 +48,7 @@ def main() -> None:
     ignore_interrupts()
     # A thread of ``store/task.py`` that still waits for its disk may hold the lock of h5py, for which Python's shutdown
     # would wait forever.
-    if any(thread.name == "new file" for thread in threading.enumerate()):
+    if any(thread.name == DISK_THREAD for thread in threading.enumerate()):
         os._exit(exit_code)
     sys.exit(exit_code)
 

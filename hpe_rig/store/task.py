@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, wait
 from typing import Final, TypeVar
 
-from hpe_rig.bench import interruptible
+from hpe_rig.bench import DISK_THREAD, interruptible
 
 STEP_TIMEOUT_S: Final = 60.0
 """Time limit of a task; network shares that fail over to another server take tens of seconds."""
@@ -48,7 +48,7 @@ def make_or_undo(
         if future.exception() is None:
             undo(future.result())
 
-    threading.Thread(target=run, daemon=True, name="new file").start()
+    threading.Thread(target=run, daemon=True, name=DISK_THREAD).start()
     try:
         with interruptible():
             gave_up = not _finishes_within(done, lambda: 0.0 if cancelled.is_set() else STEP_TIMEOUT_S)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.bench import opening
+from hpe_rig.bench import DISK_THREAD, opening
 from hpe_rig.cli.app import app
 from hpe_rig.measurement import (
     Progress,
@@ -94,7 +94,7 @@ def test_a_disk_that_hangs_as_the_file_is_made_keeps_no_output_on(
     assert not any(any(world.outputs_on().values()) for world in worlds)
     answers.set()
     for thread in threading.enumerate():
-        if thread.name == "new file":
+        if thread.name == DISK_THREAD:
             thread.join(10)
     assert [item.name for item in tmp_path.iterdir() if "h5" in item.name] == (["run.h5"] if overwrite else [])
     assert before is None or path.read_bytes() == before
@@ -121,7 +121,7 @@ def test_a_disk_that_hangs_under_the_result_is_left_by_ctrl_c_or_after_a_minute_
         process(path)
     answers.set()
     for thread in threading.enumerate():
-        if thread.name == "new file":
+        if thread.name == DISK_THREAD:
             thread.join(10)
     assert sorted(item.name for item in tmp_path.iterdir() if "h5" in item.name) == ["run.coherent.h5", "run.h5"]
     assert result_path(path, "coherent").read_bytes() == before
