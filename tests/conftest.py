@@ -33,6 +33,12 @@ def folder_of_locks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
+def page_without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have reports leave out the pictures of their shot, which take most of the time; for tests of their words."""
+    monkeypatch.setattr("hpe_rig.report.page._display", lambda *_, **__: ([], [], None))
+
+
+@pytest.fixture
 def real_bench(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes the shipped bench file with ``simulated = false`` and returns the path.
 

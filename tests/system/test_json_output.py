@@ -40,7 +40,7 @@ keys = {"tracking.pulse_rate_hz" = [2000.0]}
 SMALL = ["table-1", "--set", "tracking.pulse_count=48", "--set", "acquisition.record_samples=256"]
 SERIES = ["--scene", "s.toml", "--set", "pulse_rate_hz=4e3"]
 ECHOES = [*SERIES, "--set", "axes=pulse,sample", "--set", "sample_rate_hz=50e6", "--set", "carrier_hz=9e6"]
-MOTION = [*SERIES, "--set", "axes=line,pulse", "--set", "quantity=displacement_m", "--figure", "map.png"]
+MOTION = [*SERIES, "--set", "axes=line,pulse", "--set", "quantity=displacement_m"]
 COMMANDS = {
     "run": [*SMALL, "-o", "second.h5"],
     "process": ["run.h5"],
@@ -128,7 +128,7 @@ def test_json_states_the_values_of_the_table(printed_by: PrintedBy) -> None:
 
 
 def test_json_of_a_design_states_the_numbers_of_its_table(folder: Path) -> None:
-    command = ["design", "table-1", "--over", "pulse_count", "--draws", "32", "--longest-s", "0.03"]
+    command = ["design", "table-1", "--over", "pulse_count", "--draws", "8", "--longest-s", "0.03"]
     printed = json.loads(CliRunner().invoke(app, [*command, "--json", "-o", "better.toml"]).stdout)
     assert set(printed) == {"request", "varied", "before", "after", "remarks"}
     table = {line[:28].strip(): line[28:].split() for line in CliRunner().invoke(app, command).stdout.splitlines()}

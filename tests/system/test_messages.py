@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import sys
 from pathlib import Path
@@ -45,20 +44,6 @@ def messages() -> ModuleType:
     sys.modules["messages"] = module
     spec.loader.exec_module(module)
     return module
-
-
-def test_no_message_prints_a_python_list() -> None:
-    """Numbers are words of a sentence: 100, 200 Hz, not [100.0, 200.0] Hz. A list in TOML, as in scene.py, is one."""
-    found = []
-    for path in sorted((ROOT / "hpe_rig").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FormattedValue):
-                value = node.value
-                name = getattr(value.func, "attr", getattr(value.func, "id", "")) if isinstance(value, ast.Call) else ""
-                is_list = isinstance(value, ast.List | ast.ListComp | ast.Dict | ast.Set)
-                if is_list or name in {"tolist", "list", "sorted", "set", "dict"}:
-                    found.append((path.name, ast.unparse(value)))
-    assert found == [("scene.py", "list(values)")]
 
 
 def test_messages_of_frequent_mistakes_have_cause_and_remedy(messages: ModuleType) -> None:

@@ -1,9 +1,9 @@
-"""Mutated scenes, benches, studies, run files and arguments end in a result or a message; nothing else.
+"""Mutated scenes, benches, studies and arguments end in a result or a message; nothing else.
 
 Mutation knows the structure: it changes tables, not characters, so that most of what it makes gets past the parser. A
 number becomes another type, an extreme, or any number within or beside the bounds that the schema states; keys come
 and go, are nested, doubled and swapped; texts hold any of Unicode. Inputs that once failed are separate cases in
-`test_extreme_input.py`.
+`test_extreme_input.py`; run files are mutated in `test_tampered_run_files.py`.
 """
 
 from __future__ import annotations
@@ -14,23 +14,21 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.bench import read_bench
 from hpe_rig.cli.app import app
-from hpe_rig.measurement import Setup, prepare, record_run, request_stop
+from hpe_rig.measurement import Setup, prepare, record_run
 from hpe_rig.plan import PlanError, plan_text
-from hpe_rig.runs import json_schema, open_run, process
+from hpe_rig.runs import json_schema, process
 from hpe_rig.scene import SettingsError, parse_toml, shipped_scenes
-from hpe_rig.store import StoreError, read_snapshots
+from hpe_rig.store import StoreError
 from hpe_rig.study.cases import points_of
 from hpe_rig.study.definition import read_studies
 
@@ -359,79 +357,6 @@ def test_mutated_studies_end_in_cases_or_a_message(tmp_path: Path, cases: int) -
     found = outcomes_of(calls())
     assert found["success"] >= cases // 20
     assert found["message"] >= cases // 3
-
-
-def changed_file(path: Path, rng: Rng) -> str:
-    """Change one attribute or dataset of a run file: its value, its type, its shape, its place; return what."""
-    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
-        datasets: list[str] = []
-        file.visititems(lambda name, item: datasets.append(name) if isinstance(item, h5py.Dataset) else None)
-        name = datasets[int(rng.integers(len(datasets)))]
-        owner = file if rng.random() < 0.3 else file[name]
-        value: Any = [*EXTREMES[:18], *TEXTS[:8], np.arange(3), np.zeros((2, 2)), np.float32(1), True]
-        value = value[int(rng.integers(len(value)))]
-        if isinstance(value, str):
-            value = np.array(value.encode(), dtype=h5py.string_dtype("utf-8", max(1, len(value.encode()))))
-        kind = int(rng.integers(5))
-        if kind < 2 and len(owner.attrs):
-            key = list(owner.attrs)[int(rng.integers(len(owner.attrs)))]
-            with suppress(TypeError, ValueError, OverflowError, OSError):
-                owner.attrs[key] = value
-            return f"attribute {key} of {owner.name}: {value!r}"
-        if kind == 2:
-            del file[name]
-        elif kind == 3 and file[name].shape != () and file[name].dtype.kind in "iuf":
-            with suppress(TypeError, ValueError, OverflowError, OSError):
-                file[name][(int(rng.integers(file[name].shape[0])), ...)] = value
-        else:
-            del file[name]
-            with suppress(TypeError, ValueError, OverflowError):
-                file[name] = value
-        return f"{name}: {('deleted', 'values', 'replaced')[kind - 2] if kind > 1 else 'replaced'} {value!r}"
-
-
-@pytest.fixture(scope="module")
-def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a small run file, its result and its log beside it."""
-    folder = tmp_path_factory.mktemp("run")
-    (folder / "s.toml").write_text(document(scene_tables()[0]), encoding="utf-8")
-    path = record_run(prepare(str(folder / "s.toml")), folder / "run.h5")
-    process(path)
-    return path
-
-
-@pytest.mark.parametrize("cases", [9, pytest.param(2000, marks=pytest.mark.slow)])
-def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: Path, cases: int) -> None:
-    rng, data, path = np.random.default_rng(9), small_run.read_bytes(), tmp_path / "run.h5"
-
-    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
-        for _ in range(cases):
-            path.write_bytes(data)
-            yield changed_file(path, rng), lambda: (open_run(path).records[0], read_snapshots(path))
-
-    found = outcomes_of(calls())
-    assert found["message"] >= cases // 3
-
-
-@pytest.mark.parametrize("cases", [3, pytest.param(1000, marks=pytest.mark.slow)])
-def test_whatever_stands_beside_a_run_file_is_no_traceback(small_run: Path, tmp_path: Path, cases: int) -> None:
-    rng, run, path = np.random.default_rng(10), small_run.read_bytes(), tmp_path / "run.h5"
-    beside = {file.name: file.read_bytes() for file in small_run.parent.glob("run.*") if file != small_run}
-    beside |= {"run.h5.stop": b"", "run.h5.lock": b"", "run.log": b"x\n"}
-
-    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
-        for _ in range(cases):
-            name = sorted(beside)[int(rng.integers(len(beside)))]
-            content = bytearray(beside[name])
-            for _ in range(int(rng.integers(1, 30))):
-                content[int(rng.integers(len(content) + 1)) :] = rng.bytes(int(rng.integers(0, 40)))
-            path.write_bytes(run)
-            (tmp_path / name).write_bytes(content)
-            # A result that is damaged is replaced; a run that has ended cannot be asked to stop.
-            yield f"{name} {bytes(content)[:200]!r}", partial(process, path)
-            yield f"{name} {bytes(content)[:200]!r}", partial(request_stop, path)
-
-    outcomes_of(calls())
 
 
 OPTIONS: Mapping[str, Sequence[str]] = {

@@ -48,7 +48,7 @@ def test_the_first_scene_has_few_lines_and_no_specimen() -> None:
     assert "simulation" not in tomllib.loads(scene)
 
 
-def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> None:
+def test_the_quick_start_and_the_five_things_to_try_run(folder: Path) -> None:
     section = README.partition("## Quick start")[2].partition("\n## ")[0]
     install, test = (block.strip() for block in blocks(section, ""))
     first, _, second = install.partition(" && hpe-rig ")
@@ -58,6 +58,15 @@ def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> N
     # Files named in the text below the commands.
     for name in re.findall(r"`([\w.-]+\.(?:h5|html))`", section):
         assert (folder / name).exists(), name
+    section = README.partition("## Five things to try")[2].partition("\n## ")[0]
+    shown = re.findall(r"^\| `hpe-rig ([^`]+)` \|", section, flags=re.MULTILINE)
+    assert len(shown) == 5
+    # A live page serves until Ctrl-C, and a study takes minutes; other tests run small ones.
+    cheap = [command for command in shown if "--live" not in command and "study" not in command]
+    assert len(cheap) == 3
+    for command in cheap:
+        output_of(command)
+    assert {"bovine-muscle.cross_spectrum.h5", "my-scene.toml"} <= {path.name for path in folder.iterdir()}
 
 
 def study_of_the_page() -> str:
@@ -109,19 +118,6 @@ def test_commands_and_options_that_the_pages_show_exist() -> None:
     for page, command, words in shown:
         assert command in commands(), f"{page}: hpe-rig {command}"
         assert set(words) <= options(command), f"{page}: hpe-rig {command} {' '.join(words)}"
-
-
-def test_the_five_things_to_try_run(folder: Path) -> None:
-    section = README.partition("## Five things to try")[2].partition("\n## ")[0]
-    shown = re.findall(r"^\| `hpe-rig ([^`]+)` \|", section, flags=re.MULTILINE)
-    assert len(shown) == 5
-    # A live page serves until Ctrl-C, and a study takes minutes; other tests run small ones.
-    cheap = [command for command in shown if "--live" not in command and "study" not in command]
-    assert len(cheap) == 3
-    output_of("run bovine-muscle")
-    for command in cheap:
-        output_of(command)
-    assert {"bovine-muscle.cross_spectrum.h5", "my-scene.toml"} <= {path.name for path in folder.iterdir()}
 
 
 def test_the_readme_has_at_most_80_lines() -> None:

@@ -432,12 +432,21 @@ PROGRAMS = sorted(file for file in (ROOT / "scripts").rglob("*.py") if "__main__
 
 
 def test_every_script_reads_its_options_with_argparse() -> None:
-    without = [file.name for file in PROGRAMS if not _uses_argparse(ast.parse(file.read_text(encoding="utf-8")))]
-    assert without == []
+    assert [file.name for file in PROGRAMS if "argparse.ArgumentParser(" not in file.read_text(encoding="utf-8")] == []
 
 
-def _uses_argparse(script: ast.Module) -> bool:
-    return any(isinstance(node, ast.Attribute) and node.attr == "ArgumentParser" for node in ast.walk(script))
+def test_no_message_prints_a_python_list() -> None:
+    """Numbers are words of a sentence: 100, 200 Hz, not [100.0, 200.0] Hz. A list in TOML, as in scene.py, is one."""
+    found = []
+    for path in sorted((ROOT / "hpe_rig").rglob("*.py")):
+        for node in ast.walk(parsed(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FormattedValue):
+                value = node.value
+                name = getattr(value.func, "attr", getattr(value.func, "id", "")) if isinstance(value, ast.Call) else ""
+                is_list = isinstance(value, ast.List | ast.ListComp | ast.Dict | ast.Set)
+                if is_list or name in {"tolist", "list", "sorted", "set", "dict"}:
+                    found.append((path.name, ast.unparse(value)))
+    assert found == [("scene.py", "list(values)")]
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def whole(undisturbed: Path) -> Result:
 
 @pytest.mark.parametrize("shot", [pytest.param(0, marks=pytest.mark.slow), 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_stopped_while_records_arrive_keeps_every_complete_shot(
-    prepared: Prepare, whole: Result, tmp_path: Path, shot: int
+    prepared: Prepare, whole: Result, tmp_path: Path, page_without_pictures: None, shot: int
 ) -> None:
     setup = prepared("bovine-muscle-synchronous", *THREE_FORCES)
     path = stopped_in(setup, tmp_path / "run.h5", shot, records=60)

@@ -6,6 +6,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,13 @@ import h5py
 import numpy as np
 import pytest
 
+from hpe_rig.measurement import request_stop
 from hpe_rig.measurement.resumption import prepare_resumption
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.report.page import render
+from hpe_rig.runs import open_run
 from hpe_rig.runs.run import process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, read_snapshots
@@ -37,13 +40,22 @@ MAX_BYTES = 1 << 30
 
 
 @pytest.fixture(scope="module")
-def small_run_bytes(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return a small run file without checksums, as of early releases: checksums would detect every change first."""
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a small run file with its result beside it."""
     text = shipped_scenes()["table-1"]
     for old, new in SMALL:
         assert old in text, old
         text = text.replace(old, new)
-    path = record_run(prepare_text("table-1", text), tmp_path_factory.mktemp("tampered") / "run.h5")
+    path = record_run(prepare_text("table-1", text), tmp_path_factory.mktemp("intact") / "run.h5")
+    process(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def small_run_bytes(intact: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return a small run file without checksums, as of early releases: checksums would detect every change first."""
+    path = tmp_path_factory.mktemp("tampered") / "run.h5"
+    path.write_bytes(intact.read_bytes())
     _delete(path, "checksum")
     attribute("format_version", 2)(path)
     return path.read_bytes()
@@ -225,7 +237,9 @@ def _delete(path: Path, name: str) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="one of the cases is a pipe")
 @pytest.mark.parametrize("case", TAMPERED)
-def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(small: Path, case: str) -> None:
+def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(
+    small: Path, case: str, page_without_pictures: None
+) -> None:
     change, message = TAMPERED[case]
     change(small)
     if not message:
@@ -337,3 +351,69 @@ def test_mutated_run_files_end_in_a_result_or_a_message(small: Path, tmp_path: P
     # test nothing.
     assert outcomes["success"] >= cases // 30
     assert outcomes["message"] >= cases // 5
+
+
+VALUES = (0, -1, 2**31, 2**63, 2**64, 10**30, -0.0, 1e-300, 1e300, np.nan, np.inf, "", " ", "x", "nan", "\u202e\u2066")
+
+
+def changed_file(path: Path, rng: np.random.Generator) -> str:
+    """Change one attribute or dataset of a run file: its value, its type, its shape, its place; return what."""
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        datasets: list[str] = []
+        file.visititems(lambda name, item: datasets.append(name) if isinstance(item, h5py.Dataset) else None)
+        name = datasets[int(rng.integers(len(datasets)))]
+        owner = file if rng.random() < 0.3 else file[name]
+        value: Any = [*VALUES, np.arange(3), np.zeros((2, 2)), np.float32(1), True]
+        value = value[int(rng.integers(len(value)))]
+        if isinstance(value, str):
+            value = np.array(value.encode(), dtype=h5py.string_dtype("utf-8", max(1, len(value.encode()))))
+        kind = int(rng.integers(5))
+        if kind < 2 and len(owner.attrs):
+            key = list(owner.attrs)[int(rng.integers(len(owner.attrs)))]
+            with suppress(TypeError, ValueError, OverflowError, OSError):
+                owner.attrs[key] = value
+            return f"attribute {key} of {owner.name}: {value!r}"
+        if kind == 2:
+            del file[name]
+        elif kind == 3 and file[name].shape != () and file[name].dtype.kind in "iuf":
+            with suppress(TypeError, ValueError, OverflowError, OSError):
+                file[name][(int(rng.integers(file[name].shape[0])), ...)] = value
+        else:
+            del file[name]
+            with suppress(TypeError, ValueError, OverflowError):
+                file[name] = value
+        return f"{name}: {('deleted', 'values', 'replaced')[kind - 2] if kind > 1 else 'replaced'} {value!r}"
+
+
+@pytest.mark.parametrize("cases", [9, pytest.param(2000, marks=pytest.mark.slow)])
+def test_changed_datasets_and_attributes_end_in_a_run_or_a_message(intact: Path, tmp_path: Path, cases: int) -> None:
+    rng, data, path = np.random.default_rng(9), intact.read_bytes(), tmp_path / "run.h5"
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for _ in range(cases):
+            path.write_bytes(data)
+            yield changed_file(path, rng), lambda: (open_run(path).records[0], read_snapshots(path))
+
+    found = outcomes_of(calls(), tmp_path)
+    assert found["message"] >= cases // 3
+
+
+@pytest.mark.parametrize("cases", [2, pytest.param(1000, marks=pytest.mark.slow)])
+def test_whatever_stands_beside_a_run_file_is_no_traceback(intact: Path, tmp_path: Path, cases: int) -> None:
+    rng, run, path = np.random.default_rng(10), intact.read_bytes(), tmp_path / "run.h5"
+    beside = {file.name: file.read_bytes() for file in intact.parent.glob("run.*") if file != intact}
+    beside |= {"run.h5.stop": b"", "run.h5.lock": b"", "run.log": b"x\n"}
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for _ in range(cases):
+            name = sorted(beside)[int(rng.integers(len(beside)))]
+            content = bytearray(beside[name])
+            for _ in range(int(rng.integers(1, 30))):
+                content[int(rng.integers(len(content) + 1)) :] = rng.bytes(int(rng.integers(0, 40)))
+            path.write_bytes(run)
+            (tmp_path / name).write_bytes(content)
+            # A result that is damaged is replaced; a run that has ended cannot be asked to stop.
+            yield f"{name} {bytes(content)[:200]!r}", partial(process, path)
+            yield f"{name} {bytes(content)[:200]!r}", partial(request_stop, path)
+
+    outcomes_of(calls(), tmp_path)

@@ -169,7 +169,11 @@ def test_a_run_that_goes_on_marks_the_shot_and_programs_the_next_one_anew(
 
 
 def test_an_untrusted_shot_is_marked_in_the_result_its_table_and_the_report(
-    prepared: Prepare, tmp_path: Path, worlds: list[World], capsys: pytest.CaptureFixture[str]
+    prepared: Prepare,
+    tmp_path: Path,
+    worlds: list[World],
+    capsys: pytest.CaptureFixture[str],
+    page_without_pictures: None,
 ) -> None:
     path, setup = tmp_path / "run.h5", prepared("bovine-muscle-synchronous", GO_ON)
     record_run(setup, path, another_program(worlds, "master", FOREIGN["master"]))

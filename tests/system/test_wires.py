@@ -29,8 +29,8 @@ from sim_backend.transports.lines import SerialServer
 from sim_backend.transports.loopback import Port
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
-FAST = {"socket", "prologix"}
-"""Without and with an interface of its own; the other transports are marked slow."""
+FAST = {"socket"}
+"""The other transports are marked slow."""
 OVER = [
     pytest.param(name, marks=[*[needs_pty] * (name == "serial"), *[pytest.mark.slow] * (name not in FAST)])
     for name in TRANSPORTS
@@ -90,6 +90,7 @@ def test_a_measurement_over_a_real_transport_gives_the_records_of_the_one_in_pro
         np.testing.assert_array_equal(one.trigger_time_s, other.trigger_time_s)
 
 
+@pytest.mark.slow
 def test_a_measurement_over_a_serial_line_behind_tcp_gives_the_same_records(
     in_process: tuple[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,7 +106,7 @@ MODELS = {"33500B": "Agilent Technologies,33522B", "33600A": "Keysight Technolog
 
 
 @pytest.mark.parametrize("in_process", ["bovine-muscle"], indirect=True)
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["33500B", pytest.param("33600A", marks=pytest.mark.slow)])
 def test_pulse_trains_from_a_sibling_give_the_same_records(
     in_process: tuple[str, Path], model: str, tmp_path: Path
 ) -> None:
@@ -184,7 +185,7 @@ def metal(bench: BenchFile, text: str) -> BenchFile:
     return parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
 
 
-@pytest.mark.parametrize("served", ["socket", "prologix"], indirect=True)
+@pytest.mark.parametrize("served", ["socket", pytest.param("prologix", marks=pytest.mark.slow)], indirect=True)
 def test_a_real_bench_file_reaches_its_generators_at_their_addresses(served: tuple[str, BenchFile]) -> None:
     with open_each(metal(served[1], SIMULATED)) as found:
         for role in served[1].generators.by_role:

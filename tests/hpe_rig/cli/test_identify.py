@@ -89,6 +89,7 @@ def start(bench: Path) -> Iterator[Callable[[], Terminal]]:
         yield started
 
 
+@pytest.mark.slow
 @posix
 def test_a_dry_run_writes_every_serial_number_and_keeps_comments_layout_and_rights(
     bench: Path, start: Callable[[], Terminal]
@@ -114,6 +115,7 @@ def test_a_dry_run_writes_every_serial_number_and_keeps_comments_layout_and_righ
 def test_exchanged_instruments_are_written_by_their_true_roles_and_refused_until_addresses_are_exchanged(
     bench: Path, start: Callable[[], Terminal]
 ) -> None:
+    before = bench.read_text(encoding="utf-8")
     person = start()
     answers = {"toneburst": "tracking pulser", "tracking_pulser": "toneburst"}
     for role in GENERATOR_ROLES:
@@ -126,6 +128,8 @@ def test_exchanged_instruments_are_written_by_their_true_roles_and_refused_until
     assert person.end() == 1
     assert "exchange these addresses" in person.text
     assert read_bench(bench).bench.serials["toneburst"] == "SIM_BOX_5"
+    # Comments and layout are as before.
+    assert re.sub(r"^serial = .*\n", "", bench.read_text(encoding="utf-8"), flags=re.M) == before
     result = CliRunner().invoke(app, ["bench", str(bench)])
     assert result.exit_code == 1
     assert "toneburst: serial number SIM_BOX_3, which is that of tracking_pulser" in result.output

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import http.client
-import itertools
 import json
 import math
-import re
 import socket
 import subprocess
 import sys
@@ -14,7 +12,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from importlib import resources
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -23,25 +20,21 @@ from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from hpe_rig import sweep
 from hpe_rig.cli.app import app
 from hpe_rig.cli.options import WatchOptions
 from hpe_rig.cli.watch import supervise
 from hpe_rig.live import history, server
-from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
-from hpe_rig.live.history import RemainingTime
-from hpe_rig.live.server import ENDED, LivePage
+from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource, Source
-from hpe_rig.live.state import State, band_verdict
+from hpe_rig.live.state import State
 from hpe_rig.measurement.pause import pause_path, wait_for_move
 from hpe_rig.measurement.run import record_run
-from hpe_rig.measurement.sequencer import Progress, Step, ignore_progress
+from hpe_rig.measurement.sequencer import Progress, Step
 from hpe_rig.measurement.setup import prepare, prepare_text
-from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_stop, stop_path, with_stop_requests
+from hpe_rig.measurement.stop_request import StopRequested
 from hpe_rig.runs.run import process
-from hpe_rig.scene import SettingsError, load_scene, scene_text
+from hpe_rig.scene import load_scene, scene_text
 from hpe_rig.store import StoreError, WriteOptions, read_run
-from hpe_rig.store.format import STATUSES
 
 
 class Counter:
@@ -230,12 +223,6 @@ def test_the_number_of_viewers_is_limited_too(page: LivePage, monkeypatch: pytes
         assert asked(page, urlsplit(page.address).path)[0] == 200
 
 
-def test_a_run_that_has_ended_is_not_asked_to_stop(run_file: Path) -> None:
-    with pytest.raises(StoreError, match="nothing to stop"):
-        RunSource(run_file).stop()
-    assert not stop_path(run_file).exists()
-
-
 def test_stop_reaches_the_source(page: LivePage, counter: Counter) -> None:
     status, _, _ = asked(page, urlsplit(page.address).path + "stop", "POST")
     assert status == 200
@@ -257,27 +244,6 @@ def test_ten_viewers_see_news_while_one_of_them_never_reads(page: LivePage, coun
             while last < max(first) + 3:
                 last = json.loads(viewer.recv(timeout=10))["count"]
         assert deaf.state.name == "OPEN"
-
-
-def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
-    source = RunSource(run_file)
-    state = source.poll()
-    assert state is not None
-    (estimate,) = process(run_file).shots[0].estimates
-    (harmonic,) = state["harmonics"]
-    assert estimate.corrected
-    assert harmonic["nm"] == pytest.approx(estimate.amplitude_m * 1e9, rel=1e-5)
-    # The page has no ends of the gate in u, 1e-4 of the amplitude.
-    assert harmonic["u_nm"] == pytest.approx(estimate.amplitude_uncertainty_m * 1e9, rel=1e-4)
-    assert harmonic["deg"] == pytest.approx(math.degrees(estimate.phase_rad), rel=1e-5)
-    assert harmonic["u_deg"] == pytest.approx(math.degrees(estimate.phase_uncertainty_rad), rel=1e-4)
-    assert (state["records"], state["records_planned"], state["status"]) == (101, 101, "complete")
-    assert state["simulated"] is True
-    (shot,) = state["over_shots"]
-    assert shot["nm"] == [harmonic["nm"]]
-    assert shot["u_nm"] == [harmonic["u_nm"]]
-    assert len(json.dumps(state, allow_nan=False)) < 100_000
-    assert source.poll() is None
 
 
 def test_a_page_has_not_ended_before_every_complete_shot_is_estimated_and_leads_with_their_mean(
@@ -309,13 +275,6 @@ def test_a_page_has_not_ended_before_every_complete_shot_is_estimated_and_leads_
     assert harmonic["u_nm"] == pytest.approx(mean.amplitude_uncertainty_m * 1e9, rel=1e-3)
     assert harmonic["deg"] == pytest.approx(math.degrees(mean.phase_rad), rel=1e-5)
     assert states[-1]["harmonics"][0]["nm"] != harmonic["nm"]
-
-
-def test_shots_at_different_points_of_a_sweep_have_no_common_mean(tmp_path: Path) -> None:
-    scene = load_scene("table-1").with_({"acquisition.repeats": 2, "tracking.pulse_count": 20})
-    path = sweep(scene, {"tracking.delay_s": [0.0, 1e-4]}, path=tmp_path / "run.h5").path
-    state = last_state(RunSource(path))
-    assert (len(state["over_shots"]), state["mean_of"]) == (4, 2)
 
 
 def post(address: str, path: str) -> int:
@@ -350,42 +309,6 @@ def test_the_page_stays_after_a_run_until_it_is_closed_and_the_address_serves_to
     assert not closer.is_alive()
 
 
-def test_the_time_left_follows_from_the_records_so_far_and_a_pause_does_not_count(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now_s = [100.0]
-    monkeypatch.setattr("hpe_rig.live.history.time.monotonic", lambda: now_s[0])
-    clock = RemainingTime()
-    assert clock.remaining_s(10, 110, running=True) is None
-    now_s[0] += 5.0
-    assert clock.remaining_s(60, 110, running=True) == 5.0
-    now_s[0] += 1000.0
-    assert clock.remaining_s(60, 110, running=False) is None
-    assert clock.remaining_s(60, 110, running=True) is None
-    now_s[0] += 1.0
-    assert clock.remaining_s(85, 110, running=True) == 1.0
-
-
-def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path, run_file: Path) -> None:
-    source = RunSource(tmp_path / "later.h5")
-    first = source.poll()
-    assert first is not None
-    assert first["status"] == "waiting"
-    assert source.poll() is None
-    (tmp_path / "later.h5").write_bytes(run_file.read_bytes())
-    state = source.poll()
-    assert state is not None
-    assert state["status"] == "complete"
-
-
-def last_state(source: RunSource) -> State:
-    """Return the state that the source reaches: estimates of many shots take several states."""
-    state: State = {}
-    while (newer := source.poll()) is not None:
-        state = newer
-    return state
-
-
 def states_until_the_run_ends(viewer: ClientConnection, title: str) -> list[State]:
     """Return the states that ``viewer`` receives up to the last one of the run with ``title``."""
     states: list[State] = []
@@ -417,7 +340,8 @@ def test_the_page_of_a_replaced_file_is_that_of_the_new_run(tmp_path: Path) -> N
             states += states_until_the_run_ends(viewer, "second")
         with connect(watch(page), max_size=None) as viewer:
             reloaded = json.loads(viewer.recv(timeout=10))
-    fresh = last_state(RunSource(path))
+    # Estimates of many shots take several states.
+    *_, fresh = iter(RunSource(path).poll, None)
     assert states[-1] == reloaded == json.loads(json.dumps(fresh))
     # A page reloads itself when this value changes.
     runs = {state["run"]: (state["title"], state["shots"]) for state in states if "run" in state}
@@ -432,23 +356,6 @@ def test_the_command_refuses_a_file_that_is_no_run_file(tmp_path: Path) -> None:
     assert done.exit_code != 0
     assert "http" not in done.output
     assert "first.toml" in done.output
-
-
-def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_path: Path) -> None:
-    setup = prepare("table-1")
-    run_file = tmp_path / "run.h5"
-
-    def ask_late(progress: Progress) -> None:
-        if progress.step is Step.COLLECT and progress.records:
-            request_stop(run_file)
-
-    with pytest.raises(StopRequested):
-        record_run(setup, run_file, with_stop_requests(ask_late, run_file, clock=iter(range(10**6)).__next__))
-    stored = read_run(run_file)
-    assert stored.status == "aborted"
-    assert stored.records[0].valid.any()
-    clear_stop(run_file)
-    assert not stop_path(run_file).exists()
 
 
 def test_a_place_that_cannot_be_asked_for_is_told_with_its_reason(tmp_path: Path) -> None:
@@ -518,132 +425,6 @@ def test_a_run_that_waits_for_the_transducer_to_be_moved_can_be_stopped_from_the
     assert stored.shot_complete.tolist() == [True, False]
 
 
-def test_a_stop_that_is_asked_for_as_a_shot_ends_leaves_it_complete(tmp_path: Path) -> None:
-    run_file = tmp_path / "run.h5"
-
-    def ask(progress: Progress) -> None:
-        if progress.step is Step.SAFE:
-            request_stop(run_file)
-
-    record_run(prepare("table-1"), run_file, with_stop_requests(ask, run_file, clock=itertools.count().__next__))
-    assert read_run(run_file).status == "complete"
-
-
-def test_nothing_is_estimated_for_the_page_while_somebody_waits_for_the_run_to_stop(tmp_path: Path) -> None:
-    run_file, states = tmp_path / "run.h5", []
-    source = RunSource(run_file)
-
-    def look(progress: Progress) -> None:
-        if progress.step is Step.SAFE:
-            states.append(source.poll() or {})
-            request_stop(run_file)
-            states.append(source.poll() or {})
-
-    record_run(prepare("table-1"), run_file, look)
-    states.append(source.poll() or {})
-    assert [state["status"] for state in states] == ["running", "running", "complete"]
-    # Of a run that has ended nobody waits for a stop any more.
-    assert [state["stop_requested"] for state in states] == [False, True, False]
-    assert ["harmonics" in state for state in states] == [True, False, True]
-    assert states[1]["records"] == states[0]["records"] > 0
-
-
-def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> None:
-    name, text = scene_text("table-1")
-    long = text.replace("[acquisition]", "[acquisition]\nrepeats = 2\nshot_period_s = 60.0")
-    run_file, waits, fired = tmp_path / "run.h5", [0], [0]
-
-    def ask(progress: Progress) -> None:
-        waits[0] += progress.step is Step.WAIT
-        fired[0] += progress.step is Step.FIRE
-        if waits[0] == 3:
-            request_stop(run_file)
-
-    with pytest.raises(StopRequested):
-        record_run(
-            prepare_text(name, long), run_file, with_stop_requests(ask, run_file, clock=itertools.count().__next__)
-        )
-    assert (waits, fired) == ([3], [1])
-    assert read_run(run_file).shot_complete.tolist() == [True, False]
-
-
-def test_nobody_looks_for_a_stop_more_often_than_ten_times_a_second(tmp_path: Path) -> None:
-    times_s = iter([0.0, 0.01, 0.05, 0.2])
-    observe = with_stop_requests(ignore_progress, tmp_path / "run.h5", clock=times_s.__next__)
-    progress = Progress(Step.COLLECT, prepare("table-1").plan.shots[0])
-    observe(progress)
-    stop_path(tmp_path / "run.h5").touch()
-    observe(progress)
-    observe(progress)
-    with pytest.raises(StopRequested):
-        observe(progress)
-
-
-def test_alignment_opens_no_generator_that_pushes() -> None:
-    setup = without_pushing(prepare("bovine-muscle"))
-    assert set(setup.plan.roles) == {"master", "tracking_train", "tracking_pulser", "digitizer"}
-    (shot,) = setup.plan.shots
-    assert shot.toneburst is None
-    assert shot.capture.record_count == 1
-
-
-def test_alignment_repeats_single_shots_until_stopped_from_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    addresses: list[str] = []
-    states: list[State] = []
-
-    def look(text: str) -> None:
-        addresses.append(text)
-        threading.Thread(target=stop_after_some, daemon=True).start()
-
-    def stop_after_some() -> None:
-        parts = urlsplit(addresses[0])
-        with connect(addresses[0].replace("http:", "ws:") + "ws", max_size=None, open_timeout=20) as viewer:
-            while not states or states[-1].get("shot", 0) < 5:
-                states.append(json.loads(viewer.recv(timeout=20)))
-            connection = http.client.HTTPConnection("127.0.0.1", parts.port or 0, timeout=10)
-            connection.request("POST", parts.path + "stop")
-            assert connection.getresponse().status == 200
-            connection.close()
-            while states[-1]["status"] == "running":
-                states.append(json.loads(viewer.recv(timeout=20)))
-
-    close = LivePage.close
-    # A busy machine may need more than the usual second to deliver the last state.
-    monkeypatch.setattr(LivePage, "close", lambda page, grace_s: close(page, 60 * grace_s))
-    shots = align(without_pushing(prepare("bovine-muscle")), 0, look)
-    assert shots >= 5
-    assert states[-1]["status"] == "aborted"
-    shown = [state for state in states if "rf" in state]
-    assert shown[-1]["mode"] == "align"
-    assert shown[-1]["level"]["rms_mv"] > 10
-    trend = shown[-1]["trend_percent"]
-    assert trend[-1] == pytest.approx(100 * shown[-1]["level"]["of_full_scale"], abs=0.006)
-    assert shown[-1]["highest_percent"] == pytest.approx(max(trend), abs=0.006)
-    assert shown[-1]["verdict"] == "within 10 to 80 % of full scale"
-
-
-def test_the_band_says_what_to_try_beyond_it() -> None:
-    def said(of_full_scale: float, clipped: bool = False) -> str:
-        return band_verdict({"of_full_scale": of_full_scale, "clipped": clipped}, (10.0, 80.0))
-
-    assert said(0.05).startswith("below 10 %")
-    assert said(0.5).startswith("within")
-    assert said(0.9).startswith("above 80 %")
-    assert said(1.0, True).startswith("clipped")
-    assert band_percent("5:60") == (5.0, 60.0)
-    for wrong in ("80:10", "10", "a:b", "-1:5", "0:101", "nan:5"):
-        with pytest.raises(SettingsError, match="no band"):
-            band_percent(wrong)
-
-
-def test_an_alignment_without_records_says_so() -> None:
-    setup = without_pushing(prepare("table-1"))
-    source = AlignSource(setup.scene.scene, setup.plan.shots[0], simulated=True)
-    state = source.poll()
-    assert state is not None
-    assert "no record" in state["why"]
-
-
 @pytest.mark.slow
 def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tmp_path: Path) -> None:
     code = (
@@ -660,12 +441,3 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
     assert not {"matplotlib", "jinja2", "starlette", "uvicorn", "websockets", "pandas", "xarray", "pyvisa"} & set(
         loaded.stdout.split()
     )
-
-
-def test_every_way_in_which_a_run_ends_has_words_of_its_own() -> None:
-    """A killed program has verified no output off, so that its words must not be those of a stopped run."""
-    page = (resources.files("hpe_rig.live") / "live.html").read_text(encoding="utf-8")
-    for status in set(STATUSES) - {"running"}:
-        assert status in ENDED
-        assert re.search(rf'\b{status}: "\w', page)
-    assert re.search(r'killed: "[^"]*MAY STILL BE ON', page)

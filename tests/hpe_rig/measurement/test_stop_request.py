@@ -112,3 +112,38 @@ def test_a_running_run_is_stopped_after_its_shot_and_one_that_has_ended_cannot_b
     assert not stop_path(path).exists()
     with pytest.raises(StoreError, match=r"request to stop cannot be written beside .*Try: Ctrl-C where"):
         write_stop(tmp_path / "absent" / "run.h5")
+
+
+def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_path: Path) -> None:
+    setup = prepare("table-1")
+    run_file = tmp_path / "run.h5"
+
+    def ask_late(progress: Progress) -> None:
+        if progress.step is Step.COLLECT and progress.records:
+            request_stop(run_file)
+
+    with pytest.raises(StopRequested):
+        record_run(setup, run_file, with_stop_requests(ask_late, run_file, clock=iter(range(10**6)).__next__))
+    stored = read_run(run_file)
+    assert stored.status == "aborted"
+    assert stored.records[0].valid.any()
+    clear_stop(run_file)
+    assert not stop_path(run_file).exists()
+
+
+def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> None:
+    long = shipped_scenes()["table-1"].replace("[acquisition]", "[acquisition]\nrepeats = 2\nshot_period_s = 60.0")
+    run_file, waits, fired = tmp_path / "run.h5", [0], [0]
+
+    def ask(progress: Progress) -> None:
+        waits[0] += progress.step is Step.WAIT
+        fired[0] += progress.step is Step.FIRE
+        if waits[0] == 3:
+            request_stop(run_file)
+
+    with pytest.raises(StopRequested):
+        record_run(
+            prepare_text("long", long), run_file, with_stop_requests(ask, run_file, clock=iter(range(10**6)).__next__)
+        )
+    assert (waits, fired) == ([3], [1])
+    assert read_run(run_file).shot_complete.tolist() == [True, False]

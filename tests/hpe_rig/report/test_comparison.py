@@ -131,16 +131,14 @@ def test_repeats_are_compared_by_their_means_and_what_has_no_partner_is_named(
 
 def test_several_settings_have_one_table_with_a_row_each(tmp_path: Path, runs: tuple[Path, Path, Path]) -> None:
     scene = hpe.load_scene("table-1").with_({"tracking.pulse_count": 40})
-    swept = hpe.sweep(scene, {"tracking.delay_s": [0.0, 1e-4, 2e-4]}, path=tmp_path / "a.h5")
-    other = hpe.sweep(
-        scene.with_({"simulation.seed": 7}), {"tracking.delay_s": [0.0, 1e-4, 2e-4]}, path=tmp_path / "b.h5"
-    )
+    swept = hpe.sweep(scene, {"tracking.delay_s": [0.0, 1e-4]}, path=tmp_path / "a.h5")
+    other = hpe.sweep(scene.with_({"simulation.seed": 7}), {"tracking.delay_s": [0.0, 1e-4]}, path=tmp_path / "b.h5")
     comparison = compare_runs(swept.path, other.path)
     assert comparison.varied_settings() == ["tracking.delay_s"]
     printed = CliRunner().invoke(app, ["compare", str(swept.path), str(other.path)], env={"COLUMNS": "80"}).stdout
     assert max(map(len, printed.splitlines())) <= 80
     table = [line.split() for line in printed.splitlines() if "200" in line.split()[1:2]]
-    assert [cells[0] for cells in table] == ["0", "0.0001", "0.0002"]
+    assert [cells[0] for cells in table] == ["0", "0.0001"]
     for cells, row in zip(table, comparison.results, strict=True):
         assert float(cells[5]) == pytest.approx(row.amplitude_change_over_u, abs=0.05)
         assert float(cells[7]) == pytest.approx(row.phase_change_over_u, abs=0.05)
@@ -148,11 +146,9 @@ def test_several_settings_have_one_table_with_a_row_each(tmp_path: Path, runs: t
 
 def test_the_command_prints_both_and_writes_json_and_figure(runs: tuple[Path, Path, Path], tmp_path: Path) -> None:
     first, _, third = map(str, runs)
-    done = CliRunner().invoke(app, ["compare", first, third, "--figure", str(tmp_path / "c.png")])
+    done = CliRunner().invoke(app, ["compare", first, third, "--figure", str(tmp_path / "c.svg")])
     assert done.exit_code == 0
     assert "differs" in done.stdout
-    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
-    assert CliRunner().invoke(app, ["compare", first, third, "--figure", str(tmp_path / "c.svg")]).exit_code == 0
     drawn = (tmp_path / "c.svg").read_text(encoding="utf-8")
     assert "prefers-color-scheme: dark" in drawn
     # Nothing keeps a light screen's colour on a dark one.

@@ -212,7 +212,9 @@ def test_a_shot_that_does_not_exist_is_refused_with_those_that_do(run_file: Path
         render(run_file, shot_number=9)
 
 
-def test_a_report_replaces_a_report_and_nothing_else(run_file: Path, tmp_path: Path) -> None:
+def test_a_report_replaces_a_report_and_nothing_else(
+    run_file: Path, tmp_path: Path, page_without_pictures: None
+) -> None:
     copy = tmp_path / "run.h5"
     before = run_file.read_bytes()
     copy.write_bytes(before)
@@ -270,7 +272,7 @@ def test_the_checksum_of_a_recording_is_not_in_the_headline(result: Result) -> N
     assert headline_sentence(imported).endswith("; imported from scan.npz")
 
 
-def test_controls_do_not_count_as_shots_without_result(tmp_path: Path) -> None:
+def test_controls_do_not_count_as_shots_without_result(tmp_path: Path, page_without_pictures: None) -> None:
     edits = ("[acquisition]", "[acquisition]\ncontrol = true"), ("burst_count = 20", "burst_count = 10")
     assert "<dd>1 of 1 planned, each with a control</dd>" in render(measured(tmp_path, *edits))
 

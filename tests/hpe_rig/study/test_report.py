@@ -185,7 +185,9 @@ def test_the_four_panels_have_units_and_bands_of_two_errors(tiny: StudyResult) -
     "axis",
     [
         {"name": "pulse", "keys": {"simulation.scatterers.pulse": ["hann", "gaussian"]}},
-        {"name": "W", "keys": {"simulation.beams.width_ratio": [[2.19, 2.19, 2.18]]}},
+        pytest.param(
+            {"name": "W", "keys": {"simulation.beams.width_ratio": [[2.19, 2.19, 2.18]]}}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_axes_of_words_and_single_draws_are_drawn_too(tiny: StudyResult, tmp_path: Path, axis: dict[str, Any]) -> None:
