@@ -39,6 +39,9 @@ MAX_BYTES = 1 << 30
 """Memory for reading, beyond that of the process before."""
 
 
+needs_linux = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and Linux's memory limits")
+
+
 @pytest.fixture(scope="module")
 def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a small run file with its result beside it."""
@@ -333,7 +336,7 @@ def outcomes_of(calls: Iterator[tuple[str, Callable[[], object]]], folder: Path)
     return counts
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and Linux's memory limits")
+@needs_linux
 @pytest.mark.parametrize("cases", [30, pytest.param(4000, marks=pytest.mark.slow)])
 def test_mutated_run_files_end_in_a_result_or_a_message(small: Path, tmp_path: Path, cases: int) -> None:
     data, rng = small.read_bytes(), np.random.default_rng(5)
@@ -385,6 +388,7 @@ def changed_file(path: Path, rng: np.random.Generator) -> str:
         return f"{name}: {('deleted', 'values', 'replaced')[kind - 2] if kind > 1 else 'replaced'} {value!r}"
 
 
+@needs_linux
 @pytest.mark.parametrize("cases", [9, pytest.param(2000, marks=pytest.mark.slow)])
 def test_changed_datasets_and_attributes_end_in_a_run_or_a_message(intact: Path, tmp_path: Path, cases: int) -> None:
     rng, data, path = np.random.default_rng(9), intact.read_bytes(), tmp_path / "run.h5"
@@ -398,6 +402,7 @@ def test_changed_datasets_and_attributes_end_in_a_run_or_a_message(intact: Path,
     assert found["message"] >= cases // 3
 
 
+@needs_linux
 @pytest.mark.parametrize("cases", [2, pytest.param(1000, marks=pytest.mark.slow)])
 def test_whatever_stands_beside_a_run_file_is_no_traceback(intact: Path, tmp_path: Path, cases: int) -> None:
     rng, run, path = np.random.default_rng(10), intact.read_bytes(), tmp_path / "run.h5"

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +200,18 @@ def test_another_model_than_the_bench_file_says_is_refused_by_name(served: tuple
         assert "33250A" in str(found["master"])
         assert "expected model 33600A" in str(found["master"])
         assert not isinstance(found["toneburst"], Exception)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_an_emulator_whose_clients_read_no_reply(tmp_path: Path) -> None:
+    with ExitStack() as stack, emulated("socket", tmp_path) as bench:
+        host, port = (bench.generators.by_role["master"].address or "").split("::")[1:3]
+        for _ in range(20):
+            peer = stack.enter_context(socket.create_connection((host, int(port)), timeout=5))
+            peer.setblocking(False)
+            with suppress(BlockingIOError):
+                for _ in range(2000):
+                    peer.send(b"*IDN?" + b";*IDN?" * 20 + b"\n")
 
 
 @pytest.mark.slow
