@@ -94,11 +94,16 @@ class Bench:
         return self.world.clock.now_ps + 100_000
 
 
-def test_twenty_bursts_at_100_hz_and_a_delayed_train_start_from_one_edge():
-    bench = Bench()
+def shot(wiring=FIG_2, **programmed):
+    """Return an armed and programmed bench that was fired, and the time of the master's edge."""
+    bench = Bench(wiring)
     bench.arm()
-    bench.program()
-    edge_ps = bench.fire()
+    bench.program(**programmed)
+    return bench, bench.fire()
+
+
+def test_twenty_bursts_at_100_hz_and_a_delayed_train_start_from_one_edge():
+    bench, edge_ps = shot()
     tonebursts, pulses, ignored = bench.world.emissions()
     # Cables 5 + 5 + 10 ns and two generators of 100 ns.
     assert np.array_equal(tonebursts.onset_ps, edge_ps + 220_000 + 10_000_000_000 * np.arange(20))
@@ -110,10 +115,7 @@ def test_twenty_bursts_at_100_hz_and_a_delayed_train_start_from_one_edge():
 
 
 def test_records_follow_their_trigger_by_the_trigger_delay_on_the_same_clock():
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    edge_ps = bench.fire()
+    bench, edge_ps = shot()
     assert bench.next_words() is not None
     (capture,) = bench.acoustics.captures
     first_ps = capture.first_sample_ps
@@ -140,10 +142,7 @@ def test_the_tracking_pulse_waits_for_the_trigger_delay_if_the_trigger_output_do
 
 
 def test_triggers_that_arrive_while_a_burst_runs_are_ignored_and_counted():
-    bench = Bench()
-    bench.arm()
-    bench.program(toneburst=BURST.format(carrier=1e3, cycles=15))
-    bench.fire()
+    bench, _ = shot(toneburst=BURST.format(carrier=1e3, cycles=15))
     tonebursts, _, ignored = bench.world.emissions()
     # Each burst lasts 15 ms, so that every second trigger of 10 ms finds it running.
     assert (tonebursts.onset_ps.size, ignored["toneburst"]) == (10, 10)
@@ -176,10 +175,7 @@ def test_triggers_during_a_record_are_ignored_and_do_not_fire_the_pulser():
 
 @pytest.mark.parametrize("missing", range(len(FIG_2)))
 def test_an_unwired_instrument_is_not_triggered(missing):
-    bench = Bench(FIG_2[:missing] + FIG_2[missing + 1 :])
-    bench.arm()
-    bench.program()
-    bench.fire()
+    bench, _ = shot(FIG_2[:missing] + FIG_2[missing + 1 :])
     tonebursts, pulses, _ = bench.world.emissions()
     tracks = missing not in (1, 3, 4, 6)
     assert tonebursts.onset_ps.size == (0 if missing in (0, 2, 5) else 20)
@@ -188,10 +184,7 @@ def test_an_unwired_instrument_is_not_triggered(missing):
 
 
 def test_switching_an_output_off_cuts_its_train_and_keeps_complete_records():
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    bench.fire()
+    bench, _ = shot()
     first = bench.next_words()
     bench.send("tracking_pulser", "OUTP 0")
     pulses = bench.world.emissions()[1]
@@ -222,33 +215,20 @@ def test_complete_records_do_not_change_with_later_programming():
     assert words[0] == words[1]
 
 
-def test_the_volts_of_a_capture_are_computed_once():
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    bench.fire()
+def test_volts_and_emissions_are_computed_once_until_an_instrument_changes():
+    bench, _ = shot()
+    first = bench.world.emissions()[0]
     for _ in range(4):
         assert bench.next_words() is not None
     assert bench.next_words() is None
     assert len(bench.acoustics.captures) == 1
-
-
-def test_emissions_are_computed_once_until_an_instrument_changes():
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    bench.fire()
-    first = bench.world.emissions()[0]
     assert bench.world.emissions()[0] is first
     bench.send("toneburst", "OUTP 0")
     assert bench.world.emissions()[0] is not first
 
 
 def test_a_running_toneburst_is_cut_at_output_off():
-    bench = Bench()
-    bench.arm()
-    bench.program(toneburst=BURST.format(carrier=1e3, cycles=15))
-    bench.fire()
+    bench, _ = shot(toneburst=BURST.format(carrier=1e3, cycles=15))
     bench.send("toneburst", "OUTP 0")
     tonebursts = bench.world.emissions()[0]
     assert tonebursts.onset_ps.size == 1
@@ -259,10 +239,7 @@ def test_a_running_toneburst_is_cut_at_output_off():
 
 
 def test_a_forgotten_burst_mode_drives_without_end():
-    bench = Bench()
-    bench.arm()
-    bench.program(toneburst="*RST;:FREQ 3E6;:VOLT 1;:OUTP 1")
-    bench.fire()
+    bench, _ = shot(toneburst="*RST;:FREQ 3E6;:VOLT 1;:OUTP 1")
     tonebursts = bench.world.emissions()[0]
     assert tonebursts.onset_ps.size == 1
     assert tonebursts.end_ps[0] > bench.world.clock.now_ps
@@ -270,10 +247,7 @@ def test_a_forgotten_burst_mode_drives_without_end():
 
 
 def test_true_displacement_is_that_at_the_pulses_arrival_and_nan_without_a_pulse():
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    edge_ps = bench.fire()
+    bench, edge_ps = shot()
     bench.world.clock.sleep(5e-3)
     bench.send("tracking_pulser", "OUTP 0")
     truth = bench.world.true_displacement_m()
@@ -286,10 +260,7 @@ def test_true_displacement_is_that_at_the_pulses_arrival_and_nan_without_a_pulse
 
 def test_motion_times_start_at_the_first_edge_of_the_master():
     """A second edge in the middle of the trains starts nothing: time counts from the first."""
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    edge_ps = bench.fire()
+    bench, edge_ps = shot()
     bench.world.clock.sleep(3e-3)
     bench.fire()
     assert bench.next_words() is not None
@@ -300,10 +271,7 @@ def test_motion_times_start_at_the_first_edge_of_the_master():
 
 def test_motion_times_of_a_second_shot_start_at_its_edge():
     """The outputs stay on between both, so that the world remembers the first edge too."""
-    bench = Bench()
-    bench.arm()
-    bench.program()
-    bench.fire()
+    bench, _ = shot()
     bench.world.clock.sleep(1.0)
     bench.library.AlazarAbortAsyncRead(BOARD)
     bench.arm()
@@ -434,11 +402,7 @@ def test_a_cable_with_exchanged_conductors_inverts_pulses_and_bursts():
 
 
 def test_a_reversed_trigger_cable_triggers_nothing():
-    wiring = [(*cable, cable[1] == "burst_train.trigger") for cable in FIG_2]
-    bench = Bench(wiring)
-    bench.arm()
-    bench.program()
-    bench.fire()
+    bench, _ = shot([(*cable, cable[1] == "burst_train.trigger") for cable in FIG_2])
     tonebursts, pulses, _ = bench.world.emissions()
     assert (tonebursts.onset_ps.size, pulses.onset_ps.size) == (0, 40)
 

@@ -108,7 +108,7 @@ def test_the_result_file_holds_profile_and_motion_over_depth(run: hpe.Run, resul
 
 
 def test_a_stored_run_gives_the_profile_that_its_scene_did_not_ask_for(run: hpe.Run, result: Result) -> None:
-    table = CliRunner().invoke(app, ["process", str(run.path), "--gate-profile-step", "0.5mm"])
+    table = CliRunner().invoke(app, ["process", str(run.path), "--gate-profile-step", "1mm"])
     assert table.exit_code == 0, table.output
     assert table.output.count("OVER DEPTH at 100 Hz") == 2
     again = run.with_profile(1e-3).estimate()
@@ -120,7 +120,9 @@ def test_a_stored_run_gives_the_profile_that_its_scene_did_not_ask_for(run: hpe.
 
 
 @pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_the_report_draws_amplitude_phase_and_motion_over_depth(run: hpe.Run, tmp_path: Path, small: bool) -> None:
+def test_the_report_draws_amplitude_phase_and_motion_over_depth(
+    run: hpe.Run, tmp_path: Path, small: bool, page_without_pictures: None
+) -> None:
     if small:
         # One offset, of which no moduli are fitted, and fewer depths.
         one_offset = {"sweep.lateral_offset_m": [1e-3], "processing.gate_profile_step_m": 1e-3}

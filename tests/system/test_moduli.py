@@ -24,9 +24,19 @@ from hpe_rig.runs.api import _refuse_repeated_data
 from hpe_rig.scene import SettingsError, load_scene
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
-    return hpe.measure("gelatin-moduli", path=tmp_path_factory.mktemp("moduli") / "run.h5")
+SHORT = {
+    "sweep.lateral_offset_m": [1e-3, 3.5e-3, 6e-3],
+    "excitation.burst_count": 15,
+    "processing.window_start_s": 50e-3,
+    "processing.frequencies_hz": [100.0, 200.0, 300.0, 500.0],
+}
+
+
+@pytest.fixture(scope="module", params=[SHORT, pytest.param({}, marks=pytest.mark.slow)], ids=["short", "shipped"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
+    """Return a run of the shipped scene, by default of fewer offsets, tonebursts and harmonics."""
+    scene = load_scene("gelatin-moduli").with_(request.param)
+    return hpe.measure(scene, path=tmp_path_factory.mktemp("moduli") / "run.h5")
 
 
 def as_its_schema_says(result: ModuliResult) -> dict[str, Any]:
@@ -41,14 +51,15 @@ def as_its_schema_says(result: ModuliResult) -> dict[str, Any]:
 
 
 def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
-    result = hpe.fit_moduli(run)
+    short = run.scene.excitation.burst_count == 15
+    result = hpe.fit_moduli(run, laws=["voigt", "maxwell"] if short else ())
     best = result.best
     assert best.law == "voigt"
     for name, true in (("shear_modulus_pa", 7.25e3), ("viscosity_pa_s", 1.0)):
         assert abs(best.values[name] - true) < 3 * best.uncertainty[name]
-        assert best.uncertainty[name] < 0.015 * true
+        assert best.uncertainty[name] < (0.05 if short else 0.015) * true
     assert not best.excluded
-    assert {fit.law for fit in result.fits if fit.excluded} == {"power_law", "maxwell"}
+    assert {fit.law for fit in result.fits if fit.excluded} == ({"maxwell"} if short else {"power_law", "maxwell"})
     # the plane wave, from the same phases, is off by far more than the field
     assert result.plane_wave is not None
     assert abs(result.plane_wave.elasticity_pa / 7.25e3 - 1) > 0.1
@@ -58,6 +69,7 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("run", [{}], indirect=True)
 def test_the_phase_velocity_of_the_shipped_scene_is_the_twins(run: hpe.Run, tmp_path: Path) -> None:
     """gelatin-moduli, seed 1: c and alpha of the Voigt medium of 7.25 kPa and 1 Pa s, and the bias of other methods."""
     printed = CliRunner().invoke(app, ["dispersion", str(run.path), "--json", "--figure", str(tmp_path / "c.svg")])
@@ -93,7 +105,7 @@ def test_a_figure_of_dispersion_refuses_frequencies_and_gates_over_depth(run: hp
 def test_every_offset_has_a_truth_and_an_estimate(run: hpe.Run) -> None:
     result = run.estimate()
     places = [shot.lateral_offset_m for shot in result.shots]
-    assert places == list(load_scene("gelatin-moduli").sweep.lateral_offset_m)
+    assert places == list(run.scene.sweep.lateral_offset_m)
     true_m = [shot.estimates[0].true_amplitude_m or 0.0 for shot in result.shots]
     assert np.all(np.diff(true_m) < 0)
     for shot in result.shots:
@@ -105,7 +117,7 @@ def test_every_offset_has_a_truth_and_an_estimate(run: hpe.Run) -> None:
 
 
 @pytest.mark.slow
-def test_two_runs_of_one_offset_each_give_the_moduli(run: hpe.Run, tmp_path: Path) -> None:
+def test_two_runs_of_one_offset_each_give_the_moduli(tmp_path: Path) -> None:
     one_place = {"sweep.lateral_offset_m": [1.0e-3]}
     other = {"sweep.lateral_offset_m": [3.5e-3]}
     scene = load_scene("gelatin-moduli")

@@ -16,7 +16,7 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness" / "power_loss.py"
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("--states", "6", "--scenarios", "plain"),
+        ("--states", "3", "--scenarios", "plain"),
         pytest.param(("--states", "3000"), marks=pytest.mark.slow),
     ],
     ids=["few", "all"],

@@ -119,7 +119,7 @@ def test_resuming_gives_the_same_table_when_every_clock_is_off(prepared: Prepare
         pytest.param(lambda text: text.replace("seed = 1", "seed = 2"), "another scene", marks=pytest.mark.slow),
     ],
 )
-def test_resume_refuses_another_scene(
+def test_resume_refuses_another_scene_another_bench_and_a_complete_run(
     prepared: Prepare, tmp_path: Path, change: Callable[[str], str], message: str
 ) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
@@ -128,11 +128,6 @@ def test_resume_refuses_another_scene(
     other.write_text(change(setup.scene.text), encoding="utf-8")
     with pytest.raises(StoreError, match=message):
         prepare_resumption(path, str(other))
-
-
-def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_path: Path) -> None:
-    setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    path = record_run(setup, tmp_path / "run.h5")
     bench = tmp_path / "bench.toml"
     bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
     with pytest.raises(StoreError, match="bench"):

@@ -184,13 +184,8 @@ def test_a_lost_master_ends_the_shot_when_the_plan_says_so(
 
 
 def test_an_input_beyond_its_range_becomes_a_warning_of_the_result(prepared: Prepare, tmp_path: Path) -> None:
-    kept = ('disturbed = "skip"', 'disturbed = "keep"')
-    large, small = (("[acquisition]", f"[acquisition]\ninput_range_v = {range_v}") for range_v in (4.0, 0.2))
-    clean, loud = (
-        process(record_run(prepared("bovine-muscle", *edits), tmp_path / f"{name}.h5"))
-        for name, edits in (("clean", (kept, large)), ("loud", (kept, small)))
-    )
-    assert not any("left its range" in warning for warning in clean.warnings)
+    edits = ('disturbed = "skip"', 'disturbed = "keep"'), ("[acquisition]", "[acquisition]\ninput_range_v = 0.2")
+    loud = process(record_run(prepared("bovine-muscle", *edits), tmp_path / "loud.h5"))
     assert any("shot 1: the digitizer's input left its range of 0.2 V" in warning for warning in loud.warnings)
     with h5py.File(tmp_path / "loud.h5") as file:
         assert file["records/clipped"][()].tolist() == [1]

@@ -38,6 +38,8 @@ SHORT = (
     ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 1000.0"),
     ("delay_s = 130e-6", "delay_s = 130e-6\npulse_count = 16"),
     ("window_start_s = 50e-3", "frequencies_hz = [100.0] #"),
+    # No medium prior, whose computation would take most of the time.
+    ("[processing]\n", '[processing]\nestimator = "kasai"\nharmonic = "least_squares"\n'),
     ("[acquisition]\n", "[acquisition]\nrepeats = 2\nshot_period_s = 2.0\n"),
 )
 

@@ -95,6 +95,7 @@ def test_no_scatterers_are_silent_and_one_is_the_pulse_to_30_digits():
     assert np.abs(one.echo[0] - expected).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_a_million_scatterers_by_series_running_sum_and_direct_sum():
     rng = np.random.default_rng(4)
     tau, weight, g = np.sort(rng.uniform(-3e-6, 3e-6, 1_000_000)), rng.standard_normal(1_000_000), rng.random(1_000_000)
