@@ -23,7 +23,6 @@ from hpe_rig.runs import json_schema
 from hpe_rig.runs.api import _refuse_repeated_data
 from hpe_rig.scene import SettingsError, load_scene
 
-
 SHORT = {
     "sweep.lateral_offset_m": [1e-3, 3.5e-3, 6e-3],
     "excitation.burst_count": 15,
