@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -22,11 +22,13 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness" / "power_loss.py"
     ids=["few", "all"],
 )
 def test_no_state_of_the_disk_after_a_power_loss_lacks_a_stored_shot_or_is_wrong_silently(
-    arguments: tuple[str, ...],
+    arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    command = [sys.executable, str(SCRIPT), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=SCRIPT.parents[1])
-    assert done.returncode == 0, done.stdout + done.stderr
+    monkeypatch.syspath_prepend(SCRIPT.parent)
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
+    code = importlib.import_module("power_loss").main()
+    output = capfd.readouterr()
+    assert code == 0, output.out + output.err
     # Without states, or with a trace of nothing, the test would test nothing.
-    states = [int(line.split()[1]) for line in done.stdout.splitlines() if " states, 0 broken" in line]
+    states = [int(line.split()[1]) for line in output.out.splitlines() if " states, 0 broken" in line]
     assert sum(states) >= int(arguments[1])

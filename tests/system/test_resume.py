@@ -71,6 +71,7 @@ def stopped_after(setup: Setup, path: Path, shots: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
     expected = table(record_run(setup, tmp_path / "whole.h5"))

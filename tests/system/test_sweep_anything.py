@@ -48,6 +48,7 @@ def test_the_first_point_is_the_scene_measured_alone(swept: hpe.Run, tmp_path: P
     np.testing.assert_array_equal(run.records[0].codes, swept.records[0].codes)
 
 
+@pytest.mark.slow
 def test_a_sweep_of_the_specimen_goes_on_where_it_stopped(swept: hpe.Run, tmp_path: Path) -> None:
     def stop(progress: object) -> None:
         if progress.shot.index == 2 and progress.records:  # type: ignore[attr-defined]

@@ -70,7 +70,7 @@ def another_program(worlds: list[World], role: str, command: str, step: Step = S
 
 @pytest.mark.parametrize(
     "role",
-    [name if name in ("toneburst", "master") else pytest.param(name, marks=pytest.mark.slow) for name in FOREIGN],
+    [name if name == "master" else pytest.param(name, marks=pytest.mark.slow) for name in FOREIGN],
 )
 def test_what_another_program_changes_after_arming_is_found_and_ends_the_run(
     prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
@@ -87,7 +87,7 @@ def test_what_another_program_changes_after_arming_is_found_and_ends_the_run(
     assert not run.shot_complete.any()
 
 
-@pytest.mark.parametrize("role", ["toneburst", "tracking_pulser"])
+@pytest.mark.parametrize("role", ["toneburst", pytest.param("tracking_pulser", marks=pytest.mark.slow)])
 def test_an_output_switched_off_by_another_program_is_found(
     prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
 ) -> None:

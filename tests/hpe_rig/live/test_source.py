@@ -56,6 +56,7 @@ def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
     assert source.poll() is None
 
 
+@pytest.mark.slow
 def test_shots_at_different_points_of_a_sweep_have_no_common_mean(tmp_path: Path) -> None:
     scene = load_scene("table-1").with_({"acquisition.repeats": 2, "tracking.pulse_count": 20})
     path = sweep(scene, {"tracking.delay_s": [0.0, 1e-4]}, path=tmp_path / "run.h5").path

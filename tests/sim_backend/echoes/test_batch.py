@@ -127,7 +127,7 @@ def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
 @pytest.mark.parametrize(
     "scatterers",
     [
-        Scatterers(),
+        pytest.param(Scatterers(), marks=pytest.mark.slow),
         pytest.param(Scatterers(axial_delay="none"), marks=pytest.mark.slow),
         # Without delays reflectivity of zero mean tells by the power: it makes the sum incoherent.
         pytest.param(Scatterers(axial_delay="none", reflectivity="normal"), marks=pytest.mark.slow),
