@@ -168,7 +168,9 @@ def generate() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def generated(generate: ModuleType) -> dict[str, str]:
-    return dict(generate.pages())
+    """Return the generated pages that these tests read; `test_messages.py` provokes the messages of another one."""
+    settings = {f"{subject}.md": generate.settings_page(subject) for subject in ("scene", "bench", "simulation")}
+    return {**settings, "commands.md": generate.commands_page(), "api.md": generate.api_page()}
 
 
 def test_the_reference_lists_every_command_with_its_options(generated: dict[str, str], generate: ModuleType) -> None:

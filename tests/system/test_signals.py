@@ -13,12 +13,14 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import DeadlineError, InstrumentError
 from hpe_rig.bench import instruments as open_instruments, opening as bench_module
 from hpe_rig.bench.instruments import UnsafeBenchError, proven_off
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.cli.app import app
 from hpe_rig.measurement.run import record_run
 from hpe_rig.measurement.sequencer import acquire
 from hpe_rig.measurement.setup import Setup
@@ -217,23 +219,19 @@ def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_mea
     assert "by hand, now" in str(caught.value)
 
 
-def test_an_unreachable_output_has_its_own_exit_code(tmp_path: Path) -> None:
-    script = """
-import sys
-from drivers.agilent.generator import Agilent33250A
-proof, calls = Agilent33250A.prove_off, []
-def deaf(generator):
-    calls.append(generator.role)
-    if calls.count("toneburst") > 1 and generator.role == "toneburst":
-        raise TimeoutError("nothing came")
-    return proof(generator)
-Agilent33250A.prove_off = deaf
-sys.argv = ["hpe-rig", "run", "bovine-muscle-synchronous", "--output", "run.h5"]
-from hpe_rig.cli.app import main
-main()
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 3
+def test_an_unreachable_output_has_its_own_exit_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    proof, calls = Agilent33250A.prove_off, list[str]()
+
+    def deaf(generator: Agilent33250A) -> str:
+        calls.append(generator.role)
+        if calls.count("toneburst") > 1 and generator.role == "toneburst":
+            raise TimeoutError("nothing came")
+        return proof(generator)
+
+    monkeypatch.setattr(Agilent33250A, "prove_off", deaf)
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["run", "bovine-muscle-synchronous", "--output", "run.h5"])
+    assert done.exit_code == 3
     assert "THE BENCH MAY STILL BE DRIVING: not proven off: toneburst" in done.stderr
     assert "Known to be off: burst_train, master, tracking_pulser, tracking_train read back as off" in done.stderr
     assert "run.h5 holds the records that had arrived: hpe-rig process run.h5" in done.stderr
